@@ -1,10 +1,11 @@
-"""Evaluates a base calculator for arrays of states, for replay, learning and sweeps.
+"""Evaluates a base calculator for arrays of twists or joint states, for replay and learning.
 
-All arrays are float64 with a row per component and a column per state.  Twists have the shape (3,
-n) with the rows vx, vy and wz of ``base_link`` (m/s, m/s, rad/s).  Joint values have the shape
-(wheels, n), in the order of the robot's wheels.  The functions write their results into arrays of
-the caller.  The input is processed in pieces that fit into the cache of a processor core, so no
-array of the size of the input is allocated.
+All arrays have the type float64, one row per component, and one column per state of the robot.
+Twists have the shape (3, n) with the rows vx, vy and wz of ``base_link`` (m/s, m/s, rad/s).  Joint
+values have the shape (wheels, n), in the order of the robot's wheels.  The methods write their
+results into arrays that the caller has allocated.  The input arrays are processed in pieces of
+columns that fit into the cache of a processor core.  No additional array of the size of the input
+is allocated.
 """
 
 from __future__ import annotations
@@ -24,15 +25,15 @@ from thorvaldc.simulation.vectorised.inverse_batch import InverseBatch
 
 Array = NDArray[np.float64]
 _PIECE_SIZE = 8192
-"""Number of states in a piece."""
+"""Number of array columns that are processed at a time."""
 MAX_VALUE = 1e9
-"""Joint states and twists (SI units) from this size on are rejected as errors."""
+"""Twists and joint states (SI units) with an absolute value from this limit on are rejected."""
 
 
 class CalculatorBatch:
     """Evaluates a base calculator for arrays of states.
 
-    The results equal the results of the calculator to 1e-12.
+    The results equal the results of the scalar calculator to 1e-12.
     """
 
     def __init__(self, calculator: BaseCalculator) -> None:
@@ -44,12 +45,12 @@ class CalculatorBatch:
         """Computes wheel speeds (rad/s) and steering angles (rad) for ``twists``.
 
         Each twist is processed independently.  The result for a twist is the command that the
-        calculator computes after a reset without joint states.  Steering joints therefore choose
-        their angles from the position 0.
+        calculator computes after a reset without joint states.  All steering joints therefore start
+        at the angle 0.
 
         Raises ``ValueError`` if an array has the wrong shape, or if the contact of a steered wheel
         lies ahead of or behind its steering axis.  Raises ``NotFiniteError`` if a twist is not
-        finite or not below 1e9.  If an error is raised, nothing is written.
+        finite or not below 1e9. After an error, the result arrays are unchanged.
         """
         n = self._size(twists)
         for array in (speeds, angles):
@@ -63,16 +64,16 @@ class CalculatorBatch:
     def least_squares(
         self, speeds: Array, angles: Array, twists: Array, rates: Array | None = None
     ) -> None:
-        """Computes the same unweighted least-squares twists as ``TwistEstimator.least_squares``.
+        """Computes unweighted least-squares twists, as ``TwistEstimator.least_squares`` does.
 
         - ``speeds``: wheel speeds, rad/s.
         - ``angles``: steering angles, rad.
-        - ``twists``: array for the results.
+        - ``twists``: array for the resulting twists.
         - ``rates``: steering rates, rad/s.  Steering rates affect only wheels whose contact lies
           beside, ahead of or behind the steering axis.
 
-        Raises ``ValueError`` if an array has the wrong shape, and ``NotFiniteError`` if a value is
-        not finite or not below 1e9.
+        Raises ``ValueError`` if an array has the wrong shape, and ``NotFiniteError`` if a joint
+        state is not finite or not below 1e9.
         """
         n = self._check_joints(speeds, angles, twists, rates)
         estimator = self.calculator.estimator
@@ -123,11 +124,12 @@ class CalculatorBatch:
         rates: Array | None = None,
         yaw_rates: Array | None = None,
     ) -> dict[int, tuple[int, ...]]:
-        """Computes the same twists as ``TwistEstimator.estimate``, which leaves out faulty wheels.
+        """Estimates twists without faulty wheels, as ``TwistEstimator.estimate`` does.
 
-        The parameters are the same as in ``weighted``.  Returns the indices of the wheels that are
-        left out, for each state with such wheels.  The scalar estimator computes the few states in
-        which a wheel disagrees with the other wheels.  Raises the same errors as ``least_squares``.
+        The parameters are the same as in ``weighted``.  Returns a dictionary with the indices of
+        the faulty wheels, for each column with faulty wheels.  The scalar estimator computes the
+        few columns in which a wheel disagrees with the other wheels.  Raises the same errors as
+        ``least_squares``.
         """
         return self._estimate(
             speeds, angles, twists, covariances, chi_squares, rates, yaw_rates, reject=True
@@ -261,7 +263,7 @@ def _indices(mask: NDArray[np.bool_] | None) -> list[int]:
 def _state(
     speeds: Array, angles: Array, rates: Array | None, yaw_rates: Array | None, k: int
 ) -> JointStates:
-    """Returns the joint states in column ``k`` for the scalar estimator."""
+    """Returns the joint states in the array column ``k`` for the scalar estimator."""
     turning = [0.0] * len(speeds) if rates is None else rates[:, k].tolist()
     yaw_rate = None if yaw_rates is None else float(yaw_rates[k])
     return JointStates(0.0, speeds[:, k].tolist(), angles[:, k].tolist(), turning, None, yaw_rate)

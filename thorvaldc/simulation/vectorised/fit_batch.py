@@ -26,13 +26,13 @@ Array = NDArray[np.float64]
 Value = Array | float
 
 _SINGULAR = 1e-250
-"""Determinants with a smaller absolute value count as 0."""
+"""Determinants of matrices with a smaller absolute value count as 0."""
 
 
 class MeasurementBatch(NamedTuple):
-    """Measurements of one wheel in all states, with the fields of ``twist_fit.Measurement``.
+    """Measurements of one wheel in all robot states, with the fields of ``twist_fit.Measurement``.
 
-    A field that is a plain number has the same value in all states.
+    A field is an array with one value per robot state, or a number that applies to all states.
     """
 
     wheel: WheelConstants
@@ -45,9 +45,9 @@ class MeasurementBatch(NamedTuple):
 
 
 class WeightedBatch(NamedTuple):
-    """Linearised measurements of one wheel in all states.
+    """Linearised measurements of one wheel in all robot states.
 
-    The class has the same fields as ``twist_fit.WeightedMeasurement``.
+    The fields are the same as in ``twist_fit.WeightedMeasurement``.
     """
 
     wheel: WheelConstants
@@ -62,10 +62,10 @@ class WeightedBatch(NamedTuple):
 
 
 class FitBatch(NamedTuple):
-    """Fitted twists of all states about the centroid.
+    """Fitted twists in all robot states, about the centroid of the wheels.
 
-    - ``twist``: components vx, vy and wz.
-    - ``covariance``: upper halves of the covariance matrices.
+    - ``twist``: arrays of the twist components vx, vy and wz.
+    - ``covariance``: upper halves of the covariance matrices of the twists.
     - ``measurements``: linearised measurements of each wheel.
     """
 
@@ -77,7 +77,7 @@ class FitBatch(NamedTuple):
 def measure(
     estimator: TwistEstimator, speeds: Array, angles: Array, rates: Array | None
 ) -> list[MeasurementBatch]:
-    """Converts joint states to measurements.  All arrays have the shape (wheels, n).
+    """Converts arrays of joint states, shape (wheels, n), to wheel measurements.
 
     - ``speeds``: wheel speeds, rad/s.
     - ``angles``: steering angles, rad.
@@ -91,8 +91,8 @@ def measure(
         x: Value = wheel.x
         y: Value = wheel.y
         if wheel.steered:
-            # One tangent is faster than a sine and a cosine.  With t = tan(direction / 2), the
-            # cosine is c = 2 / (1 + t^2) - 1 and the sine is s = t (1 + c).
+            # The cosine c and the sine s are computed from a single tangent, which is faster: with
+            # t = tan(direction / 2), c = 2 / (1 + t^2) - 1 and s = t (1 + c).
             t = angles[wheel.number] * (wheel.sign / 2.0)
             if wheel.heading:
                 t += wheel.heading / 2.0
@@ -121,11 +121,12 @@ def unweighted_fit(
     yaw_rates: Array | None,
     n: int,
 ) -> tuple[tuple[Array, Array, Array], NDArray[np.bool_] | None]:
-    """Returns the unweighted least-squares twists about the centroid, and a mask of low ranks.
+    """Returns unweighted least-squares twists about the centroid, and a mask of low ranks.
 
-    The mask is ``True`` for states whose rank is below 3.  The mask is ``None`` if all ranks are 3.
-    The mask is also ``None`` if ``estimator.inverse`` is used, because ``estimator.inverse``
-    contains the rank of all states.
+    The mask is ``True`` for robot states in which the measurements do not determine the whole twist
+    (rank below 3).  The mask is ``None`` if the rank is 3 in all robot states.  The mask is also
+    ``None`` if ``estimator.inverse`` is used, because ``estimator.inverse`` already contains the
+    rank.
     """
     b1, b2, b3 = np.zeros(n), np.zeros(n), np.zeros(n)
     if estimator.inverse is not None and yaw_rates is None:
@@ -180,7 +181,7 @@ def fit_twists(
     predicted: tuple[Array, Array, Array],
     yaw_rates: Array | None,
 ) -> FitBatch:
-    """Computes the same Gauss-Newton step from predicted twists as ``twist_fit.fit_twist``."""
+    """Computes a Gauss-Newton step for arrays of twists, as ``twist_fit.fit_twist`` does."""
     vx, vy, wz = predicted
     ratio2, angle2, floor2, slip2, skid2, gyro2 = estimator.squares
     a11, a12, a13, a22, a23, a33, b1, b2, b3 = (np.zeros_like(vx) for _ in range(9))
@@ -258,7 +259,7 @@ def fit_twists(
 def chi_squares(fit: FitBatch, result: Array) -> None:
     """Writes the chi-square D of each wheel into ``result`` (wheels, n).
 
-    ``twist_fit.chi_squares`` explains D.
+    The documentation of ``twist_fit.chi_squares`` defines the chi-square D of a wheel.
     """
     vx, vy, wz = fit.twist
     p11, p12, p13, p22, p23, p33 = fit.covariance
@@ -283,7 +284,7 @@ def chi_squares(fit: FitBatch, result: Array) -> None:
         regular = det > UNTESTABLE * v_l * v_t
         if not regular.all():
             # The covariance S of the residual has rank 1 at most.
-            # ``twist_fit.compare_with_others`` explains this case.
+            # The function ``twist_fit.compare_with_others`` explains covariances of rank 1.
             h_l = c * c * u11 + 2.0 * c * s * u12 + s * s * u22
             scale = (v_l - h_l) / v_l + (v_t - (u11 + u22 - h_l)) / v_t
             r_l, r_t = c * rx + s * ry, c * ry - s * rx
@@ -298,7 +299,7 @@ def chi_squares(fit: FitBatch, result: Array) -> None:
 def _inverse(
     a11: Array, a12: Array, a13: Array, a22: Array, a23: Array, a33: Array
 ) -> tuple[tuple[Array, Array, Array, Array, Array, Array], Array]:
-    """Inverts symmetric matrices by cofactors.
+    """Inverts symmetric 3 x 3 matrices by cofactors.
 
     Returns the upper halves of the inverse matrices, and the determinants.  For a singular matrix,
     the adjugate is returned instead of the inverse.

@@ -17,24 +17,24 @@ from thorvaldc.runtime.se2 import Twist
 Array = NDArray[np.float64]
 
 _SMALL = 1e-3
-"""Size of the twists (m/s, rad/s) that sample the linear map from twists to wheel speeds.
+"""Size (m/s, rad/s) of the test twists that determine the linear map from twists to wheel speeds.
 
-No wheel reaches a limit at this size.
+A test twist is so small that no wheel reaches its speed limit.
 """
 _SCAN = 720
-"""Number of directions at which the choice of the angle is sampled before the bisection."""
+"""Number of directions of motion at which the chosen steering angle is sampled."""
 
 
 class BranchTable(NamedTuple):
-    """Number of half turns that a steering joint adds to its angle, for each direction of motion.
+    """Half turns that a steering joint adds to the direction of motion, as a step function.
 
-    The table applies to a steering joint at rest at the angle 0.  The number of half turns is a
-    step function of the direction.
+    The table applies to a steering joint at rest at the angle 0. The number of half turns is a step
+    function of the direction of motion.
 
-    - ``first``: number of half turns from the direction -pi to the first step, or ``None`` if no
-      angle is reachable.
-    - ``steps``: for each step, the direction (rad) and the number of half turns beyond this
-      direction.
+    - ``first``: number of half turns from the direction -pi rad to the first step, or ``None`` if
+      no steering angle is reachable.
+    - ``steps``: for each step, the direction of motion (rad) and the number of half turns beyond
+      this direction.
     """
 
     first: int | None
@@ -44,8 +44,8 @@ class BranchTable(NamedTuple):
 def tabulate_branch(wheel: WheelGeometry, hysteresis: float) -> BranchTable:
     """Returns the branch table of a steering joint.
 
-    The function samples the choice of ``SteeringJoint`` and finds each step by bisection to the
-    last bit.
+    The function samples the steering angles that ``SteeringJoint`` chooses, and finds each step by
+    bisection to the last bit.
     """
 
     def half_turns(direction: float) -> int | None:
@@ -76,12 +76,12 @@ def tabulate_branch(wheel: WheelGeometry, hysteresis: float) -> BranchTable:
 class _Joint(NamedTuple):
     """A steering joint and its wheels.
 
-    - ``wheel``: geometry of the first wheel on the joint.
+    - ``wheel``: geometry of the first wheel on the steering joint.
     - ``wheels``: for each wheel on the joint, its index, its share of the rolling speed, and its
       geometry.
     - ``lower``, ``upper``: limits of the steering angle, rad.
     - ``rest``: steering angle after a reset, rad.
-    - ``branches``: number of half turns for each direction of motion.
+    - ``branches``: table of the half turns for each direction of motion.
     """
 
     wheel: WheelGeometry
@@ -93,10 +93,10 @@ class _Joint(NamedTuple):
 
 
 class InverseBatch:
-    """Inverse kinematics of a calculator after a reset, independent for each twist."""
+    """Computes the inverse kinematics of a base calculator for arrays of independent twists."""
 
     def __init__(self, calculator: BaseCalculator) -> None:
-        """Samples the inverse kinematics of ``calculator``.
+        """Determines the tables and constants of the inverse kinematics of ``calculator``.
 
         Raises ``ValueError`` if a steered wheel has a trail, because its steering angle also
         depends on wz.
@@ -227,9 +227,9 @@ def _branches(
 ) -> tuple[Array, Array, NDArray[np.bool_] | None]:
     """Evaluates a branch table at directions of motion (rad).
 
-    Returns the angle to add (rad), the sign of the rolling speed, and a mask.  The mask is ``True``
-    for directions without a reachable angle.  The mask is ``None`` if all directions have a
-    reachable angle.
+    Returns the angle (rad) to add to the direction of motion, the sign of the rolling speed, and a
+    mask.  The mask is ``True`` for directions of motion without a reachable steering angle.  The
+    mask is ``None`` if all directions of motion have a reachable steering angle.
     """
     current = table.first
     turns = np.full_like(direction, (current or 0) * math.pi)

@@ -1,8 +1,8 @@
-"""Computes the odometry of many equal robots in a few array operations.
+"""Computes the odometry of many identical robots in a few array operations.
 
-All robots in a scene read their joints at the same time, and the same equations apply to equal
-robots.  The results equal the results of ``Odometry.update`` for each robot, except for rounding
-errors.
+The robots of a scene read their joints at the same time, and the same odometry equations apply to
+identical robots.  The results equal the results of ``Odometry.update`` for each robot, except for
+rounding errors.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from thorvaldc.runtime.se2 import Cov3, Pose2, Turn, Twist, propagated
 from thorvaldc.simulation.vectorised.calculator_batch import Array, CalculatorBatch
 
 _MIN_INTERVAL = 1e-4
-"""Interval (s) between joint states below which computed rates may overflow."""
+"""Shortest interval (s) between joint states, because rates over shorter intervals may overflow."""
 _MAX_VALUE = 1e9
-"""The scalar odometry processes joint values (SI units) from this size on."""
+"""Joint states (SI units) from this limit on are left to the scalar odometry."""
 
 
 class OdometryBatch:
-    """The odometry of equal robots.  ``calculator`` is the base calculator of one of the robots.
+    """Odometry of several robots with the same wheels, noise and calculator options.
 
-    Equal robots have the same wheels, noise and options.  The calculator of equal robots uses the
-    odometry of the class ``BaseCalculator``.  The wheels of equal robots determine the whole twist
-    at any steering angles.
+    ``calculator`` is the base calculator of any robot in the batch.  The calculator must use the
+    method ``BaseCalculator.odometry`` without changes.  The wheels of the robots must determine the
+    whole twist at any steering angles.
 
-    Each array of the batch has one column per robot.  A column contains a copy of the robot's
+    Each array of the batch has one column per robot.  The columns of a robot contain a copy of its
     ``Odometry`` after the last update.
     """
 
@@ -46,16 +46,17 @@ class OdometryBatch:
         self._joints = np.zeros((2, wheels, n))  # positions and steering angles, rad
         self._poses = np.zeros((3, n))
         self._covariances = np.zeros((6, n))
-        # Objects from which the columns were copied.  If the odometry of a robot contains other
-        # objects, code outside of the batch has changed the odometry.
+        # Objects in the odometry of each robot from which the array columns were copied.  If the
+        # odometry of a robot contains other objects, code outside of the batch has changed the
+        # odometry.
         self._copied: list[tuple[JointStates, Pose2, Cov3] | None] = [None] * n
 
     def update(self, joints: Sequence[JointStates], now: float) -> None:
         """Updates the odometry of each robot with the robot's joint states.
 
-        Robots with unusual joint states are left out.  Joint states are unusual if positions are
-        missing, if they contain a yaw rate, if the interval is too short or too long, or if a value
-        is very large or not finite.
+        Robots with unusual joint states are left out.  Joint states are unusual if wheel positions
+        are missing, if the joint states contain a yaw rate, if the interval since the last joint
+        states is too short or too long, or if a joint state is very large or not finite.
         """
         robots = [k for k, states in enumerate(joints) if self._is_usual(k, states)]
         if not robots:
@@ -63,7 +64,7 @@ class OdometryBatch:
         table = np.fromiter(
             chain.from_iterable(chain.from_iterable(_values(joints[k]) for k in robots)), float
         ).reshape(len(robots), 4, self._wheels)
-        valid = (np.abs(table) < _MAX_VALUE).all(axis=(1, 2))  # false for a NaN, too
+        valid = (np.abs(table) < _MAX_VALUE).all(axis=(1, 2))  # also false for NaN
         if not valid.all():
             robots = [k for k, good in zip(robots, valid.tolist(), strict=True) if good]
             table = table[valid]
@@ -99,7 +100,7 @@ class OdometryBatch:
     def _integrate(
         self, robots: list[int], joints: Sequence[JointStates], end: Array, now: float
     ) -> None:
-        """Integrates the motion of one interval.
+        """Integrates the motion of all robots over the interval between two joint states.
 
         ``end`` contains the positions of the spin joints and the steering angles at the end of the
         interval, in rad.  The shape of ``end`` is (2, wheels, robots).
@@ -133,7 +134,7 @@ def _values(states: JointStates) -> tuple[Sequence[float], ...]:
 
 
 def _moved(poses: Array, dx: Array, dy: Array, angle: Array, turn: Turn) -> Array:
-    """Moves poses by the motion of a constant twist.
+    """Moves an array of robot poses by the motion of a constant twist.
 
     The result equals ``Pose2.moved`` with the step from ``se2.exp``.
     """

@@ -1,4 +1,4 @@
-"""Groups of equal robots in one scene.  One batch per group computes the odometry in a tick."""
+"""Groups the identical robots of a scene, and computes the odometry of each group as a batch."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ if TYPE_CHECKING:
     from thorvaldc.simulation.vectorised.odometry_batch import OdometryBatch
 
 MIN_GROUP_SIZE = 32
-"""Number of equal robots from which array operations are faster than a loop over the robots."""
+"""Smallest group of robots for which array operations are faster than a loop over the robots."""
 
 
 class RobotGroups:
-    """Finds groups of equal robots and updates the odometry of each group with arrays.
+    """Groups of identical robots, whose odometry is updated with array operations.
 
-    Each robot keeps its own driver.  When the driver runs its tick, the odometry of the robot is
-    already updated.  ``groups`` contains, for each group, the indices of the robots and their
-    batch.
+    Each robot keeps its own driver.  The odometry of a robot is updated before the tick of its
+    driver.  The attribute ``groups`` contains, for each group, the indices of the robots and their
+    ``OdometryBatch``.
     """
 
     def __init__(self, drivers: Sequence[BaseDriver]) -> None:
@@ -44,16 +44,17 @@ class RobotGroups:
                 self.groups.append((indices, batch))
 
     def update_odometry(self, now: float, due: Sequence[int]) -> dict[int, JointStates]:
-        """Reads the joints of each group and updates the odometry of its robots.
+        """Reads the joints of the robots in each group and updates their odometry.
 
-        A group is left out if not all of its robots are ``due``.  Returns the joint states by the
+        ``due`` contains the indices of the robots whose drivers run a tick at ``now`` (s).  A group
+        is left out if a robot of the group is not in ``due``.  Returns the joint states by the
         index of the robot, for the ticks of the drivers.  The batch leaves out robots with unusual
-        joint states.  The driver of a robot with unusual joint states updates the odometry itself.
+        joint states, and the drivers of these robots update the odometry.
         """
         joints_by_robot: dict[int, JointStates] = {}
         for indices, batch in self.groups:
-            # A parameter change replaces the calculator of a robot.  After a parameter change, the
-            # robots of a group may no longer be equal.
+            # A parameter change replaces the base calculator of a robot, so the robots of a group
+            # may no longer be identical.
             if not set(indices) <= set(due) or any(
                 self._drivers[i].calculator is not self._calculators[i] for i in indices
             ):
@@ -65,10 +66,10 @@ class RobotGroups:
 
 
 def _group_key(calculator: BaseCalculator) -> Hashable | None:
-    """Returns a key that is equal for all robots of a group, or ``None`` if no batch is possible.
+    """Returns a key that is equal for robots of the same group, or ``None`` without a batch.
 
-    A batch is possible if the calculator uses the odometry of the class ``BaseCalculator``, and if
-    the wheels determine the whole twist at any steering angles.
+    A batch of robots is possible only if the calculator uses the method ``BaseCalculator.odometry``
+    without changes, and if the wheels determine the whole twist at any steering angles.
     """
     estimator = calculator.estimator
     overrides_odometry = type(calculator).odometry is not BaseCalculator.odometry

@@ -1,7 +1,8 @@
-"""Many open-loop runs of one robot in parallel threads, for planning and identification.
+"""Simulates many open-loop runs of one robot in parallel threads, for planning and identification.
 
-``mujoco.rollout`` computes the true motion for given joint commands.  The runs use no base driver
-and no odometry.  For runs with the driver, injected faults or noise, use a batch of scenarios.
+The function ``mujoco.rollout`` computes the true motion for given joint commands.  The simulated
+runs use no base driver and no odometry.  To simulate the base driver, injected faults or noise, use
+a batch of scenarios.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 Array = NDArray[np.float64]
 _MAX_STATE_NUMBERS = 1 << 23
-"""Largest number of values of MuJoCo states in memory at a time."""
+"""Largest number of floating-point numbers of MuJoCo states in memory at a time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectories:
-    """Results of n runs, sampled at the ends of t ticks.
+    """Results of n simulated runs, sampled at the ends of t ticks.
 
-    If a run diverges, all its later values are NaN.
+    If a simulated run diverges, all later samples of the run are NaN.
 
     - ``time``: times of the samples, shape (t,), s.
     - ``poses``: pose of ``base_link`` in the scene, shape (n, t, 3): x, y (m) and yaw (rad, not
@@ -37,8 +38,8 @@ class Trajectories:
     - ``uprightness``: cosine of the tilt angle, shape (n, t).
     - ``speeds``: wheel speeds, shape (n, t, wheels), rad/s.
     - ``angles``: steering angles, shape (n, t, wheels), rad.
-    - ``states``: MuJoCo states at the end, shape (n, state).  A later run can start from the states
-      at the end.
+    - ``states``: final MuJoCo states of the runs, shape (n, state).  Later runs can start from the
+      final states.
     """
 
     time: Array
@@ -51,12 +52,12 @@ class Trajectories:
 
 
 class Rollouts:
-    """A robot alone in its scene, prepared for many runs."""
+    """A robot alone in a MuJoCo scene, prepared for many simulated runs."""
 
     def __init__(
         self, robot: Robot, files: Path | str | Mapping[str, bytes], threads: int = 1
     ) -> None:
-        """Loads the robot into its scene.
+        """Loads the robot into a MuJoCo scene.
 
         ``files`` has the same meaning as for ``MujocoScene``.  Raises ``DiagnosticError`` if the
         scene cannot be loaded, and ``ValueError`` if ``threads`` is less than 1.
@@ -103,18 +104,18 @@ class Rollouts:
         period: float = 0.1,
         states: Array | None = None,
     ) -> Trajectories:
-        """Runs the robot n times with given joint commands.
+        """Simulates n runs of the robot with given joint commands.
 
-        - ``speeds``: wheel speeds of the commands, shape (n, t, wheels), rad/s.  Values of wheels
-          without drive motor are not used.
-        - ``angles``: steering angles of the commands, shape (n, t, wheels), rad.  Values of wheels
-          without steering motor are not used.  By default all steering angles are 0.
-        - ``period``: duration of each command in s, a whole number of the scene's time steps.
+        - ``speeds``: wheel speeds of the commands, shape (n, t, wheels), rad/s.  Commands for
+          wheels without drive motor are not used.
+        - ``angles``: steering angles of the commands, shape (n, t, wheels), rad.  Commands for
+          wheels without steering motor are not used.  By default all steering angles are 0.
+        - ``period``: duration of each joint command in s, a multiple of the scene's time step.
         - ``states``: MuJoCo states at the start of the runs, shape (n, state).  By default all runs
-          start at ``start``.
+          start from the state ``start``.
 
-        The result does not depend on the number of threads.  Raises ``ValueError`` if an array has
-        the wrong shape or the period is not a whole number of time steps.
+        The simulated trajectories do not depend on the number of threads.  Raises ``ValueError`` if
+        an array has the wrong shape or the period is not a multiple of the time step.
         """
         speed_commands = np.asarray(speeds, dtype=np.float64)
         if angles is None:
@@ -153,7 +154,7 @@ class Rollouts:
         return self._joints.trajectories(samples, period * np.arange(1, ticks + 1), current)
 
     def close(self) -> None:
-        """Ends the threads of the runs."""
+        """Ends the threads that simulate the runs."""
         self._rollout.close()
 
 
@@ -175,7 +176,7 @@ class _Joints(MujocoBase):
         return control
 
     def trajectories(self, states: Array, time: Array, last: Array) -> Trajectories:
-        # A MuJoCo state contains the time, qpos, qvel, activations and other values.
+        # A MuJoCo state contains the time, positions (qpos), velocities (qvel) and activations.
         base = 1 + self._base
         moving = 1 + self.scene.model.nq + self._base_velocity
         x, y, _, w, i, j, k = np.moveaxis(states[:, :, base : base + 7], 2, 0)

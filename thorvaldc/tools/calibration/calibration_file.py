@@ -1,4 +1,4 @@
-"""Writes the calibration file of a robot, and keeps values of its present calibration."""
+"""Writes the calibration file of a robot, and keeps present values that were not estimated."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from thorvaldc.tools.calibration.self_calibration import CalibrationResult
 
 
 def overlay_text(result: CalibrationResult, robot: Path) -> str:
-    """Returns the text of a calibration file with the estimated values.
+    """Returns the text of a calibration file with the estimated radii and steering offsets.
 
-    Values that were not estimated are copied from the calibration that the robot file includes.
+    Radii and offsets that were not estimated are copied from the calibration file that the robot
+    file includes.
     """
     return overlay(result, _present_values(robot))
 
 
 def _present_values(robot: Path) -> dict[str, dict[str, Any]]:
-    """Returns the calibration values of each wheel, in SI units.
+    """Returns the present calibration of each wheel by the name of the wheel, in SI units.
 
-    The values come from the calibration that the robot file includes.  The result is empty if the
-    robot file includes no calibration.
+    The calibration is read from the calibration file that the robot file includes.  The dictionary
+    is empty if the robot file includes no calibration file.
     """
     document = read_file(robot, robot.name, Report())
     calibration = load_calibration(document, robot.parent, Report(), {}) if document else None
@@ -44,8 +45,8 @@ def _present_values(robot: Path) -> dict[str, dict[str, Any]]:
 def write_calibration(path: Path, text: str) -> None:
     """Writes a calibration file.
 
-    The file is either written completely or not changed.  Raises ``FileExistsError`` if ``path`` is
-    an existing file that is not a calibration.
+    The calibration file is either written completely or not changed.  Raises ``FileExistsError`` if
+    ``path`` is an existing file that is not a calibration file.
     """
     if path.exists() and not _is_calibration(path):
         raise FileExistsError(f"will not overwrite {path}, which is no calibration")

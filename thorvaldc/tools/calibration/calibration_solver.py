@@ -1,4 +1,4 @@
-"""The least-squares solver of the self-calibration.  ``self_calibration`` explains the method."""
+"""Least-squares solver of the self-calibration (see the module ``self_calibration``)."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from thorvaldc.runtime.se2 import ORIGIN, Twist
 from thorvaldc.tools.calibration.log_intervals import MIN_SPEED, Array, Ticks
 
 MAX_OFFSET, MAX_RATIO = math.radians(45.0), 0.2
-"""Largest plausible errors of the offset (rad) and of the radius (relative).
+"""Largest plausible errors of a steering offset (rad) and of a wheel radius (relative).
 
-If an error is larger, the fit has failed.
+The solver rejects a fit with a larger error.
 """
 MAX_OFFSET_ERROR = math.radians(0.2)
-"""Largest standard error (rad) of an offset that counts as determined."""
+"""A steering offset counts as determined up to this standard error (rad)."""
 MAX_RATIO_ERROR = 0.002
-"""Largest relative standard error of a radius that counts as determined."""
+"""A wheel radius counts as determined up to this relative standard error."""
 
-# Standard deviations of the measurements before scaling: rolling (relative), pointing (rad), at
-# rest (m/s).
+# Default standard deviations of the rolling speed (relative to the speed), of the wheel direction
+# (rad), and of the speed at rest (m/s).
 _ROLLING, _ANGLE, _FLOOR = 0.01, math.radians(0.5), 0.002
-_SKID = 0.1  # relative to the speed, for fixed wheels that must scrub in turns
+_SKID = 0.1  # standard deviation relative to the speed, for fixed wheels that scrub in turns
 _PRIOR_OFFSET, _PRIOR_RATIO = math.radians(3.0), 0.02
-# Constant slip has the same effect as an offset and leaves no residual.  In simulations with an
-# offset error of one degree at each wheel, about half of the slip varied and was visible in the
-# residuals.
+# Constant side slip has the same effect as a steering offset and leaves no residual.  In
+# simulations with an offset error of one degree at each wheel, only about half of the side slip
+# varied and was visible in the residuals.
 _HIDDEN_SLIP = 2.0
 _ITERATIONS = 60
 _AGREES = math.radians(0.05)
 _HARDLY = 30.0
-"""Factor that increases the standard deviation of rows with almost no influence on the fit."""
+"""Factor of the standard deviation of a measurement that should not influence the fit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,15 +44,15 @@ class Solution:
     """Estimated parameters of each wheel, with their standard errors and the quality of the fit.
 
     - ``offsets``: steering offsets, rad.
-    - ``ratios``: logarithms of the radius ratios.
+    - ``ratios``: logarithms of the ratios of the estimated to the present wheel radii.
     - ``offset_errors``, ``ratio_errors``: standard errors of the offsets and of the logarithms of
       the radius ratios.
     - ``rolling``: standard deviation of the rolling speed residuals in a tick, relative to the
       speed.
     - ``pointing``: standard deviation of the direction residuals in a tick, rad.
     - ``slip``: part of ``pointing`` that lasts over many ticks, at the worst wheel, rad.
-    - ``consistent``: ``True`` if the steering angles alone agree with the present offsets.  With
-      consistent angles, the axle lines of all wheels always meet in one point.
+    - ``consistent``: ``True`` if the steering angles alone agree with the present steering offsets.
+      The axle lines of all wheels then always meet in one point.
     - ``iterations``: number of Gauss-Newton iterations.
     """
 
@@ -68,17 +68,19 @@ class Solution:
 
     @property
     def factors(self) -> tuple[float, float]:
-        """Factors of the standard deviations of the rolling rows and the pointing rows."""
+        """Factors of the standard deviations of the rolling speeds and of the wheel directions."""
         return self.rolling / _ROLLING, self.pointing / _ANGLE
 
 
 @dataclass(slots=True)
 class _Rows:
-    """Measurement rows for given parameters.
+    """Linear measurement equations of all ticks for given steering offsets and radius ratios.
 
-    ``matrix`` has the shape (ticks, rows, 3).  ``matrix`` multiplied by the twist gives the
-    expected values of ``measured``.  The rows have this order: rolling of the wheels with encoder,
-    pointing of the steered wheels, side slip of the fixed axles.
+    The array ``matrix`` has the shape (ticks, rows, 3).  The product of ``matrix`` and the twist is
+    the expected value of ``measured`` (m/s).  The first rows are the rolling rows of the wheels
+    with encoder.  The next rows are the pointing rows of the steered wheels, which compare the
+    direction of the wheel with its motion.  The last rows describe the side slip of the fixed
+    axles.
     """
 
     matrix: Array
@@ -93,12 +95,12 @@ class _Fit:
     - ``information``: information matrix of the parameters.
     - ``factors``: factors of the standard deviations of the rolling rows and the pointing rows.
     - ``iterations``: number of iterations.
-    - ``twists``: best twist of each tick.
-    - ``sigmas``: standard deviations of the rows, m/s.
-    - ``weights``: weight of each tick.
-    - ``slope``: derivatives of the residuals by the parameters, without the part that a change of
-      the twist explains.
-    - ``residuals``: weighted residuals for the best twist of each tick.
+    - ``twists``: twist of each tick with the smallest residuals.
+    - ``sigmas``: standard deviations of the measurements, m/s.
+    - ``weights``: weight of each tick in the fit.
+    - ``slope``: derivatives of the residuals with respect to the parameters, without the part that
+      a change of the twist explains.
+    - ``residuals``: weighted measurement residuals of each tick, at the twists ``twists``.
     """
 
     parameters: Array
@@ -115,9 +117,9 @@ class _Fit:
 class Solver:
     """Gauss-Newton solver for the steering offsets and the radius ratios of the wheels.
 
-    Each steering joint has an unknown offset.  Each wheel with encoder has a log ratio, the
-    logarithm of its radius ratio.  The log ratios of all wheels sum to zero.  The parameters of the
-    solver are the coordinates of the log ratios in a basis of the vectors with zero sum.
+    Each steering joint has an unknown steering offset.  Each wheel with encoder has an unknown log
+    ratio, the logarithm of its radius ratio.  The log ratios of all wheels sum to zero.  The solver
+    estimates the coordinates of the log ratios in a basis of the vectors with zero sum.
     """
 
     def __init__(self, robot: Robot, ticks: Ticks) -> None:
@@ -128,8 +130,8 @@ class Solver:
         self.lever = geometry.length
         self.roll = np.array([i for i, w in enumerate(wheels) if w.encoder and not w.swivel], int)
         self.point = np.array([i for i, w in enumerate(wheels) if w.steered], int)
-        # Twists are about the centroid.  The yaw rate is multiplied by the lever, so that all
-        # components of a twist have the unit m/s.
+        # The solver computes twists about the centroid of the wheels.  The yaw rate is multiplied
+        # by a length (m), so that all components of a twist have the unit m/s.
         self.centre = xm, ym = geometry.centre
         self.x = np.array([w.x - xm for w in wheels])
         self.y = np.array([w.y - ym for w in wheels])
@@ -144,7 +146,7 @@ class Solver:
         ).reshape(-1, 3)
         self.axle_sigma = _SKID if fixed.skids else _ANGLE
         groups = geometry.steering_groups
-        self.turns = np.zeros((self.n, len(groups)))  # 1 where the joint turns the wheel
+        self.turns = np.zeros((self.n, len(groups)))  # 1 if the joint turns the wheel, else 0
         for g, group in enumerate(groups):
             self.turns[list(group), g] = 1.0
         self.basis = _zero_sum(len(self.roll))
@@ -155,9 +157,9 @@ class Solver:
         )
 
     def solve(self) -> Solution | None:
-        """Returns the parameters that fit the ticks best.
+        """Returns the steering offsets and radius ratios that fit the log best.
 
-        Returns ``None`` if the parameters are not plausible.
+        Returns ``None`` if the estimated offsets or ratios are not plausible.
         """
         try:
             return self._solve()
@@ -177,7 +179,8 @@ class Solver:
             or max(np.max(np.abs(ratios), initial=0.0), rolling) > MAX_RATIO
         ):
             return None
-        # The lasting part of the residuals counts as an unknown ratio and offset of each wheel.
+        # The part of the residuals that lasts over many ticks counts as an unknown radius ratio and
+        # steering offset of each wheel.
         shares, per_share = self._shares(fit)
         lasting = _lasting(shares, fit.weights, self._blocks())
         pulled = np.einsum(
@@ -201,9 +204,9 @@ class Solver:
         )
 
     def _consistent(self) -> bool:
-        """Checks whether the steering angles alone agree with the present offsets.
+        """Checks whether the steering angles alone agree with the present steering offsets.
 
-        The check fits the parameters with very large standard deviations of the rolling rows.
+        The check repeats the fit with very large standard deviations of the rolling speeds.
         """
         count = self.turns.shape[1]
         fit = self._fit((_HARDLY, 1.0), update_factors=False)
@@ -217,7 +220,7 @@ class Solver:
     # -- one fit ------------------------------------------------------------------------
 
     def rows(self, offsets: Array, ratios: Array) -> _Rows:
-        """Returns the measurement rows for given offsets (rad) and log ratios of the wheels."""
+        """Returns the measurement equations for given steering offsets (rad) and log ratios."""
         ticks = self.ticks
         direction = self.heading + self.sign * (ticks.angles + offsets)
         c, s = np.cos(direction), np.sin(direction)
@@ -239,7 +242,7 @@ class Solver:
         )
 
     def sigmas(self, twists: Array, factors: tuple[float, float]) -> Array:
-        """Returns the standard deviations (m/s) of the rows at the wheel speeds of ``twists``."""
+        """Returns the standard deviations (m/s) of all measurements for given twists."""
         speed = np.hypot(*self._ground(twists))
         mean = np.sqrt(np.mean(speed**2, axis=1, keepdims=True))
         rolling = factors[0] * np.hypot(_ROLLING * speed[:, self.roll], _FLOOR)
@@ -248,15 +251,15 @@ class Solver:
         return np.concatenate([rolling, pointing, np.repeat(axles, len(self.axles), 1)], 1)
 
     def twists(self, rows: _Rows, sigmas: Array) -> tuple[Array, Array, Array, Array]:
-        """Computes the best twist of each tick.
+        """Computes the twist of each tick with the smallest weighted residuals.
 
-        Returns the twists (m/s, with the yaw rate multiplied by the lever), the weighted rows A,
-        the matrices (A' A)^-1, and the weighted residuals.
+        Returns the twists (m/s, with the yaw rate multiplied by a length), the weighted measurement
+        matrices A, the matrices (A' A)^-1, and the weighted residuals.
         """
         matrix = rows.matrix / sigmas[..., None]
         measured = rows.measured / sigmas
         normal = np.swapaxes(matrix, 1, 2) @ matrix
-        # Regularisation: the speed in a direction that no wheel measures is 0.
+        # Regularisation: the estimated speed in a direction that no wheel measures is 0.
         normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
         inverse: Array = np.asarray(np.linalg.inv(normal), dtype=np.float64)
         twists = (inverse @ (np.swapaxes(matrix, 1, 2) @ measured[..., None]))[..., 0]
@@ -264,10 +267,10 @@ class Solver:
         return twists, matrix, inverse, residuals
 
     def _fit(self, factors: tuple[float, float], *, update_factors: bool) -> _Fit | None:
-        """Fits the parameters by Gauss-Newton iterations.  Each iteration updates the tick weights.
+        """Fits the parameters by Gauss-Newton iterations, which also update the tick weights.
 
-        ``factors`` contains the factors of the standard deviations of the rolling rows and the
-        pointing rows.  With ``update_factors``, each iteration also estimates these factors.
+        ``factors`` contains the factors of the standard deviations of the rolling speeds and of the
+        wheel directions.  With ``update_factors``, each iteration also estimates both factors.
         """
         m = len(self.roll)
         parameters = self.start
@@ -309,8 +312,9 @@ class Solver:
     def _covariance(self, fit: _Fit, systematic: Array | None = None) -> Array:
         """Returns the covariance of the parameters by the sandwich formula M^-1 G M^-1.
 
-        M is the information matrix of the parameters.  G is the sum of the outer products of the
-        gradients of all blocks.  ``systematic`` adds the errors that last over many ticks to G.
+        In the sandwich formula, M is the information matrix of the parameters, and G is the sum of
+        the outer products of the gradients of all 1 s blocks.  The array ``systematic`` adds the
+        errors that last over many ticks to G.
         """
         gradients = np.einsum("t,trp,tr->tp", fit.weights, fit.slope, fit.residuals, optimize=True)
         block = self._blocks()
@@ -324,10 +328,9 @@ class Solver:
         return covariance
 
     def _blocks(self) -> NDArray[np.intp]:
-        """Returns the block number of each tick.
+        """Returns the number of the 1 s block that contains each tick.
 
-        A block contains the ticks of 1 s.  Blocks are numbered consecutively, and blocks without
-        ticks have no number.
+        Blocks are numbered consecutively, and blocks without ticks have no number.
         """
         _, numbers = np.unique(
             np.floor(self.ticks.times - self.ticks.times[0]), return_inverse=True
@@ -352,7 +355,7 @@ class Solver:
         return vx - wz * self.y, vy + wz * self.x
 
     def _slope(self, twists: Array, offsets: Array, ratios: Array) -> Array:
-        """Returns the derivatives of the residuals (m/s) by the parameters."""
+        """Returns the derivatives of the residuals (m/s) with respect to the parameters."""
         direction = self.heading + self.sign * (self.ticks.angles + offsets)
         c, s = np.cos(direction), np.sin(direction)
         ux, uy = self._ground(twists)
@@ -377,7 +380,8 @@ class Solver:
     def ends_apart(self, offsets: Array, ratios: Array, factors: tuple[float, float]) -> float:
         """Returns the distance (m) between the ends of the path of ``base_link``.
 
-        The path is computed with the given offsets (rad) and log ratios of the wheels.
+        The path is computed from the joint log with the steering offsets ``offsets`` (rad) and the
+        log radius ratios ``ratios``.
         """
         rows = self.rows(offsets, ratios)
         twists = self.twists(rows, np.ones(rows.measured.shape))[0]
@@ -395,7 +399,7 @@ class Solver:
 def encoder_offset(robot: Robot, wheel: int) -> float:
     """Returns the steering offset (rad) of a wheel in the robot file.
 
-    Returns 0 if the wheel has no steering motor.
+    The steering offset is 0 if the wheel has no steering motor.
     """
     joint = robot.wheels[wheel].steering_joint
     motor = robot.actuator_of(joint) if joint is not None else None
@@ -405,7 +409,7 @@ def encoder_offset(robot: Robot, wheel: int) -> float:
 def _zero_sum(n: int) -> Array:
     """Returns an orthonormal basis (n, n - 1) of the vectors whose entries sum to 0.
 
-    The basis is the Helmert basis.
+    The columns of the returned matrix are the Helmert basis.
     """
     basis = np.zeros((n, max(n - 1, 0)))
     for k in range(1, n):
@@ -416,7 +420,7 @@ def _zero_sum(n: int) -> Array:
 
 
 def _weights(residuals: Array) -> Array:
-    """Returns the Geman-McClure weight of each tick.
+    """Returns the weight of each tick for a robust fit, by Geman and McClure.
 
     The scale of the weights is the median of the squared residuals of a tick.
     """
@@ -427,9 +431,9 @@ def _weights(residuals: Array) -> Array:
 
 
 def _factor(factor: float, weights: Array, residuals: Array, redundancy: Array) -> float:
-    """Returns the updated factor of the standard deviations of a group of rows.
+    """Returns the updated factor of the standard deviations of a group of measurements.
 
-    With the updated factor, the residuals have the expected size.
+    With the updated factor, the weighted residuals have the variance that is expected.
     """
     expected = float(np.sum(weights[:, None] * redundancy))
     if expected < 1e-6 * len(residuals):
@@ -439,11 +443,12 @@ def _factor(factor: float, weights: Array, residuals: Array, redundancy: Array) 
 
 
 def _lasting(shares: Array, weights: Array, block: NDArray[np.intp]) -> Array:
-    """Returns the size of the lasting part of the residuals in each column.
+    """Returns the standard deviation of the lasting part of the residuals of each measurement.
 
-    The ticks are divided into blocks.  The squared size is the variance of the block means, minus
-    the variance that independent errors would cause.  The size is 0 if the variance of the block
-    means is not significantly larger (4 sigma).
+    The lasting part of a residual is the part that is equal in all ticks of a 1 s block.  The
+    variance of the lasting part is the variance of the block means, minus the variance that
+    independent errors would cause.  The result is 0 if the variance of the block means is not
+    significantly larger (4 sigma) than with independent errors.
     """
     count = block[-1] + 1
     total = np.bincount(block, weights, count)

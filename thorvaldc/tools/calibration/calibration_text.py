@@ -16,7 +16,7 @@ _UNCHANGED = "as before"
 
 
 def as_json(result: CalibrationResult) -> dict[str, Any]:
-    """Returns the result as plain values.  Angles are in rad and lengths in m."""
+    """Returns the calibration result as a dictionary for JSON, in rad and m."""
 
     def plain(estimate: Estimate | None) -> dict[str, Any] | None:
         if estimate is None:
@@ -49,9 +49,9 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
 
 
 def table(result: CalibrationResult) -> str:
-    """Returns a table of the wheels with aligned columns.
+    """Returns the calibration result as a text table with one line per wheel.
 
-    Values that the log does not determine are marked.
+    Radii and steering offsets that the joint log does not determine are marked.
     """
     lines = [("wheel", "steering offset", "radius ratio", "radius")]
     for wheel in result.wheels:
@@ -87,15 +87,15 @@ def _cell(estimate: Estimate | None, format_value: Any, unit: str, convert: Any)
 Values = Mapping[str, Any]
 """Calibration values of a wheel, in SI units.
 
-The keys are ``radius``, ``radii`` (radii by name) and ``steering_offset``.
+The keys of the dictionary are ``radius``, ``radii`` (radii by name) and ``steering_offset``.
 """
 
 
 def overlay(result: CalibrationResult, previous: Mapping[str, Values] | None = None) -> str:
     """Returns the text of a calibration document that ``robot.yaml`` can include.
 
-    ``previous`` contains the values of the calibration that the robot includes now.  Values that
-    the log does not determine are copied from ``previous``.
+    ``previous`` contains the calibration that ``robot.yaml`` includes now.  Radii and steering
+    offsets that the joint log does not determine are copied from ``previous``.
     """
     lines = []
     for wheel in result.wheels:

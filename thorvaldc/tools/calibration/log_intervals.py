@@ -1,4 +1,4 @@
-"""Converts a joint log to arrays with the mean speeds and angles between two lines."""
+"""Converts a joint log to arrays of the mean joint states between successive lines of the log."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ Array = NDArray[np.float64]
 MAX_TICKS = 20000
 """Largest number of ticks that the calibration uses.
 
-From a longer log, it uses every n-th tick.
+If a log has more ticks, the calibration uses only every n-th tick.
 """
 MIN_SPEED = 0.05
-"""Least mean speed (m/s) of the wheels in a tick that counts as motion."""
+"""The robot counts as moving if the mean wheel speed (m/s) in a tick is at least this speed."""
 
 
 class Ticks:
-    """Mean joint states of the intervals between the lines of a log.
+    """Mean joint states of the intervals (ticks) between successive lines of a joint log.
 
-    The arrays have one row per interval (tick) and one column per wheel.
+    The arrays have one row per tick and one column per wheel.
 
-    - ``times``: times of the lines, s.
+    - ``times``: times of the lines of the joint log, s.
     - ``dt``: durations of the intervals, s.
-    - ``speeds``: wheel speeds, rad/s. 0 for a wheel without encoder.
-    - ``angles``: readings of the steering encoders, rad. 0 for a wheel without steering encoder.
-    - ``turning``: steering rates, rad/s. 0 for a wheel without steering encoder.
+    - ``speeds``: wheel speeds in rad/s, or 0 for a wheel without encoder.
+    - ``angles``: readings of the steering encoders in rad, or 0 for a wheel without steering
+      encoder.
+    - ``turning``: steering rates in rad/s, or 0 for a wheel without steering encoder.
     - ``valid``: mask of the intervals that are not too long.
     - ``moving``: mask of the valid intervals in which the robot moves.
     - ``wheel_of``: index of the wheel for each spin joint.
@@ -62,7 +63,7 @@ class Ticks:
         )
 
     def select(self, mask: NDArray[np.bool_] | NDArray[np.intp]) -> Ticks:
-        """Returns the ticks that a mask or an array of indices selects."""
+        """Returns only the ticks that a boolean mask or an array of indices selects."""
         selected = object.__new__(Ticks)
         selected.times = self.times[:-1][mask]
         selected.dt, selected.valid, selected.moving = (

@@ -1,29 +1,30 @@
 """Self-calibration: computes steering offsets and relative wheel radii from a joint log.
 
-In each tick, N wheels give 2 N measurements.  A wheel at (x, y) has the direction (c, s), the
-radius r and the wheel speed w.  The measured speed of the wheel is r w along the wheel and 0 across
-the wheel.  The rows L and T of the twist estimator relate the measured speeds to the twist.  The
-twist has three unknowns.  H denotes the rows of all wheels, z the measured speeds, and W the
-weights in a tick.  H and z depend on the parameters p, the offsets and the log radius ratios.  The
-residual for the best twist of the tick is
+In each tick, a robot with N wheels gives 2 N measurements.  A wheel with the radius r (m) and the
+wheel speed w (rad/s) measures the speed r w along the wheel and 0 across the wheel.  The rolling
+row L and the side-slip row T of each wheel (see ``twist_fit``) relate the measured speeds to the
+three unknowns of the twist.  The unknown parameters p of the calibration are the steering offsets
+and the logarithms of the radius ratios.  Residual e for the twist that fits a tick best, with the
+rows H of all wheels, the measured speeds z and the weights W:
 
     e(p) = (1 - H (H' W H)^-1 H' W) z
 
-Gauss-Newton iterations minimise the sum of e' W e over all ticks.  A common scale of all radii does
-not change the minimum e = 0.  The scale of all radii is therefore 1 unless a measured distance
-determines it.
+Gauss-Newton iterations minimise the sum of e' W e over all ticks.  A common scale of all wheel
+radii does not change the minimum e = 0. The scale of the wheel radii is therefore 1 unless a
+measured distance determines the scale.
 
-The standard deviations of the rolling rows and of the pointing rows are estimated as variance
-components.  At the start of the iterations, the rolling rows have smaller standard deviations than
-the pointing rows, relative to the defaults.  The pointing rows are less reliable, because a
-steering motor can hold its wheel against the ground.  A wheel that its motor holds slips sideways
-although its steering angle looks right.  Slip that lasts over many ticks counts as an unknown
-offset of each wheel.  If all steering angles agree with the offsets in the robot file, the offsets
-are not determined, because the steering motors may hold the wheels at these angles.
+The standard deviations of the rolling speeds and of the wheel directions are estimated as variance
+components.  At the start of the iterations, the rolling speeds have smaller standard deviations
+than the wheel directions, relative to the defaults.  The wheel directions are less reliable,
+because a steering motor can hold its wheel against the ground.  A wheel that its steering motor
+holds against the ground slips sideways although its steering angle looks right.  Side slip that
+lasts over many ticks counts as an unknown steering offset of each wheel.  If all steering angles
+agree with the steering offsets in the robot file, the offsets are not determined, because the
+steering motors may hold the wheels at wrong angles.
 
-Ticks without motion are left out.  Ticks with slip get a small weight (Geman and McClure).  Errors
-in successive ticks are correlated.  The standard errors are therefore computed from blocks of 1 s
-(sandwich estimator).
+Ticks without motion of the robot are left out.  Ticks with wheel slip get a small weight (Geman and
+McClure).  Measurement errors in successive ticks are correlated.  The standard errors of the
+parameters are therefore computed from blocks of 1 s (sandwich estimator).
 
 This module imports numpy.  Other modules import ``self_calibration`` only in the function that
 needs it.
@@ -53,26 +54,26 @@ from thorvaldc.tools.calibration.calibration_solver import (
 from thorvaldc.tools.calibration.log_intervals import Ticks
 
 MIN_MOVING_TIME = 5.0
-"""Least time (s) in motion that a log must contain."""
+"""The robot must move for at least this time (s) in a joint log."""
 
 _FORCED = 3e-3
-"""Least median relative difference between wheel speeds and their commands.
+"""Smallest expected median difference between wheel speeds and their commands (relative).
 
-If the difference is smaller, speed controllers force the wheel speeds.
+If the median difference is smaller, speed controllers force the wheel speeds.
 """
 _LAGS = np.arange(0.0, 0.5, 0.005)
 """Candidates for the delay (s) between a command and the motion of the joint."""
 _MIN_GROWTH = 0.5
-"""Least relative growth of the driven distance, divided by the relative growth of the radii."""
+"""Least relative growth of the driven distance per relative growth of the wheel radii."""
 _SLIP = math.radians(0.1)
-"""Smallest side slip (rad) that a message reports."""
+"""Smallest side slip angle (rad) of a wheel that a diagnostic reports."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """An estimated value with its standard error.
+    """An estimated steering offset, radius ratio or radius, with its standard error.
 
-    ``determined`` is ``True`` if the log determines the value accurately enough.
+    ``determined`` is ``True`` if the joint log determines the estimate accurately enough.
     """
 
     value: float
@@ -90,7 +91,7 @@ class WheelCalibration:
       without encoder.  The mean of the logarithms of all ratios is 0.
     - ``radius``: wheel radius with the measured scale in m, or ``None`` for a wheel without
       encoder.
-    - ``named``: name of this radius in the robot file, or empty for the ordinary radius.
+    - ``named``: name of the wheel radius in the robot file, or empty for the ordinary radius.
     - ``present_offset``: steering offset in the robot file, rad.
     """
 
@@ -104,21 +105,21 @@ class WheelCalibration:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationResult:
-    """The calibration of all wheels in the order of the robot, and the quality of the fit.
+    """The calibration of all wheels in the order of the robot file, and the quality of the fit.
 
-    - ``duration``: duration of the log, s.
+    - ``duration``: duration of the joint log, s.
     - ``moving``: time in which the robot moved, s.
-    - ``scale``: factor of all radii that the measured distance determines, or ``None`` without a
-      measured distance.
+    - ``scale``: factor of all wheel radii from a measured distance, or ``None`` without a measured
+      distance.
     - ``rolling``: standard deviation of the rolling speed residuals in a tick, relative to the
       speed.
     - ``pointing``: standard deviation of the direction residuals in a tick, rad.
     - ``slip``: part of ``pointing`` that lasts over many ticks, at the worst wheel, rad.
-    - ``offsets_kept``: ``True`` if the steering angles agree with the robot file.  In this case the
-      robot file is right, or motors held the wheels at the angles of the robot file.  The steering
-      offsets are not changed.
+    - ``offsets_kept``: ``True`` if the steering angles agree with the robot file.  Either the
+      steering offsets in the robot file are right, or motors held the wheels at wrong angles.  The
+      calibration does not change the steering offsets.
     - ``forced``: ``True`` if speed controllers kept the wheels at their commands.  With forced
-      wheel speeds, the radii are not changed.
+      wheel speeds, the wheel radii are not changed.
     - ``iterations``: number of Gauss-Newton iterations.
     """
 
@@ -136,7 +137,7 @@ class CalibrationResult:
 
     @property
     def determines_anything(self) -> bool:
-        """``True`` if the log determines the scale, or at least one offset or ratio."""
+        """``True`` if the joint log determines the scale, a steering offset or a radius ratio."""
         estimates = [e for w in self.wheels for e in (w.offset, w.ratio) if e is not None]
         return self.scale is not None or any(e.determined for e in estimates)
 
@@ -149,15 +150,15 @@ def calibrate(
     display: str = "",
     parameters: str | None = None,
 ) -> CalibrationResult | None:
-    """Estimates the steering offsets and radii of the wheels.
+    """Estimates the steering offsets and radii of the wheels from a joint log.
 
     - ``distance``: straight distance (m) between the positions of ``base_link`` at the first and
-      the last line of the log.  The path between these positions may turn a little.
-    - ``display``: name of the log in source spans.
+      the last line of the log.  The path of the robot between both positions may turn a little.
+    - ``display``: name of the joint log in the source spans of diagnostics.
     - ``parameters``: name of the parameter set with the radii at the time of the log.  ``None``
       selects the ordinary radii.
 
-    Adds errors to ``report`` and returns ``None`` if the log is not usable.  Raises
+    Adds errors to ``report`` and returns ``None`` if the joint log is not usable.  Raises
     ``DiagnosticError`` if the parameter set is unknown.
     """
     names = [""] * len(robot.wheels)
@@ -167,7 +168,7 @@ def calibrate(
         names = [name if name in dict(wheel.radii) else "" for wheel in robot.wheels]
         wheels = zip(robot.wheels, radii, strict=True)
         robot = replace(robot, wheels=tuple(replace(w, radius=r) for w, r in wheels))
-    # A log may contain any numbers.  Results that are not finite are rejected at the end.
+    # A joint log may contain any numbers, so results that are not finite are rejected at the end.
     with np.errstate(all="ignore"):
         return _calibrate(robot, names, log, report, distance, Span(display) if display else None)
 
@@ -231,8 +232,8 @@ def _calibrate(
 def _difference_from_commands(log: JointLog, ticks: Ticks) -> float | None:
     """Returns the median relative difference between the wheel speeds and their commands.
 
-    The commands are delayed by the lag that fits best.  Returns ``None`` if the log has no
-    commands.
+    The wheel speed commands are delayed by the time that fits best.  Returns ``None`` if the joint
+    log has no commands.
     """
     if not log.commands:
         return None
@@ -285,10 +286,10 @@ def _scale(
     span: Span | None,
     report: Report,
 ) -> float | None:
-    """Returns the factor of all radii for which the ends of the path are ``distance`` m apart.
+    """Returns the factor of all radii for which the path ends are ``distance`` m apart.
 
-    The factor is computed by Newton's method on the logarithms of the scale and the distance.  Adds
-    an error to ``report`` and returns ``None`` if the log does not determine the factor.
+    Newton's method computes the factor from the logarithms of the scale and the distance.  Adds an
+    error to ``report`` and returns ``None`` if the joint log does not determine the factor.
     """
     if not bool(np.all(ticks.valid)):
         report.add(
@@ -341,7 +342,8 @@ def _scale(
 def _offset_in_use(wheel: WheelCalibration) -> float:
     """Returns the steering offset (rad) that the calibrated robot uses.
 
-    The result is the estimated offset if the log determines the offset, else the present offset.
+    Returns the estimated steering offset if the joint log determines the offset, or else the
+    present steering offset.
     """
     offset = wheel.offset
     return offset.value if offset is not None and offset.determined else wheel.present_offset
