@@ -21,7 +21,7 @@ STATUSWORDS = (0x6041, 0x6841)
 
 @dataclass(frozen=True, slots=True)
 class ParameterValue:
-    """Required value of an object in the object dictionary of a node."""
+    """Required value of one object in the object dictionary of a node."""
 
     name: str
     index: int
@@ -31,18 +31,19 @@ class ParameterValue:
 
     @property
     def key(self) -> tuple[int, int]:
-        """Index and subindex of the object."""
+        """Index and subindex of the object in the object dictionary."""
         return self.index, self.subindex
 
     @property
     def label(self) -> str:
-        """Index (hexadecimal) and subindex of the object as text, for example ``1017:0``."""
+        """Index (hexadecimal) and subindex of the object dictionary entry as text, for example
+        ``1017:0``."""
         return f"{self.index:04x}:{self.subindex}"
 
 
 @dataclass(frozen=True, slots=True)
 class NodeConfiguration:
-    """Required configuration of a node.
+    """Required configuration (node id, identity and object values) of a node.
 
     - ``name``, ``module``: names of the node and of its module in the robot file;
     - ``protocol``: protocol of the node in the robot file;
@@ -59,7 +60,8 @@ class NodeConfiguration:
     - ``statuswords``: indices of the objects that report the power state of a motor;
     - ``values``: required values of objects.
 
-    The journal uses the field names as JSON keys, so a field must not be renamed.
+    The field names of the class must not be changed, because the journal file uses the names as
+    JSON keys.
     """
 
     name: str
@@ -82,16 +84,18 @@ class NodeConfiguration:
 
     @property
     def identity(self) -> Identity | None:
-        """Identity of the node, or ``None`` if the robot file does not contain all four numbers."""
+        """Identity of the node, or ``None`` if the robot file does not contain all four numbers of
+        the identity."""
         numbers = self.vendor, self.product, self.revision, self.serial
         if self.vendor is None or self.product is None or self.revision is None:
             return None
         return None if self.serial is None else Identity(*(n or 0 for n in numbers))
 
     def is_like(self, identity: Identity) -> bool:
-        """Returns ``True`` if a device with this identity can be the node.
+        """Returns ``True`` if the identity of a device matches the identity of the node in the
+        robot file.
 
-        A number that the robot file does not contain matches every number.
+        An identity number that the robot file does not contain matches every number.
         """
         required = (self.vendor, self.product, self.revision, self.serial)
         return all(
@@ -107,7 +111,7 @@ class NodeConfiguration:
 
 @dataclass(frozen=True, slots=True)
 class BusConfiguration:
-    """Required configuration of a bus.
+    """Required configuration of all nodes on a CAN bus.
 
     - ``robot``, ``bus``: names of the robot and the bus;
     - ``bitrate``: bitrate in bit/s;
@@ -124,7 +128,7 @@ class BusConfiguration:
         return digest(to_json(self))
 
     def node(self, name: str) -> NodeConfiguration:
-        """Returns the configuration of a node.
+        """Returns the required configuration of the node ``name``.
 
         Raises ``KeyError`` if the bus has no node ``name``.
         """
@@ -135,7 +139,7 @@ class BusConfiguration:
 
 
 def configuration_of(robot: Robot, bus: Bus) -> BusConfiguration:
-    """Returns the required configuration of a bus, as the robot model defines it."""
+    """Returns the required configuration of a CAN bus from the robot model."""
     return BusConfiguration(
         robot.name,
         bus.name,

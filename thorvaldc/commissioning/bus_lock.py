@@ -12,9 +12,9 @@ from thorvaldc.diagnostics.error import DiagnosticError
 
 
 class BusLock:
-    """Context manager that locks a bus.
+    """Context manager that locks a CAN bus for one commissioning program.
 
-    The operating system releases the lock when the process ends.
+    The operating system releases the lock of the CAN bus when the process ends.
     """
 
     def __init__(self, spec: str) -> None:

@@ -37,7 +37,7 @@ _OWN_FRAME = CanFrame(0x7FF)
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Time-outs and waiting times (s).
+    """Time-outs and waiting times (s) of the commissioning.
 
     - ``sdo``: time-out of an SDO response;
     - ``lss``: time-out of an LSS response;
@@ -62,7 +62,7 @@ class Timing:
 
 
 class BusMaster:
-    """CAN master that sends requests and evaluates all received frames.
+    """CAN master that sends requests and evaluates all received CAN frames.
 
     All methods that wait for frames raise ``DiagnosticError`` (``bus-error``) if the CAN controller
     is not error-active or if the CAN interface is lost.  If ``exclusive`` is ``True``, a frame
@@ -102,9 +102,9 @@ class BusMaster:
     # -- sending ----------------------------------------------------------------------------
 
     def send(self, identifier: int, data: bytes) -> None:
-        """Sends a frame without repetition.
+        """Sends a CAN frame once, without repetition after an error.
 
-        Raises ``DiagnosticError`` (``bus-error``) if the frame cannot be sent.
+        Raises ``DiagnosticError`` (``bus-error``) if the CAN frame cannot be sent.
         """
         self._check_state()
         try:
@@ -130,11 +130,12 @@ class BusMaster:
     def collect(
         self, fits: Callable[[CanFrame], bool], timeout: float, settle: float | None = None
     ) -> list[CanFrame]:
-        """Receives frames and returns all frames for which ``fits`` returns ``True``.
+        """Receives CAN frames, and returns all CAN frames for which the function ``fits`` returns
+        ``True``.
 
-        The waiting time is at most ``timeout`` seconds, and at most ``settle`` seconds after the
-        first fitting frame.  If ``settle`` is ``None``, the method always waits ``timeout`` seconds
-        to receive late responses.
+        ``collect`` waits at most ``timeout`` seconds, and at most ``settle`` seconds after the
+        first CAN frame for which ``fits`` returns ``True``.  If ``settle`` is ``None``, ``collect``
+        always waits ``timeout`` seconds to receive late responses.
         """
         frames: list[CanFrame] = []
         limit = self.now + timeout
@@ -155,13 +156,16 @@ class BusMaster:
         timeout: float,
         settle: float | None,
     ) -> list[CanFrame]:
-        """Sends a request and returns all responses; ``collect`` describes the parameters."""
+        """Sends a request frame and returns all response frames.
+
+        The method ``collect`` describes the parameters.
+        """
         self._drain()
         self.send(identifier, data)
         return self.collect(fits, timeout, settle)
 
     def listen(self, seconds: float) -> None:
-        """Receives frames for ``seconds`` without sending."""
+        """Receives CAN frames for ``seconds`` without sending."""
         self.collect(lambda frame: False, seconds)
 
     def wait_for_boots(self, ids: list[int], timeout: float) -> list[int]:
@@ -181,13 +185,15 @@ class BusMaster:
         return missing
 
     def wait_for_count(self, count: int, timeout: float) -> None:
-        """Waits for ``count`` boot-up messages of any nodes, at most ``timeout`` seconds."""
+        """Waits until ``count`` boot-up messages of any nodes were received, but at most
+        ``timeout`` seconds."""
         limit = self.now + timeout
         while len(self.boots) < count and self._next(limit - self.now) is not None:
             pass
 
     def forget(self) -> None:
-        """Deletes all records of received frames, and the frames in the receive queue."""
+        """Deletes all stored information about received CAN frames, and clears the receive
+        queue."""
         self._drain()
         self.received.clear()
         self.states.clear()
@@ -237,7 +243,8 @@ class BusMaster:
                 raise other_master_error([sign])
 
     def _sign_of_master(self, frame: CanFrame) -> str:
-        """Returns the description of a frame that only a master sends, else an empty text."""
+        """Returns a description if only a CANopen master sends CAN frames of this type, else an
+        empty text."""
         identifier = frame.id
         if identifier in self._from_nodes:
             return ""

@@ -14,8 +14,8 @@ from thorvaldc.commissioning.verify import Verification
 def scan_table(scan: ScanResult) -> str:
     """Returns a text table with one row for each node and each unknown device.
 
-    The columns of the table are: verdict, name of the node, node id in the robot file, node id on
-    the bus, and description of the device.
+    The columns of the scan table are the verdict, the name of the node, the node id in the robot
+    file, the node id on the bus, and the description of the device.
     """
     header = ("verdict", "node", "id", "found", "device")
     return text_table([header, *(_scan_row(entry) for entry in scan.entries)])
@@ -37,7 +37,8 @@ def _scan_row(entry: ScanEntry) -> tuple[str, ...]:
 
 
 def scan_notes(scan: ScanResult) -> list[str]:
-    """Returns notes for the user about duplicates, other masters and enabled drives."""
+    """Returns notes for the user about duplicate node ids, other CANopen masters and enabled
+    drives."""
     notes = [
         f"two devices may have the id {node_id}: {evidence}"
         for node_id, evidence in scan.duplicates
@@ -51,7 +52,7 @@ def scan_notes(scan: ScanResult) -> list[str]:
 
 
 def plan_table(plan: Plan) -> str:
-    """Returns the steps, problems, notes and hash of a plan as text."""
+    """Returns the steps, problems, notes and hash of a commissioning plan as text."""
     lines = []
     if plan.steps:
         rows = [("step", "how", "what")]
@@ -69,7 +70,7 @@ def plan_table(plan: Plan) -> str:
 
 
 def plan_as_json(plan: Plan) -> dict[str, Any]:
-    """Returns a plan as JSON values."""
+    """Returns a commissioning plan as JSON values."""
     return {
         "hash": plan.hash,
         "robot": plan.configuration.robot,
@@ -84,8 +85,8 @@ def plan_as_json(plan: Plan) -> dict[str, Any]:
 def verification_table(verification: Verification) -> str:
     """Returns a text table with one row for each check of a verification.
 
-    The columns of the table are: result, node, checked quantity, expected value, and value on the
-    bus.
+    The columns of the verification table are the result, the node, the checked quantity, the
+    expected value, and the value on the bus.
     """
     rows = [("", "node", "what", "wanted", "found")]
     rows += [
@@ -102,7 +103,7 @@ def verification_table(verification: Verification) -> str:
 
 
 def text_table(rows: Sequence[Sequence[str]]) -> str:
-    """Returns the rows as text with left-aligned columns."""
+    """Returns the rows of a table as text with left-aligned columns."""
     widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
     lines = (
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))

@@ -1,8 +1,9 @@
-"""Executes a plan of the commissioning (flash).
+"""Executes a commissioning plan, which writes the required configuration to the nodes (flash).
 
-Before the first step the flash checks that writing is safe.  Each step of the plan is verified and
-recorded in the journal.  The state of the bus is always read from the devices, never from the
-journal.  The journal records the planned steps and the previous values.  The sequence of a flash:
+Before the first step of a flash, the program checks that writing to the nodes is safe.  Each step
+of the commissioning plan is verified and recorded in a journal file.  The present node ids and
+object values are always read from the devices, never from the journal.  The journal file contains
+the planned steps and the previous object values.  Sequence of a flash:
 
     scan        check: only devices of this robot, no other master, no drive enabled
     reset       the nodes of the robot, so that each node loads its stored values
@@ -12,13 +13,15 @@ journal.  The journal records the planned steps and the previous values.  The se
     step 1      ...
     journal     end
 
-``resume`` continues a flash after a power cut or a stop at any point.  ``resume`` scans the bus and
-resets the nodes again.  The node id of each device must be in a plan of the journal.  ``resume``
-makes a new plan from the scan.  The new plan contains only steps whose results are not stored in
-the devices yet.
+``resume`` continues a flash after a power cut or a stop at any point.  At the beginning ``resume``
+scans the CAN bus and resets the nodes.  For each device, a plan in the journal must contain the
+node id that the device has.  From the result of the scan, ``resume`` makes a new commissioning
+plan.  The new commissioning plan contains only steps whose results are not stored in the devices
+yet.
 
-``rollback`` works like ``resume``, but restores the node ids and values from before the first step.
-The journal contains the node ids and values from before the first step.
+``rollback`` works like ``resume``, but restores the node ids and object values from before the
+first step of the flash.  The journal contains the node ids and object values from before the first
+step of the flash.
 """
 
 from __future__ import annotations
@@ -49,13 +52,13 @@ step is completed."""
 
 
 class Flash:
-    """Writes the required configuration to the nodes of a bus.
+    """Writes the required configuration to the nodes on a CAN bus.
 
     ``apply``, ``resume`` and ``rollback`` raise ``DiagnosticError`` with one of these names:
     ``bus-error``, ``bus-other-master``, ``bus-wrong-robot``, ``bus-drive-enabled``,
     ``plan-impossible``, ``plan-changed``, ``journal-mismatch``, ``flash-ambiguous``,
-    ``flash-stopped``.  The flash writes to no device before all checks have passed.  After a failed
-    step the flash writes to no device.
+    ``flash-stopped``.  A flash writes to the devices only after all checks have passed.  A flash
+    stops after a failed step and does not write to any other device.
     """
 
     def __init__(
@@ -78,9 +81,10 @@ class Flash:
     # -- the three modes -----------------------------------------------------------------------
 
     def apply(self, expected: str | None = None) -> Plan:
-        """Makes a plan from a scan of the bus and executes the plan.
+        """Makes a commissioning plan from a scan of the CAN bus, and executes the plan.
 
-        ``expected`` is the required hash of the plan, or ``None`` for any plan.
+        ``expected``: required hash of the commissioning plan.  Every plan is accepted if
+        ``expected`` is ``None``.
         """
         unfinished = self.journal.unfinished
         if unfinished is not None:
@@ -102,7 +106,7 @@ class Flash:
         return self._execute(APPLY, plan)
 
     def resume(self) -> Plan:
-        """Continues the unfinished flash in the journal from the present state of the bus."""
+        """Continues the unfinished flash that is recorded in the journal."""
         unfinished = self.journal.unfinished
         if unfinished is None:
             raise DiagnosticError(
@@ -116,7 +120,7 @@ class Flash:
         return self._continue(RESUME, self.configuration)
 
     def rollback(self) -> Plan:
-        """Restores the node ids and object values from before the last ``apply``."""
+        """Restores the node ids and object values that the nodes had before the last ``apply``."""
         chain = self.journal.chain
         if not chain or (chain[-1].mode == ROLLBACK and chain[-1].finished):
             raise DiagnosticError(
@@ -133,9 +137,9 @@ class Flash:
         return self._execute(mode, make_plan(configuration, scan))
 
     def _previous_configuration(self) -> BusConfiguration:
-        """Returns the configuration of the bus before the first step of the flash.
+        """Returns the configuration of the nodes before the first step of the flash.
 
-        The node ids are the scanned node ids, and the values are the previous values in the
+        The node ids are taken from the scan, and the object values are the previous values in the
         journal.
         """
         chain = self.journal.chain
@@ -144,8 +148,8 @@ class Flash:
         previous: dict[str, dict[tuple[int, int], ParameterValue]] = {}
         for run in chain:
             for name, values_before in run.previous_values():
-                # Only the first journal record of each node is used for the rollback.  A later
-                # journal record may contain values that an incomplete step has written.
+                # The rollback uses only the first journal record of each node.  A later journal
+                # record may contain values that an incomplete step has written.
                 previous.setdefault(name, {value.key: value for value in values_before})
         changed = {step.node for step in first.steps} | set(previous)
         nodes = []
@@ -167,10 +171,10 @@ class Flash:
     # -- guards --------------------------------------------------------------------------------
 
     def _scan_and_reset(self, configuration: BusConfiguration) -> tuple[ScanResult, ScanResult]:
-        """Scans the bus, resets the nodes of the robot, and scans the bus again.
+        """Scans the CAN bus, resets the nodes of the robot, and scans the CAN bus again.
 
-        Returns the results of the first and the second scan.  Raises ``DiagnosticError`` if a check
-        of a scan fails.
+        Returns the results of the first and the second scan of the CAN bus.  Raises
+        ``DiagnosticError`` if a scan result does not pass the checks before a flash.
         """
         self.master.exclusive = False
         scanner = Scanner(self.master, configuration, self._scanning)
@@ -226,9 +230,10 @@ class Flash:
             )
 
     def _check_reachable(self, scan: ScanResult) -> None:
-        """Checks that a plan in the journal explains the node id of each device.
+        """Checks that the node id of each device on the bus occurs in a plan of the journal.
 
-        A device without node id is accepted if the journal contains a started step for the device.
+        A device without node id is accepted if the journal contains a started commissioning step
+        for the device.
         """
         chain = self.journal.chain
         identities = dict(chain[0].plan.identities)

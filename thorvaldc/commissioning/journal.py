@@ -1,6 +1,6 @@
-"""Journal of a flash, in which each line is a record in JSON.
+"""Journal file of a flash, in which each line is a record in JSON.
 
-Records are written to the disk before and after each step of the flash:
+A journal record is written to the disk before and after each step of a flash:
 
     {"record":"run", "mode":"apply", "hash":..., "plan":{...}}
     {"record":"begin", "step":0, "node":..., "what":..., "old":[previous values]}
@@ -8,9 +8,10 @@ Records are written to the disk before and after each step of the flash:
     ...
     {"record":"end"}         or {"record":"stopped", "reason":...}, or nothing after a power cut
 
-Records are only appended to the journal.  A power cut can leave an incomplete line at the end of
-the journal.  The reader skips an incomplete line at the end of the file or before a new run.
-Skipping an incomplete line is safe, because the state of the devices is always read from the bus.
+Records are appended to the journal and never changed.  A power cut can leave an incomplete line at
+the end of the journal.  The reader skips an incomplete line at the end of the file or before a new
+run.  An incomplete line of the journal can be skipped safely, because the configuration of the
+devices is always read from the bus.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class Storage(Protocol):
     def read(self) -> bytes: ...
 
     def append(self, data: bytes) -> None:
-        """Appends bytes, and returns when the bytes are stored on the disk."""
+        """Appends bytes to the journal file, and returns when the bytes are stored on the disk."""
 
     def close(self) -> None: ...
 
@@ -55,8 +56,8 @@ class JournalFile:
     def __init__(self, path: Path) -> None:
         """Opens or creates the journal file ``path``.
 
-        Raises ``OSError`` if the file cannot be opened.  Raises ``DiagnosticError``
-        (``bus-locked``) if another flash uses the file.
+        Raises ``OSError`` if the journal file cannot be opened.  Raises ``DiagnosticError``
+        (``bus-locked``) if another flash uses the journal file.
         """
         self.name = str(path)
         self._path = path
@@ -91,7 +92,7 @@ class JournalFile:
         os.fsync(self._file)
 
     def close(self) -> None:
-        """Closes the journal file, and removes a new file that is still empty."""
+        """Closes the journal file.  Deletes the journal file if it is new and still empty."""
         if self._is_new and os.fstat(self._file).st_size == 0:
             self._path.unlink(missing_ok=True)
         os.close(self._file)
@@ -99,7 +100,7 @@ class JournalFile:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Run of a flash in the journal.
+    """One execution (run) of a flash, as recorded in the journal.
 
     - ``mode``: ``apply``, ``resume`` or ``rollback``;
     - ``plan``: plan of the run;
@@ -116,11 +117,13 @@ class Run:
 
     @property
     def started_steps(self) -> list[int]:
-        """Indices (from 0) of the started steps in the plan, in order of execution."""
+        """Indices of the started steps in the commissioning plan (starting at 0), in the order of
+        execution."""
         return [record["step"] for record in self.records if record["record"] == "begin"]
 
     def previous_values(self) -> list[tuple[str, tuple[ParameterValue, ...]]]:
-        """Returns the node and the previous values for each step that changes object values."""
+        """Returns the node and the previous object values for each journal record of a step that
+        writes object values."""
         return [
             (record["node"], values_from_json(record["old"]))
             for record in self.records
@@ -129,12 +132,12 @@ class Run:
 
 
 class Journal:
-    """Journal of the flashes of one robot bus."""
+    """Journal of all flashes of one CAN bus of a robot."""
 
     def __init__(self, storage: Storage) -> None:
         """Reads all records of the journal.
 
-        Raises ``DiagnosticError`` (``journal-unreadable``) if the content is not a journal.
+        Raises ``DiagnosticError`` (``journal-unreadable``) if the file is not a journal of a flash.
         """
         self.storage = storage
         self._data = storage.read()
@@ -142,7 +145,7 @@ class Journal:
 
     @property
     def chain(self) -> list[Run]:
-        """Last run with the mode ``apply``, and all later runs."""
+        """Last flash run with the mode ``apply``, and all later runs in the journal."""
         for index in range(len(self.runs) - 1, -1, -1):
             if self.runs[index].mode == APPLY:
                 return self.runs[index:]
@@ -150,7 +153,7 @@ class Journal:
 
     @property
     def unfinished(self) -> Run | None:
-        """Last run in the journal, or ``None`` if the last run has finished."""
+        """Last flash run in the journal, or ``None`` if the last run is finished."""
         return self.runs[-1] if self.runs and not self.runs[-1].finished else None
 
     def start(self, mode: str, plan: Plan) -> None:
@@ -170,9 +173,9 @@ class Journal:
     def begin(
         self, step: int, node: str, description: str, old: Sequence[ParameterValue] = ()
     ) -> None:
-        """Records the start of a step.
+        """Writes a record to the journal at the start of a step.
 
-        ``old`` contains the previous values of the objects that the step changes.
+        ``old``: previous values of the objects that the step writes.
         """
         record: dict[str, Any] = {
             "record": "begin",
@@ -185,7 +188,8 @@ class Journal:
         self._append(record)
 
     def done(self, step: int, node: str, read: Any) -> None:
-        """Records the end of a step and the values that were read back."""
+        """Writes a record to the journal at the end of a step, with the values that were read back
+        from the node."""
         self._append({"record": "done", "step": step, "node": node, "read": read})
 
     def stop(self, reason: str) -> None:
@@ -230,8 +234,9 @@ class Journal:
                     continue
                 self._check(record)
             except (ValueError, KeyError, TypeError, AttributeError):
-                # A power cut leaves the beginning of a record.  After an incomplete line only a new
-                # run is valid.
+                # An incomplete line is the beginning of a journal record that a power cut has
+                # interrupted.  An incomplete line of the journal is valid only at the end of the
+                # file or before a new run.
                 if torn or not (line.startswith(_HEAD) or _HEAD.startswith(line)):
                     raise self._unreadable(f"line {number} is not a record") from None
                 torn = number

@@ -1,7 +1,7 @@
 """LSS master (layer setting services, CiA 305), which sets the node ids of devices.
 
 The COB-ID of all LSS requests is 0x7E5, and the COB-ID of all LSS responses is 0x7E4.  The LSS
-master counts the responses to detect two devices with the same identity.  The sequence to set the
+master counts the responses to detect two devices with the same identity.  LSS messages that set the
 node id of a device with a known identity:
 
     master                                     slave
@@ -13,18 +13,18 @@ node id of a device with a known identity:
     04 00  switch all to WAITING      ----->   a first id takes effect now
 
 An LSS fastscan finds the identity of a device without node id.  A fastscan request contains the
-known bits of the identity and the position of the bit to check.  The checked bit is 0 in the
-fastscan request.  All slaves whose identities match a fastscan request respond.  If no slave
-responds to a fastscan request, the checked bit is 1 in all remaining identities.  The sequence for
-each of the four parts of the identity, from bit 31 to bit 0:
+known bits of the identity and the position of the bit to check.  In the fastscan request the bit to
+check is 0.  All LSS slaves whose identities match the bits of a fastscan request respond.  If no
+LSS slave responds to a fastscan request, the checked bit of the identity is 1.  Fastscan messages
+for each of the four numbers of the identity, from bit 31 to bit 0:
 
     51 number, bit, part, part        ----->   4F  some identity has 0 at this bit: keep it
                                       ----->   --  no identity has 0: set this bit in ``number``
     51 number, 0, part, next part     ----->   4F  confirms the part; the slaves go to ``next part``
 
-Identities are unique, so exactly one slave is in the CONFIGURATION state after the confirmation of
-the last part.  In the last confirmation request ``next part`` is 0.  A fastscan needs one request
-to start and 4 x (32 + 1) = 132 further requests.
+Exactly one LSS slave is in the CONFIGURATION state after the fastscan, because identities are
+unique.  In the last confirmation request of a fastscan the field ``next part`` is 0.  An LSS
+fastscan needs one request to start and 4 x (32 + 1) = 132 further requests.
 """
 
 from __future__ import annotations
@@ -52,13 +52,16 @@ class LssMaster:
         self.master = master
 
     def switch_to_waiting(self) -> None:
-        """Switches all slaves to the waiting state; slaves do not respond to this request."""
+        """Switches all LSS slaves to the waiting state.
+
+        LSS slaves do not respond to this request.
+        """
         self._send(bytes([lss.SWITCH_STATE_GLOBAL, lss.WAITING]))
 
     def select(self, identity: Identity) -> int:
-        """Switches the slaves with this identity to the configuration state.
+        """Switches the LSS slaves with the given identity to the configuration state.
 
-        Returns the number of slaves that respond.
+        Returns the number of LSS slaves that respond.
         """
         for command, number in zip(lss.SWITCH_STATE_SELECTIVE, identity, strict=True):
             request = struct.pack("<BI", command, number)
@@ -68,26 +71,29 @@ class LssMaster:
         return 0
 
     def node_id(self) -> int:
-        """Returns the active node id of the selected slave; 255 means no node id.
+        """Returns the active node id of the selected LSS slave.
 
-        Raises ``LssError`` if not exactly one slave responds.
+        The node id 255 means that the slave has no node id.
+
+        Raises ``LssError`` if no LSS slave or more than one LSS slave responds.
         """
         return self._single_response(bytes([lss.INQUIRE_NODE_ID]))[1]
 
     def configure_id(self, node_id: int) -> None:
-        """Sets the pending node id of the selected slave.
+        """Sets the pending node id of the selected LSS slave.
 
-        Raises ``LssError`` if the slave refuses the node id, or if not exactly one slave responds.
+        Raises ``LssError`` if the LSS slave refuses the node id, or if no slave or more than one
+        slave responds.
         """
         response = self._single_response(bytes([lss.CONFIGURE_NODE_ID, node_id]))
         if response[1]:
             raise LssError(f"it refuses the id {node_id} (code {response[1]})")
 
     def store(self) -> None:
-        """Stores the pending node id of the selected slave in non-volatile memory.
+        """Stores the pending node id of the selected LSS slave in non-volatile memory.
 
-        Raises ``LssError`` if the slave cannot store the node id, or if not exactly one slave
-        responds.
+        Raises ``LssError`` if the LSS slave cannot store the node id, or if no slave or more than
+        one slave responds.
         """
         response = self._single_response(bytes([lss.STORE_CONFIGURATION]), self.master.timing.store)
         if response[1] == 1:
@@ -96,15 +102,16 @@ class LssMaster:
             raise LssError(f"storing its id failed (code {response[1]})")
 
     def has_unconfigured_slave(self) -> bool:
-        """Starts a fastscan; returns ``True`` if a waiting slave without node id responds."""
+        """Starts an LSS fastscan.  Returns ``True`` if an LSS slave without node id responds."""
         return self._fastscan_request(0, lss.FASTSCAN_START, 0, 0)
 
     def fastscan(self) -> Identity | None:
-        """Returns the identity of a slave without node id, or ``None`` if there is no such slave.
+        """Returns the identity of an LSS slave without node id, or ``None`` if all slaves have a
+        node id.
 
-        A slave that was found stays in the configuration state.  Raises ``LssError`` if the
-        responses contradict each other.  Each request waits for the full time-out, because a late
-        response would be counted as a response to the next request.
+        The LSS slave found by the fastscan stays in the configuration state.  Raises ``LssError``
+        if the responses of the LSS slaves contradict each other.  Each LSS request waits for the
+        full time-out, because a late response would be counted as a response to the next request.
         """
         if not self.has_unconfigured_slave():
             return None
@@ -139,7 +146,7 @@ class LssMaster:
     ) -> list[CanFrame]:
         """Sends an LSS request and returns all responses.
 
-        ``response`` is the command specifier of the expected responses.
+        ``response``: command specifier of the expected LSS responses.
         """
 
         def fits(frame: CanFrame) -> bool:

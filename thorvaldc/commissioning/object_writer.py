@@ -1,6 +1,6 @@
 """Writes values to the object dictionary of a node.
 
-The order of the writes follows the rules of CiA 301 for changes of PDO parameters.
+Objects are written in the order that CiA 301 requires for changes of PDO parameters.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PresentValues = Mapping[tuple[int, int], int | None]
 
 
 class ObjectWriter:
-    """Reads and writes object values over SDO."""
+    """Reads and writes the object dictionary of nodes by SDO."""
 
     def __init__(self, sdo: SdoClient) -> None:
         self.sdo = sdo
@@ -33,10 +33,11 @@ class ObjectWriter:
     def read(
         self, node: int, values: Sequence[ParameterValue]
     ) -> dict[tuple[int, int], int | None]:
-        """Reads the present values of the objects in ``values``.
+        """Reads the present values of the objects in ``values`` from a node.
 
-        The value of an object that the node refuses to read is ``None``.  Raises ``SdoTimeout`` or
-        ``SdoMultipleResponses`` if not exactly one node responds.
+        The returned value is ``None`` if the node refuses to read the object.  Raises
+        ``SdoTimeout`` if no node responds, or ``SdoMultipleResponses`` if more than one node
+        responds.
         """
         present: dict[tuple[int, int], int | None] = {}
         for value in values:
@@ -47,11 +48,13 @@ class ObjectWriter:
         return present
 
     def write(self, node: int, values: Sequence[ParameterValue], present: PresentValues) -> None:
-        """Writes all values that differ from ``present``, and reads each written value back.
+        """Writes all object values that differ from ``present`` to a node, and reads each written
+        value back.
 
-        A PDO is disabled while its parameters are written.  The number of mapped objects is 0 while
-        the entries of a PDO mapping are written.  Raises ``SdoAborted`` if the node refuses a
-        value.  Raises ``SdoTimeout`` or ``SdoMultipleResponses`` if not exactly one node responds.
+        A PDO is disabled while the parameters of the PDO are written.  The number of mapped objects
+        of a PDO is set to 0 while the PDO mapping is written.  Raises ``SdoAborted`` if the node
+        refuses a value that is written.  Raises ``SdoTimeout`` if no node responds, or
+        ``SdoMultipleResponses`` if more than one node responds.
         """
         differing = [value for value in values if present.get(value.key) != value.value]
         for value in differing:
@@ -65,7 +68,7 @@ class ObjectWriter:
     def save(self, node: int) -> None:
         """Stores the parameters of a node in non-volatile memory (object 0x1010).
 
-        Raises the same exceptions as ``write``.
+        Raises the same exceptions as the method ``write``.
         """
         timeout = self.sdo.master.timing.store
         self.sdo.write_number(node, STORE_PARAMETERS, 1, "unsigned32", SAVE, timeout)
@@ -79,8 +82,8 @@ class ObjectWriter:
     ) -> None:
         """Writes the mapping and the communication parameters of a PDO.
 
-        The PDO is disabled before the first write.  Writing the COB-ID enables the PDO again, so
-        the COB-ID is written last.
+        The PDO is disabled before the first write.  The COB-ID of the PDO is written last, because
+        this enables the PDO again.
         """
         cob_id = self._final_value(node, base, 1, "unsigned32", changed, present)
         present_id = present.get((base, 1))
@@ -108,9 +111,9 @@ class ObjectWriter:
         changed: Sequence[ParameterValue],
         present: PresentValues,
     ) -> ParameterValue:
-        """Returns the value of an object after the write of all ``changed`` values.
+        """Returns the value that an object has after all ``changed`` values are written.
 
-        An object that is not in ``changed`` keeps its present value.
+        The present value is returned for an object that is not in ``changed``.
         """
         for value in changed:
             if value.key == (index, subindex):
@@ -128,7 +131,7 @@ class ObjectWriter:
 
 
 class WriteIgnored(SdoAborted):
-    """The node has accepted a write, but the object has a different value afterwards."""
+    """Error: a node has accepted a write request, but the object has another value afterwards."""
 
     def __init__(self, value: ParameterValue, read_back: int) -> None:
         Exception.__init__(

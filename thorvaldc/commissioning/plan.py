@@ -1,4 +1,4 @@
-"""Plan of a flash and its steps, with conversion to and from JSON."""
+"""Commissioning plan with the steps of a flash, and the conversion of the plan to and from JSON."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ LSS_SERIAL, LSS_FASTSCAN, ATTACH_ONE, DOWNLOAD = (
 class AddressStep:
     """Step that changes the node id of a device by LSS; the node id 255 means no node id.
 
-    Before the step the device must have the node id ``before``, and no device may have the node id
-    ``after``.  After the step and a reset, exactly one device must respond at ``after``, and the
-    identity of the device must match ``identity``.  The step with ``before`` and ``after``
-    exchanged undoes this step.
+    Before an ``AddressStep`` the device must have the node id ``before``, and no device may have
+    the node id ``after``.  After an ``AddressStep`` and a reset, exactly one device must respond at
+    the node id ``after``, and the identity of the device must match ``identity``.  An
+    ``AddressStep`` is undone by an ``AddressStep`` with ``before`` and ``after`` exchanged.
     """
 
     node: str
@@ -57,10 +57,11 @@ class AddressStep:
 class ConfigureStep:
     """Step that writes the object values of a node.
 
-    The step writes each value that differs and reads the written value back.  Finally the step
-    stores the values, resets the node, and reads all values again.  Before the step exactly one
-    node must respond at ``id``, and no motor of the node may be enabled.  A step with the previous
-    values in the journal undoes this step.  ``differing`` is the number of differing values, or
+    A ``ConfigureStep`` writes each object value that differs, and reads the written value back.
+    Then a ``ConfigureStep`` stores the object values in the node, resets the node, and reads all
+    values again.  Before a ``ConfigureStep`` exactly one node must respond at the node id ``id``,
+    and no motor of the node may be enabled.  A ``ConfigureStep`` is undone by a ``ConfigureStep``
+    with the previous values in the journal.  ``differing``: number of object values that differ, or
     ``None`` if the number is not known yet.
     """
 
@@ -82,9 +83,10 @@ class ConfigureStep:
 class AttachStep:
     """Step in which the operator sets a node id with the tool of the manufacturer.
 
-    The operator powers only the module of this node.  The program writes no values in an
-    ``AttachStep``.  After the step exactly one device must respond, with the node id ``after`` and
-    the required device type.  Only the operator can undo an ``AttachStep``.
+    For an ``AttachStep`` the operator powers only the module that contains the node.  The program
+    writes no values in an ``AttachStep``.  After an ``AttachStep`` exactly one device must respond,
+    with the node id ``after`` and the required device type.  Only the operator can undo an
+    ``AttachStep``.
     """
 
     node: str
@@ -101,7 +103,8 @@ PlanStep = AddressStep | ConfigureStep | AttachStep
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Steps from the scanned bus to the required configuration.
+    """Commissioning plan: the steps that change the nodes on a CAN bus to the required
+    configuration.
 
     - ``configuration``: required configuration of the bus;
     - ``start``: node ids on the bus before the first step, by name of the node;
@@ -122,12 +125,13 @@ class Plan:
 
     @property
     def hash(self) -> str:
-        """SHA-256 hash of the required configuration, node ids, identities and steps."""
+        """SHA-256 hash of the required configuration, the node ids, the identities and the steps of
+        the plan."""
         return digest(plan_to_json(self))
 
     @property
     def ids(self) -> dict[str, set[int]]:
-        """All node ids that each node has during the plan, by name of the node."""
+        """All node ids that each node has during the execution of the plan, by name of the node."""
         ids: dict[str, set[int]] = {name: {node} for name, node in self.start}
         for step in self.steps:
             if isinstance(step, AddressStep):
@@ -194,9 +198,10 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
 
 
 def plan_from_json(value: Mapping[str, Any]) -> Plan:
-    """Converts the JSON form of a plan into a ``Plan``.
+    """Converts the JSON form of a commissioning plan into a ``Plan``.
 
-    Raises ``KeyError``, ``TypeError`` or ``ValueError`` if the JSON value is not a plan.
+    Raises ``KeyError``, ``TypeError`` or ``ValueError`` if the JSON value is not a commissioning
+    plan.
     """
     return Plan(
         from_json(value["target"]),

@@ -1,19 +1,20 @@
 """Plans the steps of a flash from the scanned bus to the required configuration.
 
 Two nodes must never share a node id, because SDO cannot address two nodes with the same id.  Each
-step moves one node to a node id that is free at that time.  In the diagram A(1->2) means that
-node A has the id 1 and requires the id 2.  An arrow leads from each node to the node whose id is
-required:
+step of the commissioning plan changes the id of one node to an id that no other node has at that
+time.  In the diagram A(1->2) means that node A has the id 1 and requires the id 2.  An arrow leads
+from each node to the node that has the required id:
 
     chain   A(1->2) --> B(2->3) --> (3 is free)      move B to 3, then A to 2
     cycle   A(1->2) --> B(2->1) --> A                no id is free: park A at 112; then B to 1,
                                                      then A from 112 to 2
 
-The required node ids are distinct, so the arrows form chains and cycles.  In a chain, the first
-node to move is the node whose required id is free.  A cycle becomes a chain when one node of the
-cycle is moved to a parking id.  One parking id at a time is sufficient.  The plan is impossible
-if a required id belongs to a device that keeps its id.  If new nodes share a node id, this id is
-free when all nodes with this id have moved.
+The arrows form chains and cycles, because all required node ids are different.  In a chain of
+nodes, the first node to change is the node whose required id is free.  A cycle of nodes becomes a
+chain when one node gets a temporary node id (parking id).  One temporary node id at a time is
+sufficient.  The plan is impossible if a required node id belongs to a device whose id is not
+changed.  If several new nodes share a node id, the id is free when all of these nodes have other
+ids.
 """
 
 from __future__ import annotations
@@ -44,9 +45,9 @@ from thorvaldc.commissioning.scan_result import (
 
 
 def make_plan(configuration: BusConfiguration, scan: ScanResult) -> Plan:
-    """Returns the plan that changes the scanned bus into the required configuration.
+    """Returns the commissioning plan that changes the scanned nodes to the required configuration.
 
-    The ``problems`` of the plan are the reasons that prevent the execution.
+    ``Plan.problems`` contains the reasons why the plan cannot be executed.
     """
     strangers, problems, notes = _find_obstacles(configuration, scan)
     ids = scan.ids()
@@ -73,8 +74,9 @@ def make_plan(configuration: BusConfiguration, scan: ScanResult) -> Plan:
     moves, blocked = _address_steps(moving, ids, identities, occupied, by_hand)
     problems += blocked
     steps: list[PlanStep] = [AttachStep(node.name, node.id) for node in by_hand]
-    # The values of a node that loses its node id are written before the node ids change.  The
-    # values of all other nodes are written after the node ids have changed.
+    # If a step removes the node id of a node, the object values of the node are written before the
+    # node ids change.  The object values of all other nodes are written after the node ids have
+    # changed.
     losing_id = [node for node in moving if node.id == UNCONFIGURED]
     early = _configure_steps(losing_id, scan, ids, identities, ids)
     required_ids = {node.name: node.id for node in configuration.nodes}
@@ -121,7 +123,8 @@ def _nodes_set_by_hand(
 def _find_obstacles(
     configuration: BusConfiguration, scan: ScanResult
 ) -> tuple[list[str], list[str], list[str]]:
-    """Returns the strangers, problems and notes of a plan."""
+    """Returns the unknown devices (strangers), the problems and the notes of a commissioning
+    plan."""
     strangers: list[str] = []
     problems: list[str] = []
     notes: list[str] = []
@@ -151,10 +154,11 @@ def _find_obstacles(
 def _unknown_device(
     configuration: BusConfiguration, scan: ScanResult, entry: ScanEntry
 ) -> tuple[list[str], list[str]]:
-    """Returns the strangers and problems for a device that is not in the robot file."""
+    """Returns the unknown devices (strangers) and the problems for a device that is not in the
+    robot file."""
     device = entry.device
     if _nodes_set_by_hand(configuration, scan) and device is not None:
-        # The device may be a node whose node id the operator must still set.
+        # The unknown device may be a node whose node id the operator must still set.
         identity = device.identity
         if any(
             node.by_hand and (identity is None or node.is_like(identity))
@@ -188,7 +192,10 @@ def _duplicate_problem(node: NodeConfiguration, entry: ScanEntry, scan: ScanResu
 def _candidates(
     configuration: BusConfiguration, scan: ScanResult, device: FoundDevice
 ) -> list[str]:
-    """Returns the names of missing nodes without serial number that the device can be."""
+    """Returns the names of the missing nodes that the device can be.
+
+    A node without serial number in the robot file can be any device with a matching identity.
+    """
     return [
         node.name
         for node in configuration.nodes
@@ -222,10 +229,11 @@ def _address_steps(
     occupied: Counter[int],
     by_hand: Sequence[NodeConfiguration],
 ) -> tuple[list[AddressStep], list[str]]:
-    """Returns the steps that change node ids, and a problem for each node that cannot move.
+    """Returns the steps that change node ids, and a problem for each node whose id cannot be
+    changed.
 
-    Each step moves a node to a free node id.  ``occupied`` is the number of devices at each node
-    id; the function updates ``occupied``.
+    Each step gives a node a free node id.  ``occupied``: number of devices at each node id, which
+    the function updates.
     """
     present = {node.name: ids[node.name] for node in moving}
     remaining = list(moving)
@@ -248,7 +256,7 @@ def _address_steps(
             move(movable, movable.id)
             remaining.remove(movable)
             continue
-        # If no required node id is free, one node of a cycle is moved to a parking id.
+        # If no required node id is free, one node of a cycle gets a temporary node id.
         required = {node.id for node in remaining}
         blocker = next(
             (
@@ -277,8 +285,8 @@ def _configure_steps(
 ) -> list[ConfigureStep]:
     """Returns the steps that write object values to the nodes with differing values.
 
-    ``ids`` contains the scanned node ids.  ``ids_then`` contains the node ids at the time when the
-    values are written.
+    ``ids``: scanned node id of each node.  ``ids_then``: node id of each node at the time when the
+    object values are written.
     """
     steps = []
     for node in nodes:

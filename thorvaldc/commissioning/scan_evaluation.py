@@ -23,7 +23,7 @@ from thorvaldc.commissioning.scan_result import (
 
 @dataclass
 class Findings:
-    """Devices and duplicates that a scan has found on the bus.
+    """Devices and duplicate node ids that a scan has found on the CAN bus.
 
     - ``evidence``: reason to suspect two devices with one node id, by node id;
     - ``by_id``: devices that have responded to SDO requests, by node id;
@@ -40,8 +40,8 @@ class Findings:
 class ScanEvaluation:
     """Compares the findings of a scan with the required configuration.
 
-    ``received`` contains the times of reception (s) by identifier.  ``known`` contains the
-    identifiers in the CAN map of the robot.
+    ``received``: reception times (s) of the CAN frames by identifier.  ``known``: CAN identifiers
+    in the CAN map of the robot.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class ScanEvaluation:
         self._known = known
 
     def passive_entries(self) -> list[ScanEntry]:
-        """Returns the verdicts after a passive scan, which uses only received frames."""
+        """Returns the verdict on each node after a passive scan, which only receives CAN frames."""
         entries = []
         for node in self.configuration.nodes:
             evidence = self.findings.evidence.get(node.id) if node.canopen else None
@@ -73,10 +73,10 @@ class ScanEvaluation:
         return entries + self._unknown_heartbeats()
 
     def active_entries(self) -> list[ScanEntry]:
-        """Returns the verdicts after an active scan.
+        """Returns the verdict on each node after an active scan.
 
-        The entries of the nodes come first, in the order of the robot file.  The entries of devices
-        that are not in the robot file follow.
+        The scan entries of the nodes come first, in the order of the robot file.  The scan entries
+        of devices that are not in the robot file come last.
         """
         devices = self._assign_devices()
         entries = [self._verdict(node, devices.get(node.name)) for node in self.configuration.nodes]
@@ -91,10 +91,10 @@ class ScanEvaluation:
         entries: Sequence[ScanEntry],
         assigned: Collection[FoundDevice],
     ) -> bool:
-        """Returns ``True`` if the entries already contain the device."""
+        """Returns ``True`` if the scan entries already contain the device."""
         if any(device is other for other in assigned):
             return True
-        # If several devices have the same node id, one entry reports all devices with this id.
+        # If several devices have the same node id, one scan entry reports all of these devices.
         is_duplicate = device.id in self.findings.evidence and device.id != UNCONFIGURED
         same_id = (entry.device is not None and entry.device.id == device.id for entry in entries)
         if is_duplicate and any(same_id):
@@ -117,7 +117,7 @@ class ScanEvaluation:
     # -- which device is which node ---------------------------------------------------------------
 
     def _assign_devices(self) -> dict[str, FoundDevice]:
-        """Returns the device for each node on the bus, by name of the node."""
+        """Returns the scanned device for each node, by name of the node."""
         devices: dict[str, FoundDevice] = {}
         for node in self.configuration.nodes:
             device = self._device_of(node)
@@ -149,7 +149,8 @@ class ScanEvaluation:
         return devices
 
     def _device_of(self, node: NodeConfiguration) -> FoundDevice | None:
-        """Returns the device for a node, or ``None``.
+        """Returns the scanned device that is assigned to a node, or ``None`` if the node was not
+        found.
 
         The device is found by the serial number, by the node id, or by the periodic frames.
         """
@@ -203,7 +204,7 @@ class ScanEvaluation:
         return any(identifier in self._received for identifier, _ in node.seen_by)
 
     def _unknown_heartbeats(self) -> list[ScanEntry]:
-        """Returns entries for unknown node ids from which only heartbeats were received."""
+        """Returns scan entries for unknown node ids from which only heartbeats were received."""
         entries = []
         for identifier in sorted(self._received):
             node = identifier - HEARTBEAT
@@ -217,7 +218,8 @@ class ScanEvaluation:
 
 
 def _can_be(node: NodeConfiguration, device: FoundDevice) -> bool:
-    """Returns ``True`` if the identity and device type of the device match the node."""
+    """Returns ``True`` if the identity and the type of a device match the node in the robot
+    file."""
     if device.identity is None or not node.is_like(device.identity):
         return False
     required = node.device_type

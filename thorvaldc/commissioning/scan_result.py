@@ -29,7 +29,7 @@ class FoundDevice:
 
 @dataclass(frozen=True, slots=True)
 class ScanEntry:
-    """Verdict on a node of the robot file or on an unknown device.
+    """Verdict of a scan on a node of the robot file or on an unknown device.
 
     - ``node``: name of the node, empty for a device that is not in the robot file;
     - ``verdict``: ``ok``, ``missing``, ``unexpected`` or another verdict of this module;
@@ -47,7 +47,7 @@ class ScanEntry:
 
 @dataclass(frozen=True, slots=True)
 class ScanResult:
-    """Result of a scan.
+    """Result of a scan for CANopen nodes.
 
     - ``active``: ``True`` if the scan has sent requests;
     - ``entries``: verdicts on all nodes and on unknown devices;
@@ -67,7 +67,7 @@ class ScanResult:
     frames: int = 0
 
     def entry(self, node: str) -> ScanEntry:
-        """Returns the entry of a node.
+        """Returns the scan entry of the node ``node``.
 
         Raises ``KeyError`` if the scan result has no node ``node``.
         """
@@ -77,7 +77,10 @@ class ScanResult:
         raise KeyError(node)
 
     def ids(self) -> dict[str, int]:
-        """Returns the node id on the bus by name of the node; 255 means no node id."""
+        """Returns the scanned node ids by name of the node.
+
+        The node id 255 means that the node has no node id.
+        """
         return {
             entry.node: entry.device.id
             for entry in self.entries
@@ -111,7 +114,7 @@ def _entry_json(entry: ScanEntry) -> dict[str, Any]:
 def identity_text(identity: Identity | None) -> str:
     """Returns the identity of a device as text.
 
-    An example is ``vendor 0x469, product 0x402, revision 0x1, serial 0x101``.
+    An example of the text is ``vendor 0x469, product 0x402, revision 0x1, serial 0x101``.
     """
     if identity is None:
         return "a device of unknown identity"

@@ -1,11 +1,11 @@
 """Scans a bus for CANopen nodes.
 
-A passive scan only listens.  An active scan listens first, and then sends requests to one node at a
-time.  Two nodes with the same node id cause no error on the bus.  To detect two nodes
-with the same id, the scanner counts all responses and reads the serial numbers twice.  The scanner
-never sends frames to test a bitrate.
+A passive scan only receives CAN frames.  An active scan first receives CAN frames, and then sends
+requests to one node after another.  Two nodes with the same node id cause no error on the bus.  To
+detect two nodes with the same id, the scanner counts all responses and reads the serial numbers
+twice.  The scanner never sends frames to test a bitrate.
 
-The sequence of an active scan:
+Sequence of an active scan:
 
     listen       > 3 heartbeat periods      rate of heartbeats, boot-ups, another master
     discover     0x601, 0x602, ... 0x67E    one upload of 0x1000 each, 4 ms apart
@@ -81,16 +81,17 @@ class Scanner:
         self._findings = Findings()
 
     def passive(self) -> ScanResult:
-        """Scans the bus without sending frames."""
+        """Scans the CAN bus without sending frames."""
         self._listen()
         return self._result(False, self._evaluation().passive_entries())
 
     def active(self, *, values: bool = True, texts: bool = True) -> ScanResult:
-        """Scans the bus by listening and by sending requests to every node id.
+        """Scans the CAN bus by receiving frames and by sending requests to every node id.
 
-        If ``values`` is ``True``, the scan also reads the objects in the required configuration.
-        If ``texts`` is ``True``, the scan also reads the names and versions of the devices.  Raises
-        ``DiagnosticError`` (``bus-other-master``) if another master is on the bus.
+        If ``values`` is ``True``, the scan also reads the object values that the required
+        configuration contains.  If ``texts`` is ``True``, the scan also reads the device names,
+        hardware versions and software versions.  Raises ``DiagnosticError`` (``bus-other-master``)
+        if another master is on the bus.
         """
         self._listen()
         if self.master.masters:
@@ -201,8 +202,8 @@ class Scanner:
                 self._read_all(node, IDENTITY, subindex, SERIAL_ROUNDS if subindex == 4 else 1)
                 for subindex in (1, 2, 3, 4)
             ]
-            # If the node refuses to report a number of the identity, the number is 0.  If the node
-            # does not respond, the identity is unknown.
+            # A number of the identity is 0 if the node refuses to report the number.  The identity
+            # of a node is unknown if the node does not respond.
             complete = all(numbers) and numbers[0][-1] is not None
             identity = Identity(*(answers[-1] or 0 for answers in numbers)) if complete else None
             read_texts: tuple[str, ...] = ()
@@ -212,9 +213,10 @@ class Scanner:
         self._progress("reading identities", len(ids), len(ids))
 
     def _read_all(self, node: int, index: int, subindex: int, rounds: int) -> list[int | None]:
-        """Requests a number ``rounds`` times and returns the numbers in all responses.
+        """Reads an object that is a number ``rounds`` times by SDO, and returns the numbers in all
+        responses.
 
-        A request that the node refuses gives ``None``.
+        The returned number is ``None`` if the node refuses the SDO request.
         """
         evidence = self._findings.evidence
         numbers: list[int | None] = []
@@ -240,7 +242,7 @@ class Scanner:
             return ""
 
     def _select(self, identities: Sequence[tuple[str, Identity]]) -> None:
-        """Finds the node ids of the devices with the given identities by LSS."""
+        """Reads the node ids of the devices with the given identities by LSS."""
         for position, (name, identity) in enumerate(identities):
             self._progress("selecting by serial number", position, len(identities))
             self.lss.switch_to_waiting()
@@ -262,13 +264,13 @@ class Scanner:
             self.lss.switch_to_waiting()
 
     def _find_devices_without_id(self) -> None:
-        """Finds devices without node id whose serial numbers are not in the robot file."""
+        """Finds devices without node id and with unknown serial numbers by LSS fastscan."""
         self.lss.switch_to_waiting()
         if not self.lss.has_unconfigured_slave():
             return
         for device in self._findings.by_name.values():
-            # An LSS slave does not respond to a fastscan in the configuration state.  Devices
-            # that are already known are switched to the configuration state.
+            # An LSS slave does not respond to a fastscan in the configuration state.  Devices that
+            # are already known are therefore switched to the LSS configuration state.
             if device.id == UNCONFIGURED and device.identity is not None:
                 self.lss.select(device.identity)
         devices = self._findings.without_id

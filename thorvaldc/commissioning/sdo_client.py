@@ -60,20 +60,20 @@ class SdoClient:
     def upload_all(
         self, node: int, index: int, subindex: int, *, timeout: float
     ) -> list[UploadResponse]:
-        """Requests an object and returns all responses.
+        """Sends an SDO request to read an object, and returns all responses.
 
-        The data of a response is the value of the object, up to 4 bytes.  For a longer object, such
-        as a text, the data is the length of the object.
+        The data of an SDO response is the value of the object if the value has up to 4 bytes.  The
+        data of an SDO response is the length of the object if the value is longer, such as a text.
         """
         request = sdo.upload_request(index, subindex)
         frames = self._request(node, request, timeout, self.master.timing.settle)
         return [_upload_response(frame.data) for frame in frames]
 
     def read_number(self, node: int, index: int, subindex: int, type_name: str) -> int:
-        """Reads an object that is a number.
+        """Reads an object that is a number from a node.
 
-        Raises ``SdoAborted`` if the node refuses the request.  Raises ``SdoTimeout`` or
-        ``SdoMultipleResponses`` if not exactly one node responds.
+        Raises ``SdoAborted`` if the node refuses the SDO request.  Raises ``SdoTimeout`` if no node
+        responds, or ``SdoMultipleResponses`` if more than one node responds.
         """
         response = _upload_response(
             self._single_response(node, sdo.upload_request(index, subindex))
@@ -83,9 +83,11 @@ class SdoClient:
         return sdo.decode_number(type_name, response.data)
 
     def read_text(self, node: int, index: int) -> str:
-        """Reads an object that is a text; a text of more than 4 bytes is read in segments.
+        """Reads an object that is a text from a node.
 
-        Raises the same exceptions as ``read_number``.
+        A text of more than 4 bytes is read in segments.
+
+        Raises the same exceptions as the method ``read_number``.
         """
         response = self._single_response(node, sdo.upload_request(index, 0))
         _raise_abort(response)
@@ -111,9 +113,9 @@ class SdoClient:
         value: int,
         timeout: float | None = None,
     ) -> None:
-        """Writes an object that is a number, by an expedited SDO download.
+        """Writes an object that is a number to a node, by an expedited SDO download.
 
-        Raises the same exceptions as ``read_number``.
+        Raises the same exceptions as the method ``read_number``.
         """
         data = sdo.encode_number(type_name, value)
         request = sdo.download_request(index, subindex, data)
@@ -126,8 +128,8 @@ class SdoClient:
     ) -> bytes:
         """Returns the only response to an SDO request.
 
-        The SDO client does not wait for a second response.  A late second response has no effect,
-        because the response matches no later request.
+        The SDO client does not wait for a second response to an SDO request.  A late second SDO
+        response has no effect, because the response matches no later request.
         """
         frames = self._request(node, request, timeout or self.master.timing.sdo, 0.0, segment)
         if not frames:

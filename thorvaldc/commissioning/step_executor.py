@@ -1,7 +1,7 @@
-"""Executes the steps of a plan.
+"""Executes the steps of a commissioning plan.
 
-Each step of a plan checks a precondition, writes to the node, and reads the result back.  The
-sequence of an address step, with its entries in the journal:
+For each step the executor checks a precondition, writes to the node, and reads the result back.
+Sequence of an ``AddressStep``, with the records in the journal:
 
     check      no node answers SDO at the new id
     journal    begin
@@ -11,9 +11,10 @@ sequence of an address step, with its entries in the journal:
     check      exactly one node answers at the new id, with this identity
     journal    done
 
-The reset verifies that the node id is stored.  After a power cut before "store" the node has the
-old node id.  After a power cut after "store" the node has the new node id.  The plan contains the
-old and the new node id, so ``--resume`` can continue after every power cut.
+The node is reset to verify that the node id is stored.  After a power cut before the LSS command
+"store", the node has the old node id.  After a power cut after the LSS command "store", the node
+has the new node id.  The option ``--resume`` can continue after every power cut, because the plan
+contains the old and the new node id.
 """
 
 from __future__ import annotations
@@ -36,10 +37,12 @@ from thorvaldc.commissioning.sdo_client import SdoClient
 
 
 class Operator(Protocol):
-    """Person who switches the power of modules and uses the tool of the manufacturer."""
+    """Operator: the person who switches the power of modules and sets node ids with the tool of the
+    manufacturer."""
 
     def attach(self, step: AttachStep, instructions: str) -> bool:
-        """Asks the operator to execute a step, and waits for the operator.
+        """Asks the operator to execute a step of the plan, and waits until the operator has
+        finished.
 
         Returns ``False`` if the operator declines the step.
         """
@@ -47,18 +50,21 @@ class Operator(Protocol):
     def power_all(self, instructions: str) -> bool:
         """Asks the operator to power all modules.
 
-        Returns ``False`` if the operator declines.
+        Returns ``False`` if the operator declines to power the modules.
         """
 
 
 class StepFailed(Exception):
-    """Error: a step of a plan failed.  The message states the observed difference."""
+    """Error: a step of a commissioning plan failed.
+
+    The message of the exception describes the detected difference.
+    """
 
 
 class StepExecutor:
-    """Executor for the steps of a plan, which records each step in the journal.
+    """Executes the steps of a commissioning plan, and records each step in the journal.
 
-    ``nodes_at`` is the number of nodes at each node id.
+    ``nodes_at``: number of nodes at each node id.
     """
 
     def __init__(self, master: BusMaster, journal: Journal, operator: Operator | None) -> None:
@@ -71,10 +77,10 @@ class StepExecutor:
         self.nodes_at: Counter[int] = Counter()
 
     def run(self, number: int, step: PlanStep, configuration: BusConfiguration) -> None:
-        """Executes the step with the index ``number`` in the plan.
+        """Executes the step with the index ``number`` in the commissioning plan.
 
-        Raises ``StepFailed`` if a check fails.  Raises ``LssError``, ``SdoAborted``, ``SdoTimeout``
-        or ``SdoMultipleResponses`` if a node does not respond as required.
+        Raises ``StepFailed`` if a check of the step fails.  Raises ``LssError``, ``SdoAborted``,
+        ``SdoTimeout`` or ``SdoMultipleResponses`` if a node does not respond as required.
         """
         if isinstance(step, AddressStep):
             self._check_free(step.after)
@@ -91,7 +97,7 @@ class StepExecutor:
     def reset(self, ids: list[int], count: int) -> None:
         """Resets the nodes with the given node ids, so that each node loads its stored values.
 
-        ``count`` is the number of nodes with these ids, which is the number of expected boot-up
+        ``count``: number of nodes with the given node ids, and therefore of expected boot-up
         messages.
         """
         self.master.boots.clear()
@@ -124,8 +130,8 @@ class StepExecutor:
         self.master.boots.clear()
         lss.switch_to_waiting()
         if step.before == UNCONFIGURED:
-            # The first node id of a node takes effect without a reset.  A reset verifies
-            # that the node id is stored.
+            # A node without node id uses a new node id immediately, without a reset.  The node is
+            # reset to verify that the new node id is stored.
             self._wait_for_boots([step.after])
             self._restart(step.after, step.after)
         else:
@@ -140,12 +146,12 @@ class StepExecutor:
     def _restart(self, node: int, after: int) -> None:
         """Resets the node with the node id ``node`` and waits for its boot-up message.
 
-        ``after`` is the node id of the node after the reset.
+        ``after``: node id that the node has after the reset.
         """
         self.master.boots.clear()
         self.master.nmt(NmtCommand.RESET_NODE, node)
         if after != UNCONFIGURED:
-            # The reset also restarts all other nodes with the old node id.
+            # The reset also restarts all other nodes that have the old node id.
             others = [node] * (self.nodes_at[node] - 1) if node != after else []
             self._wait_for_boots([after, *others])
 
@@ -155,7 +161,8 @@ class StepExecutor:
             raise StepFailed(f"no node has started with the id {missing[0]}")
 
     def _check_identity(self, node: int, identity: Identity | None) -> None:
-        """Checks that exactly one node responds at a node id, with the required identity."""
+        """Checks that exactly one node responds at a node id, and that the node has the required
+        identity."""
         for subindex in (1, 2, 3, 4):
             required = None if identity is None else identity[subindex - 1]
             timeout = self.master.timing.sdo
@@ -176,7 +183,7 @@ class StepExecutor:
                 raise StepFailed(f"the device at id {node} does not report its identity")
 
     def _check_without_id(self, identity: Identity) -> None:
-        """Checks that the device has no node id.
+        """Checks by LSS that a device has no node id.
 
         A device without node id sends no boot-up message, so the device is polled by LSS.
         """
@@ -250,8 +257,8 @@ class StepExecutor:
     def power_all(self, plan: Plan, number: int) -> None:
         """Asks the operator to power all modules after the last attach step.
 
-        A scan then checks that each module has its required node id.  ``number`` is the index of
-        the executed attach step in the plan.
+        A scan of the bus then checks that each node has the required node id.  ``number``: index of
+        the executed ``AttachStep`` in the plan.
         """
         if any(isinstance(step, AttachStep) for step in plan.steps[number + 1 :]):
             return

@@ -1,6 +1,7 @@
 """Compares the nodes on a bus with the robot file.
 
-The verification reads values from the nodes.  No value is written and no node is reset.
+The verification reads values from the nodes.  The verification writes no values and resets no
+nodes.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ LEAST_TOLERANCE = 2e-3
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """Comparison of an expected value with the value on the bus.
+    """Comparison of an expected value with the value that was read from the CAN bus.
 
     - ``node``: name of the node, empty for a check of the whole bus;
     - ``what``: name of the checked quantity;
@@ -56,7 +57,7 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """Result of a verification.
+    """Result of the verification of a CAN bus.
 
     - ``scan``: result of the scan;
     - ``checks``: all comparisons;
@@ -90,7 +91,8 @@ def verify(
     bus: Bus,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Verification:
-    """Compares identities, object values, frame periods and bus load with the robot file.
+    """Compares the identities and object values of the nodes, the periods of the CAN frames and the
+    bus load with the robot file.
 
     Raises the same ``DiagnosticError`` as ``Scanner.active``.
     """
@@ -125,7 +127,7 @@ def verify(
 def _check_frames(
     master: BusMaster, configuration: BusConfiguration, bus: Bus
 ) -> tuple[list[Check], tuple[str, ...], float]:
-    """Receives frames and checks the periods of the frames and the bus load.
+    """Receives CAN frames, and checks the periods of the CAN frames and the bus load.
 
     Returns the checks, the names of the periodic frames that were not received, and the bus load
     (0 to 1).

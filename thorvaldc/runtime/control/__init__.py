@@ -1,5 +1,6 @@
 """Control channel, over which other programs command a running driver.
 
-A program can publish twists and call services of the driver.  Requests and answers are lines of
-JSON on a local socket.  The page docs/teleoperation.md describes the control channel.
+Another program can publish commanded twists and call services of the base driver.  Requests and
+answers of the control channel are lines of JSON on a local socket.  The page docs/teleoperation.md
+describes the control channel.
 """

@@ -1,4 +1,4 @@
-"""Client of the control channel, which calls the services of a driver in another process."""
+"""Client of the control channel, which calls the services of a base driver in another process."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ ANSWER_TIME = 2.0
 
 
 class ControlClient:
-    """A connection to the control channel of a running driver.
+    """Connection to the control channel of a running base driver.
 
-    The constructor raises ``OSError`` if no driver with this name runs.  ``call`` raises
-    ``ConnectionError`` if the driver ends or does not answer.
+    The constructor raises ``OSError`` if no base driver with the given name runs.  The method
+    ``call`` raises ``ConnectionError`` if the base driver ends or does not answer.
     """
 
     def __init__(self, name: str, answer_time: float = ANSWER_TIME) -> None:
@@ -34,9 +34,9 @@ class ControlClient:
             raise OSError(f"no driver runs at {path} ({error.strerror or error})") from None
 
     def call(self, service: str, **arguments: Any) -> Any:
-        """Calls a service of the driver and returns the result.
+        """Calls a service of the base driver and returns the result.
 
-        Raises ``ServiceError`` if the driver refuses the call.
+        Raises ``ServiceError`` if the base driver refuses the service call.
         """
         self._calls += 1
         request = {"call": service, "arguments": arguments, "id": self._calls}
@@ -56,7 +56,8 @@ class ControlClient:
         self._stream.close()
 
     def _read_answer(self) -> dict[str, Any]:
-        """Returns the answer to the last call, and skips late answers to earlier calls."""
+        """Returns the answer to the last service call, and skips late answers to earlier service
+        calls."""
         while True:
             line, end, rest = self._unread.partition(b"\n")
             if end:
@@ -64,7 +65,7 @@ class ControlClient:
                 answer = json.loads(line)
                 if isinstance(answer, dict) and answer.get("id") == self._calls:
                     return answer
-                # If the server cannot read a request, the answer has no id.
+                # The answer of the server has no ``id`` if the server could not read the request.
                 if isinstance(answer, dict) and not answer.get("ok") and "id" not in answer:
                     return answer
                 continue

@@ -1,12 +1,14 @@
-"""Server of the control channel, which answers requests between two control cycles.
+"""Server of the control channel, which answers the requests of other programs between two control
+cycles.
 
     client                                                  server, once in a cycle
     {"call": "twist", "arguments": {...}, "id": 7}   --->   reads what has come,
                                                             runs the services,
                                                      <---   {"ok": true, "result": null, "id": 7}
 
-The constants of this module limit the work for each client.  A client cannot delay a control cycle
-with endless lines, too many requests or unread answers.
+The constants of this module limit the length of lines, the number of requests and the unsent
+answers for each client.  Without the limits, a client could delay a control cycle with long lines,
+too many requests or unread answers.
 """
 
 from __future__ import annotations
@@ -32,16 +34,16 @@ LONGEST_BACKLOG = 1 << 20
 
 
 def control_path(name: str) -> Path:
-    """Returns the path of the control socket of the driver ``name``.
+    """Returns the path of the control socket of the base driver ``name``.
 
-    A name with a slash is used as the path.  Raises ``OSError`` if the path cannot be used for a
-    socket.
+    A driver name that contains a slash is used as the path of the socket.  Raises ``OSError`` if
+    the path cannot be used for a local socket.
     """
     return socket_path(name if "/" in name else f"{name}-control")
 
 
 class _Client:
-    """Connection to a client, with received bytes and unsent answers."""
+    """Connection to a client of the control channel, with received bytes and unsent answers."""
 
     def __init__(self, stream: socket.socket) -> None:
         self.stream = stream
@@ -51,17 +53,18 @@ class _Client:
 
 
 class ControlServer:
-    """Server for programs that command this robot over a local socket.
+    """Server for programs that command a robot over a local socket.
 
-    A request is a line ``{"call": NAME, "arguments": {...}}``.  The answer is a line
-    ``{"ok": true, "result": ...}`` or ``{"ok": false, "error": "one line"}``.  If the request has
-    an ``id``, the answer has the same ``id``.  Only programs of the same user can connect.
+    A service request is a line ``{"call": NAME, "arguments": {...}}``.  The answer of the server is
+    a line ``{"ok": true, "result": ...}`` or ``{"ok": false, "error": "one line"}``.  If the
+    service request has an ``id``, the answer has the same ``id``.  Only programs of the same user
+    can connect to the control channel.
     """
 
     def __init__(self, name: str, services: Services) -> None:
-        """Creates the socket of the driver ``name``.
+        """Creates the control socket of the base driver ``name``.
 
-        Raises ``OSError`` if a driver with this name already runs.
+        Raises ``OSError`` if a base driver with the same name already runs.
         """
         self.path = control_path(name)
         self.services = services
@@ -83,7 +86,7 @@ class ControlServer:
     def poll(self, now: float) -> None:
         """Accepts new clients and answers all received requests, without waiting.
 
-        ``now`` is the time (s) of the driver.
+        ``now``: time (s) on the clock of the base driver.
         """
         if self._ready(self._listener):
             self._accept()
@@ -94,11 +97,12 @@ class ControlServer:
                 self._drop(client)
 
     def close(self) -> None:
-        """Closes all connections and removes the socket file."""
+        """Closes all client connections and removes the socket file."""
         for client in list(self._clients):
             self._drop(client)
         self._listener.close()
-        # If another driver has created a socket at the same path, the socket is not removed.
+        # The socket file is not removed if another base driver has created a socket at the same
+        # path.
         with contextlib.suppress(OSError):
             if self.path.stat().st_ino == self._inode:
                 self.path.unlink()

@@ -17,8 +17,9 @@ SAFETY_STOP = "safety_stop"
 def driving_services(driver: BaseDriver, multiplexer: Multiplexer) -> list[Service]:
     """Returns the services of a base driver.
 
-    The services command twists, set locks, return the state, reset the odometry, change parameters
-    and stop the robot.  The service ``safety_stop`` is a software stop, not a safety function.
+    The services of the base driver command twists, set stop locks, return the state, reset the
+    odometry, change parameters and stop the robot.  The service ``safety_stop`` stops the robot by
+    software and is not a safety function.
     """
 
     def twist(now: float, source: str, vx: float, vy: float, wz: float) -> None:
@@ -95,9 +96,9 @@ def driving_services(driver: BaseDriver, multiplexer: Multiplexer) -> list[Servi
 
 
 def driver_state(driver: BaseDriver, multiplexer: Multiplexer, now: float) -> dict[str, Any]:
-    """Returns the state of a driver as JSON values, in m, rad, m/s and rad/s.
+    """Returns the state of a base driver as JSON values, in m, rad, m/s and rad/s.
 
-    ``time`` is the time (s) of the last tick.
+    ``time``: time (s) of the last control cycle.
     """
     state, selected = driver.state, multiplexer.select(now)
     return {
@@ -117,9 +118,9 @@ def driver_state(driver: BaseDriver, multiplexer: Multiplexer, now: float) -> di
 
 
 def driver_description(driver: BaseDriver) -> dict[str, Any]:
-    """Returns the constants of a driver as JSON values.
+    """Returns the constants of a base driver as JSON values.
 
-    The constants are names, top speeds (m/s, rad/s) and the rate of the driver (Hz).
+    The constants are names, top speeds (m/s, rad/s) and the rate of the control cycle (Hz).
     """
     robot, limits = driver.robot, driver.settings
     steerable = [w.steered or w.swivel_joint is not None for w in robot.wheels]

@@ -18,9 +18,9 @@ class RunnerControl:
     """Twist multiplexer and services of a robot with CAN buses.
 
     The services can be called in this process, and from other processes over a control channel.
-    ``channel`` is the name of the control channel, or empty for no control channel.  The
-    constructor raises ``OSError`` if the control channel is in use.  ``feed`` is the callback
-    ``feed`` of the runner.
+    ``channel``: name of the control channel, or an empty text for no control channel.  The
+    constructor raises ``OSError`` if another program uses the control channel.  The method ``feed``
+    is the callback that the runner calls in each control cycle.
     """
 
     def __init__(self, runner: BaseRunner, channel: str = "") -> None:
@@ -32,7 +32,8 @@ class RunnerControl:
         self._server = ControlServer(channel, self.services) if channel else None
 
     def feed(self, driver: BaseDriver, now: float) -> Selection:
-        """Answers the requests on the control channel and commands the selected twist."""
+        """Answers the requests on the control channel, and commands the twist that the twist
+        multiplexer has selected."""
         if self._server is not None:
             self._server.poll(now)
         return self.multiplexer.feed(driver, now)
@@ -40,7 +41,7 @@ class RunnerControl:
     def call(self, service: str, **arguments: Any) -> Any:
         """Calls a service and returns the result.
 
-        Raises ``ServiceError`` if the call is refused.
+        Raises ``ServiceError`` if the service call is refused.
         """
         return self.services.call(service, arguments, self.runner.clock.now)
 
@@ -52,7 +53,7 @@ class RunnerControl:
 def runner_services(control: RunnerControl) -> list[Service]:
     """Returns the services of a robot with CAN buses.
 
-    A service in the list replaces the service of the base driver with the same name.
+    A service for robots with CAN buses replaces the base driver service with the same name.
     """
     runner, multiplexer = control.runner, control.multiplexer
 
@@ -146,9 +147,9 @@ def runner_services(control: RunnerControl) -> list[Service]:
 def runner_state(runner: BaseRunner, multiplexer: Multiplexer, now: float) -> dict[str, Any]:
     """Returns the state of a robot with CAN buses as JSON values.
 
-    The result contains the state of the driver, base, batteries, IO boards and control loop.  The
-    key ``supervisor`` is the state of the base.  The key ``fault`` is the reason for the state
-    FAULT or ESTOP.
+    The state contains values of the base driver, the base, the batteries, the IO boards and the
+    control loop.  The key ``supervisor`` contains the state of the base, such as ``READY``.  The
+    key ``fault`` contains the reason why the base is in the state FAULT or ESTOP.
     """
     state = driver_state(runner.driver, multiplexer, now)
     reason = runner.base.state_machine.reason
@@ -172,5 +173,6 @@ def runner_state(runner: BaseRunner, multiplexer: Multiplexer, now: float) -> di
 
 
 def _number(value: float) -> float | None:
-    """Returns ``None`` if a value is NaN or infinite, because JSON has no NaN."""
+    """Returns ``None`` if the number is NaN or infinite, because JSON cannot represent NaN and
+    infinity."""
     return value if math.isfinite(value) else None

@@ -21,15 +21,15 @@ _REQUIRED = object()
 
 
 class ServiceError(ValueError):
-    """Refusal of a service call; the message is the reason in one line."""
+    """Error: a service call was refused.  The message is the reason in one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Argument:
     """Definition of an argument of a service.
 
-    ``kind`` is ``number``, ``integer``, ``flag``, ``text`` or ``mapping``.  A mapping has names as
-    keys and numbers as values.
+    ``kind``: type of the argument, which is ``number``, ``integer``, ``flag``, ``text`` or
+    ``mapping``.  An argument of the type ``mapping`` is a dictionary of numbers by name.
     """
 
     name: str
@@ -41,12 +41,13 @@ class Argument:
         return self.default is _REQUIRED
 
     def check(self, value: Any) -> Any:
-        """Returns the argument value after a check of its type.
+        """Checks the type of a service argument and returns the value.
 
-        Raises ``ServiceError`` if the value has a wrong type or is not finite.
+        Raises ``ServiceError`` if the argument value has a wrong type or is not finite.
         """
         types, description = _KINDS[self.kind]
-        # In Python `bool` is a subclass of `int`, so a flag must be excluded from the numbers.
+        # Boolean values are excluded from the numbers, because in Python `bool` is a subclass of
+        # `int`.
         matches = isinstance(value, types) and (self.kind == "flag" or not isinstance(value, bool))
         if value is None and not self.required and self.default is None:
             return None
@@ -62,10 +63,11 @@ class Argument:
 
 @dataclass(frozen=True, slots=True)
 class Service:
-    """A function of the driver that other programs can call by name.
+    """Service: a function of the base driver that other programs can call by name.
 
-    ``call`` takes the time (s) and the arguments by name, and returns JSON values.  ``call`` raises
-    ``ServiceError``, ``ValueError`` or ``DiagnosticError`` to refuse a request.
+    The function ``call`` takes the time (s) and the service arguments by name, and returns JSON
+    values.  The function ``call`` raises ``ServiceError``, ``ValueError`` or ``DiagnosticError`` to
+    refuse a service request.
     """
 
     name: str
@@ -75,9 +77,9 @@ class Service:
 
 
 class Services:
-    """Table of services by name.
+    """Table of the services of a base driver by name.
 
-    If two services have the same name, the last service in the list is used.
+    If two services have the same name, the last of the two services is used.
     """
 
     def __init__(self, services: Iterable[Service]) -> None:
@@ -91,8 +93,8 @@ class Services:
     def call(self, name: str, arguments: Mapping[str, Any], now: float) -> Any:
         """Checks the arguments, calls a service and returns the result.
 
-        A hyphen in the service name is read as an underscore.  Raises ``ServiceError`` if the call
-        is refused.
+        A hyphen in the service name is read as an underscore.  Raises ``ServiceError`` if the
+        service call is refused.
         """
         service = self._services.get(name.replace("-", "_"))
         if service is None:

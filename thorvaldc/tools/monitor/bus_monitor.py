@@ -1,7 +1,8 @@
 """Monitors the traffic on a CAN bus of a robot.
 
-The monitor shows the bus load, the age of every frame, the states of the nodes and EMCY messages.
-The CAN map of the robot model defines the expected frames.  The monitor never sends a frame.
+The bus monitor shows the bus load, the age of every CAN frame, the states of the nodes, and EMCY
+messages.  The CAN map of the robot model defines the CAN frames that the bus monitor expects.  The
+bus monitor never sends CAN frames.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ MOST_UNKNOWN = 200
 
 
 class _FrameRecord:
-    """Number, times of reception (s) and newest data of the frames with one identifier."""
+    """Number, reception times (s) and newest data of the received CAN frames with one
+    identifier."""
 
     def __init__(self, codec: FrameCodec | None = None) -> None:
         self.codec = codec
@@ -58,9 +60,10 @@ class _FrameRecord:
         return self.times[-1] if self.times else -math.inf
 
     def period(self, gaps: int = GAPS) -> float:
-        """Returns the measured period (s): the mean of the last ``gaps`` times between frames.
+        """Returns the measured period (s) of a CAN frame, which is the mean of the last ``gaps``
+        intervals.
 
-        Returns NaN before the second frame.
+        Returns NaN if fewer than two CAN frames were received.
         """
         gaps = min(gaps, len(self.times) - 1)
         return (self.times[-1] - self.times[-1 - gaps]) / gaps if gaps > 0 else math.nan
@@ -74,13 +77,17 @@ class _FrameRecord:
             self.data, self.complete = data, True
 
     def values(self) -> dict[str, float]:
-        """Returns the signal values of the newest complete frame by name, in physical units."""
+        """Returns the signal values of the newest complete CAN frame by signal name, in physical
+        units."""
         if self.codec is None or not self.complete:
             return {}
         return self.codec.decode_named(self.data)
 
     def named_values(self) -> dict[str, float | str]:
-        """Returns the signal values by name; an enumerated value is returned as its text."""
+        """Returns the values of the CAN signals by name.
+
+        For an enumerated signal the text of the value is returned.
+        """
         values: dict[str, float | str] = {}
         for name, value in self.values().items():
             choices = dict(self.signals[name].choices)
@@ -89,9 +96,9 @@ class _FrameRecord:
 
 
 class BusMonitor:
-    """Monitor that evaluates the received frames of one CAN bus.
+    """Monitor that evaluates the received CAN frames of one bus.
 
-    All times are in seconds on the clock of the CAN interface.
+    All times of the bus monitor are in seconds on the clock of the CAN interface.
     """
 
     def __init__(self, robot: Robot, bus: Bus) -> None:
@@ -109,7 +116,7 @@ class BusMonitor:
         """Number of frames that are neither in the CAN map nor stored as unknown identifiers."""
 
     def take(self, received: ReceivedFrame) -> None:
-        """Evaluates a received frame."""
+        """Updates the state of the bus monitor with a received CAN frame."""
         time, frame = received.time / NANOSECONDS, received.frame
         if math.isnan(self._first_time):
             self._first_time = time
@@ -131,8 +138,9 @@ class BusMonitor:
     def summary(self, now: float) -> dict[str, Any]:
         """Returns the state of the bus as JSON values.
 
-        All values are in SI units, and shares are 0 to 1.  An unknown value is ``None``.  The last
-        entry of ``emergencies`` is the newest EMCY message.
+        All quantities are in SI units, and the bus load is a number from 0 to 1.  The value of an
+        unknown quantity is ``None``.  The last element of the list ``emergencies`` is the newest
+        EMCY message.
         """
         self._drop_old_bits(now)
         span = min(max(now - self._first_time, 1e-3), WINDOW) if self.total else WINDOW
@@ -246,14 +254,14 @@ def watch(
     ended: Callable[[], bool] = lambda: False,
     poll_time: float = 0.05,
 ) -> None:
-    """Receives frames and calls ``show`` with a summary of the bus in regular intervals.
+    """Receives CAN frames, and calls ``show`` with a summary of the bus in regular intervals.
 
     - ``interval``: time (s) between two calls of ``show``;
     - ``until``: time (s) on the clock of the interface at which the function returns;
     - ``ended``: function that returns ``True`` to end the monitoring;
     - ``poll_time``: longest time (s) between two calls of ``ended``.
 
-    Raises ``ConnectionError`` if the CAN interface is lost.
+    Raises ``ConnectionError`` if the connection to the CAN interface is lost.
     """
     next_summary = interface.now + interval
     while not ended():
@@ -276,7 +284,7 @@ def watch(
 
 
 def _problem(frame: FrameDefinition, record: _FrameRecord, age: float) -> str:
-    """Returns the problem with the frames of one identifier, or an empty text."""
+    """Returns a message about missing or wrong CAN frames with one identifier, or an empty text."""
     if record.too_short:
         return f"{record.too_short} of {record.count} too short"
     expected = frame.period
@@ -293,10 +301,11 @@ def _problem(frame: FrameDefinition, record: _FrameRecord, age: float) -> str:
 
 
 def _drive_states(node: Node, records: list[_FrameRecord]) -> dict[str, str | None]:
-    """Returns the CiA 402 power state of each channel and the flags that are set.
+    """Returns the CiA 402 power state of each motor channel of a node, and the reported flags that
+    are set.
 
-    The keys are the names of channels and flags, and the value of a flag is ``None``.  The
-    result is empty for a node without motors.
+    The keys of the returned dictionary are the names of motor channels and flags.  The value of a
+    flag is ``None``.  The returned dictionary is empty for a node without motors.
     """
     states: dict[str, str | None] = {}
     if not node.channels:

@@ -1,4 +1,4 @@
-"""Shows the summary of a bus monitor on a terminal, or passes the summaries to a function."""
+"""Shows the summaries of a bus monitor on a terminal, or passes the summaries to a function."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ def watch_live(
     keys: IO[str] | None,
     screen: IO[str],
 ) -> None:
-    """Shows the state of the bus on the terminal.
+    """Shows the state of a CAN bus on the terminal.
 
     The function returns when the user presses ``q``, when a termination signal arrives, or after
-    ``duration`` seconds.  ``interval`` is the time (s) between two updates of the terminal.  Raises
-    ``ConnectionError`` if the CAN interface is lost.
+    ``duration`` seconds.  ``interval``: time (s) between two updates of the terminal.  Raises
+    ``ConnectionError`` if the connection to the CAN interface is lost.
     """
     with end_signals() as end_requested, Terminal(keys, screen, whole=True) as terminal:
         view = LiveView(terminal)
@@ -45,7 +45,7 @@ def watch_stream(
     duration: float,
     show: Callable[[Mapping[str, Any]], None],
 ) -> None:
-    """Calls ``show`` with a summary of the bus every ``interval`` seconds.
+    """Calls the function ``show`` with a summary of the CAN bus every ``interval`` seconds.
 
     The function returns when a termination signal arrives, or after ``duration`` seconds.
     """
@@ -55,7 +55,7 @@ def watch_stream(
 
 
 class LiveView:
-    """View of a bus summary on a terminal; the user can scroll with the arrow keys."""
+    """View of a CAN bus summary on a terminal, which the user can scroll with the arrow keys."""
 
     def __init__(self, terminal: Terminal) -> None:
         self._terminal = terminal
@@ -64,14 +64,14 @@ class LiveView:
         self._quit = False
 
     def show(self, summary: Mapping[str, Any]) -> None:
-        """Shows a new summary of the bus."""
+        """Shows a new summary of the CAN bus on the terminal."""
         self._lines = monitor_lines(summary)
         self._draw()
 
     def poll(self) -> bool:
-        """Reads the pressed keys and scrolls the view.
+        """Reads the pressed keys and scrolls the terminal view.
 
-        Returns ``True`` if the user quits.
+        Returns ``True`` if the user has pressed the key to quit.
         """
         try:
             keys = self._terminal.read()

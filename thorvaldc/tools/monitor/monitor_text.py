@@ -10,10 +10,10 @@ SHOWN_EMERGENCIES = 5
 
 
 def monitor_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Returns the lines of text for a bus summary.
+    """Returns the summary of a CAN bus as lines of text.
 
-    The sections are: headline, nodes, EMCY messages, frames that are not in the CAN map, and frames
-    of the CAN map with their signal values.
+    The text contains a headline, the nodes, the EMCY messages, the CAN frames that are not in the
+    CAN map, and the CAN frames of the CAN map with their signal values.
     """
     lines = [_head(summary), ""]
     lines += _nodes(summary["nodes"])
@@ -25,9 +25,10 @@ def monitor_lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def page(lines: Sequence[str], height: int, first: int) -> list[str]:
-    """Returns ``height`` lines of text, starting at the line with the index ``first``.
+    """Returns ``height`` lines of the bus monitor text, starting at the line with the index
+    ``first``.
 
-    If the text has more than ``height`` lines, the last returned line shows the position.
+    If the text has more than ``height`` lines, the last returned line shows the scroll position.
     """
     height = max(height, 3)
     if len(lines) <= height:
