@@ -41,7 +41,7 @@ def add_world(scene: Element, world: World, starts: Sequence[Pose]) -> dict[str,
     """Add the world of a scenario to a MuJoCo scene, and return the height-field files by path.
 
     The MuJoCo scene must already contain the ground plane. ``starts`` lists the start poses of the
-    robots. Rough ground is level around the start poses.
+    robots. Rough ground is level around the start poses of the robots.
     """
     ground = world.ground
     if ground.angle:

@@ -36,8 +36,8 @@ CAN = (
         "Show frames, bus load and node states; sends nothing.",
     ),
 )
-# The command `sim` also accepts the options of `scenario`, `batch` and `replay`, because the three
-# commands were parts of `sim` in the past.
+# The command `sim` also accepts the options of the commands `scenario`, `batch` and `replay`, which
+# were parts of `sim` in the past.
 OLD_SIM_OPTIONS = (
     *("--scenario", "--junit", "--replay", "--set", "--variations"),
     *("--draws", "--seed", "--jobs", "--output"),
@@ -89,7 +89,8 @@ app = typer.Typer(
     help="A compiler for modular robots: robot.yaml in; URDF, MJCF, ROS 2 parameters and a CAN"
     " map out.",
     no_args_is_help=True,
-    # The help is plain text, because the import of rich takes longer than the rest of --help.
+    # The help text is plain, because the import of the package rich takes longer than the rest of
+    # ``--help``.
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},

@@ -1,4 +1,5 @@
-"""Access to a CAN bus of a robot for the commands ``can scan``, ``plan``, ``flash``, ``verify``."""
+"""Access to a CAN bus of a robot for the commands ``can scan``, ``can plan``, ``can flash`` and
+``can verify``."""
 
 from __future__ import annotations
 
@@ -58,7 +59,7 @@ class BusAccess:
     def make_plan(self) -> Plan:
         """Scans the CAN bus and returns the steps that commission the bus.
 
-        Raises ``DiagnosticError`` if another CANopen master is on the bus.
+        Raises ``DiagnosticError`` if another CANopen master is on the CAN bus.
         """
         scan = self.scanner().active(texts=False)
         self.bar.clear()
@@ -132,7 +133,8 @@ def _open_virtual_bus(robot: Robot, bus: Bus, name: str, store: str) -> Iterator
             f"{name!r} is neither virtual nor virtual:delivered", param_hint="'--bus'"
         )
     check_full_installation("`--bus virtual`")
-    # The simulation is imported here, because the runtime package does not contain the simulation.
+    # The simulation is imported only when it is used, because the runtime package does not contain
+    # the simulation.
     from thorvaldc.cli.virtual_robot import read_store
     from thorvaldc.simulation.bus.device_memory import write_memory
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot

@@ -1,4 +1,4 @@
-"""Commands of the command line that are loaded only when they are called.
+"""Typer commands whose modules are imported only when the user calls the command.
 
 All parameters of a command function are texts, lists of texts or flags.
 """
@@ -64,10 +64,10 @@ def _without_conversion(parameters: list[Any]) -> list[Any]:
 class LightCommand(TyperCommand):
     """A typer command whose parameters are texts, lists of texts and flags.
 
-    Typer converts parameters with pydantic. The import of pydantic takes longer than the
-    compilation of a robot: ``--help`` takes 172 ms without pydantic and 333 ms with pydantic. A
-    light command sets typer's attribute ``_runtime_param`` to avoid pydantic, because text needs no
-    conversion. A version of typer without ``_runtime_param`` ignores the attribute.
+    By default, typer converts parameters with pydantic. The import of pydantic takes longer than
+    the compilation of a robot: ``--help`` takes 172 ms without pydantic and 333 ms with pydantic. A
+    command without conversions sets typer's attribute ``_runtime_param`` to avoid the import of
+    pydantic. A version of typer without ``_runtime_param`` ignores the attribute.
     """
 
     def get_params(self, ctx: Any) -> list[Any]:

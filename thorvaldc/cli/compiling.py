@@ -1,4 +1,4 @@
-"""Compilation of a file for a command, with its diagnostics on stderr."""
+"""Compiles a robot or fleet file for a command and prints its diagnostics on stderr."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from thorvaldc.compiler.scenario.variations import Change
 def compile_and_show(
     file: str, library: Sequence[str], robot: str | None = None, changes: Sequence[Change] = ()
 ) -> Compilation:
-    """Compiles a file and prints its diagnostics on stderr.
+    """Compiles a robot or fleet file and prints its diagnostics on stderr.
 
     - ``robot``: path of a robot file that replaces the robot of a scenario.
     - ``changes``: values that replace values of a scenario.

@@ -1,4 +1,4 @@
-"""A person at the terminal who carries out manual steps and answers questions."""
+"""A person at the terminal who carries out manual steps of commissioning and answers questions."""
 
 from __future__ import annotations
 

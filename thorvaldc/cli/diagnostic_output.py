@@ -1,4 +1,5 @@
-"""Output of diagnostics and results, as coloured or plain text or in a machine-readable format."""
+"""Prints diagnostics and results as coloured text, as plain text or in a machine-readable
+format."""
 
 from __future__ import annotations
 
@@ -31,7 +32,7 @@ def check_format(name: str) -> None:
 
 
 class DiagnosticOutput:
-    """Collects the reports of a command and prints them in the requested format.
+    """Collects the diagnostic reports of a command and prints them in the requested format.
 
     In the output format ``text``, diagnostics are printed on ``stream`` immediately, and result
     lines are printed on stdout. In the output formats ``json``, ``github`` and ``sarif``, all
@@ -65,8 +66,8 @@ class DiagnosticOutput:
             print(line)
 
     def finish(self, strict: bool = False, builds: list[dict[str, Any]] | None = None) -> int:
-        """Prints the number of errors or the machine-readable document, and returns the exit
-        status."""
+        """Prints the number of errors or the machine-readable document, and returns the exit status
+        of the command."""
         errors, warnings = len(self._all.errors), len(self._all.warnings)
         outside = [diagnostic for diagnostic in self._all.errors if diagnostic.code.outside]
         if self.format == "text" and len(outside) < len(self._all):
@@ -85,7 +86,7 @@ class DiagnosticOutput:
 
 
 def show_report(report: Report, sources: Mapping[str, Path]) -> int:
-    """Prints the diagnostics of a report on stderr and returns the exit status."""
+    """Prints the diagnostics of a report on stderr and returns the exit status of the command."""
     output = DiagnosticOutput("text", sys.stderr)
     output.add(report, sources)
     return output.finish()

@@ -12,7 +12,8 @@ from contextlib import contextmanager
 from types import FrameType
 
 # Exit status 1 means errors in the input, and 2 means wrong usage. Exit status 3 means a failure
-# outside of thorvaldc, such as a disk, a display or a bus. Exit status 70 means a bug in thorvaldc.
+# outside of thorvaldc, such as a full disk or a missing CAN bus. Exit status 70 means a bug in
+# thorvaldc.
 DONE, INPUT, USAGE, OUTSIDE, INTERNAL = 0, 1, 2, 3, 70
 INTERRUPTED, BROKEN_PIPE, TERMINATED = 130, 141, 143
 
@@ -20,7 +21,7 @@ TRACEBACK_VARIABLE = "THORVALDC_TRACEBACK"
 
 
 class OutsideError(Exception):
-    """A failure of a disk, a display, a bus or an installation, with a message on one line."""
+    """A failure of a disk, a display, a CAN bus or an installation, with a message on one line."""
 
 
 class Terminated(KeyboardInterrupt):
@@ -102,9 +103,10 @@ def _watch_interrupts() -> _Interrupts:
 def _interrupted() -> int:
     # A second Ctrl-C is ignored while the process ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # CPython remembers a KeyboardInterrupt that passed through code compiled from text, such as the
-    # methods of dataclasses. In this case, CPython ends the process with the signal SIGINT instead
-    # of the exit status. Executing other code from text makes CPython forget the KeyboardInterrupt.
+    # CPython remembers a KeyboardInterrupt that propagated through code compiled from text, such as
+    # the methods of dataclasses. After such a KeyboardInterrupt, CPython ends the process with the
+    # signal SIGINT instead of the exit status. Executing other code from text makes CPython forget
+    # the KeyboardInterrupt.
     exec("pass")
     return _fail("interrupted", INTERRUPTED)
 

@@ -1,4 +1,4 @@
-"""Command-line options that several commands share, and the parsers of their text."""
+"""Command-line options that several commands share, and the functions that parse their text."""
 
 from __future__ import annotations
 
@@ -191,7 +191,7 @@ def parse_record_time(text: str) -> float:
 def parse_seed(text: str) -> int | None:
     """Returns the random seed from the option ``--seed``, or ``None`` for empty text.
 
-    Raises ``typer.BadParameter`` if the text is no whole number.
+    Raises ``typer.BadParameter`` if the text is not a whole number.
     """
     if not text:
         return None
@@ -204,7 +204,7 @@ def parse_seed(text: str) -> int | None:
 def parse_count(text: str, option: str, least: int) -> int | None:
     """Returns a whole number from an option, or ``None`` for empty text.
 
-    Raises ``typer.BadParameter`` if the text is no whole number or the number is less than
+    Raises ``typer.BadParameter`` if the text is not a whole number or the number is less than
     ``least``.
     """
     if not text:

@@ -47,7 +47,8 @@ def load_robot(file: str, library: Sequence[str]) -> LoadedRobot | None:
             f"{file} needs the compiler, and this installation is the runtime alone: give the"
             " model.json of a build, or `pip install thorvaldc`"
         )
-    # The compiler is imported here, because the runtime package does not contain the compiler.
+    # The compiler is imported only when it is used, because the runtime package does not contain
+    # the compiler.
     from thorvaldc.cli.compiling import compile_and_show
 
     compilation = compile_and_show(file, library)

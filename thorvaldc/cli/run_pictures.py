@@ -55,7 +55,7 @@ def check_output(path: str, suffixes: Sequence[str], option: str) -> None:
 class RunPictures:
     """The plot and the video of a run. An empty path means that no plot or no video is drawn.
 
-    Create the object before the import of MuJoCo, because the constructor selects the OpenGL
+    The constructor must be called before the import of MuJoCo, because it selects the OpenGL
     backend of MuJoCo. The method ``watch`` must be called in each tick of the simulation. The
     method ``write`` draws the plot and the video after the run.
     """

@@ -1,9 +1,9 @@
-"""Load of a CAN bus and worst-case response times of its frames.
+"""The load of a CAN bus and the worst-case response times of its CAN frames.
 
 The analysis follows Davis, Burns, Bril and Lukkien, "Controller Area Network (CAN) schedulability
 analysis: Refuted, revisited and revised", Real-Time Systems 35 (2007), section 3. A level-m busy
 period is a time in which the bus always has CAN frames of priority m or higher to send. Response
-time R(k) of instance k of the CAN frame m:
+time R(k) of instance k of a CAN frame in the busy period:
 
     R(k) = J + w(k) - k T + C,
     w(k) = B + k C + sum over more urgent frames i of ceil((w(k) + J_i + bit) / T_i) C_i.

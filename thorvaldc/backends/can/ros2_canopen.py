@@ -21,7 +21,7 @@ MODE_OF_OPERATION, AXIS = 0x6060, 0x800
 def bus_yml(bus: Bus) -> str:
     """Return the text of the file `bus.yml` for a CAN bus.
 
-    The settings of a node that are not in `bus.yml` are in the DCF of the node.
+    The DCF of a CANopen node contains the settings of the node that are not in `bus.yml`.
     """
     lines = [
         "# Made by thorvaldc; changes are lost. Never tried on physical hardware.",

@@ -1,4 +1,5 @@
-"""The command ``thorvaldc build``: compiles files and writes the targets."""
+"""The command ``thorvaldc build``: compiles robot files and writes the output files of the
+targets."""
 
 from __future__ import annotations
 

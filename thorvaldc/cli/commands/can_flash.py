@@ -1,4 +1,4 @@
-"""The command ``thorvaldc can flash``: writes addresses and values to the nodes of a bus."""
+"""The command ``thorvaldc can flash``: writes node ids and parameters to the nodes of a CAN bus."""
 
 from __future__ import annotations
 

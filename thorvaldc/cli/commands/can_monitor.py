@@ -1,4 +1,4 @@
-"""The command ``thorvaldc can monitor``: shows the traffic on a robot's bus."""
+"""The command ``thorvaldc can monitor``: shows the CAN frames on a robot's bus."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command ``thorvaldc can plan``: shows the steps that would set up the bus."""
+"""The command ``thorvaldc can plan``: shows the steps that would set up the nodes of a CAN bus."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The command ``thorvaldc can scan``: finds the nodes on a bus and compares them with the robot."""
+"""The command ``thorvaldc can scan``: finds the nodes on a CAN bus and compares them with the
+robot."""
 
 from __future__ import annotations
 

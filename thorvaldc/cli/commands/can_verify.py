@@ -1,4 +1,5 @@
-"""The command ``thorvaldc can verify``: checks identities, values, periods and load of a bus."""
+"""The command ``thorvaldc can verify``: checks the identity and values of each node, and the
+periods and load of a CAN bus."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The command ``thorvaldc modules check``: reports every error in the modules of folders."""
+"""The command ``thorvaldc modules check``: reports every error in the modules of library
+folders."""
 
 from __future__ import annotations
 

@@ -104,7 +104,8 @@ def run(
             parameters=parameters or None,
             twist=commanded_twist,
             duration=seconds,
-            # Without a twist and a duration, other programs drive the robot through the channel.
+            # If the user gives no twist and no duration, other programs drive the robot through the
+            # control channel.
             channel=name or ("" if twist or duration else loaded.robot.name),
             threaded=not virtual,
             paced=virtual and not fast,

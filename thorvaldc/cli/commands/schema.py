@@ -1,4 +1,5 @@
-"""The command ``thorvaldc schema``: prints the JSON Schema of a kind of document."""
+"""The command ``thorvaldc schema``: prints the JSON Schema of a kind of YAML file, such as a
+robot."""
 
 from __future__ import annotations
 

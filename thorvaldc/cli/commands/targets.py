@@ -1,4 +1,4 @@
-"""The command ``thorvaldc targets``: lists the targets of a build."""
+"""The command ``thorvaldc targets``: lists the targets of ``thorvaldc build``."""
 
 from __future__ import annotations
 

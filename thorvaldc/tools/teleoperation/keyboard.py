@@ -1,9 +1,9 @@
 """Converts the keys of a keyboard to twists.
 
 A terminal reports when a key is pressed and repeated, but not when the key is released. Pressing a
-key therefore moves the robot for ``FIRST_HOLD``, and each repeat of the key for ``REPEAT_HOLD``.
-After the last key repeat, the keyboard operator commands zero for ``GIVE_WAY`` and then commands no
-twist::
+key therefore moves the robot for ``FIRST_HOLD`` s, and each repeat of the key moves the robot for
+``REPEAT_HOLD`` s. After the last key repeat, the keyboard operator commands a zero twist for
+``GIVE_WAY`` s and then no twist::
 
     key events  press            repeat repeat repeat
     time        |----- 0.25 to 0.66 s --|-|-|

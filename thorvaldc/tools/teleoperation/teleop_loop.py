@@ -71,7 +71,7 @@ def publish(vehicle: Vehicle, source: str, twist: Twist) -> None:
 
 
 def stop(vehicle: Vehicle, source: str, clock: Callable[[], float]) -> None:
-    """Commands a zero twist until the robot is at rest, for at most ``STOP_TIME``."""
+    """Commands a zero twist until the robot is at rest, for at most ``STOP_TIME`` s."""
     end = clock() + STOP_TIME
     with contextlib.suppress(ConnectionError, ServiceError):
         while clock() < end:

@@ -131,8 +131,8 @@ class Terminal:
     def show(self, lines: list[str]) -> None:
         """Replaces the lines at the bottom of the screen by new lines.
 
-        The new lines are dropped if the terminal currently accepts no output. A stalled connection
-        to the terminal must not delay the control cycle.
+        The new status lines are dropped if the terminal currently accepts no output. A stalled
+        connection to the terminal must not delay the control cycle.
         """
         self._write("")
         if not self._is_terminal or self._pending:

@@ -21,7 +21,7 @@ REMOTE_PERIOD = 0.05
 
 class Vehicle(Protocol):
     """A robot that an operator can drive through a base driver. ``description`` is the result of
-    the service ``description``."""
+    the service ``description`` of the base driver."""
 
     description: dict[str, Any]
 
