@@ -25,7 +25,7 @@ from dataclasses import dataclass
 class Code:
     """A diagnostic code.
 
-    - ``number``: number of the code, such as ``TV501``.  The number of a diagnostic code, such as
+    - ``number``: number of the diagnostic code.  The number of a diagnostic code, for example
       ``TV501``, never changes.
     - ``name``: name of the code, such as ``can-id-duplicate``.
     - ``severity``: severity of all diagnostics with this code.

@@ -38,7 +38,7 @@ def printable(text: str) -> str:
 def json_text(document: Any) -> str:
     """Returns a Python value as indented JSON text without control characters."""
     text = json.dumps(document, indent=2, ensure_ascii=False)
-    # The module `json` escapes the C0 control characters.  Other control characters occur only
+    # The module `json` escapes the C0 control characters.  Control characters outside C0 occur only
     # inside strings of the JSON text, where an escape sequence is valid.
     return _HIGH_CONTROLS.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
 

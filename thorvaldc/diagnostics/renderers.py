@@ -86,7 +86,7 @@ def _marks(diagnostic: Diagnostic, style: str) -> list[_Mark]:
     """Returns the source spans that the output shows for a diagnostic, in the order of output.
 
     Source spans in the file of the diagnostic come first, in the order of their lines.  Source
-    spans in other files follow.
+    spans in other files come last.
     """
     span = diagnostic.span
     marks = [_Mark(span, "^", "", style)] if span is not None else []
@@ -204,7 +204,7 @@ def _github(diagnostic: Diagnostic) -> str:
         properties["file"] = printable(span.file)
         properties["line"] = str(span.line)
         properties["endLine"] = str(span.end_line)
-        if span.end_line == span.line:  # GitHub accepts columns only for one line
+        if span.end_line == span.line:  # GitHub accepts column numbers only in one line
             properties["col"] = str(span.column)
             properties["endColumn"] = str(max(span.end_column, span.column))
     properties["title"] = f"{diagnostic.code.number} {diagnostic.code.name}"

@@ -156,7 +156,7 @@ class Report:
         return any(d.severity is Severity.ERROR for d in self._diagnostics)
 
     def sorted(self) -> list[Diagnostic]:
-        """Returns the diagnostics in the order of file, line and column.
+        """Returns all diagnostics of the report in the order of file, line and column.
 
         Diagnostics without a source span come last in the list.
         """

@@ -14,7 +14,7 @@ ROUNDING = 1e-9
 
 
 def check_channels(device: Device, frame: Node, report: Report) -> None:
-    """Checks that the module has all channels that its CAN signals refer to."""
+    """Checks that the module has all channels to which the CAN signals of the module refer."""
     known = [name for name, _ in entries(device.channels)]
     for _, node in entries(frame.get("signals")):
         channel = node.get("channel")

@@ -82,7 +82,7 @@ class _Reader:
         )
 
     def _bus_and_device(self, node: Node, kind: FaultKind) -> tuple[Bus | None, Device | None]:
-        """Returns the bus and the device of an injected fault.
+        """Returns the CAN bus and the device that an injected fault affects.
 
         The device is ``None`` for an injected fault of a whole CAN bus.  If the robot does not have
         the CAN bus or the device, returns ``(None, None)``.

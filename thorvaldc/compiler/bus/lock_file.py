@@ -1,10 +1,10 @@
 """Reads and writes the lock file of a robot, which stores automatically assigned node ids.
 
 The lock file `robot.lock.yaml` contains the node ids that the compiler chose for CAN devices.  With
-the lock file, a CAN device keeps its node id when other devices are added.  The lock file of
-`robot.yaml` is `robot.lock.yaml`.  Every command of the compiler reads the lock file, and the
-command `build` writes the lock file.  The page `docs/language.md` describes the format of the lock
-file for node ids.
+the lock file, a CAN device keeps its node id when other devices are added.  The lock file for the
+robot file `robot.yaml` is `robot.lock.yaml`.  Every command of the compiler reads the lock file,
+and the command `build` writes the lock file.  The page `docs/language.md` describes the format of
+the lock file for node ids.
 """
 
 from __future__ import annotations
@@ -100,5 +100,5 @@ def _key(name: str) -> str:
 
 
 def has_pins(robot: Robot) -> bool:
-    """Returns whether the compiler chose at least one node id of the robot."""
+    """Returns whether the compiler chose the node id of at least one CAN device."""
     return any(node.automatic for bus in robot.buses for node in bus.nodes)

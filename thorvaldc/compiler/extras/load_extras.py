@@ -184,7 +184,7 @@ def _package_folders(
 
 
 def _text(node: Node) -> str:
-    """Returns the value of a xacro argument as text."""
+    """Returns the value of a xacro argument in the robot file as text."""
     if isinstance(node.value, bool):
         return "true" if node.value else "false"
     return "" if node.value is None else str(node.value)

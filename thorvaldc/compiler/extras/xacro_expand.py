@@ -118,7 +118,7 @@ class ExpandedFile:
 
 @dataclass(frozen=True, slots=True)
 class ExpansionRequest:
-    """A request to expand one xacro file.
+    """A request to the worker process to expand one xacro file.
 
     - ``file``: absolute path of the xacro file.
     - ``args``: xacro arguments by name.

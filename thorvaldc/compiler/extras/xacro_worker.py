@@ -1,4 +1,4 @@
-"""Expands xacro files in a separate process with limits.
+"""Expands xacro files in a separate process with limited time, memory and file access.
 
 A xacro file contains Python expressions and can read any file.  For security, the compiler expands
 xacro files in a separate worker process.  The worker process has no environment variables, limited
@@ -10,9 +10,9 @@ standard output.  The worker imports only xacro and the standard library, becaus
 The package xacro does not keep the line numbers of XML elements.  The class ``_Builder`` stores the
 position of each XML element as DOM user data.  A clone of an XML element keeps the position of the
 original element.  The method ``Expansion.patches`` replaces functions of xacro by wrappers that use
-these positions.  Each element of the expanded file has the line of its definition in a xacro file,
-and the macro calls that created the element.  Each error of the xacro expansion has the position of
-the XML element that causes the error.
+the positions of XML elements.  Each element of the expanded file has the line of its definition in
+a xacro file, and the macro calls that created the element.  Each error of the xacro expansion has
+the position of the XML element that causes the error.
 """
 
 from __future__ import annotations
@@ -402,8 +402,8 @@ class Expansion:
     def answer(self) -> dict[str, Any]:
         """Returns the JSON answer with the expanded xacro file or the reason of a failure.
 
-        The JSON answer also contains the list of the files that xacro read.  A position in the JSON
-        answer contains the index of a file in this list.
+        The JSON answer also contains the list of the files that xacro read.  In the JSON answer, a
+        position contains the index of the xacro file in the list of files.
         """
         x = self.xacro
         resolve, evaluate = x.Table._resolve_, x.safe_eval

@@ -65,9 +65,10 @@ def evaluate(text: str, scope: Mapping[str, Any]) -> Any:
 def evaluate_text(text: str, scope: Mapping[str, Any]) -> Any:
     """Evaluates the ``${...}`` expressions in a text of a module document.
 
-    If the whole text is a single ``${...}`` expression, returns the value of the expression.
-    Otherwise, returns the text with each ``${...}`` expression replaced by its value.  The
-    attribute ``offset`` of an ``ExpressionError`` is the position of the error in ``text``.
+    If the whole text is a single ``${...}`` expression, returns the value of the expression.  If
+    the text contains more than one expression, or text outside expressions, returns the text with
+    each expression replaced by its value.  The attribute ``offset`` of an ``ExpressionError`` is
+    the position of the error in ``text``.
     """
     parts = split_text(text)
     if not any(is_expression for _, _, is_expression in parts):

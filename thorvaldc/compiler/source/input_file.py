@@ -10,7 +10,7 @@ from thorvaldc.diagnostics import Report, Span
 def read_bytes(
     path: Path, display: str, report: Report, *, limit: int = -1, folder_hint: str | None = None
 ) -> bytes | None:
-    """Returns the bytes of a file.
+    """Returns the bytes of an input file.
 
     If the file cannot be read, adds an error to ``report`` and returns ``None``.
 

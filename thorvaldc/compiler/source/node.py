@@ -1,4 +1,4 @@
-"""YAML values with the lines and columns at which they stand in a file (source spans)."""
+"""YAML values with their lines and columns in a YAML file (source spans)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Node(NamedTuple):
     - ``value``: a scalar, a tuple of nodes for a list, or a dict of nodes for a mapping.
     - ``span``: source span of the value.
     - ``key_span``: source span of the key, if the value is an entry of a mapping.
-    - ``quoted``: whether the value is in quotes.  In YAML ``"3"`` is a text, and ``3`` is a number.
+    - ``quoted``: whether the value is in quotes.  In YAML, ``"3"`` is a text and ``3`` is a number.
     """
 
     value: Value

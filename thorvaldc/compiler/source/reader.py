@@ -62,9 +62,9 @@ def compose(
 ) -> Any | None:
     """Parses a YAML document and returns PyYAML's tree of nodes.
 
-    If the document has an error, adds a diagnostic to ``report`` and returns ``None``.  The size
-    and the nesting depth of a YAML document are limited.  Scalars remain text.  A PyYAML node has a
-    tag only if the document contains an explicit tag.
+    If the YAML document has an error, adds a diagnostic to ``report`` and returns ``None``.  The
+    size and the nesting depth of a YAML document are limited.  YAML scalars are returned as text.
+    A PyYAML node has a tag only if the document contains an explicit tag.
     """
     text = _decode(data, file, report)
     if text is None:
