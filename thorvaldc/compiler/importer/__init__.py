@@ -1,6 +1,6 @@
 """Converts configuration files of the original system to robot.yaml.
 
-``docs/import.md`` describes the conversion.  The steps and their files::
+``docs/import.md`` describes the conversion.  Modules of this package::
 
     original_file                         file -> tree of texts, as ROS reads YAML
     original_mapping, conversion_log      typed values; a log entry for each value
@@ -41,9 +41,10 @@ __all__ = ["Conversion", "ImportResult", "import_file", "import_original"]
 
 _DRIVES = "motor_drives"
 _MAX_NESTING = 8
-# Codes that describe the robot.yaml; without one they would mislead.
+# Diagnostic codes about the generated robot.yaml.  Without a robot.yaml, such diagnostics are
+# dropped.
 _RESULT_CODES = ("import-assumed", "import-left-out")
-# Keys around `motor_drives` that are no names of robots.
+# Keys of mappings that contain `motor_drives`.  A key in this list is not the name of a robot.
 _GENERIC_KEYS = (
     "",
     "ros_parameters",
@@ -56,22 +57,31 @@ _GENERIC_KEYS = (
 
 @dataclass(frozen=True, slots=True)
 class ImportResult:
-    """The robot.yaml as ``text``, ``None`` after errors; ``conversions`` by path of the value."""
+    """Result of the conversion of an original configuration file.
+
+    ``text`` is the text of the robot.yaml, or ``None`` if the file has errors.  ``conversions``
+    contains the conversion of each value of the file, by the path of the value.
+    """
 
     text: str | None
     conversions: dict[Key, Conversion]
 
 
 def import_original(path: Path) -> tuple[str | None, Report]:
-    """Converts an original file; returns the text of the robot.yaml and the diagnostics."""
+    """Converts an original configuration file to a robot.yaml.
+
+    Returns the text of the robot.yaml and the diagnostics of the conversion.  The text is ``None``
+    if the file has errors.
+    """
     report = Report()
     return import_file(path, report).text, report
 
 
 def import_file(path: Path, report: Report) -> ImportResult:
-    """Converts an original file; diagnostics go to ``report``.
+    """Converts an original configuration file and adds the diagnostics to ``report``.
 
-    After errors there is no robot.yaml, so ``report`` gets no diagnostics about its contents.
+    If the file has errors, no robot.yaml is created, and diagnostics about the robot.yaml are
+    dropped.
     """
     all_diagnostics = Report()
     result = _import(path, all_diagnostics)
@@ -108,7 +118,7 @@ def _import(path: Path, report: Report) -> ImportResult:
 
 
 def _find_root(node: Node, key: Key) -> tuple[Key, Node] | None:
-    """Returns path and node of the mapping that contains ``motor_drives``."""
+    """Returns the path and the node of the mapping that contains the key ``motor_drives``."""
     if not isinstance(node.value, dict) or len(key) > _MAX_NESTING:
         return None
     if _DRIVES in node.value:
@@ -121,7 +131,12 @@ def _find_root(node: Node, key: Key) -> tuple[Key, Node] | None:
 
 
 def _robot_name(root: OriginalMapping, path: Path) -> str:
-    """Returns the robot's name: `robot_name`, else the innermost key around, else the file name."""
+    """Returns the name of the robot.
+
+    The name is the value of the key `robot_name`.  Without the key, the name is the key of the
+    innermost mapping that contains `motor_drives`.  Without such a mapping, the name is the file
+    name.
+    """
     outer_keys = [key for key in root.key if as_id(key) not in _GENERIC_KEYS]
     return (
         as_id(root.text("robot_name", "name") or "")
@@ -165,7 +180,7 @@ def _convert(root: OriginalMapping, name: str) -> Robot | None:
 
 
 def _convert_settings(root: OriginalMapping, robot: Robot) -> None:
-    """Converts the parameters of the driver that describe the robot; leaves out the others."""
+    """Converts the parameters of the original base driver that robot.yaml can express."""
     rate = root.number("rate", "driver.rate", low=1.0, high=1000.0)
     if rate is not None:
         robot.driver["rate"] = f"{rate:g} Hz"
@@ -186,9 +201,11 @@ def _convert_settings(root: OriginalMapping, robot: Robot) -> None:
 
 
 def _base_calculator(root: OriginalMapping, text: str | None, wheel_modules: list[Module]) -> str:
-    """Returns the base calculator for that of the original, whose default is the general one.
+    """Returns the name of the base calculator that replaces the original base calculator.
 
-    ``text`` names a ROS plug-in such as ``pltf_clc_2wdiff::PltfClc2WDiff``.
+    The default is the general base calculator.
+
+    ``text`` is the name of the original ROS plug-in, such as ``pltf_clc_2wdiff::PltfClc2WDiff``.
     """
     if not text:
         return "general"
@@ -227,7 +244,10 @@ def _base_calculator(root: OriginalMapping, text: str | None, wheel_modules: lis
 
 
 def _read_sensors(root: OriginalMapping, height: float, names: Names) -> list[Module]:
-    """Returns the sensors; a key contains one sensor, or a list or mapping of several."""
+    """Returns the modules of all sensors in the original file.
+
+    The value of a sensor key is one sensor, a list of sensors or a mapping of sensors.
+    """
     sensors: list[tuple[OriginalMapping, str]] = []
     for key, node in (root.node.value if isinstance(root.node.value, dict) else {}).items():
         module_type = sensor_module_type(key)

@@ -1,4 +1,7 @@
-"""Adds casters to robots that would fall over: original files do not contain passive wheels."""
+"""Adds casters to a robot that would fall over.
+
+Original configuration files do not contain passive wheels.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,8 @@ from thorvaldc.compiler.importer.original_mapping import OriginalMapping
 from thorvaldc.compiler.importer.robot_text import Module, Names
 
 _SHORTEST_CASTER = 0.4  # m, from the ground to the mount
-_LEAST_WHEELBASE = 0.8  # m, from the drives to casters at the other end of the frame
-_ON_LINE = 0.05  # m, largest distance of a wheel from the line of the others
+_LEAST_WHEELBASE = 0.8  # m, least distance of the casters from the drives, along x
+_ON_LINE = 0.05  # m, largest distance of a wheel from the straight line through the other wheels
 
 Point = tuple[float, float]  # x, y in base_link, m
 
@@ -23,9 +26,12 @@ def add_casters(
     frame_center_x: float,
     names: Names,
 ) -> list[Module]:
-    """Returns casters if all drives are on one line, else no modules; reports the assumption.
+    """Returns two casters if all driven wheels are on one straight line.
 
-    ``frame_height`` and ``frame_center_x`` in m, in base_link.
+    Otherwise the function returns an empty list.  Added casters are reported as an assumption.
+
+    ``frame_height`` (m) is the height of the robot's frame above the ground.  ``frame_center_x``
+    (m) is the x coordinate of the middle of the frame in ``base_link``.
     """
     points = [mount_position(module) for module in drive_modules if module.mount is not None]
     if not _are_on_a_line(points):
@@ -53,28 +59,32 @@ def add_casters(
 
 
 def _caster_positions(points: Sequence[Point], frame_center_x: float) -> list[Point]:
-    """Returns two positions on both sides of the line of the drives, or behind it.
+    """Returns the positions of two casters (x, y in m) in ``base_link``.
 
-    The line is across the robot, except for drives on the robot's x axis (a bicycle).
+    The driven wheels are on one straight line, which usually is an axle across the robot.  If the
+    line is along the x axis, as on a bicycle, one caster is placed on each side.
     """
     x = sum(point[0] for point in points) / len(points)
     y = sum(point[1] for point in points) / len(points)
     half_length = max(abs(point[0] - x) for point in points)
     half_width = max(abs(point[1] - y) for point in points)
     half_track = max(0.3, half_width)
-    if half_length > half_width:  # along the robot: one caster at each side
+    if half_length > half_width:  # the wheels are in line as on a bicycle: one caster on each side
         return [(x, y + 0.4), (x, y - 0.4)]
-    if abs(frame_center_x - x) > 0.15:  # at one end of the frame: casters at the other end
+    if abs(frame_center_x - x) > 0.15:  # axle at one end of the frame: casters at the other end
         distance = max(2.0 * abs(frame_center_x - x), _LEAST_WHEELBASE)
         caster_x = x + math.copysign(distance, frame_center_x - x)
         return [(caster_x, y + half_track), (caster_x, y - half_track)]
     if len(set(points)) == 1:  # a single wheel
         return [(x - 0.8, y + 0.4), (x - 0.8, y - 0.4)]
-    return [(x + 0.6, y), (x - 0.6, y)]  # an axle in the middle: one in front, one behind
+    return [(x + 0.6, y), (x - 0.6, y)]  # axle in the middle: one caster in front, one behind
 
 
 def mount_position(module: Module) -> Point:
-    """Returns x and y of a module's mount, m."""
+    """Returns the x and y coordinates (m) where a module is mounted.
+
+    Raises ``TypeError`` if the module has no mount with a position.
+    """
     xyz = module.mount["xyz"] if module.mount is not None else None
     if not isinstance(xyz, list) or not isinstance(xyz[0], float) or not isinstance(xyz[1], float):
         raise TypeError(f"{module.name} has no position")
@@ -88,5 +98,5 @@ def _are_on_a_line(points: Sequence[Point]) -> bool:
     length = math.hypot(dx, dy)
     if length < 1e-6:
         return True
-    # The cross product over the length is the distance from the line.
+    # The distance of a point from a straight line is the cross product divided by the length.
     return all(abs((x - x0) * dy - (y - y0) * dx) / length < _ON_LINE for x, y in points)

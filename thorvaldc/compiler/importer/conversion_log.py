@@ -1,4 +1,4 @@
-"""Log of a conversion: for every value of the file, its target or why it has none."""
+"""Logs how each value of an original configuration file is converted."""
 
 from __future__ import annotations
 
@@ -10,12 +10,16 @@ from thorvaldc.diagnostics import Label, Report, Span
 
 Key = tuple[str, ...]
 
-_MAX_SHOWN = 4  # names that a message lists; it counts the rest
+_MAX_SHOWN = 4  # largest number of names that a message lists
 
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """Conversion of one value: ``text`` is the target if it is ``converted``, else the reason."""
+    """Conversion of one value of an original configuration file.
+
+    If ``converted`` is true, ``text`` is the path of the value in robot.yaml.  If ``converted`` is
+    false, ``text`` is the reason why the value is not converted.
+    """
 
     span: Span
     converted: bool
@@ -23,9 +27,11 @@ class Conversion:
 
 
 class ConversionLog:
-    """One entry for every scalar, empty list and empty mapping of a file.
+    """Log with the conversion of every value of an original configuration file.
 
-    ``finish`` reports the values that no reader requested.  So no value is dropped silently.
+    The log contains an entry for each scalar, each empty list and each empty mapping.
+
+    The method ``finish`` reports every value of the file that was not converted.
     """
 
     def __init__(self, root: Node, report: Report) -> None:
@@ -36,31 +42,35 @@ class ConversionLog:
         self._left_out: dict[tuple[str, str], list[tuple[Key, Node]]] = {}
 
     def add_converted(self, key: Key, target: str) -> None:
-        """Logs that a value is converted to ``target``, a path in robot.yaml."""
+        """Logs that a value is converted to the path ``target`` in robot.yaml."""
         if key in self._leaves:
             self.conversions[key] = Conversion(self._leaves[key].span, True, target)
 
     def add_reported(self, key: Key, reason: str) -> None:
-        """Logs that a diagnostic exists for all values under ``key`` that are not logged yet."""
+        """Logs that a diagnostic explains why the values below ``key`` are not converted.
+
+        Values that already are in the log are not changed.
+        """
         for leaf, node in self._leaves.items():
             if leaf[: len(key)] == key and leaf not in self.conversions:
                 self.conversions[leaf] = Conversion(node.span, False, reason)
 
     def add_error(self, key: Key, message: str) -> None:
-        """Logs that a diagnostic exists for a value, although the value may be logged already."""
+        """Logs an error of a value, and replaces an earlier log entry of the value."""
         self.conversions.pop(key, None)
         self.add_reported(key, message)
 
     def leave_out(self, key: Key, node: Node, reason: str) -> None:
         """Logs that robot.yaml cannot express a value.
 
-        ``finish`` reports it, in one diagnostic for all keys with this name and reason.
+        The method ``finish`` reports all values with the same key name and reason in one
+        diagnostic.
         """
         self._left_out.setdefault((key[-1], reason), []).append((key, node))
         self.add_reported(key, reason)
 
     def finish(self) -> None:
-        """Reports the values that are left out and the values that no reader requested."""
+        """Reports the values that robot.yaml cannot express and the values with unknown keys."""
         for (name, reason), values in self._left_out.items():
             owners = _shorten([".".join(key[:-1]) or "the file" for key, _ in values])
             self.report.add(
@@ -87,7 +97,10 @@ class ConversionLog:
                 self.conversions[leaf] = Conversion(self._leaves[leaf].span, False, "unknown")
 
     def _unknown_key(self, key: Key) -> Key:
-        """Returns the shortest prefix of ``key`` under which no value is logged."""
+        """Returns the path of the outermost mapping around ``key`` that has no value in the log.
+
+        If there is no such mapping, the method returns ``key``.
+        """
         for length in range(1, len(key)):
             prefix = key[:length]
             if not any(leaf[:length] == prefix for leaf in self.conversions):

@@ -1,4 +1,4 @@
-"""Converts the batteries, IO boards and sensors of an original file."""
+"""Converts the batteries, IO boards and sensors of an original configuration file."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from thorvaldc.compiler.importer.robot_text import ROOT_MODULE, Module, Names, V
 from thorvaldc.diagnostics import Label
 from thorvaldc.model.spatial import Pose
 
-_BATTERY_HEIGHT = 0.07  # m, bottom of the enclosure over the middle of the tube
-_OLD_BATTERY_IDS = 344  # in the old form, `node` is 344 plus the battery's id
-_IO_NODE_ID = 20  # default of the original
-# From the foot of the library's sensor up to its measurement frame, m.
+# m, height of the bottom of a battery enclosure above the axis of a frame tube
+_BATTERY_HEIGHT = 0.07
+_OLD_BATTERY_IDS = 344  # in older files, the value of `node` is 344 plus the battery id
+_IO_NODE_ID = 20  # default node id of the IO board in the original system
+# Height (m) of the measurement frame of each library sensor above the foot of the sensor.
 _LIDAR_LASER = 0.085
 _ANTENNA_CENTER = 0.035
 _IMU_CENTER = 0.012
@@ -25,9 +26,9 @@ _IMU_CENTER = 0.012
 def read_batteries(
     mappings: Sequence[OriginalMapping], height: float, names: Names
 ) -> list[Module]:
-    """Returns battery enclosures, with or without a battery.
+    """Returns the modules of the battery enclosures, with or without a battery.
 
-    ``height`` is the height of the frame over the ground, m.
+    ``height`` is the height (m) of the robot's frame above the ground.
     """
     modules: list[Module] = []
     for i, mapping in enumerate(mappings):
@@ -63,9 +64,12 @@ def read_batteries(
 
 
 def _battery_id(mapping: OriginalMapping, target: str, comments: list[str]) -> int | None:
-    """Returns the battery's id on the bus, 0..15; ``None`` for an empty enclosure or an error.
+    """Returns the battery id on the CAN bus, from 0 to 15.
 
-    Newer files have `id`, older ones `node`.  A negative number means no battery.
+    Returns ``None`` if the enclosure is empty or the battery id is not valid.
+
+    Newer original files contain the battery id in the key `id`, and older files in the key `node`.
+    A negative battery id means an enclosure without a battery.
     """
     key = "id" if mapping.has("id") else "node"
     if key == "id":
@@ -90,7 +94,11 @@ def _battery_id(mapping: OriginalMapping, target: str, comments: list[str]) -> i
 
 
 def _battery_present(mapping: OriginalMapping, target: str, battery_id: int | None) -> bool:
-    """Returns whether the enclosure has a battery: the id decides, other keys may contradict."""
+    """Returns whether the enclosure contains a battery.
+
+    The enclosure contains a battery if the file contains a battery id.  A contradiction with the
+    keys `with_battery` and `type` is reported.
+    """
     with_battery = mapping.boolean("with_battery", f"{target}.params.with_battery")
     battery_type = mapping.number("type", f"{target}.params.with_battery")
     present = battery_id is not None
@@ -124,7 +132,11 @@ def _battery_present(mapping: OriginalMapping, target: str, battery_id: int | No
 def read_boards(
     mappings: Sequence[OriginalMapping], drive_nodes: dict[int, OriginalMapping], names: Names
 ) -> list[Module]:
-    """Returns the IO boards; ``drive_nodes`` are the drives by their node id."""
+    """Returns the modules of the IO boards.
+
+    ``drive_nodes`` contains the drives of the original file, by the node id of the motor
+    controller.  An IO board with the node id of a drive is reported.
+    """
     users = dict(drive_nodes)
     modules: list[Module] = []
     for i, mapping in enumerate(mappings):
@@ -164,7 +176,10 @@ def read_boards(
 
 
 def sensor_module_type(key: str) -> str | None:
-    """Returns the module type for a key such as ``lidar_front``; ``None`` if it is no sensor."""
+    """Returns the module type of the sensor that a key such as ``lidar_front`` names.
+
+    Returns ``None`` if the key does not name a sensor.
+    """
     for word, module_type in (
         ("lidar", "sensor/lidar_2d"),
         ("laser", "sensor/lidar_2d"),
@@ -181,9 +196,11 @@ def sensor_module_type(key: str) -> str | None:
 def read_sensor(
     mapping: OriginalMapping, module_type: str, height: float, names: Names
 ) -> Module | None:
-    """Returns a sensor; its measurement frame has the pose of the file, in base_link.
+    """Returns the module of a sensor, or ``None`` if the pose of the sensor is not valid.
 
-    ``height`` is the height of the frame over the ground, m.
+    The pose in the original file is the pose of the measurement frame in ``base_link``.
+
+    ``height`` is the height (m) of the robot's frame above the ground.
     """
     name = names.make(mapping.name, module_type.rpartition("/")[2])
     target = f"modules.{name}.mount"
@@ -224,7 +241,8 @@ def read_sensor(
     params: dict[str, Value] = {}
     offset = {"sensor/lidar_2d": _LIDAR_LASER, "sensor/imu": _IMU_CENTER}.get(module_type, 0.0)
     if module_type == "sensor/gnss_antenna":
-        # A mast connects the frame and an upright antenna above it; other antennas have no mast.
+        # An upright GNSS antenna above the robot's frame stands on a mast.  A tilted antenna has no
+        # mast.
         upright = roll == 0.0 and pitch == 0.0
         mast = max(0.0, z - height - _ANTENNA_CENTER) if upright else 0.0
         params["mast"] = mast

@@ -1,4 +1,4 @@
-"""Converts the drives of an original file: steered ones (type 0) and unsteered ones (type 1)."""
+"""Converts the steered drives (type 0) and unsteered drives (type 1) of an original file."""
 
 from __future__ import annotations
 
@@ -10,20 +10,25 @@ from thorvaldc.compiler.importer.original_mapping import OriginalMapping
 from thorvaldc.compiler.importer.robot_text import ROOT_MODULE, Module, Names, Value
 from thorvaldc.diagnostics import Label
 
-NODE_IDS = (1, 127)  # CANopen, CiA 301: first and last node id
-_WHEEL_RADIUS, _WHEEL_WIDTH = 0.2, 0.16  # m, of the library's wheel/agri_200
-# Least height of the frame over the top of the wheel, m: the arm of the drive needs this space.
+NODE_IDS = (1, 127)  # least and greatest CANopen node id (CiA 301)
+_WHEEL_RADIUS, _WHEEL_WIDTH = 0.2, 0.16  # m, radius and width of the module type wheel/agri_200
+# Least height (m) of the robot's frame above the top of a wheel.  The arm of the drive needs the
+# space.
 _CLEARANCE_FIXED = 0.12
-_CLEARANCE_STEERED = 0.22  # with the steering module
-_CLAMP_REACH = 0.4  # m, horizontal; the clamp of a drive holds a tube that is nearer
-_SAME_POSITION = 0.05  # m; wheels that are nearer to each other are one wheel
+_CLEARANCE_STEERED = 0.22  # for a drive with a steering module
+_CLAMP_REACH = 0.4  # m, largest horizontal distance of a drive from the tube that the clamp holds
+_SAME_POSITION = 0.05  # m; two wheels at a smaller distance are the same wheel
 
 Segment = tuple[float, float, float, float]  # x1, y1, x2, y2 in base_link, m
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """A drive of the file; ``x``, ``y`` is the contact point of its wheel in base_link, m."""
+    """A drive of an original configuration file.
+
+    ``x`` and ``y`` are the coordinates (m) of the wheel's contact point in ``base_link``.
+    ``radius`` (m) is the radius of the wheel.
+    """
 
     source: OriginalMapping
     name: str
@@ -37,7 +42,7 @@ class Drive:
 
 
 def read_drives(mappings: Sequence[OriginalMapping], names: Names) -> list[Drive]:
-    """Returns the valid drives; reports errors of the others."""
+    """Returns the valid drives of an original file, and reports the errors of invalid drives."""
     drives: list[Drive] = []
     for mapping in mappings:
         name = names.make(mapping.name, f"drive_{len(drives)}")
@@ -86,7 +91,10 @@ def _read_drive(mapping: OriginalMapping, name: str) -> Drive | None:
 
 
 def _read_wheel(mapping: OriginalMapping, params: dict[str, Value], target: str) -> float | None:
-    """Returns the wheel's radius in m; adds radius and width to ``params`` if they are unusual."""
+    """Returns the radius (m) of the wheel, or ``None`` if the radius is not valid.
+
+    A radius or width that differs from the default wheel is added to ``params``.
+    """
     wheel_params: dict[str, Value] = {}
     sizes: list[float | None] = []
     for key, param, usual, low in (
@@ -104,7 +112,7 @@ def _read_wheel(mapping: OriginalMapping, params: dict[str, Value], target: str)
 
 @dataclass(frozen=True, slots=True)
 class _ParamReader:
-    """Converts values of a drive to params of its module, if the file has them."""
+    """Converts optional values of an original drive to parameters of the drive module."""
 
     mapping: OriginalMapping
     params: dict[str, Value]
@@ -125,10 +133,10 @@ class _ParamReader:
 def drive_modules(
     drives: Sequence[Drive], frame_height: float, tubes: Sequence[Segment], names: Names
 ) -> list[Module]:
-    """Returns the modules of all drives, and the controllers of the drives of type 1.
+    """Returns the drive modules, and the motor controllers of the drives of type 1.
 
-    The contact point of each wheel is at the x, y of its drive.  ``frame_height`` is the
-    height of the frame over the ground, m; ``tubes`` are its pipes in top view.
+    ``frame_height`` is the height (m) of the robot's frame above the ground.  ``tubes`` contains
+    the end points (m) of each frame tube in the top view.
     """
     by_node_id: dict[int, list[Drive]] = {}
     for drive in drives:
@@ -155,12 +163,18 @@ def drive_modules(
 
 
 def mount_on_root(x: float, y: float, z: float) -> dict[str, Value]:
-    """Returns a mount on the root module; x, y, z in m from the frame's origin."""
+    """Returns a `mount` entry that mounts a module on the root module.
+
+    ``x``, ``y`` and ``z`` (m) are coordinates in the link frame of the root module.
+    """
     return {"parent": ROOT_MODULE, "xyz": [x, y, z]}
 
 
 def _drive_module(drive: Drive, module_type: str, clearance: float, frame_height: float) -> Module:
-    """Returns the module of one drive; a drive with a large wheel is higher than the frame."""
+    """Returns the module of one drive.
+
+    A drive with a large wheel is mounted above the robot's frame.
+    """
     height = max(frame_height, 2.0 * drive.radius + clearance)
     params = dict(drive.params)
     params["height"] = height
@@ -191,12 +205,15 @@ def _unsteered_modules(
     frame_height: float,
     names: Names,
 ) -> list[Module]:
-    """Returns one or two wheels on the two channels of one controller, and the controller.
+    """Returns the modules of one or two unsteered drives and of the common motor controller.
 
-    An entry of type 1 has one position, and no publication states the position of the
-    second motor's wheel.  Two entries with one node id are the two wheels.  A single entry
-    becomes a wheel and its mirror image at -y.  If another drive is at -y, the second channel
-    remains free.
+    The motor controller of a drive of type 1 has two motors, but the original file contains the
+    position of only one wheel.  No publication states the position of the second wheel.
+
+    Two drives of type 1 with the same node id use both channels of one motor controller.  For a
+    single drive of type 1, the wheel of the second motor is assumed at the mirrored y coordinate.
+    If another drive is at the mirrored position, the second channel of the motor controller is not
+    used.
     """
     first = node_drives[0]
     source = first.source
@@ -254,19 +271,23 @@ def _unsteered_modules(
 
 
 def _nearest_point(x: float, y: float, tubes: Sequence[Segment]) -> tuple[float, float] | None:
-    """Returns the point of the tubes that is nearest to (x, y), for the clamp of a drive.
+    """Returns the nearest point (x, y in m) of a frame tube, where the clamp of a drive is
+    attached.
 
-    ``None`` if no tube is in reach, or if a tube is straight above (x, y).
+    Returns ``None`` if no frame tube is in reach of the clamp, or if a frame tube is straight above
+    the drive at (x, y).
     """
     nearest: tuple[float, float, float] | None = None
     for x1, y1, x2, y2 in tubes:
         dx, dy = x2 - x1, y2 - y1
-        # Project (x, y) onto the line; 0 and 1 are the ends of the tube.
+        # The projection of the point (x, y) on the tube is at t = 0 at the start of the tube, and
+        # at t = 1 at the end of the tube.
         t = ((x - x1) * dx + (y - y1) * dy) / (dx * dx + dy * dy)
         t = min(1.0, max(0.0, t))
         px, py = x1 + t * dx, y1 + t * dy
         distance = math.hypot(px - x, py - y)
-        # The first of equally near tubes counts, whatever the last bits of the distances.
+        # If two tubes are equally near, the first tube is used.  The tolerance of 1e-9 m removes
+        # the effect of rounding errors.
         if nearest is None or distance < nearest[0] - 1e-9:
             nearest = (distance, px, py)
     if nearest is None or not 1e-3 < nearest[0] < _CLAMP_REACH:
@@ -275,7 +296,11 @@ def _nearest_point(x: float, y: float, tubes: Sequence[Segment]) -> tuple[float,
 
 
 def share_params(modules: Sequence[Module]) -> dict[str, Value]:
-    """Removes the params that all drives have in common, and returns them for `defaults`."""
+    """Returns the parameter values that are the same for all drive modules.
+
+    The function removes the common parameter values from the drive modules.  The section `defaults`
+    of robot.yaml contains the common values.
+    """
     drives = [module for module in modules if module.type.startswith("assembly/")]
     if len(drives) < 2 or len({drive.type for drive in drives}) > 1:
         return {}

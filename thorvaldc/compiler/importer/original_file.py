@@ -1,7 +1,8 @@
-"""Reads a configuration file of the original system as ROS reads it.
+"""Reads a configuration file of the original system by the YAML rules of ROS.
 
-ROS reads YAML 1.1, and the original code accepts numbers in quotes and Booleans as text.
-So a scalar here is its text.  The code that uses the value interprets it.
+ROS reads YAML 1.1, and the original system accepts numbers and Booleans in quotes.  This module
+therefore returns every scalar as text.  The class ``OriginalMapping`` converts the text to a number
+or a Boolean.
 """
 
 from __future__ import annotations
@@ -16,7 +17,10 @@ from thorvaldc.diagnostics import Label, Report, Span
 
 
 def read_original(path: Path, display: str, report: Report) -> Node | None:
-    """Returns the document; its scalars are texts.  ``None`` after an error, which is reported."""
+    """Returns the YAML document, in which every scalar is a text.
+
+    Returns ``None`` and reports an error if the file cannot be read.
+    """
     data = read_bytes(path, display, report, limit=MAX_BYTES + 1)
     if data is None:
         return None
@@ -27,15 +31,17 @@ def read_original(path: Path, display: str, report: Report) -> Node | None:
 
 
 class _NodeConverter:
-    """Converts nodes of PyYAML to ``Node``.
+    """Converts nodes of the package PyYAML to ``Node``.
 
-    As in ROS, a merge key (``<<``) of YAML 1.1 works, and the last of duplicate keys counts.
+    Merge keys (``<<``) of YAML 1.1 are supported.  If a mapping contains a key twice, the last
+    value is used, as in ROS.
     """
 
     def __init__(self, display: str, report: Report) -> None:
         self.display = display
         self.report = report
-        self.open: list[int] = []  # ids of the nodes around the current one
+        # Python ids of the lists and mappings that contain the current node
+        self.open: list[int] = []
         self.count = 0
 
     def node(self, raw: Any, key_span: Span | None) -> Node | None:
@@ -79,7 +85,8 @@ class _NodeConverter:
             if child is None:
                 continue
             if raw_key.value == "<<" and not raw_key.style:
-                # One mapping or a list of mappings; the first one with a key counts.
+                # The value of a merge key is a mapping or a list of mappings.  If two mappings
+                # contain the same key, the first mapping is used.
                 for part in child.value if isinstance(child.value, tuple) else (child,):
                     for key, value in (part.value if isinstance(part.value, dict) else {}).items():
                         merged_values.setdefault(key, value)

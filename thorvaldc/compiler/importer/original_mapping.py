@@ -1,4 +1,4 @@
-"""Typed access to a mapping of an original configuration file."""
+"""Reads numbers, Booleans and texts from a mapping of an original configuration file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from thorvaldc.compiler.importer.conversion_log import ConversionLog, Key
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
 
-# The Boolean words of YAML 1.1, and numbers: the original code compares texts.
+# Texts for true and false: the Boolean words of YAML 1.1, and the numbers 1 and 0.
 _TRUE = ("true", "yes", "on", "y", "1", "1.0")
 _FALSE = ("false", "no", "off", "n", "0", "0.0")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
@@ -20,10 +20,11 @@ _MULTIPLE_OF_PI = re.compile(r"(-?)(?:([\d.]+)\*)?pi(?:/([\d.]+))?")
 
 @dataclass(frozen=True, slots=True)
 class OriginalMapping:
-    """A mapping of the file.
+    """A mapping of an original configuration file.
 
-    Every access to a value writes to ``log``.  ``target`` is the path in robot.yaml to which
-    the caller converts the value.  Errors go to the report of the log.
+    Every method that reads a value adds the conversion of the value to ``log``.  The argument
+    ``target`` is the path of the converted value in robot.yaml.  Errors are added to the report of
+    ``log``.
     """
 
     key: Key
@@ -32,36 +33,39 @@ class OriginalMapping:
 
     @property
     def name(self) -> str:
-        """The last key of the path; empty for the document itself."""
+        """Last key in the path of the mapping, or an empty text for the whole document."""
         return self.key[-1] if self.key else ""
 
     @property
     def path(self) -> str:
-        """The keys from the top of the document, joined by dots."""
+        """Keys that lead from the document to the mapping, joined by dots."""
         return ".".join(self.key)
 
     @property
     def location(self) -> str:
-        """Path and line, for a comment in robot.yaml."""
+        """Path and line number of the mapping, for a comment in robot.yaml."""
         return f"{self.path}, line {self.node.where.line}"
 
     @property
     def report(self) -> Report:
-        """The report of the log."""
+        """Report that contains the diagnostics of the conversion."""
         return self.log.report
 
     def has(self, key: str) -> bool:
-        """Returns whether the key exists and its value is not null."""
+        """Returns whether the mapping contains a key with a value other than null."""
         child = self.node.get(key)
         return child is not None and child.value is not None
 
     def span(self, key: str) -> Span:
-        """Returns the span of a key; if the key is missing, the span of the mapping."""
+        """Returns the span of a key, or the span of the mapping if the key is missing."""
         child = self.node.get(key)
         return child.where if child is not None else self.node.where
 
     def children(self, key: str) -> list[OriginalMapping]:
-        """Returns the mappings in the mapping or list under ``key``, in file order."""
+        """Returns the mappings that the value of ``key`` contains, in the order of the file.
+
+        The value of ``key`` is a mapping or a list of mappings.
+        """
         child = self.node.get(key)
         child_key = (*self.key, key)
         if child is None or child.value is None or child.value == "":
@@ -86,7 +90,10 @@ class OriginalMapping:
         return mappings
 
     def child(self, key: str) -> OriginalMapping | None:
-        """Returns the mapping under a key; ``None`` if it is missing, empty or no mapping."""
+        """Returns the value of a key that contains a mapping.
+
+        Returns ``None`` if the key is missing, or if the value is empty or not a mapping.
+        """
         child = self.node.get(key)
         child_key = (*self.key, key)
         if child is None or child.value is None:
@@ -106,9 +113,10 @@ class OriginalMapping:
         low: float = -1000.0,
         high: float = 1000.0,
     ) -> float | None:
-        """Returns a finite number, quoted or not; ``default`` if the key is missing or empty.
+        """Returns the value of a key as a number, or ``default`` if the key is missing or empty.
 
-        ``low`` and ``high`` are inclusive bounds.  ``None`` after an error.
+        Returns ``None`` and reports an error if the value is not a finite number from ``low`` to
+        ``high``.  A number may be written in quotes.
         """
         node = self.node.get(key)
         value_key = (*self.key, key)
@@ -137,7 +145,10 @@ class OriginalMapping:
         return value
 
     def integer(self, key: str, target: str, *, low: int, high: int) -> int | None:
-        """Returns an integer within inclusive bounds; ``None`` if it is missing or invalid."""
+        """Returns the value of a key as an integer from ``low`` to ``high``.
+
+        Returns ``None`` if the key is missing or the value is not valid.
+        """
         value = self.number(key, target, low=-1e9, high=1e9)
         if value is None:
             return None
@@ -152,7 +163,11 @@ class OriginalMapping:
         return int(value)
 
     def boolean(self, key: str, target: str) -> bool | None:
-        """Returns a Boolean, in any spelling of YAML 1.1; ``None`` if missing or invalid."""
+        """Returns the value of a key as a Boolean.
+
+        All Boolean words of YAML 1.1 are accepted.  Returns ``None`` if the key is missing or the
+        value is not valid.
+        """
         node = self.node.get(key)
         if node is None or node.value is None or node.value == "":
             self.log.add_converted((*self.key, key), "empty")
@@ -169,7 +184,10 @@ class OriginalMapping:
         return None
 
     def text(self, key: str, target: str) -> str | None:
-        """Returns a scalar as text; ``None`` if it is missing, null, a list or a mapping."""
+        """Returns the value of a key as text.
+
+        Returns ``None`` if the key is missing, or if the value is null, a list or a mapping.
+        """
         node = self.node.get(key)
         if node is None or isinstance(node.value, (dict, tuple)):
             return None
@@ -177,13 +195,16 @@ class OriginalMapping:
         return str(node.value).strip() if node.value is not None else None
 
     def leave_out(self, key: str, reason: str) -> None:
-        """Logs that robot.yaml cannot express the value of ``key``, if the key exists."""
+        """Logs that robot.yaml cannot express the value of a key.
+
+        The method does nothing if the mapping does not contain the key.
+        """
         node = self.node.get(key)
         if node is not None:
             self.log.leave_out((*self.key, key), node, reason)
 
     def report_error(self, code: str, message: str, key: str = "", hint: str | None = None) -> None:
-        """Reports an error of the mapping, or of the value of ``key``."""
+        """Reports an error of the value of ``key``, or of the whole mapping if ``key`` is empty."""
         error_key = (*self.key, key) if key else self.key
         self.report.add(code, message, self.span(key) if key else self.node.where, hint=hint)
         self.log.add_reported(error_key, message)
@@ -194,7 +215,7 @@ class OriginalMapping:
 
 
 def _kind(node: Node) -> str:
-    """Returns the text of a scalar, or the kind of the value, for a message."""
+    """Describes the value of a YAML node for an error message."""
     if isinstance(node.value, dict):
         return "a mapping"
     if isinstance(node.value, tuple):
@@ -203,10 +224,12 @@ def _kind(node: Node) -> str:
 
 
 def _number(node: Node) -> float | None:
-    """Returns a finite number as ROS 1 reads it; ``None`` for anything else.
+    """Returns the value of a YAML node as a number, converted by the rules of ROS 1.
 
-    ROS 1 accepts the numbers of YAML 1.1 (``0x1F``, ``017``, ``1_000``) and the angles of
-    rosparam, ``deg(90)`` and ``rad(2*pi/3)``, which become radians.
+    Returns ``None`` if the value is not a finite number.
+
+    ROS 1 accepts the number formats of YAML 1.1, such as ``0x1F``, ``017`` and ``1_000``.  ROS 1
+    also accepts angles such as ``deg(90)`` and ``rad(2*pi/3)``.  An angle is converted to radians.
     """
     if not isinstance(node.value, str):
         return None

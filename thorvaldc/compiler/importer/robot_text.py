@@ -1,4 +1,4 @@
-"""Writes the text of a robot.yaml, with comments that name the sources of its values."""
+"""Writes the text of a robot.yaml with comments that name the source of each module."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from thorvaldc.model.spatial import clean
 
 Value = bool | int | float | str | list["Value"] | dict[str, "Value"]
 
-ROOT_MODULE = "frame"  # name of the module that carries all the others
+ROOT_MODULE = "frame"  # name of the module that carries all other modules
 
-# Text that YAML reads as itself without quotes.
+# Texts that need no quotes in YAML.
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./]*( [A-Za-z0-9_./^]+)*")
 _WORDS = ("true", "false", "null", "yes", "no", "on", "off", "y", "n")
 _WIDTH = 96  # columns
@@ -27,7 +27,10 @@ _LETTERS = str.maketrans(
 
 @dataclass
 class Module:
-    """A module instance of the robot.yaml; ``comments`` are written above it."""
+    """A module instance of a robot.yaml.
+
+    ``comments`` contains the comment lines above the module in the file.
+    """
 
     name: str
     type: str
@@ -40,7 +43,7 @@ class Module:
 
 @dataclass
 class Robot:
-    """The contents of the robot.yaml, in the order of the file."""
+    """Content of a robot.yaml, in the order of the file."""
 
     name: str
     comments: list[str] = field(default_factory=list)
@@ -52,7 +55,7 @@ class Robot:
 
 
 def render(robot: Robot) -> str:
-    """Returns the text of the robot.yaml."""
+    """Returns the text of the robot.yaml of a robot."""
     lines = [*_comments(robot.comments, ""), "thorvaldc: 1", f"name: {robot.name}"]
     if robot.namespace:
         lines.append(f"namespace: {robot.namespace}")
@@ -100,7 +103,7 @@ def _entries(values: dict[str, Value], indent: str) -> list[str]:
 
 
 def flow(value: Value) -> str:
-    """Returns a value as YAML on one line (flow style)."""
+    """Returns the YAML text of a value on one line (flow style)."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):
@@ -120,19 +123,27 @@ def flow(value: Value) -> str:
 
 
 def angle(radians: float) -> Value:
-    """Returns an angle for the document: in degrees if that number is whole, else in rad."""
+    """Converts an angle in radians to a value for robot.yaml.
+
+    The result is a text such as ``90 deg`` if the angle is a whole number of degrees.  Otherwise
+    the result is the number of radians.
+    """
     degrees = math.degrees(radians)
     return f"{round(degrees)} deg" if degrees and abs(degrees - round(degrees)) < 1e-9 else radians
 
 
 class Names:
-    """Converts names of the original file to unique ids."""
+    """Converts names of an original configuration file to unique module names."""
 
     def __init__(self, taken: Iterable[str] = ()) -> None:
         self._taken = dict.fromkeys(taken)
 
     def make(self, text: str, fallback: str) -> str:
-        """Returns ``as_id(text)``, with a number at the end if that id is in use."""
+        """Returns a unique module name for a name of the original file.
+
+        If the module name is already used, a number such as ``_2`` is added.  ``fallback`` is used
+        if ``text`` contains no letter.
+        """
         name = as_id(text) or fallback
         unique, count = name, 2
         while unique in self._taken:
@@ -142,9 +153,12 @@ class Names:
 
 
 def as_id(text: str) -> str:
-    """Returns ``text`` as an id ``[a-z][a-z0-9_]*``; empty if no character remains.
+    """Converts a text to a module name, which has the form ``[a-z][a-z0-9_]*``.
 
-    Letters become lower case and lose their accents; other characters become underscores.
+    Returns an empty text if ``text`` contains no letter.
+
+    Letters are converted to lower case without accents.  Other characters are replaced by
+    underscores.
     """
     text = text.lower().translate(_LETTERS)
     plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()

@@ -1,4 +1,4 @@
-"""Converts the frame of an original file: pipes, corners and beams, at their positions."""
+"""Converts the pipes, corners and beams of the robot's frame in an original file."""
 
 from __future__ import annotations
 
@@ -10,14 +10,18 @@ from thorvaldc.compiler.importer.drives import Drive, Segment, mount_on_root
 from thorvaldc.compiler.importer.original_mapping import OriginalMapping
 from thorvaldc.compiler.importer.robot_text import Module, Names, angle
 
-_DEFAULT_HEIGHT = 0.65  # m, of the frame over the ground
-_SHORTEST = 0.01  # m, of a pipe or beam
+_DEFAULT_HEIGHT = 0.65  # m, default height of the robot's frame above the ground
+_SHORTEST = 0.01  # m, least length of a pipe or beam
 _SPACE = "its meaning is not published; tubes and corners are at their coordinates"
 
 
 @dataclass
 class Frame:
-    """The frame: ``height`` over the ground, m; ``tubes`` are its pipes in top view."""
+    """The tubular frame of a robot.
+
+    ``height`` is the height (m) of the frame above the ground.  ``tubes`` contains the end points
+    (m) of each tube in the top view.
+    """
 
     height: float
     tubes: list[Segment] = field(default_factory=list)
@@ -25,7 +29,7 @@ class Frame:
 
     @property
     def center_x(self) -> float:
-        """The middle of the tubes, x in base_link, m."""
+        """The x coordinate (m) of the middle of the frame in ``base_link``."""
         xs = [x for tube in self.tubes for x in (tube[0], tube[2])]
         return (max(xs) + min(xs)) / 2 if xs else 0.0
 
@@ -36,11 +40,13 @@ def read_frame(
     names: Names,
     root: OriginalMapping,
 ) -> Frame:
-    """Returns the frame; its height is the most frequent height of the pipes.
+    """Returns the tubular frame of the robot.
 
-    Without pipes, the corners determine the height; without both, it is 0.65 m.
+    The height of the frame is the most frequent height of the pipes.  In a file without pipes, the
+    height of the frame is the most frequent height of the corners.  In a file without pipes and
+    corners, the height of the frame is 0.65 m.
     """
-    # Names first: they do not depend on errors.
+    # The names are chosen before errors are found, so that the names do not depend on errors.
     pipe_names = [names.make(mapping.name, f"pipe_{i}") for i, mapping in enumerate(pipes)]
     corner_names = [names.make(mapping.name, f"corner_{i}") for i, mapping in enumerate(corners)]
     pipe_values = [
@@ -52,7 +58,7 @@ def read_frame(
     heights = [pipe[4] for pipe in pipe_values if pipe is not None]
     heights = heights or [corner[2] for corner in corner_values if corner is not None]
     if heights:
-        # The most frequent height; of equally frequent ones the lowest.
+        # If two heights are equally frequent, the lower height is used.
         height = max(heights, key=lambda h: (heights.count(h), -h))
     else:
         height = _DEFAULT_HEIGHT
@@ -91,7 +97,11 @@ def _bar(
     z: float,
     comments: list[str],
 ) -> Module:
-    """Returns a tube or beam; in its module, it is along x and the origin is in its middle."""
+    """Returns the module of a tube or beam between two points (x, y in m).
+
+    The link frame of a tube or beam has the origin in the middle and the x axis along the tube or
+    beam.
+    """
     dx, dy = end[0] - start[0], end[1] - start[1]
     mount = mount_on_root((start[0] + end[0]) / 2, (start[1] + end[1]) / 2, z)
     if dy or dx < 0.0:
@@ -102,7 +112,10 @@ def _bar(
 def _read_pipe(
     mapping: OriginalMapping, name: str
 ) -> tuple[float, float, float, float, float] | None:
-    """Returns x1, y1, x2, y2 and the height over the ground, m."""
+    """Returns the end points x1, y1, x2, y2 (m) of a pipe, and the height (m) above the ground.
+
+    Returns ``None`` if the pipe is not valid.
+    """
     target = f"modules.{name}"
     mapping.leave_out("space", _SPACE)
     values = [mapping.number(key, f"{target}.mount") for key in ("x1", "y1", "x2", "y2")]
@@ -124,7 +137,10 @@ def _read_pipe(
 
 
 def _read_corner(mapping: OriginalMapping, name: str) -> tuple[float, float, float, int] | None:
-    """Returns x, y, z in m, and the yaw in quarter turns."""
+    """Returns the position x, y, z (m) of a corner, and the yaw angle in quarter turns.
+
+    Returns ``None`` if the corner is not valid.
+    """
     target = f"modules.{name}"
     mapping.leave_out("space", _SPACE)
     mapping.leave_out(
@@ -149,7 +165,10 @@ def _read_corner(mapping: OriginalMapping, name: str) -> tuple[float, float, flo
 def read_beams(
     mappings: Sequence[OriginalMapping], drives: Sequence[Drive], names: Names
 ) -> list[Module]:
-    """Returns the beams, each from one drive to another at the height of the frame."""
+    """Returns the modules of the beams.
+
+    A beam connects two drives at the height of the robot's frame.
+    """
     by_name = {drive.source.name: drive for drive in drives}
     modules: list[Module] = []
     for i, mapping in enumerate(mappings):
