@@ -1,8 +1,7 @@
 """Registers the Gymnasium environment ``thorvaldc/Robot-v0``.
 
-The environment simulates the robots of a robot, fleet or scenario file.  The import of this
-module registers the id of the environment with Gymnasium.  The following call imports the module
-and creates an environment::
+The environment simulates the robots of a robot, fleet or scenario file.  The import of this module
+registers the environment with Gymnasium.  Example::
 
     gymnasium.make("thorvaldc.environments:thorvaldc/Robot-v0", file="robot.yaml")
 """
@@ -38,8 +37,8 @@ def make(
 ) -> RobotEnv:
     """Creates the Gymnasium environment of a robot, fleet or scenario file.
 
-    Raises ``ValueError`` if the file has errors, and if ``scenario`` is not a scenario file.  The
-    message of the exception contains all errors of the file.
+    Raises ``ValueError`` if the file has errors or if the file for ``scenario`` is not a scenario
+    file.  The message of the ``ValueError`` contains all errors of the file.
 
     Parameters
     ----------

@@ -17,7 +17,8 @@ from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.schema.documents import Kind
 
-# The import of the scenario classes takes milliseconds.  Only type checkers need the import.
+# The scenario classes are imported only for type checkers, because the import takes several
+# milliseconds.
 if TYPE_CHECKING:
     from thorvaldc.compiler.source.node import Node
     from thorvaldc.model.scenario import Scenario
@@ -27,7 +28,7 @@ SETTING = "--set "
 
 
 class SourceFile:
-    """A robot, fleet or scenario file with its document.
+    """A robot, fleet or scenario file and the YAML document in the file.
 
     Attributes
     ----------
@@ -56,9 +57,10 @@ class SourceFile:
             self.kind = "fleet"
 
     def check_shape(self, document: Node) -> Node:
-        """Checks the document against the schema and returns the valid part of the document.
+        """Checks a document against the schema and returns the valid part of the document.
 
-        The later stages compile the valid part, so that one run reports the errors of all stages.
+        The later stages of the compiler use the valid part of the document, so that one run reports
+        the errors of all stages.
         """
         check(document, self.kind, self.shape)
         return without_invalid_values(document, self.shape)
@@ -66,7 +68,7 @@ class SourceFile:
 
 @dataclass
 class Compilation:
-    """The result of compiling one file.
+    """Result of the compilation of one robot, fleet or scenario file.
 
     Attributes
     ----------
@@ -98,12 +100,14 @@ class Compilation:
         return cls(folder=source.folder, files={source.name: source.path})
 
     def located(self, report: Report) -> Report:
-        """Replaces the file names in diagnostics about the model by paths as the user gave them."""
+        """Replaces the file names in diagnostics about the model by the paths that the user passed.
+        """
 
         def with_user_path(span: Span) -> Span:
             if span.file.startswith((BUILTIN_LIBRARY, SETTING)):
                 return span
-            # Annotations of a pull request in CI need normalized paths, without `..`.
+            # Paths in diagnostics are normalized, because annotations of a pull request in CI need
+            # paths without `..`.
             path = os.path.normpath(self.files.get(span.file) or self.folder / span.file)
             return Span(path, *span[1:])
 
@@ -127,9 +131,10 @@ class Compilation:
         parts: dict[str, Compilation] | None = None,
         lock_file: str = "",
     ) -> Compilation:
-        """Completes the compilation with hash, diagnostics and paths.
+        """Adds the hash of the input files, the diagnostics and the paths of the input files to the
+        compilation.
 
-        If there are errors, the model is removed.
+        If the input files have errors, the model is removed from the compilation.
 
         Parameters
         ----------

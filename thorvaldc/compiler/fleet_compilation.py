@@ -35,8 +35,8 @@ def read_fleet(
 ) -> Fleet:
     """Compiles and places the robots in the section ``robots`` of a fleet or scenario document.
 
-    The returned fleet does not contain robots that have errors.  The function adds the
-    compilation of each robot file to ``parts``, by the name of the file in the document.
+    Robots with errors are left out of the returned fleet.  The function adds the compilation of
+    each robot file to ``parts``, by the file name in the fleet document.
     """
     scope = Scope(None, {}, Library(), report, None)
     placements = Placements(report)
@@ -51,7 +51,8 @@ def read_fleet(
             robot_source = open_named_file(source, file_node, report)
             if robot_source is None:
                 continue
-            if robot_source.kind != "robot":  # A fleet that names a fleet could contain itself.
+            # A fleet file must not name a fleet file, because the fleet could contain itself.
+            if robot_source.kind != "robot":
                 report.add(
                     "fleet-in-fleet",
                     f"`{file_name}` is a {robot_source.kind}; a robot is needed",
@@ -67,10 +68,10 @@ def read_fleet(
 
 
 def open_named_file(source: SourceFile, node: Node, report: Report) -> SourceFile | None:
-    """Opens a file that a document names.
+    """Opens a robot file or fleet file that a document names.
 
-    The value of ``node`` is the path, relative to the folder of ``source``.  Returns ``None`` and
-    reports an error if the file does not exist.
+    ``node`` is the YAML node with the path of the file, relative to the folder of ``source``.
+    Returns ``None`` and reports an error if the file does not exist.
     """
     name = str(node.value)
     path = source.path.parent / name

@@ -16,13 +16,14 @@ STAGE_PREFIX = ".thorvaldc-"
 
 @contextlib.contextmanager
 def staging_folder(target: Path) -> Iterator[Path]:
-    """Creates a staging folder, and deletes the staging folder at the end of the ``with`` block.
+    """Creates a staging folder for new files, and deletes the staging folder at the end of the
+    ``with`` block.
 
     The staging folder is on the same file system as ``target``.  The staging folder is beside the
-    target if a folder can be created there, and otherwise inside the target.
+    target folder if possible, and otherwise inside the target folder.
 
-    Each process locks the staging folder that it uses.  An unlocked staging folder was left by a
-    killed process and is deleted.
+    Each process locks the staging folder that the process uses.  An unlocked staging folder was
+    left by a killed process and is deleted.
     """
     parents = [target.parent]
     if target.exists():
@@ -51,8 +52,8 @@ def staging_folder(target: Path) -> Iterator[Path]:
 def _is_fixed(target: Path) -> bool:
     """Returns whether a folder must keep its inode and therefore cannot be exchanged.
 
-    A mount point, the current folder and the parents of the current folder keep their inodes.
-    If the current folder were exchanged, the user's shell would be in a deleted folder.
+    Mount points, the current folder and the parents of the current folder must keep the inode.  If
+    the current folder were exchanged, the user's shell would be in a deleted folder.
     """
     try:
         current = Path.cwd()
@@ -78,7 +79,7 @@ def _delete_abandoned(parent: Path) -> None:
 def locked(folder: Path) -> Iterator[None]:
     """Locks a folder, and waits if another build has locked the folder.
 
-    On a system without ``flock`` nothing is locked.
+    On an operating system without the function ``flock``, folders are not locked.
     """
     handle = _lock(folder, wait=True)
     try:
@@ -113,7 +114,8 @@ def _lock(folder: Path, *, wait: bool) -> int | None:
 def is_exchangeable(target: Path, stage: Path) -> bool:
     """Returns whether the target and the staging folder can be exchanged.
 
-    Both folders must have the same parent, and the target need not keep its inode.
+    The target and the staging folder must be in the same folder, and the target must not be a mount
+    point or the current folder.
     """
     return stage.parent == target.parent and not _is_fixed(target)
 

@@ -1,9 +1,10 @@
 """Finds and reads module types by name.
 
-The name of a module type is the path of a folder inside a library folder.  For example, the
-module type ``drive/standard`` is in the file ``<library>/drive/standard/module.yaml``.  The
-library folders of the user are searched first, in the given order.  The built-in library is
-searched last.  A process reads a module file again only if the file has changed.
+The name of a module type is the path of a folder inside a library folder.  For example, the module
+type ``drive/standard`` is in the file ``<library>/drive/standard/module.yaml``.  The library
+folders of the user are searched first, in the order of the command line or document.  The built-in
+library of module types is searched last.  A process reads a module file again only if the file has
+changed.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ Content = TypeVar("Content")
 _PACKAGE = Path(__file__).resolve().parent.parent
 FILE = "module.yaml"
 PALETTE = "palette.yaml"
-BUILTIN_LIBRARY = "<library>"  # Spans show this name instead of the path of the built-in library.
+# Diagnostics show the name ``<library>`` instead of the path of the built-in library.
+BUILTIN_LIBRARY = "<library>"
 
 
 @cache
@@ -63,7 +65,7 @@ class ModuleType:
 
     @property
     def category(self) -> str:
-        """Category of the module type.
+        """Category of the module type, such as ``drive`` for ``drive/standard``.
 
         The default category is the first part of the name of the module type.
         """
@@ -71,7 +73,9 @@ class ModuleType:
         return str(category.value) if category is not None else self.name.split("/")[0]
 
     def section(self, key: str) -> dict[str, Node]:
-        """Returns the entries of a section of the document, or ``{}`` without the section."""
+        """Returns the entries of a section of the module document, or ``{}`` if the document has no
+        such section.
+        """
         node = self.document.get(key)
         return node.value if node is not None and isinstance(node.value, dict) else {}
 
@@ -82,9 +86,9 @@ class ModuleType:
 
 
 class _CachedFile(NamedTuple, Generic[Content]):
-    """Content of a file, with the diagnostics of reading the file.
+    """Cached content of a library file, with the diagnostics of reading the file.
 
-    ``stamp`` contains the modification time (ns) and the size of the file.
+    ``stamp`` contains the modification time (ns) and the size of the library file.
     """
 
     stamp: tuple[int, int]
@@ -92,7 +96,8 @@ class _CachedFile(NamedTuple, Generic[Content]):
     report: Report
 
 
-# The key of both caches contains the path of a file and the name of the file in spans.
+# The key of both caches contains the path of a library file and the name of the file in
+# diagnostics.
 _module_cache: dict[tuple[str, str], _CachedFile[ModuleType | None]] = {}
 _palette_cache: dict[tuple[str, str], _CachedFile[dict[str, str]]] = {}
 
@@ -106,7 +111,7 @@ def _read_cached(
 ) -> Content:
     """Reads a YAML file with the function ``read``, or returns the cached content of the file.
 
-    Every call adds the diagnostics of the file to ``report``.
+    Every call adds the diagnostics of the YAML file to ``report``.
     """
     status = path.stat()
     stamp = (status.st_mtime_ns, status.st_size)
@@ -121,7 +126,10 @@ def _read_cached(
 
 
 def _load_module(name: str, path: Path, display: str, report: Report) -> ModuleType | None:
-    """Reads a module file.  Returns ``None`` and reports the errors if the file is not valid."""
+    """Reads a module file.
+
+    Returns ``None`` and reports the errors if the module file is not valid.
+    """
 
     def read(document: Node | None, file_report: Report) -> ModuleType | None:
         if document is None or not check(document, "module", file_report):
@@ -136,7 +144,7 @@ def _load_module(name: str, path: Path, display: str, report: Report) -> ModuleT
 class Library:
     """The library folders of one compilation.
 
-    ``folders`` contains the path and the name in spans of each library folder.
+    ``folders`` contains the path of each library folder, and the name of the folder in diagnostics.
     """
 
     def __init__(self, folders: Sequence[tuple[Path, str]] = ()) -> None:
@@ -147,19 +155,19 @@ class Library:
 
     @property
     def files(self) -> dict[str, Path]:
-        """Path of each library file that was read, by the name of the file in spans."""
+        """Path of each library file that was read, by the name of the file in diagnostics."""
         return dict(self._files)
 
     def exists(self, name: str) -> bool:
-        """Returns whether a library folder contains a module type with this name."""
+        """Returns whether a library folder contains a module type with the name ``name``."""
         return any(os.path.isfile(folder / name / FILE) for folder, _ in self.folders)
 
     def load(self, name: str, node: Node, report: Report) -> ModuleType | None:
-        """Returns the module type with this name.
+        """Reads the module type with the name ``name``.
 
-        Returns ``None`` and reports an error if the module type is unknown or not valid.
-        ``node``: node of the document that contains the name.  Errors are reported at the span of
-        the node.
+        Returns ``None`` and reports an error if the module type is unknown or not valid.  ``node``:
+        YAML node that contains the name of the module type.  Errors are reported at the source span
+        of ``node``.
         """
         if name in self._types:
             return self._types[name]
@@ -167,7 +175,8 @@ class Library:
         is_inside = all(part and part not in (".", "..") for part in parts) and "\\" not in name
         for folder, folder_display in self.folders if is_inside else ():
             path = folder / name / FILE
-            if os.path.isfile(path):  # `isfile` returns false for a name that is no valid path.
+            # The function `isfile` returns false for a text that is not a valid path.
+            if os.path.isfile(path):
                 display = f"{folder_display}/{name}/{FILE}"
                 self._files[display] = path
                 module = _load_module(name, path, display, report)
@@ -193,8 +202,9 @@ class Library:
     def palette(self, report: Report | None = None) -> dict[str, str]:
         """Returns the colours of the palette files of all library folders, by name.
 
-        A colour in a library folder of the user replaces a built-in colour of the same name.
-        The first call reads the palette files and reports errors in the palette files.
+        A colour in a library folder of the user replaces a built-in colour of the same name.  The
+        palette files are read in the first call, which also reports the errors in the palette
+        files.
         """
         if self._palette is None:
             self._palette = {}
@@ -212,7 +222,7 @@ class Library:
 
 
 def _read_colors(node: Node | None, report: Report) -> dict[str, str]:
-    """Reads the colours of a palette file, by name.  Entries with errors are left out."""
+    """Reads the colours of a palette file, by name.  Colours with errors are left out."""
     if node is None:
         return {}
     if not isinstance(node.value, dict):

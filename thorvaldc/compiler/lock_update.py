@@ -1,6 +1,6 @@
 """Reads the lock file beside a robot file, and computes the new text of the lock file.
 
-The lock file keeps node ids that were chosen automatically.
+The lock file contains the CANopen node ids that the compiler chose automatically.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from thorvaldc.model import Robot
 
 
 def read_robot_lock(source: SourceFile, compilation: Compilation, report: Report) -> Lock | None:
-    """Returns the ids in the lock file of a robot, or ``None`` if there is no lock file."""
+    """Returns the node ids in the lock file of a robot, or ``None`` if the robot has no lock file.
+    """
     path = lock_path(source.path)
     if not os.path.lexists(path):
         return None
@@ -28,7 +29,8 @@ def read_robot_lock(source: SourceFile, compilation: Compilation, report: Report
 def update_robot_lock(source: SourceFile, robot: Robot, compilation: Compilation) -> str:
     """Returns the new text of the lock file, or ``""`` if the robot needs no lock file.
 
-    If the lock file on the disk has another text, the new text is added to ``compilation.locks``.
+    If the new text differs from the lock file on the disk, the new text is added to
+    ``compilation.locks``.
     """
     path = lock_path(source.path)
     was_read = os.path.normpath(path) in compilation.sources

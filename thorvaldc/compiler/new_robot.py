@@ -11,7 +11,7 @@ _NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 
 def is_robot_name(name: str) -> bool:
-    """Returns whether a text is a valid robot name.
+    """Returns whether a text is a valid name of a robot.
 
     A robot name contains lower case letters, digits and underscores, and begins with a letter.
     """
@@ -24,9 +24,9 @@ def presets() -> list[str]:
 
 
 def robot_text(name: str, preset: str) -> str:
-    """Returns the text of a robot file for a robot with this name.
+    """Returns the text of a new robot file that contains the robot name ``name``.
 
-    ``preset`` is the name of a template.
+    ``preset`` is the name of the template for the new robot file.
     """
     return (_templates() / f"{preset}.yaml").read_text(encoding="utf-8").replace("@NAME@", name)
 

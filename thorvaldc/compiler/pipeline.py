@@ -1,6 +1,6 @@
 """Runs the stages of the compiler.
 
-A robot file passes six stages:
+Stages of the compilation of a robot file:
 
 - Stage 1 reads the YAML file.
 - Stage 2 checks the document against the schema.
@@ -38,7 +38,8 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.model_json import to_json
 
-# The import of the scenario classes takes milliseconds.  Only type checkers need the import.
+# The scenario classes are imported only for type checkers, because the import takes several
+# milliseconds.
 if TYPE_CHECKING:
     from thorvaldc.compiler.scenario.variations import Change
 
@@ -54,8 +55,8 @@ def compile_file(
 ) -> Compilation:
     """Compiles a robot, fleet or scenario file.
 
-    The report of the returned compilation contains every error of the file.  An invalid file
-    raises no exception.
+    The report of the returned compilation contains every error of the file.  Errors in the file do
+    not raise an exception.
 
     Parameters
     ----------
@@ -68,7 +69,7 @@ def compile_file(
     path = Path(path)
     source = SourceFile(path, path.name or str(path), path.parent)
     if source.kind == "scenario":
-        # The import is here because only scenario files need the module.
+        # The module ``scenario_compilation`` is imported only for scenario files.
         from thorvaldc.compiler.scenario_compilation import compile_scenario
 
         return compile_scenario(source, partial(_compile, library=library), robot, changes)
@@ -78,7 +79,7 @@ def compile_file(
 def _compile(source: SourceFile, library: Sequence[Path]) -> Compilation:
     """Compiles a robot or fleet file."""
     if source.kind == "fleet":
-        # The import is here because only fleet files need the module.
+        # The module ``fleet_compilation`` is imported only for fleet files.
         from thorvaldc.compiler.fleet_compilation import compile_fleet
 
         return compile_fleet(source, partial(_compile, library=library))
@@ -88,8 +89,8 @@ def _compile(source: SourceFile, library: Sequence[Path]) -> Compilation:
 def compile_robot(source: SourceFile, library: Sequence[Path]) -> Compilation:
     """Runs the stages of the compiler, except ``emit``, for one robot file.
 
-    Each stage continues with the valid part of the document, so that one run reports the errors
-    of all stages.
+    Each stage of the compiler uses the valid part of the document, so that one run reports the
+    errors of all stages.
     """
     compilation, report = Compilation.of(source), Report()
     if source.document is None:
@@ -124,9 +125,9 @@ def emit(
 ) -> dict[str, bytes]:
     """Returns the content of each output file of the targets, by the relative path of the file.
 
-    The output files include ``model.json``.  An element of the model that the format of a target
-    cannot express is reported at the span in the model.  Raises ``KeyError`` if a target is
-    unknown.
+    One of the output files is ``model.json``, which contains the whole model.  If the file format
+    of a target cannot express a part of the model, a diagnostic is added at the source span of the
+    part.  Raises ``KeyError`` if the name of a target is unknown.
     """
     # The imports are here because the command `check` does not need the statics.
     from thorvaldc.backends.statics_backend import StaticsBackend
@@ -158,9 +159,9 @@ def emit(
 def _library_folders(
     document: Node, base_dir: Path, library: Sequence[Path], report: Report
 ) -> list[tuple[Path, str]]:
-    """Returns the path and the name in spans of each library folder.
+    """Returns the path of each library folder, and the name of the folder in diagnostics.
 
-    The folders that the document names come first, and the folders of the user follow.
+    The library folders that the document names are followed by the library folders of the user.
     """
     folders: list[tuple[Path, str]] = []
     prefix = posixpath.dirname(document.span.file)

@@ -1,6 +1,8 @@
 """Compiles scenario files.
 
-A scenario has robots, a world, a script of commands, injected faults and expectations.
+Compiles scenario files.
+
+A scenario contains robots, a world, a script of commands, injected faults and expectations.
 """
 
 from __future__ import annotations
@@ -67,7 +69,7 @@ def _read_robots(
     if robot is None and fleet_node is None and robots is not None:
         fleet = read_fleet(document, source, compile_part, report, parts)
         entries = robots.value.values() if isinstance(robots.value, dict) else ()
-        # With an incomplete fleet, the checks of the scenario would report false errors.
+        # If robots of the fleet are missing, the checks of the scenario would report false errors.
         return fleet if len(fleet.placements) == sum(map(robots_of, entries)) else None
     if robot is not None:
         folder, span = source.path.parent, document.span
@@ -97,10 +99,11 @@ def _read_robots(
 
 
 def _place_single_robot(robot: Robot, robots: Node | None, report: Report) -> tuple[Placement, ...]:
-    """Places the robot that replaces the robots of a scenario.
+    """Places the robot that replaces all robots of a scenario.
 
-    If the scenario has exactly one entry in ``robots``, the robot gets the name and pose of the
-    entry.  Otherwise the robot keeps its name and is placed at the origin.
+    If the section ``robots`` of the scenario has exactly one entry, the new robot gets the name and
+    pose of the entry.  Otherwise the new robot keeps the name in the robot file and is placed at
+    the origin.
     """
     entries = robots.value if robots is not None else None
     if not isinstance(entries, dict) or len(entries) != 1:
@@ -114,9 +117,9 @@ def _place_single_robot(robot: Robot, robots: Node | None, report: Report) -> tu
 def _with_log(
     document: Node, scenario: Scenario, source: SourceFile, files: dict[str, Path], report: Report
 ) -> Scenario:
-    """Returns the scenario with the commands of the log that the script names.
+    """Returns the scenario with the commands from the log file that the script names.
 
-    A scenario whose script names no log is returned unchanged.
+    A scenario without a log file is returned unchanged.
     """
     script = document.get("script")
     log = script.get("log") if script is not None else None

@@ -10,16 +10,16 @@ macOS)::
 If the process is interrupted (error, Ctrl-C, ``kill -9``), the build folder therefore contains
 either the complete old build or the complete new build.
 
-``manifest.json`` lists the files of a build.  All other files in the build folder belong to the
-user and are kept.
+``manifest.json`` lists the files of a build.  Files in the build folder that are not in
+``manifest.json`` belong to the user and are kept.
 
-The files of a build are moved one by one in two cases.  Either the build folder contains files of
-the user, or the build folder cannot be exchanged.  A mount point, the current folder, and a
-folder on a file system without the system call cannot be exchanged.  If an error occurs while the
-files are moved, all files are moved back.  Until the last file is moved, the manifest contains
-``"complete": false``.
+If the build folder contains files of the user or cannot be exchanged, the files of the build are
+moved one by one.  A mount point, the current folder, and a folder on a file system without the
+system call cannot be exchanged.  If an error occurs while the files are moved, all files are moved
+back.  Until the last file is moved, the manifest contains ``"complete": false``.
 
-The writer does not call ``fsync``.  A power failure can therefore damage a build.
+The writer does not call ``fsync``.  A power failure while a build is written can therefore damage
+the build.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ FORMAT = "thorvaldc-manifest"
 
 
 class WriteError(Exception):
-    """A build cannot be written.
+    """Exception: the files of a build cannot be written.
 
     The message of the exception is one line of text for the user.
     """
@@ -82,9 +82,10 @@ def manifest(
 def write_build(
     files: Mapping[str, bytes], folder: Path, *, name: str, source_sha256: str, version: str
 ) -> None:
-    """Replaces the build in a folder, and keeps files of the user in the folder.
+    """Replaces the files of the last build in a folder, and keeps the files of the user.
 
-    Raises ``WriteError`` and leaves the folder unchanged if the folder cannot be written.
+    Raises ``WriteError`` if the build folder cannot be written, and leaves the build folder
+    unchanged.
 
     Parameters
     ----------
@@ -112,8 +113,9 @@ def write_build(
 def write_locks(locks: Mapping[Path, str], report: Report) -> list[Path]:
     """Writes lock files and returns the paths of the files that were written.
 
-    Each lock file is replaced in one step.  A lock file that cannot be written causes a warning
-    and not an error, because the build is complete without the lock file.
+    The old lock file is replaced in one step, so that no other program reads half a lock file.  A
+    lock file that cannot be written causes a warning and not an error, because the build is
+    complete without the lock file.
     """
     written = []
     for path, text in locks.items():
@@ -143,8 +145,8 @@ def write_locks(locks: Mapping[Path, str], report: Report) -> list[Path]:
 def _check_writable(target: Path, shown: str) -> None:
     """Raises ``WriteError`` if a folder is read-only.
 
-    The exchange of two folders does not check the permissions of the folders, and would replace
-    a read-only folder.  A folder without any write permission counts as read-only also if the
+    The exchange of two folders does not check the permissions of the folders, and would replace a
+    read-only folder.  A folder without any write permission is treated as read-only even if the
     user is the superuser.
     """
     folder = next(path for path in (target, *target.parents) if path.exists())
@@ -154,7 +156,7 @@ def _check_writable(target: Path, shown: str) -> None:
 
 
 def _is_inside(path: str) -> bool:
-    """Returns whether a path is relative and stays inside the folder."""
+    """Returns whether a path is relative and does not lead out of the folder."""
     pure = PurePosixPath(path)
     return (
         str(pure) == path
@@ -175,7 +177,8 @@ def _shown(folder: Path) -> str:
 def _reason(error: OSError, target: Path) -> str:
     """Returns the text of an operating system error for the user.
 
-    The text includes the name of the file, unless the file is the target or in a staging folder.
+    The error text contains the file name, unless the file is the build folder or is in a staging
+    folder.
     """
     text = error.strerror or str(error)
     file_name = error.filename
@@ -185,14 +188,16 @@ def _reason(error: OSError, target: Path) -> str:
 
 
 def _write(files: Mapping[str, bytes], target: Path, shown: str) -> None:
-    """Writes the files to a staging folder, and replaces the target by the staging folder."""
+    """Writes the files of a build to a staging folder, and replaces the build folder by the staging
+    folder.
+    """
     if target.exists() and not target.is_dir():
         raise WriteError(f"cannot write {shown}: it is a file, not a folder")
     _check_writable(target, shown)
     target.parent.mkdir(parents=True, exist_ok=True)
     if target.exists():
         with locked(target.parent):
-            # Raise an error before any file is written.
+            # A wrong path raises an error before any file of the build is written.
             _check_content(_list_content(target), files, shown)
     with staging_folder(target) as stage:
         _fill(stage, files)
@@ -226,7 +231,7 @@ def _fill(stage: Path, files: Mapping[str, bytes]) -> None:
 
 
 class _FolderContent(NamedTuple):
-    """Relative paths of the files in a build folder.
+    """Relative paths of the build's files and of the user's files in a build folder.
 
     Attributes
     ----------
@@ -251,7 +256,8 @@ def _list_content(target: Path) -> _FolderContent:
     for root, folders, names in os.walk(target, onerror=_raise):
         here = Path(root)
         folders[:] = sorted(f for f in folders if not f.startswith(STAGE_PREFIX))
-        # A symbolic link to a folder counts as a file.  Files in a linked folder are not listed.
+        # A symbolic link to a folder is treated as a file.  Files inside a symbolically linked
+        # folder are not listed.
         links = [f for f in folders if (here / f).is_symlink()]
         relative = here.relative_to(target)
         paths = [(relative / name).as_posix() for name in sorted([*names, *links])]
@@ -259,7 +265,9 @@ def _list_content(target: Path) -> _FolderContent:
         if not folders and not names and here != target:
             user_files.append(f"{relative.as_posix()}/")
         if built is None and user_files:
-            break  # Stop the search, because a rejected folder may contain very many files.
+            # The search stops at the first files, because a folder that is no build folder may
+            # contain very many files.
+            break
     return _FolderContent(built, user_files)
 
 
@@ -283,14 +291,14 @@ def _check_content(content: _FolderContent, files: Mapping[str, bytes], shown: s
 
 
 def _shorten(paths: list[str]) -> str:
-    """Joins the first three paths of a list for a message."""
+    """Returns the first three paths of a list as text for an error message."""
     return ", ".join(paths[:3]) + (", ..." if len(paths) > 3 else "")
 
 
 def _return_user_files(old: Path, target: Path, content: _FolderContent) -> None:
-    """Moves files of the user from the old folder to the new folder.
+    """Moves files of the user from the old build folder to the new build folder.
 
-    A user may create a file in the old folder between the check of the folder and the exchange.
+    The user may create a file in the old build folder shortly before the folders are exchanged.
     """
     for root, folders, names in os.walk(old):
         folders.sort()
@@ -310,12 +318,13 @@ def _move_in(
 ) -> None:
     """Replaces the files of the old build one by one.
 
-    If an error occurs, all files are moved back.
+    If a file cannot be replaced, all files of the old build are moved back.
     """
     old_files = [p for p in content.built or {} if p != MANIFEST and _is_file(target / p)]
     backup = stage / f"{STAGE_PREFIX}old"
-    # While the files are moved, the manifest lists the files of the old and the new build.  After
-    # a killed process, the next build may therefore replace the files of both builds.
+    # While the files of a build are moved, the manifest lists the files of the old and the new
+    # build.  If the process is killed, the next build may therefore replace the files of both
+    # builds.
     interim_manifest = json.loads(files[MANIFEST])
     interim_manifest["complete"] = False
     interim_manifest["files"] = dict.fromkeys([*old_files, *interim_manifest["files"]], "")
@@ -358,7 +367,7 @@ def _is_file(path: Path) -> bool:
 
 
 def _remove_empty_folders(target: Path, paths: list[str]) -> None:
-    """Removes the parent folders of these files if the folders are empty."""
+    """Removes the parent folders of removed files if the parent folders are empty."""
     parents = {parent for path in paths for parent in PurePosixPath(path).parents}
     for parent in sorted(parents, key=lambda p: (-len(p.parts), str(p))):
         if parent.parts:

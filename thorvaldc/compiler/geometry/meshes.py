@@ -2,8 +2,8 @@
 
 Binary STL files and OBJ files are copied without conversion, because URDF readers and MuJoCo can
 read both formats.  Text STL files are converted to binary STL, because MuJoCo reads only binary
-STL.  All other formats are converted to binary STL, too, so that no backend needs to convert a
-mesh.
+STL.  Mesh files of all other formats are converted to binary STL, so that no backend needs to
+convert a mesh.
 """
 
 from __future__ import annotations
@@ -24,16 +24,17 @@ from thorvaldc.model import Mesh, Vec3
 # The STL reader of MuJoCo accepts at most 200 000 triangles.
 MAX_TRIANGLES = 200_000
 MAX_FILE_BYTES = 64 * 1024 * 1024
-MAX_EXTENT = 20.0  # Largest size of a mesh (m).  The unit of a larger mesh is probably mm.
+# Largest size of a mesh (m). A mesh file with a larger mesh probably has the unit mm.
+MAX_EXTENT = 20.0
 CONVERTED = ("dae", "glb", "gltf", "off", "ply")
 FORMATS = ("stl", "obj", *CONVERTED)
 
 _RECORD = struct.Struct("<12xfffffffff2x")
-# The function ``bytes.translate`` tests the last byte of each little-endian float32 with the
-# tables ``_BELOW_HUGE`` and ``_BELOW_8``.  The last byte contains the sign and the upper 7 bits of
-# the exponent.  ``_BELOW_HUGE`` contains the last bytes of numbers with a magnitude below 1.7e38,
-# which excludes infinity and NaN.  ``_BELOW_8`` contains the last bytes of numbers with a
-# magnitude below 8.
+# The function ``bytes.translate`` tests the last byte of each little-endian float32 with the tables
+# ``_BELOW_HUGE`` and ``_BELOW_8``.  The last byte of a little-endian float32 contains the sign and
+# the upper 7 bits of the exponent.  ``_BELOW_HUGE`` contains the last bytes of float32 numbers with
+# a magnitude below 1.7e38, which excludes infinity and NaN.  ``_BELOW_8`` contains the last bytes
+# of float32 numbers with a magnitude below 8.
 _BELOW_HUGE = bytes(b for b in range(256) if b & 0x7F != 0x7F)
 _BELOW_8 = bytes(b for b in range(256) if b & 0x7F < 0x41)
 
@@ -41,8 +42,9 @@ _BELOW_8 = bytes(b for b in range(256) if b & 0x7F < 0x41)
 class _MeshError(NamedTuple):
     """An error of a mesh file.
 
-    ``code`` is the name of the diagnostic.  ``text`` is the end of a message that begins with
-    "mesh file `name`".  ``hint`` tells the user how to correct the error.
+    ``code`` is the name of the diagnostic that reports the mesh error.  ``text`` is the end of the
+    error message, after the words "mesh file `name`".  ``hint`` explains how the user can correct
+    the mesh file.
     """
 
     code: str
@@ -72,10 +74,10 @@ def load_mesh(
 ) -> Mesh | None:
     """Reads a mesh file.
 
-    Returns ``None`` and reports an error if the file cannot be read or is not valid.  The name of
-    the returned mesh contains a hash of the content, so that two mesh files of the same name have
-    different mesh names.  A process reads a file again only if the size or the modification time
-    of the file has changed.
+    Returns ``None`` and reports an error if the mesh file cannot be read or is not valid.  The name
+    of the mesh contains a hash of the file content, so that different mesh files with the same file
+    name have different mesh names.  A mesh file is read again only if the size or the modification
+    time of the file has changed.
 
     Parameters
     ----------
@@ -127,10 +129,11 @@ def load_mesh(
 
 
 def binary_stl(triangles: Iterable[tuple[Vec3, Vec3, Vec3]]) -> bytes:
-    """Returns the content of a binary STL file with the given triangles.
+    """Returns the content of a binary STL file that contains the triangles.
 
-    Each triangle has three corners (m).  The function computes the normal vectors.  Raises
-    ``OverflowError`` if a coordinate does not fit in a float32.
+    Each triangle has three corners (x, y, z in m).  The function computes the normal vectors of the
+    triangles from the corners.  Raises ``OverflowError`` if a coordinate is too large for a
+    float32.
     """
     body = bytearray()
     count = 0
@@ -148,8 +151,8 @@ def binary_stl(triangles: Iterable[tuple[Vec3, Vec3, Vec3]]) -> bytes:
 def _read(path: Path, mtime_ns: int, size: int) -> _LoadedMesh | _MeshError:
     """Reads, checks and converts a mesh file.
 
-    The results are cached.  ``mtime_ns`` is the modification time of the file (ns).  A file with
-    a new modification time is read again.
+    The converted meshes are cached.  ``mtime_ns`` is the modification time of the file (ns).  A
+    mesh file with a new modification time is read again.
     """
     if size > MAX_FILE_BYTES:
         return _too_large(f"has {size / 1e6:.0f} MB; at most {MAX_FILE_BYTES / 1e6:.0f} are read")
@@ -192,12 +195,12 @@ def _too_large(text: str) -> _MeshError:
 def _check_stl(data: bytes) -> tuple[bytes, bool] | _MeshError:
     """Checks the content of an STL file, and converts text STL to binary STL.
 
-    Returns the content of the binary STL file without trailing bytes.  The second result is true
-    if a coordinate may have a magnitude of 8 m or more.
+    Returns the content of the binary STL file without trailing bytes.  The second return value is
+    true if a coordinate of the mesh may have a magnitude of 8 m or more.
 
     A binary STL file contains a header of 80 bytes, the number of triangles as a uint32, and 50
-    bytes for each triangle.  The 50 bytes are a normal vector and three corners as float32 values,
-    followed by 2 bytes of attributes.
+    bytes for each triangle.  The 50 bytes of a triangle are a normal vector and three corners as
+    float32 values, followed by 2 bytes of attributes.
     """
     count = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else None
     if count is None or len(data) != 84 + 50 * count:
@@ -217,7 +220,8 @@ def _check_stl(data: bytes) -> tuple[bytes, bool] | _MeshError:
         return _too_large(f"has {count} triangles; at most {MAX_TRIANGLES} are read")
     is_large = False
     for k in range(9):
-        # The last byte of the k-th coordinate of each triangle.
+        # Last byte of one coordinate of each triangle in the binary STL file.  The 9 coordinates of
+        # a triangle have the numbers k = 0 to 8.
         high_bytes = data[84 + 12 + 4 * k + 3 :: 50]
         if high_bytes.translate(None, _BELOW_HUGE):
             return _invalid("has a coordinate that is not a finite number")
@@ -242,7 +246,7 @@ def _text_stl(data: bytes) -> tuple[bytes, bool] | _MeshError:
 
 
 def _binary(triangles: list[tuple[Vec3, Vec3, Vec3]]) -> tuple[bytes, bool] | _MeshError:
-    """Converts triangles to binary STL, and checks the number of triangles."""
+    """Converts the triangles of a mesh to binary STL, and checks the number of triangles."""
     if len(triangles) > MAX_TRIANGLES:
         return _too_large(f"has {len(triangles)} triangles; at most {MAX_TRIANGLES} are read")
     try:
@@ -254,8 +258,8 @@ def _binary(triangles: list[tuple[Vec3, Vec3, Vec3]]) -> tuple[bytes, bool] | _M
 def _check_obj(data: bytes) -> tuple[bytes, bool] | _MeshError:
     """Checks the content of an OBJ file.
 
-    Returns the content without references to material files.  The second result is true if a
-    coordinate has a magnitude of 8 m or more.
+    Returns the content of the OBJ file without references to material files.  The second return
+    value is true if a coordinate of the mesh has a magnitude of 8 m or more.
     """
     vertices = faces = 0
     largest = 0.0
@@ -263,7 +267,9 @@ def _check_obj(data: bytes) -> tuple[bytes, bool] | _MeshError:
     for number, line in enumerate(data.split(b"\n"), start=1):
         word = line[:7].split(None, 1)[:1]
         if word in ([b"mtllib"], [b"usemtl"]):
-            continue  # Material files are not copied, because the model defines the colours.
+            # Material files of OBJ meshes are not copied, because the robot model defines the
+            # colours.
+            continue
         lines.append(line)
         if word == [b"f"]:
             faces += len(line.split()) - 3
@@ -285,8 +291,8 @@ def _check_obj(data: bytes) -> tuple[bytes, bool] | _MeshError:
 
 def _convert(path: Path, data: bytes, suffix: str) -> tuple[bytes, bool] | _MeshError:
     """Converts a mesh file of another format to binary STL, in metres and with the z axis up."""
-    # If an interrupt occurs while trimesh imports an optional package, trimesh continues without
-    # the package.  Interrupts are therefore delayed.
+    # If the user presses Ctrl-C while trimesh imports an optional package, trimesh continues
+    # without the package.  Ctrl-C is therefore delayed until trimesh is imported.
     with uninterrupted():
         return _convert_by_trimesh(path, data, suffix)
 
@@ -312,9 +318,10 @@ def _convert_by_trimesh(path: Path, data: bytes, suffix: str) -> tuple[bytes, bo
             if suffix == "dae":
                 corners = corners @ _collada_axes(data)
             rows = corners.reshape(-1, 9).tolist()
-    except (AttributeError, TypeError, LookupError):  # The file is empty or has another format.
+    # The mesh file is empty or has another format than the file name suggests.
+    except (AttributeError, TypeError, LookupError):
         return _invalid(f"is not a {suffix} file, or has no triangles")
-    except Exception as error:  # The readers of trimesh raise exceptions of many types.
+    except Exception as error:  # The mesh readers of trimesh raise exceptions of many types.
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         return _invalid(f"cannot be read as {suffix}: {reason}")
     return _binary([((r[0], r[1], r[2]), (r[3], r[4], r[5]), (r[6], r[7], r[8])) for r in rows])
@@ -323,7 +330,7 @@ def _convert_by_trimesh(path: Path, data: bytes, suffix: str) -> tuple[bytes, bo
 def _collada_axes(data: bytes) -> list[list[float]]:
     """Returns the matrix that converts the points of a Collada file to metres and z up.
 
-    With the matrix M and a point p as a row vector, the converted point is ``p @ M``.
+    A point p (row vector) is converted by the product ``p @ M`` with the returned matrix M.
     """
     from xml.etree import ElementTree
 

@@ -26,8 +26,9 @@ Row = tuple[float, float, float]
 def check_steering_range(robot: Robot, report: Report) -> None:
     """Checks that each steered wheel can point in every direction.
 
-    A range of half a turn is enough, because a wheel can also roll backwards.  A robot with fixed
-    wheels is not checked, because fixed wheels limit the directions of motion.
+    A steering range of half a turn is enough, because a wheel can also roll backwards.  The
+    steering range of a robot with fixed wheels is not checked, because the fixed wheels limit the
+    directions of motion.
     """
     if feasible_twists(robot) < 3:
         return
@@ -54,8 +55,8 @@ def feasible_twists(robot: Robot) -> int:
 def check_controllable(robot: Robot, report: Report) -> None:
     """Checks that the wheels determine the twist (vx, vy, wz) for some steering angles.
 
-    Each wheel that is not a caster contributes a lateral row.  Each driven wheel also contributes
-    a rolling row.  The matrix of all rows must have rank 3.
+    Each wheel that is not a caster adds a lateral row to a matrix.  Each driven wheel also adds a
+    rolling row to the matrix.  The matrix of all lateral and rolling rows must have the rank 3.
     """
     if not any(wheel.driven for wheel in robot.wheels):
         return
@@ -69,7 +70,8 @@ def check_controllable(robot: Robot, report: Report) -> None:
         )
         return
     rank = 0
-    # The steering angles (rad) are arbitrary.  Special angles, such as 0, can lower the rank.
+    # The steering angles (rad) are arbitrary values.  Special steering angles, such as 0, can
+    # reduce the rank of the matrix.
     for turn in (0.3, 1.1, 2.0):
         rows = []
         for k, wheel in enumerate(robot.wheels):
@@ -111,9 +113,10 @@ def _fixed_rows(robot: Robot) -> list[Row]:
 
 
 def _cannot_turn(robot: Robot) -> bool:
-    """Returns true if the fixed wheels do not allow any twist with a turning rate wz.
+    """Returns true if the fixed wheels prevent the robot from turning.
 
-    The fixed wheels prevent turning if (0, 0, 1) is a linear combination of the lateral rows.
+    The fixed wheels prevent the robot from turning if the vector (0, 0, 1) is a linear combination
+    of the lateral rows.
     """
     rows = _fixed_rows(robot)
     return _rank([*rows, (0.0, 0.0, 1.0)]) == _rank(rows)
@@ -136,7 +139,8 @@ def _rolling_row(wheel: Wheel, angle: float) -> Row:
 def _rank(rows: Sequence[Row], tolerance: float = 1e-4) -> int:
     """Computes the rank of a matrix with three columns by the Gram-Schmidt process.
 
-    A row depends on the other rows if the length of the remainder is at most ``tolerance`` (m).
+    A matrix row is linearly dependent on the earlier rows if the length of the orthogonal component
+    is at most ``tolerance`` (m).
     """
     basis: list[Row] = []
     for row in sorted(rows, key=lambda r: -sum(v * v for v in r)):

@@ -13,11 +13,12 @@ from thorvaldc.model.robot import Robot, Wheel
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.joint_tree import JointTree
 
-WHEEL_OFF_GROUND = 2e-3  # Suspensions and tyres compensate a gap of up to this height (m).
+# Largest gap (m) between a wheel and the ground that suspensions and tyres compensate.
+WHEEL_OFF_GROUND = 2e-3
 
 
 def check_robot(robot: Robot, design: DesignRequirements, report: Report) -> None:
-    """Runs all checks of this module and adds the diagnostics to the report."""
+    """Runs all geometry checks of a robot model and adds the diagnostics to the report."""
     check_masses(robot, report)
     check_inertias(robot, report)
     check_wheels_present(robot, report)
@@ -133,9 +134,10 @@ def check_parts_above_ground(robot: Robot, report: Report) -> None:
 def check_wheels_overlap(robot: Robot, report: Report) -> None:
     """Checks that no two wheels overlap.
 
-    The check treats each wheel as a rectangle in the ground plane, at the steering angle 0.  Two
-    wheels of a double wheel may touch.  The wheels are sorted into a grid with cells larger than
-    any wheel.  A wheel is then compared only with the wheels in the neighbouring cells.
+    For the overlap check, each wheel is a rectangle in the ground plane, at the steering angle 0.
+    The two wheels of a double wheel may touch each other.  The wheels are sorted into grid cells
+    that are larger than any wheel.  Each wheel is then compared only with the wheels in the same
+    and the neighbouring grid cells.
     """
     cells: dict[tuple[int, int], list[Wheel]] = {}
     size = 2 * max(max(w.radius, w.width) for w in robot.wheels) + 1e-6
@@ -150,8 +152,8 @@ def check_wheels_overlap(robot: Robot, report: Report) -> None:
         ]
         overlapping = next((n for n in neighbours if _rectangles_overlap(wheel, n)), None)
         if overlapping is not None:
-            # A wheel causes at most one diagnostic.  Otherwise a thousand wheels in one position
-            # would cause half a million diagnostics.
+            # Each wheel causes at most one diagnostic about overlapping wheels.  Otherwise a
+            # thousand wheels in one position would cause half a million diagnostics.
             report.add(
                 "wheels-overlap",
                 f"the wheels of `{overlapping.module}` and `{wheel.module}` overlap",
@@ -167,7 +169,7 @@ def _rectangles_overlap(a: Wheel, b: Wheel) -> bool:
     """Returns whether the rectangles of two wheels overlap.
 
     The rectangle of a wheel has the length 2 * radius along the heading, and the width of the
-    wheel.  The test uses the separating axis theorem.
+    wheel.  Two rectangles are tested for overlap with the separating axis theorem.
     """
     (ax, ay), (bx, by) = contact_point(a), contact_point(b)
     tolerance = 1e-6  # m
@@ -231,9 +233,10 @@ def check_stability(robot: Robot, design: DesignRequirements, report: Report) ->
 
 
 def _convex_hull(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Returns the corners of the convex hull of points, counter-clockwise.
+    """Returns the corners of the convex hull of points in the plane, counter-clockwise.
 
-    Collinear points are left out.  The function uses Andrew's monotone chain algorithm.
+    Points on the edges of the convex hull are left out.  The convex hull is computed with Andrew's
+    monotone chain algorithm.
     """
     ordered = sorted(set(points))
     if len(ordered) < 3:
@@ -269,10 +272,10 @@ def check_wheel_loads(robot: Robot, report: Report) -> None:
 def check_slope(robot: Robot, design: DesignRequirements, report: Report) -> None:
     """Checks that the robot can climb the required slope.
 
-    The needed force is the component of the weight along the slope plus the rolling resistance.
-    The force of the motors is the sum of the motor torques divided by the wheel radii.  The grip
-    is the friction force of the driven wheels.  The force of the motors and the grip must both be
-    at least as large as the needed force.
+    The force that the robot needs on the slope is the component of the weight along the slope plus
+    the rolling resistance.  The force of the motors is the sum of the motor torques divided by the
+    wheel radii.  The grip is the greatest friction force of the driven wheels.  The force of the
+    motors and the grip must both be at least as large as the force that the robot needs.
     """
     if design.slope is None:
         return

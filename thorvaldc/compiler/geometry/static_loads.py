@@ -1,16 +1,18 @@
 """Computes the static wheel loads (N) and the rest positions of springs.
 
-The wheels of a standing robot carry the weight W of the robot.  The wheel i has the contact point
-(x_i, y_i) and the load N_i.  The centre of mass of the robot is at (x, y).  The loads satisfy
+Equations for a standing robot with the weight W (N) and the centre of mass (x, y), where the wheel
+i has the contact point (x_i, y_i) and carries the load N_i (N):
 
     sum N_i = W,   sum N_i x_i = W x,   sum N_i y_i = W y.
 
-For more than three wheels, the three equations have many solutions.  If all wheels have the same
-vertical stiffness and the body is rigid, the loads are N_i = a + b x_i + c y_i.  The loads
-a + b x_i + c y_i are also the solution with the least sum of squares.
+For a robot with more than three wheels, the three equations have many solutions.  If all wheels
+have the same vertical stiffness and the robot is rigid, the wheel i at (x_i, y_i) carries the load
+N_i = a + b x_i + c y_i with the same constants a, b and c for all wheels.  The wheel loads N_i = a
++ b x_i + c y_i also have the least sum of squares of all solutions.
 
-A rocker adds one equation, because the moments of the wheels about the joint of the rocker are in
-balance.  The loads of a robot with rockers are computed directly as the least-squares solution.
+A rocker (a suspension arm on a free joint) adds one equation, because the moments of the wheel
+loads about the rocker's joint are in balance.  The loads of a robot with rockers are computed
+directly as the least-squares solution.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from thorvaldc.model.statics.joint_tree import JointTree
 class Pivot(NamedTuple):
     """A joint without motor and spring, for example the joint of a rocker.
 
-    The moments of the wheel loads and of the weight about the joint axis are in balance.
+    The moments of the wheel loads and of the weight about the axis of a free joint are in balance.
 
     Attributes
     ----------
@@ -43,7 +45,7 @@ class Pivot(NamedTuple):
 
 
 def free_pivots(tree: JointTree, wheels: Sequence[Wheel], actuated: Collection[str]) -> list[Pivot]:
-    """Returns the pivots of a robot.
+    """Returns the pivots (joints without motor and spring) of a robot.
 
     The spin, steering and swivel joints of wheels are not pivots.  ``actuated`` contains the names
     of the joints with motors, which are not pivots.
@@ -81,9 +83,9 @@ def static_loads(
 ) -> list[float]:
     """Returns the static load of each wheel in N.
 
-    A wheel cannot pull the robot down.  If the load of a wheel is negative, the load is set to 0
-    and the loads of the other wheels are computed again.  If all contact points are on one line,
-    the wheels balance only the moment about the normal of the line.
+    A wheel can push the robot up, but cannot pull the robot down.  A negative wheel load is
+    therefore set to 0, and the loads of the other wheels are computed again.  Wheels with contact
+    points on one straight line balance only the moment about the normal of the line.
 
     Parameters
     ----------
@@ -114,11 +116,13 @@ def _least_squares_loads(
     pivots: Sequence[Pivot],
     active: Sequence[int],
 ) -> list[float]:
-    """Returns the wheel loads (N) with the least sum of squares that satisfy all balances.
+    """Returns the wheel loads (N) with the least sum of squares that balance the weight of the
+    robot.
 
-    Each balance is an equation ``row . loads = value``.  The Gram-Schmidt process makes the rows
-    orthonormal.  A row that depends on earlier rows is dropped.  The least-squares solution is the
-    sum of each orthonormal row times the value of the row.
+    Each balance of forces or moments is a linear equation ``row . loads = value``.  The
+    Gram-Schmidt process makes the rows of the linear equations orthonormal.  A linear equation that
+    depends on earlier equations is dropped.  The vector of wheel loads is the sum of each
+    orthonormal row times the right-hand side of the equation.
     """
     weight = body.mass * GRAVITY
     balances = [
@@ -145,10 +149,11 @@ def _least_squares_loads(
 def _plane_loads(
     points: Sequence[tuple[float, float]], com: tuple[float, float], weight: float
 ) -> list[float]:
-    """Returns the wheel loads N_i = W / n + b (x_i - mean x) + c (y_i - mean y) in N.
+    """Returns the load (N) of each wheel of a robot without rockers.
 
-    W is the weight and n is the number of wheels.  The factors b and c follow from the balance of
-    the moments.
+    The load of the wheel i is N_i = W / n + b (x_i - mean x) + c (y_i - mean y), where W is the
+    weight of the robot, n is the number of wheels, and b and c follow from the balance of the
+    moments.
     """
     n = len(points)
     mx, my = sum(p[0] for p in points) / n, sum(p[1] for p in points) / n
@@ -161,8 +166,8 @@ def _plane_loads(
         b = weight * (syy * dx - sxy * dy) / det
         c = weight * (sxx * dy - sxy * dx) / det
     else:
-        # If all contact points are on one line, the wheels balance only the moment about the
-        # normal of the line.
+        # Wheels with contact points on one straight line balance only the moment about the normal
+        # of the line.
         trace = sxx + syy
         if trace == 0.0:
             return [weight / n] * n
@@ -178,8 +183,7 @@ def spring_reference(
 ) -> float:
     """Returns the rest position (m or rad) of the spring in a joint.
 
-    The joint is at position 0 under the static load.  At position 0, the force of the spring
-    balances the wheel loads minus the weight of the links below the joint::
+    The spring holds the joint at the position 0 under the static wheel loads::
 
         stiffness * rest position = -(wheel loads - weight below the joint) * axis_z
 

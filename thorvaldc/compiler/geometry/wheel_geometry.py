@@ -1,12 +1,12 @@
 """Computes the geometry of the wheels in the frame ``base_link``, with every joint at zero.
 
 A wheel is modelled as a circle in the middle plane of the wheel.  The contact point is the lowest
-point of the circle, also for a wheel with camber.  A wheel may turn about a steering or swivel
-axis.  ``Wheel.x`` and ``Wheel.y`` are the coordinates of the turning point, where the steering or
-swivel axis meets the horizontal plane through the contact point.  ``Wheel.trail`` is the distance
-from the turning point to the contact point along the heading.  ``Wheel.lateral_offset`` is the
-distance from the turning point to the contact point to the left of the heading.  The drawing
-shows a caster that rolls to the right, seen from the right side::
+point of the circle, also for a wheel with camber.  A wheel can turn about a vertical axis, which is
+a steering axis or a swivel axis.  ``Wheel.x`` and ``Wheel.y`` are the coordinates of the turning
+point, where the steering or swivel axis meets the horizontal plane through the contact point.
+``Wheel.trail`` is the distance from the turning point to the contact point along the heading.
+``Wheel.lateral_offset`` is the distance from the turning point to the contact point to the left of
+the heading.  Side view of a caster that rolls to the right::
 
                   | swivel axis
             _     |
@@ -28,7 +28,8 @@ from thorvaldc.model.spatial import Pose, Vec3, add, clean, cross, norm, scale
 from thorvaldc.model.statics.joint_tree import JointTree
 
 UP: Vec3 = (0.0, 0.0, 1.0)
-_MIN_FORWARD = 0.17  # Sine of 10 deg, the least angle between a spin axis and the vertical.
+# Sine of 10 deg, the least angle between the spin axis of a wheel and the vertical.
+_MIN_FORWARD = 0.17
 _MIN_UPRIGHT = 0.5  # Cosine of 60 deg, the largest tilt of a steering axis.
 
 
@@ -45,7 +46,7 @@ class PlacedWheel(NamedTuple):
 class _WheelJoints(NamedTuple):
     """The movable joints between a wheel and the base of the robot.
 
-    ``axis`` is the direction of the spin axis in ``base_link``, a unit vector.
+    ``axis`` is the spin axis of the wheel, as a unit vector in ``base_link``.
     """
 
     spin: Joint
@@ -56,7 +57,8 @@ class _WheelJoints(NamedTuple):
 
 
 class _TurningPoint(NamedTuple):
-    """Turning point of a wheel, and the position of the contact point.
+    """Turning point of a wheel, and the position of the contact point relative to the turning
+    point.
 
     Attributes
     ----------
@@ -75,11 +77,11 @@ class _TurningPoint(NamedTuple):
 
 
 def lowest_point(center: Vec3, axis: Vec3, radius: float) -> Vec3:
-    """Returns the lowest point of the circle of a wheel.
+    """Returns the contact point of a wheel, which is the lowest point of the wheel's circle.
 
-    ``axis`` is the direction of the spin axis, a unit vector.  The direction from the centre to
-    the lowest point is the projection of the downward vector onto the plane of the wheel,
-    normalized: ``-(UP - axis_z axis) / sqrt(1 - axis_z^2)``.
+    ``axis`` is the spin axis of the wheel, as a unit vector.  The direction from the centre to the
+    lowest point is the projection of the downward vector onto the plane of the wheel, normalized:
+    ``-(UP - axis_z axis) / sqrt(1 - axis_z^2)``.
     """
     horizontal = math.sqrt(max(1.0 - axis[2] * axis[2], 1e-12))
     down: Vec3 = (axis[0] * axis[2], axis[1] * axis[2], axis[2] * axis[2] - 1.0)
@@ -101,9 +103,9 @@ def spin_joint(tree: JointTree, link: str) -> Joint | None:
 
 
 def ground_height(tree: JointTree, wheels: Sequence[PlacedWheel], report: Report) -> float:
-    """Returns the height (m) by which the robot must be raised.
+    """Returns the height (m) by which the robot must be raised to stand on the ground.
 
-    After the robot is raised, the contact point of the lowest wheel is at z = 0.
+    The contact point of the lowest wheel of the raised robot is at z = 0.
     """
     heights = []
     for wheel in wheels:
@@ -120,7 +122,9 @@ def make_wheels(
     actuators: Mapping[str, Actuator],
     report: Report,
 ) -> list[Wheel]:
-    """Returns the wheels of the model.  The wheel loads are 0 and are computed later.
+    """Returns the wheels of the robot model.
+
+    The static loads of the returned wheels are 0 and are computed later.
 
     ``actuators``: actuators of the robot, by the name of the joint.
     """
@@ -211,8 +215,8 @@ def _turning_point(
 ) -> _TurningPoint | None:
     """Returns the turning point of a wheel.
 
-    The turning point of a wheel without steering or swivel joint is the contact point.  Returns
-    ``None`` and reports an error if the steering or swivel axis is tilted too much.
+    A wheel without a steering or swivel joint has the turning point at the contact point.  Returns
+    ``None`` and reports an error if the steering or swivel axis of the wheel is tilted too much.
     """
     turning_joint = joints.steering or joints.swivel
     if turning_joint is None:
@@ -240,7 +244,8 @@ def _turning_point(
 def add_wheel_collisions(links: list[Link], wheels: Sequence[PlacedWheel], tree: JointTree) -> None:
     """Adds a collision cylinder for each wheel to the link of the wheel.
 
-    The axis of the cylinder is the spin axis.  The function replaces elements of ``links``.
+    The axis of the collision cylinder is the spin axis of the wheel.  The function replaces the
+    links of the wheels in the list ``links``.
     """
     index = {link.name: i for i, link in enumerate(links)}
     for wheel in wheels:
@@ -256,10 +261,11 @@ def add_wheel_collisions(links: list[Link], wheels: Sequence[PlacedWheel], tree:
 
 
 def _rotation_from_z_to(axis: Vec3) -> tuple[float, float, float, float]:
-    """Returns the quaternion (w, x, y, z) of the shortest rotation from the z axis to a vector.
+    """Returns the quaternion (w, x, y, z) of the shortest rotation from the z axis to a unit
+    vector.
 
-    ``axis`` is a unit vector.  The shortest rotation to -z is not unique.  For -z, the function
-    returns half a turn about x.
+    The shortest rotation from the z axis to the direction -z is not unique.  For the direction -z,
+    the function returns half a turn about the x axis.
     """
     if axis[2] < -1 + 1e-12:
         return (0.0, 1.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Reads physical quantities and checks that each value is within bounds."""
+"""Reads physical quantities from a document and checks that each quantity is within bounds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from thorvaldc.model import Pose
 class BoundedQuantities:
     """Reads physical quantities from a document and converts the values to SI units.
 
-    A value that is out of bounds is reported and replaced by the default.
+    A quantity that is out of bounds is reported and replaced by the default value.
     """
 
     def __init__(self, scope: ValueReader, report: Report) -> None:
@@ -31,7 +31,8 @@ class BoundedQuantities:
         most: float = math.inf,
         above: bool = False,
     ) -> float:
-        """Returns the value of a key in SI units, or the default if the key is missing.
+        """Returns the physical quantity of a key in SI units, or the default value if the key is
+        missing.
 
         Parameters
         ----------
@@ -61,13 +62,15 @@ class BoundedQuantities:
         return default
 
     def positive(self, node: Node, key: str, quantity: str, default: float) -> float:
-        """Returns the value of a key in SI units, and checks that the value is greater than 0."""
+        """Returns the physical quantity of a key in SI units, and checks that the quantity is
+        positive.
+        """
         return self(node, key, quantity, default, least=0.0, above=True)
 
     def pair(self, node: Node, key: str, default: tuple[float, float]) -> tuple[float, float]:
-        """Returns the two lengths (m) in the list of a key.
+        """Returns two lengths (m) from the list that is the value of a key.
 
-        Returns the default if the list does not have exactly two elements.
+        Returns the default lengths if the list does not have exactly two elements.
         """
         elements = items(node.get(key))
         if len(elements) != 2:

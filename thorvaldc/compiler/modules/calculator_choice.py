@@ -13,7 +13,7 @@ from thorvaldc.model.robot import CalculatorChoice, Robot
 def read_calculator(document: Node, scope: Scope) -> CalculatorChoice:
     """Returns the name and options of the base calculator that the document chooses.
 
-    The default base calculator is the general calculator.
+    The default base calculator is ``general``.
     """
     node = document.get("base_calculator")
     if node is None:
@@ -36,11 +36,12 @@ def read_calculator(document: Node, scope: Scope) -> CalculatorChoice:
 def check_calculator(robot: Robot, document: Node, report: Report) -> None:
     """Checks the base calculator of a robot.
 
-    The calculator must exist, accept the chosen options and suit the wheels of the robot.
+    The base calculator must exist, accept the chosen options and suit the wheels of the robot.
     """
     if robot.calculator == CalculatorChoice():
-        return  # The general calculator suits every robot.
-    # The import is here because most robots use the general calculator.
+        return  # The general base calculator suits every robot.
+    # The import of the base calculators is here, because robots with the general base calculator do
+    # not need the import.
     from thorvaldc.runtime import calculators
 
     choice = document.get("base_calculator")

@@ -13,7 +13,7 @@ DEFAULT_TIP_OVER = math.radians(15)
 
 
 class DesignRequirements(NamedTuple):
-    """Requirements on a robot.
+    """Requirements on a whole robot, such as the slope that the robot must climb.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class DesignRequirements(NamedTuple):
 def read_design(document: Node, report: Report) -> DesignRequirements:
     """Reads the `design` section of a robot document.
 
-    A missing or invalid entry is replaced by the default value.
+    A missing or invalid requirement is replaced by the default requirement.
     """
     node = document.get("design")
     if node is None:

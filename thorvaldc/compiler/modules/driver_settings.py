@@ -1,10 +1,11 @@
 """Reads the settings of the base driver and the named parameter sets of a robot document.
 
-The motors limit the twist of the robot.  A wheel of radius r (m) with a maximum wheel speed omega
-(rad/s) rolls at most at v = omega r (m/s).  A wheel at the distance d (m) from the centre of the
-base allows the turning rate v / d (rad/s).  The slowest wheel determines the maximum linear
-velocity and the maximum turning rate of the robot.  The limits of the accelerations are computed
-in the same way.
+The motors limit the twist of the robot.  A wheel of the radius r (m) with the maximum wheel speed
+omega (rad/s) has the maximum rolling speed v = omega r (m/s).  A wheel with the maximum rolling
+speed v (m/s) at the distance d (m) from the centre of the robot allows the turning rate v / d
+(rad/s).  The slowest wheel determines the maximum linear velocity and the maximum turning rate of
+the robot.  The maximum accelerations of the wheels limit the acceleration of the robot in the same
+way.
 """
 
 from __future__ import annotations
@@ -22,15 +23,18 @@ from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.robot import Actuator, DriverSettings, ParameterSet, Wheel
 from thorvaldc.model.spatial import clean
 
-# Range of the rate of the base driver in Hz.  A CAN bus cannot serve cycles shorter than 1 ms.
+# Least and greatest cycle rate of the base driver in Hz.  A CAN bus is too slow for control cycles
+# shorter than 1 ms.
 MIN_RATE, MAX_RATE = 1.0, 1000.0
-# Default rate of the base driver in Hz.  The parameter `rate` of the original base driver has the
-# same default value.
+# Default cycle rate of the base driver in Hz.  The base driver of the original system has the same
+# default cycle rate.
 DEFAULT_RATE = 50.0
-# Default command time-out in s.  The original base driver has the same command time-out.
+# Default time-out of commanded twists in s.  The base driver of the original system has the same
+# command time-out.
 DEFAULT_TIMEOUT = 0.5
-# Least distance in m of a wheel from the centre of the base, for the limit of the turning rate.
-# A wheel near the centre would otherwise allow a nearly infinite turning rate.
+# Least distance (m) of a wheel from the centre of the robot in the computation of the maximum
+# turning rate.  Without the least distance, a wheel near the centre of the robot would allow a
+# nearly infinite turning rate.
 MIN_LEVER = 0.05
 
 LIMITS = {
@@ -83,7 +87,8 @@ class DriverSettingsReader:
     def driver(self) -> DriverSettings:
         """Returns the settings of the base driver.
 
-        Each limit of the twist is the lower of the stated limit and the limit of the motors.
+        The limit of the robot's twist is the lower of the limit in the robot document and the limit
+        of the motors.
         """
         node = self._document.get("driver") or Node({}, self._document.span)
         rate = self._reader.quantity(node.get("rate"), "frequency", DEFAULT_RATE)
@@ -106,7 +111,7 @@ class DriverSettingsReader:
     def _check_cycle(self, rate: float, timeout: float, node: Node) -> None:
         """Checks the rate and the command time-out of the base driver.
 
-        The command time-out must be at least one cycle of the base driver.
+        The command time-out must be at least as long as one cycle of the base driver.
         """
         entry = node.get("rate") or node.get("command_timeout") or node
         if rate > 0.0 and not MIN_RATE <= rate <= MAX_RATE:
@@ -127,13 +132,13 @@ class DriverSettingsReader:
     def parameter_sets(self, driver: DriverSettings) -> tuple[ParameterSet, ...]:
         """Returns the named parameter sets of the robot.
 
-        A parameter set contains the settings of ``driver`` with some changed values.
+        A parameter set contains the settings of the section ``driver`` with some changed values.
         """
         sets = entries(self._document.get("parameter_sets"))
         return tuple(self._parameter_set(name, entry, driver) for name, entry in sets.items())
 
     def _parameter_set(self, name: str, node: Node, driver: DriverSettings) -> ParameterSet:
-        """Reads one named parameter set."""
+        """Reads one named parameter set of the base driver."""
         radii_node = node.get("radii")
         radii = self._reader.text(radii_node) if radii_node is not None else None
         known = list(dict.fromkeys(key for wheel in self._wheels for key, _ in wheel.radii))
@@ -160,7 +165,8 @@ class DriverSettingsReader:
         return ParameterSet(name, radii, replace(driver, noise=noise, **limits), node.where)
 
     def _motor_limits(self, radii: str | None) -> dict[str, float]:
-        """Returns the limits of the twist that the slowest motors allow, by key.
+        """Returns the limits of the robot's twist that the slowest motors allow, by the key of the
+        section ``driver``.
 
         ``radii``: name of the wheel radii, or ``None`` for the nominal radii.
         """
@@ -182,7 +188,9 @@ class DriverSettingsReader:
         return dict(zip(LIMITS, limits, strict=True))
 
     def _limit(self, node: Node | None, key: str, motor_limit: float) -> float:
-        """Returns the lower of the stated limit and the limit of the motors."""
+        """Returns the lower of the twist limit in the robot document and the twist limit of the
+        motors.
+        """
         stated = self._reader.quantity(node, LIMITS[key], motor_limit)
         quantity = QUANTITIES[LIMITS[key]]
         if node is not None and stated <= 0:
@@ -200,13 +208,13 @@ class DriverSettingsReader:
     def _noise(
         self, node: Node | None, inherited: tuple[tuple[str, float], ...]
     ) -> tuple[tuple[str, float], ...]:
-        """Returns the noise values of a `noise` section by name.
+        """Returns the values of a `noise` section, which describes the noise of simulated sensors.
 
-        A value that the section does not contain is taken from ``inherited``.
+        A noise value that the section does not contain is taken from ``inherited``.
         """
         noise = dict(inherited)
         for key, entry in entries(node).items():
-            if key not in NOISE:  # The schema check has reported the unknown key.
+            if key not in NOISE:  # The schema check has already reported the unknown key.
                 continue
             value = self._reader.quantity(entry, NOISE[key])
             if value > 0 or (value == 0 and key == "correlation"):
@@ -224,5 +232,5 @@ class DriverSettingsReader:
 
 
 def _finite(value: float) -> float:
-    """Returns the limit, or 0 for an infinite limit if the robot has no driven wheels."""
+    """Returns a limit of the robot's twist, or 0 if the robot has no driven wheels."""
     return clean(value) if math.isfinite(value) else 0.0

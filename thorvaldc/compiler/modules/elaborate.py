@@ -1,4 +1,4 @@
-"""Elaborates the tree of module instances of a robot to the model.
+"""Builds the model of a robot from the tree of module instances.
 
 The model contains the links, joints, wheels, motors and CAN buses of the robot.
 """
@@ -55,10 +55,10 @@ def elaborate(
     modules_are_valid: bool = True,
     lock: Lock | None = None,
 ) -> Robot | None:
-    """Resolves and elaborates a robot document.
+    """Builds the model of a robot from a robot document.
 
-    Returns the model of the robot.  Returns ``None`` if the links, joints or modules of the robot
-    have errors.  Errors of the CAN buses do not prevent a model.
+    Returns the model of the robot.  Returns no model (``None``) if the links, joints or modules of
+    the robot have errors.  Errors of the CAN buses do not prevent the creation of the model.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def elaborate(
 
 
 class _Elaborator:
-    """Elaborates one robot document to the model of the robot."""
+    """Builder of the model of one robot document."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class _Elaborator:
         self.resolver = resolver
         self.base_dir = base_dir
         self.files = files
-        # A diagnostic about the whole robot is shown at the span of the robot's name.
+        # The source span of a diagnostic about the whole robot is the robot's name.
         self.span = (document.get("name") or document).span
         self.lock = lock
         self.report = report
@@ -98,8 +98,8 @@ class _Elaborator:
     def elaborate(self, robot: Instance, modules_are_valid: bool) -> Robot | None:
         """Returns the model of the robot, or ``None`` if the modules have errors.
 
-        If a module is invalid or missing, the geometry of the robot is not checked, because the
-        missing module would cause false errors.  The CAN buses are always checked.
+        The geometry of a robot with an invalid or missing module is not checked, because the
+        missing module would cause false errors.  The CAN buses of the robot are always checked.
         """
         parts = RobotParts([Link("base_link", "", None, (), (), self.span)])
         calibration = load_calibration(self.document, self.base_dir, self.report, self.files)
@@ -125,7 +125,9 @@ class _Elaborator:
         return self._make_robot(robot, parts, wheels, body, calibration, urdf_extensions)
 
     def _read_hardware(self, robot: Instance) -> dict[str, Hardware]:
-        """Returns the hardware of each valid leaf module, by the path of the leaf."""
+        """Returns the links, joints and other hardware of each valid module, by the path of the
+        module.
+        """
         hardware: dict[str, Hardware] = {}
         self.resolver.library.palette(self.report)
         for leaf in robot.leaves():
@@ -142,7 +144,7 @@ class _Elaborator:
     ) -> None:
         """Raises the robot so that the wheels touch the plane z = 0 of ``base_link``.
 
-        The measured wheel radii of the calibration are applied first.
+        The method first applies the measured wheel radii of the calibration file.
         """
         tree = JointTree(parts.links, parts.joints)
         if calibration is not None:
@@ -156,9 +158,9 @@ class _Elaborator:
     def _load_wheels(
         self, parts: RobotParts, calibration: Calibration | None
     ) -> tuple[list[Wheel], Inertial]:
-        """Returns the wheels with static loads, and the inertia of the whole robot.
+        """Returns the wheels with static wheel loads, and the inertia of the whole robot.
 
-        The method also sets the rest positions of the springs.
+        The method also sets the rest positions of the suspension springs.
         """
         tree = JointTree(parts.links, parts.joints)
         add_wheel_collisions(parts.links, parts.wheels, tree)
@@ -184,11 +186,11 @@ class _Elaborator:
     ) -> Robot | None:
         """Reads the settings of the base driver and the CAN buses, and returns the model.
 
-        Returns ``None`` if the geometry of the robot has errors.
+        Returns no model (``None``) if the geometry of the robot has errors.
         """
         geometry_is_valid = not self.report.has_errors
-        # A limit that is valid for the nominal radius of a wheel is also accepted for a smaller
-        # measured radius.
+        # A speed limit that is valid with the nominal wheel radius is also accepted with a smaller
+        # measured wheel radius.
         tolerance = 1e-6 if calibration is None else MAX_RADIUS_CHANGE
         settings_reader = DriverSettingsReader(
             self.document,
@@ -237,9 +239,10 @@ class _Elaborator:
         )
 
     def _check_buses(self, robot: Instance, parts: RobotParts) -> None:
-        """Reports the errors of the CAN buses of a robot with missing modules.
+        """Reports the errors of the CAN buses if modules of the robot are missing.
 
-        Warnings are dropped, because missing modules cause most warnings.
+        Warnings about the CAN buses are dropped, because missing modules cause most of the
+        warnings.
         """
         bus_report = Report()
         self._wiring(parts, bus_report).buses(robot, 1.0 / DEFAULT_RATE)
@@ -248,7 +251,7 @@ class _Elaborator:
 
 
 def _with_spring_reference(joint: Joint, tree: JointTree, wheels: list[Wheel]) -> Joint:
-    """Returns the joint with the rest position of the spring, if the joint has a spring."""
+    """Returns a joint in which the rest position of the spring is set."""
     if joint.stiffness <= 0.0:
         return joint
     loads = [wheel.load for wheel in wheels]

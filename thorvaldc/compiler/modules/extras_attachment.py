@@ -1,6 +1,6 @@
 """Attaches the links and joints of extras to the modules of a robot.
 
-An extra is a xacro file that the robot document names.
+An extra is a URDF or xacro file that the robot document names.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def add_extras(
     files: dict[str, Path],
     report: Report,
 ) -> tuple[str, ...]:
-    """Adds the links, joints and meshes of the extras to ``parts``.
+    """Adds the links, joints and meshes of the extras to the parts of the robot.
 
     Returns the other URDF elements of the extras as text.
 
@@ -71,7 +71,7 @@ def add_extras(
 
 
 class _AttachmentFinder:
-    """Finds the link that an extra is attached to, and the pose of the extra in the link frame."""
+    """Finds the link to which an extra is attached, and the pose of the extra in the link frame."""
 
     def __init__(
         self,
@@ -93,8 +93,8 @@ class _AttachmentFinder:
     def find(self, reference: str) -> tuple[str, Pose] | None:
         """Returns the name of the link, and the pose in the link frame, that a reference names.
 
-        A reference has the form `link`, `module` or `module.port`.  A reference to an assembly
-        names the first module of the assembly that has links.
+        A reference in the robot document has the form `link`, `module` or `module.port`.  A
+        reference to an assembly names the first module of the assembly that has links.
         """
         if reference in self.link_names:
             return reference, Pose()

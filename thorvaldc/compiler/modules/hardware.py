@@ -1,7 +1,7 @@
-"""Computes the hardware of a module type for given parameter values.
+"""Computes the hardware of a module (links, joints, motors and devices) from the module document.
 
-The hardware does not depend on the position of the module in the robot.  If a robot has nine
-equal drives, the hardware of the drive is computed once.
+The hardware of a module does not depend on the position of the module in the robot.  If a robot has
+nine equal drives, the hardware of the drive is computed once.
 """
 
 from __future__ import annotations
@@ -26,21 +26,23 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model.robot import Collision, Tread, Visual
 from thorvaldc.model.spatial import Inertial, Pose, combine
 
-MAX_REPETITIONS = 1000  # Largest number of copies of a part with the key `for`.
+MAX_REPETITIONS = 1000  # Largest number of copies of a link part with the key `for`.
 
 
 def hardware_of(module: ModuleType, scope: Scope, report: Report) -> Hardware | None:
-    """Returns the hardware of a leaf module.
+    """Returns the hardware of a module that is not an assembly.
 
-    The hardware is cached by the parameter values.  Returns ``None`` if the value of a parameter
-    is invalid.  The error of an invalid parameter value has already been reported.
+    The hardware of a module type is cached for each set of parameter values.  Returns no hardware
+    (``None``) if the value of a parameter is invalid.  The error of an invalid parameter value has
+    already been reported.
     """
     key = tuple(tuple(v) if isinstance(v, list) else v for v in scope.parameter_values())
     if any(value is INVALID for value in key):
         return None
     key = (*scope.library.palette().items(), *key)
     if key not in module.elaborated:
-        # The diagnostics are cached, too, because each use of the module must report them.
+        # The diagnostics of a module type are cached, because each use of the module type must
+        # report the diagnostics.
         module_report = Report()
         outer_report, scope.report = scope.report, module_report
         try:
@@ -104,7 +106,7 @@ class _HardwareReader:
         )
 
     def _check_mount_link(self, mount: Node | None) -> None:
-        """Checks that the mount is on the first link, which is the root of the module's links."""
+        """Checks that the key `mount` of a module document names the first link of the module."""
         node = mount.get("link") if mount is not None else None
         link_names = self.values.link_names
         if node is not None and self.values.link_name(node) in link_names[1:]:
@@ -119,7 +121,9 @@ class _HardwareReader:
     # -- links ------------------------------------------------------------------------
 
     def _link(self, name: str, node: Node) -> LinkPart:
-        """Reads a link with the visual shapes, collision shapes and masses of all parts."""
+        """Reads a link of a module document with the visual shapes, collision shapes and masses of
+        all parts of the link.
+        """
         visuals: list[Visual] = []
         collisions: list[Collision] = []
         masses: list[Inertial] = []
@@ -131,7 +135,7 @@ class _HardwareReader:
         return LinkPart(name, inertial, tuple(visuals), tuple(collisions), node.where)
 
     def _repetitions(self, part: Node) -> list[Scope]:
-        """Returns a scope for each combination of the loop variables in the key `for`."""
+        """Returns the names for expressions for each copy of a part with the key `for`."""
         loop = part.get("for")
         if loop is None or not isinstance(loop.value, dict):
             return [self.scope]
@@ -173,9 +177,9 @@ class _HardwareReader:
         )
 
     def _treads(self, node: Node | None, radius_names: Container[str]) -> Iterator[Tread]:
-        """Yields the treads of a wheel.
+        """Yields the treads of a wheel, which are the rolling surfaces of the wheel.
 
-        Each tread needs an entry of the same name in `radii`.
+        Each tread of a wheel needs a radius of the same name in the section `radii`.
         """
         for name, entry in entries(node).items():
             if name not in radius_names:

@@ -1,7 +1,7 @@
 """Data classes for the hardware of a module: links, joints, motors, wheel, sensor and battery.
 
-All values are in SI units.  The names of links, joints and motors are the names in the module
-document.  ``RobotParts`` adds the name of the module instance as a prefix.
+All physical quantities are in SI units.  Links, joints and motors have the names that the module
+document contains.  The class ``RobotParts`` adds the name of the module instance as a prefix.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
 
 class LinkPart(NamedTuple):
-    """A link of a module.  ``inertial`` is ``None`` for a link without mass."""
+    """A link (rigid body) of a module.  ``inertial`` is ``None`` for a link without mass."""
 
     name: str
     inertial: Inertial | None
@@ -24,10 +24,11 @@ class LinkPart(NamedTuple):
 
 
 class JointPart(NamedTuple):
-    """A joint of a module.
+    """A joint between two links of a module.
 
-    ``axis`` is a unit vector in the joint frame.  ``damping`` is the damping of the joint plus the
-    damping of the spring.  ``stiffness`` is the stiffness of the spring, or 0 without a spring.
+    ``axis`` is the axis of the joint, as a unit vector in the joint frame.  ``damping`` is the
+    damping of the joint plus the damping of the spring.  ``stiffness`` is the stiffness of the
+    spring, or 0 without a spring.
     """
 
     name: str
@@ -50,9 +51,9 @@ class JointPart(NamedTuple):
 class MotorPart(NamedTuple):
     """A motor with its gear.
 
-    ``motor_max_speed`` is the maximum speed of the motor shaft (rad/s).  ``max_velocity``
-    (rad/s), ``max_acceleration`` (rad/s^2) and ``max_torque`` (N m) are limits at the joint.
-    ``armature`` is the inertia of the rotor as seen at the joint (kg m^2).
+    ``motor_max_speed`` is the maximum speed of the motor shaft (rad/s).  ``max_velocity`` (rad/s),
+    ``max_acceleration`` (rad/s^2) and ``max_torque`` (N m) are the limits of the motor at the
+    joint, behind the gear.  ``armature`` is the inertia of the rotor as seen at the joint (kg m^2).
     """
 
     name: str
@@ -71,8 +72,8 @@ class MotorPart(NamedTuple):
 class WheelPart(NamedTuple):
     """A wheel.
 
-    ``radii`` contains additional radii by name.  The tyres of a double wheel have different radii
-    and roll on different surfaces.
+    ``radii`` contains the additional radii (m) of a double wheel, by name.  The tyres of a double
+    wheel have different radii and roll on different surfaces.
     """
 
     link: str
@@ -94,7 +95,7 @@ class SensorPart(NamedTuple):
 
 
 class BatteryPart(NamedTuple):
-    """A battery enclosure.  ``present`` is false if the enclosure contains no battery."""
+    """A battery enclosure.  ``present`` is false if the battery enclosure is empty."""
 
     present: bool
     link: str
@@ -102,9 +103,9 @@ class BatteryPart(NamedTuple):
 
 
 class Hardware(NamedTuple):
-    """The hardware of a module for given parameter values.
+    """Links, joints, motors and devices of a module for given parameter values.
 
-    ``mount_pose`` is the pose of the mount in the frame of the first link.
+    ``mount_pose`` is the pose in the first link's frame where the module is mounted.
     """
 
     links: tuple[LinkPart, ...]

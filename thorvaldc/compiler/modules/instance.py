@@ -48,14 +48,14 @@ class Instance:
 
     @property
     def is_leaf(self) -> bool:
-        """True if the module instance is not an assembly and not the root."""
+        """True if the module instance is neither an assembly nor the whole robot."""
         return self.type is not None and not self.type.is_assembly
 
     @property
     def is_mechanical(self) -> bool:
         """True if the module instance has links.
 
-        A module with an optional mount has links only if the module is mounted.
+        A module type with an optional mount has links only if the module is mounted.
         """
         if self.type is not None and self.is_leaf:
             mount = self.type.document.get("mount")
@@ -67,11 +67,13 @@ class Instance:
 
     @property
     def is_complete(self) -> bool:
-        """True if all module instances below this instance could be created."""
+        """True if all modules inside an assembly or robot could be created."""
         return not self.failed and all(child.is_complete for child in self.children.values())
 
     def leaves(self) -> Iterator[Instance]:
-        """Yields the leaf modules in the order of the file, depth first."""
+        """Yields all modules inside an assembly or robot that are not assemblies, in the order of
+        the file.
+        """
         if self.is_leaf:
             yield self
         for child in self.children.values():
@@ -79,7 +81,7 @@ class Instance:
 
 
 class Mount(NamedTuple):
-    """The position where a module is mounted.
+    """The link and the pose where a module is mounted.
 
     Attributes
     ----------
@@ -96,15 +98,15 @@ class Mount(NamedTuple):
 
 
 def used_by(path: str, span: Span) -> Label:
-    """Returns a label that names the robot's module which uses a module document.
+    """Returns a diagnostic label that names the module of the robot.
 
-    The label is added to diagnostics about the module document.
+    The label is added to each diagnostic about the document of the module type.
     """
     return Label(span, f"`{path.split('.', 1)[0]}` uses it")
 
 
 def last_name(path: str) -> str:
-    """Returns the last name of a dotted path."""
+    """Returns the last name of a dotted path, such as ``steering`` of ``fl.steering``."""
     return path.rsplit(".", 1)[-1]
 
 

@@ -15,7 +15,7 @@ from thorvaldc.model.spatial import Vec3, norm, scale
 def read_joints(values: ModuleValues) -> tuple[JointPart, ...]:
     """Returns the joints of a module, and checks that the joints and links form a tree.
 
-    Joints whose condition `when` is false are left out.
+    Joints with a false condition `when` are left out.
     """
     joints = tuple(
         _JointReader(values, name, node).read()
@@ -29,7 +29,7 @@ def read_joints(values: ModuleValues) -> tuple[JointPart, ...]:
 def read_motors(values: ModuleValues, joints: tuple[JointPart, ...]) -> tuple[MotorPart, ...]:
     """Returns the motors of a module, and checks the joint of each motor.
 
-    Motors whose condition `when` is false are left out.
+    Motors with a false condition `when` are left out.
     """
     motors = tuple(
         _read_motor(values, name, node, joints)
@@ -60,7 +60,7 @@ class _JointReader:
         self.damping = "damping" if linear else "rotational_damping"
 
     def read(self) -> JointPart:
-        """Returns the joint and reports errors in the document."""
+        """Returns the joint of a module document, and reports errors."""
         values, node = self.values, self.node
         axis = self._axis()
         lower, upper = self._limits()
@@ -129,7 +129,7 @@ class _JointReader:
         return lower, upper
 
     def _positive_or_none(self, key: str, quantity: str) -> float | None:
-        """Returns the positive value of a key, or ``None`` if the key is missing."""
+        """Returns the positive physical quantity of a key, or ``None`` if the key is missing."""
         if self.node.get(key) is None:
             return None
         return self.values.positive(self.node, key, quantity, 1.0)
@@ -204,8 +204,9 @@ def _read_motor(
         min(stated_velocity, motor_max_speed / gear_ratio),
         values.positive(node, "max_acceleration", "angular_acceleration", 1.0),
         values.positive(node, "max_torque", "torque", 1.0),
-        # A gear with the ratio n multiplies the torque by n and divides the acceleration by n.
-        # The inertia of the rotor at the joint is therefore n^2 times the inertia of the rotor.
+        # A gear with the ratio n multiplies the motor torque by n and divides the motor's
+        # acceleration by n.  For a gear with the ratio n, the inertia of the rotor at the joint is
+        # therefore n^2 times the inertia at the motor shaft.
         rotor_inertia * gear_ratio * gear_ratio,
         node.where,
     )

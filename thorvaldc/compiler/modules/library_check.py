@@ -1,4 +1,4 @@
-"""Checks module types without a robot, with the default values of the parameters."""
+"""Checks the module types of a library with the default values of the parameters."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CYCLE = 0.02
 
 @dataclass
 class LibraryCheck:
-    """Result of the check of a library folder.
+    """Result of checking all module types of a library folder.
 
     Attributes
     ----------
@@ -51,9 +51,9 @@ def check_library(folder: Path | None) -> LibraryCheck:
 def check_module(name: str, library: Library, report: Report) -> None:
     """Checks a module type and reports every error.
 
-    The check expands the module type and computes the hardware with the default values of the
-    parameters.  If a parameter has no default value, only the document is checked against the
-    schema.
+    The function computes the links, joints and motors of the module type with the default values of
+    the parameters.  For a module type with a parameter without a default value, only the schema
+    check is done.
     """
     module = library.load(name, Node(name, Span(name)), report)
     if module is None:
@@ -77,7 +77,8 @@ def check_module(name: str, library: Library, report: Report) -> None:
         if can is not None:
             channels = leaf.type.document.get("channels")
             device = Device(leaf.path, part_name, can, channels, (), None, leaf.scope, span)
-            # Warnings are dropped, because a device without a robot has no motors to drive.
+            # Warnings about a CAN device are dropped, because without a robot no motors are
+            # connected to the CAN device.
             bus_report = Report()
             build_buses([device], [BusSpec("bus", BITRATE, span)], [], CYCLE, bus_report)
             for diagnostic in bus_report.errors:
@@ -87,11 +88,14 @@ def check_module(name: str, library: Library, report: Report) -> None:
 def _check_assembly_references(
     assembly: Instance, module: ModuleType, resolver: Resolver, report: Report
 ) -> None:
-    """Checks that the sections `ports`, `motors` and `can` of an assembly name existing parts."""
+    """Checks that the sections `ports`, `motors` and `can` of an assembly name existing modules of
+    the assembly.
+    """
     references = resolver.references
     for section, find in (("ports", references.find_port), ("motors", references.find_motor)):
         for node in module.section(section).values():
-            # A part that the default parameters leave out may exist with other parameter values.
+            # A module of an assembly that is left out with the default parameter values may exist
+            # with other parameter values.
             if str(node.value).partition(".")[0] not in assembly.left_out:
                 find(assembly, str(node.value), node)
     controller = module.document.get("can")

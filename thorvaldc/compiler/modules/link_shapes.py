@@ -43,7 +43,7 @@ class LinkShapeReader:
         collisions: list[Collision],
         masses: list[Inertial],
     ) -> None:
-        """Reads a part of a link, and adds the shape and the mass to the lists of the link."""
+        """Reads a part of a link, and adds the shape and the mass of the part to the link."""
         shape_node = part.get("shape")
         pose = scope.pose(part).clean()
         shape = self._shape(shape_node, scope) if shape_node is not None else None
@@ -57,10 +57,11 @@ class LinkShapeReader:
             masses.append(inertial.transformed(pose))
 
     def _inertial(self, part: Node, shape: Shape | None, scope: Scope) -> Inertial | None:
-        """Returns the mass and the inertia of a part in the frame of the part.
+        """Returns the mass and the inertia of a link part in the frame of the part.
 
-        The inertia is the stated inertia, or the inertia of a uniform solid.  The shape of the
-        solid is `inertia_shape`, or else the shape of the part.
+        If the module document does not state the inertia, the inertia of a uniform solid is
+        computed.  The shape of the uniform solid is the value of `inertia_shape`, or the visual
+        shape of the link part.
         """
         mass_node = part.get("mass")
         if mass_node is None:
@@ -96,7 +97,10 @@ class LinkShapeReader:
         return uniform_solid(shape, mass, thickness)
 
     def _shape(self, node: Node, scope: Scope) -> Shape | None:
-        """Reads a box, cylinder, sphere or mesh.  Lengths are in m."""
+        """Reads a box, cylinder, sphere or mesh of a module document.
+
+        The sizes of the shape are in m.
+        """
         box, cylinder = node.get("box"), node.get("cylinder")
         sphere, mesh = node.get("sphere"), node.get("mesh")
         if box is not None:
@@ -117,7 +121,7 @@ class LinkShapeReader:
         return None
 
     def _check_positive(self, sizes: tuple[float, ...], node: Node) -> None:
-        """Checks that all sizes of a shape are greater than 0."""
+        """Checks that all sizes of a box, cylinder or sphere are greater than 0."""
         if min(sizes) <= 0.0 and not self.report.has_errors:
             shown = ", ".join(f"{size:g}" for size in sizes)
             self.report.add(
@@ -125,7 +129,7 @@ class LinkShapeReader:
             )
 
     def _mesh(self, node: Node, scope: Scope) -> MeshShape | None:
-        """Loads a mesh file, and adds the mesh to ``meshes``."""
+        """Reads a mesh file and adds the mesh to ``meshes``."""
         file = node.get("file")
         if file is None:
             return None
@@ -145,7 +149,8 @@ class LinkShapeReader:
     def _color(self, node: Node | None, scope: Scope) -> RGBA:
         """Returns a colour as red, green, blue and alpha, each from 0 to 1.
 
-        A colour is written as "#rrggbb", as "#rrggbbaa" or as a name of the palette.
+        A document contains a colour as "#rrggbb", as "#rrggbbaa" or as the name of a palette
+        colour.
         """
         text = scope.text(node, DEFAULT_COLOR) or DEFAULT_COLOR
         digits = self.palette.get(text, text)
@@ -166,9 +171,9 @@ class LinkShapeReader:
 def uniform_solid(shape: Shape, mass: float, wall: float | None = None) -> Inertial:
     """Returns the inertia of a body of uniform density about the centre of the body.
 
-    The formulas for solid boxes, cylinders and spheres are, for example, in Meriam and Kraige,
-    Engineering Mechanics: Dynamics, table D/4.  A cylinder with a ``wall`` thickness (m) is a
-    tube.  The inertia of a mesh is not computed and is returned as 0.
+    Reference for the formulas: Meriam and Kraige, Engineering Mechanics: Dynamics, table D/4.  A
+    cylinder with a ``wall`` thickness (m) is a tube.  The inertia of a mesh is not computed and is
+    returned as 0.
     """
     if isinstance(shape, Box):
         x, y, z = shape.size

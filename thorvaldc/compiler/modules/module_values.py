@@ -32,9 +32,10 @@ class ModuleValues:
         return self.scope.boolean(node.get("when"), True)
 
     def link_name(self, node: Node | None) -> str:
-        """Returns the name of the link in a node.
+        """Returns the link name that a node of a module document contains.
 
-        Returns the name of the first link if the node is missing.  An unknown link is reported.
+        If the module document contains no link name, the name of the first link is returned.  A
+        link name that the module document does not define is reported.
         """
         first = self.link_names[0] if self.link_names else ""
         if node is None:
@@ -52,9 +53,10 @@ class ModuleValues:
         return name or first
 
     def not_negative(self, node: Node, key: str, quantity: str) -> float:
-        """Returns the value of a key in SI units, and checks that the value is not negative.
+        """Returns the physical quantity of a key in SI units, and checks that the quantity is not
+        negative.
 
-        Returns 0 if the key is missing or the value is negative.
+        Returns 0 if the key is missing or the physical quantity is negative.
         """
         entry = node.get(key)
         value = self.scope.quantity(entry, quantity)
@@ -67,9 +69,10 @@ class ModuleValues:
         return max(value, 0.0)
 
     def positive(self, node: Node, key: str, quantity: str, default: float) -> float:
-        """Returns the value of a key in SI units, and checks that the value is greater than 0.
+        """Returns the physical quantity of a key in SI units, and checks that the quantity is
+        positive.
 
-        Returns the default if the key is missing or the value is not valid.
+        Returns the default value if the key is missing or the physical quantity is not valid.
         """
         entry = node.get(key)
         value = self.scope.quantity(entry, quantity, default)
@@ -84,7 +87,7 @@ class ModuleValues:
         return default
 
     def scalar(self, node: Node) -> Scalar:
-        """Returns the value of a node as a boolean, a number or a text.
+        """Returns the value of a YAML node as a boolean, a number or a text.
 
         A text with a unit is converted to a number in SI units.
         """
@@ -95,5 +98,8 @@ class ModuleValues:
         return value if isinstance(value, bool | int | float | str) else 0.0
 
     def properties(self, node: Node | None) -> tuple[tuple[str, Scalar], ...]:
-        """Returns the names and values in a mapping.  Quantities are converted to SI units."""
+        """Returns the properties in a mapping of a module document, by name.
+
+        Quantities are converted to SI units.
+        """
         return tuple((key, self.scalar(value)) for key, value in entries(node).items())

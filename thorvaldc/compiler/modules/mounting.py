@@ -11,14 +11,14 @@ from thorvaldc.model.spatial import Pose
 
 
 class Mounting:
-    """Reads the `mount` entries of modules, and finds the root module of an assembly."""
+    """Finds the port or link where each module is mounted, and the root module of an assembly."""
 
     def __init__(self, references: References, report: Report) -> None:
         self.references = references
         self.report = report
 
     def root_of(self, assembly: Instance, node: Node) -> Instance | None:
-        """Returns the root module of an assembly, as a leaf of the tree of module instances.
+        """Returns the root module of an assembly.
 
         The root module has no `mount` entry and carries the other modules of the assembly.
         Returns ``None`` and reports an error if there is no root module or more than one.
@@ -34,7 +34,9 @@ class Mounting:
         name = f"`{assembly.path}`" if assembly.path else "the robot"
         if not roots:
             if not assembly.is_complete:
-                return None  # A module that could not be created may be the root module.
+                # The root module of an assembly may be a module that could not be created because
+                # of errors.
+                return None
             self.report.add(
                 "root-missing",
                 f"{name} has no root: every module is mounted on another, or there is none",
@@ -76,9 +78,9 @@ class Mounting:
                 mounted_leaf.mount = self._read_mount(assembly, mounted_leaf, node)
 
     def _read_mount(self, inside: Instance, mounted_leaf: Instance, node: Node) -> Mount | None:
-        """Reads a `mount` entry.
+        """Reads the `mount` entry of a module.
 
-        Returns ``None`` and reports an error if the entry is not valid.
+        Returns ``None`` and reports an error if the `mount` entry is not valid.
         """
         scope = inside.scope
         if isinstance(node.value, dict):
@@ -146,7 +148,7 @@ class Mounting:
     def _check_kind(
         self, mounted_leaf: Instance, kind: str, reference: str, node: Node, port_section: Node
     ) -> None:
-        """Checks that a module can be mounted on a port of this kind."""
+        """Checks that the kind of a port fits the mount kinds of the module type."""
         if mounted_leaf.type is None or not kind:
             return
         mount = mounted_leaf.type.document.get("mount")
@@ -169,13 +171,13 @@ class Mounting:
         A chain of mounts may end at a module with an invalid mount, because the invalid mount has
         already been reported.
         """
-        # For each leaf, the dictionary `chain_ends` contains true if the chain of mounts that
-        # starts at the leaf ends, and false if the chain is a cycle.  Each leaf is visited once.
+        # A chain of mounts leads from a module to the carrying module, and so on.  For each module,
+        # the dictionary `chain_ends` contains whether the chain of mounts ends at the root module.
         chain_ends: dict[int, bool] = {}
         for leaf in robot.leaves():
             chain = [leaf]
             while id(chain[-1]) not in chain_ends and (mount := chain[-1].mount) is not None:
-                # If the loop visits a leaf twice in one chain, the chain is a cycle.
+                # A chain of mounts that contains a module twice is a cycle.
                 chain_ends[id(chain[-1])] = False
                 chain.append(mount.leaf)
             ends = chain_ends.get(id(chain[-1]), True)

@@ -11,10 +11,10 @@ from thorvaldc.diagnostics import Report
 class References:
     """Finds the module, port or motor that a dotted reference names.
 
-    The argument ``inside`` of each method is the module instance that the reference starts from.
-    The argument ``reference`` contains names separated by dots, such as ``fl.steering``.  The
-    argument ``node`` is the node of the document that contains the reference.  An unknown
-    reference is reported at the span of ``node``.
+    The argument ``inside`` of each method is the assembly or robot that contains the first name of
+    the reference.  The argument ``reference`` is a dotted reference, such as ``fl.steering``.  The
+    argument ``node`` is the YAML node that contains the reference.  A reference to an unknown
+    module is reported at the source span of ``node``.
     """
 
     def __init__(self, report: Report) -> None:
@@ -23,10 +23,12 @@ class References:
     def find(
         self, inside: Instance, reference: str, node: Node, *, optional: bool = False
     ) -> tuple[Instance, list[str]] | None:
-        """Returns the module that a dotted reference names, and the unused names at the end.
+        """Returns the module that a dotted reference names, and the remaining names after the
+        module name.
 
-        Returns ``None`` if the first name of the reference is unknown.  If ``optional`` is true, a
-        reference to a module that was left out of the robot is not reported.
+        Returns ``None`` if the first name of the dotted reference is not the name of a module.  If
+        ``optional`` is true, a reference to a module that was left out of the robot is not
+        reported.
         """
         names = reference.split(".")
         part = inside
@@ -55,30 +57,31 @@ class References:
     def find_port(
         self, inside: Instance, reference: str, node: Node
     ) -> tuple[Instance, str] | None:
-        """Returns the leaf module that has the port, and the name of the port in the module."""
+        """Returns the module that has the port, and the name of the port in the module document."""
         return self._find_in_section(inside, reference, node, "ports", "port")
 
     def find_motor(
         self, inside: Instance, reference: str, node: Node
     ) -> tuple[Instance, str] | None:
-        """Returns the leaf module that has the motor, and the name of the motor in the module."""
+        """Returns the module that has the motor, and the name of the motor in the module document.
+        """
         return self._find_in_section(inside, reference, node, "motors", "motor")
 
     def _find_in_section(
         self, inside: Instance, reference: str, node: Node, section: str, word: str
     ) -> tuple[Instance, str] | None:
-        """Finds an entry of the section `ports` or `motors` of a module.
+        """Finds the port or motor that a dotted reference names.
 
-        Each entry in a section of an assembly is a reference to a part of the assembly.  The
-        method follows the references until it finds a leaf module.  ``word``: the word ``port``
-        or ``motor`` for messages.
+        The sections `ports` and `motors` of an assembly contain references to modules of the
+        assembly.  The method follows the references to the module that has the port or motor.
+        ``word`` is the word ``port`` or ``motor`` for error messages.
         """
         part_and_rest = self.find(inside, reference, node, optional=section == "motors")
         if part_and_rest is None:
             return None
         part, rest = part_and_rest
         if not rest and part.parent is not None and part.parent is not inside:
-            # A part of an assembly and a motor of the assembly may have the same name.  A
+            # A module in an assembly and a motor of the assembly may have the same name.  A
             # reference such as `fl.steering` then names the motor.
             name = reference.rpartition(".")[2]
             if part.parent.type is not None and name in part.parent.type.section(section):

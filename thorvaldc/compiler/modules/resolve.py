@@ -1,8 +1,9 @@
 """Resolves a robot document to a tree of module instances.
 
-A robot and an assembly both consist of named modules.  Each module has a module type and is
-mounted on a port of another module.  The leaves of the tree are modules with hardware.  The
-resolver finds for each leaf the link and the pose where the leaf is mounted.
+A robot and an assembly both consist of named modules.  Each module of a robot has a module type and
+is mounted on a port of another module.  The leaves of the tree of module instances are modules with
+links, joints or devices.  The resolver finds the link and the pose where each leaf module is
+mounted.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Resolver:
         A module instance with an invalid `mount` entry gets no mount.
 
         ``invalid_modules``: names of the modules that were removed from the document because of
-        invalid values.  The errors of the invalid values have already been reported.
+        invalid values.  The schema check has already reported the invalid values.
         """
         scope = Scope(None, {}, self.library, self.report, None)
         robot = Instance("", None, scope, document, document.span, None)
@@ -60,7 +61,8 @@ class Resolver:
     def expand(self, parent: Instance, name: str, entry: Node) -> None:
         """Adds a module to ``parent``, including all modules of an assembly.
 
-        ``name``: name of the module.  ``entry``: entry of the document that defines the module.
+        ``name``: name of the module in the document.  ``entry``: entry of the section `modules`
+        that defines the module.
         """
         self._add_part(parent, name, entry, entry.where, ())
         part = parent.children.get(name)
@@ -74,7 +76,7 @@ class Resolver:
     def _add_part(
         self, parent: Instance, name: str, entry: Node, span: Span, types: tuple[str, ...]
     ) -> None:
-        """Adds the module that an entry of a document defines.
+        """Adds the module that an entry of the section `modules` defines.
 
         ``types``: names of the module types of the assemblies that contain the module.
         """
@@ -117,7 +119,8 @@ class Resolver:
     ) -> bool:
         """Checks the depth of nested assemblies and the number of modules.
 
-        Without the limits, the expansion of an assembly that contains itself would never end.
+        Without a limit of the depth, the expansion of an assembly that contains itself would never
+        end.
         """
         if module.name in types or len(types) >= MAX_DEPTH:
             problem = f"assemblies are nested more than {MAX_DEPTH} deep"
@@ -143,9 +146,9 @@ class Resolver:
         module: ModuleType,
         chosen_arguments: dict[str, tuple[Node, Scope]],
     ) -> dict[str, tuple[Node, Scope]]:
-        """Returns the parameter values of a module, each with the scope for expressions.
+        """Returns the parameter values of a module, each with the names that expressions may use.
 
-        The parameter values come from four sources:
+        Sources of the parameter values, by priority:
 
         - The first priority is the value of a `module` parameter that chooses the module.
         - The second priority is the section `params` of the entry.
@@ -168,7 +171,7 @@ class Resolver:
     def _suggestions(self, parent: Instance, entry: Node) -> dict[str, Node]:
         """Returns the parameter values that a port suggests for the module mounted on the port.
 
-        The method searches the document for the module with the port, because the module instance
+        The carrying module is searched in the document, because the instance of the carrying module
         may not exist yet.
         """
         mount = entry.get("mount")
@@ -186,9 +189,9 @@ class Resolver:
         return entries(port_section.get("suggests")) if port_section is not None else {}
 
     def _pass_can_on(self, assembly: Instance) -> None:
-        """Passes the `can` section of an assembly to the module that is the CAN device.
+        """Passes the `can` section of an assembly to the CAN device in the assembly.
 
-        The key `can` in the document of the assembly names the module.
+        The key `can` in the document of the assembly names the module of the CAN device.
         """
         if assembly.type is None or assembly.can is None:
             return
@@ -210,7 +213,9 @@ class Resolver:
             self._pass_can_on(child)
 
     def _check_defaults(self, robot: Instance) -> None:
-        """Reports each entry of the section `defaults` that applies to no module of the robot."""
+        """Reports each default parameter in the section `defaults` that applies to no module of the
+        robot.
+        """
         types = [c.type for c in robot.children.values() if c.type is not None]
         categories = [module.category for module in types]
         for category, params in self._defaults.items():
@@ -238,8 +243,8 @@ class Resolver:
     def _check_devices(self, inside: Instance) -> None:
         """Checks the sections `can` and `channels` of the modules.
 
-        Only a CAN device may have the sections `can` and `channels`.  Each channel must name an
-        existing motor.
+        Only a CAN device may have the sections `can` and `channels`.  Each channel of a CAN device
+        must name an existing motor.
         """
         for leaf in inside.leaves():
             if leaf.type is None:

@@ -13,15 +13,18 @@ from thorvaldc.diagnostics import Label, Report
 from thorvaldc.model.robot import Actuator, Battery, Joint, Link, Mesh, Sensor
 from thorvaldc.model.spatial import Pose, clean
 
-HEIGHT_TOLERANCE = 1e-3  # Allowed error of a stated height above the ground (m).
+# Allowed difference (m) between the computed height of the root module and the height in the module
+# document.
+HEIGHT_TOLERANCE = 1e-3
 
 
 @dataclass
 class RobotParts:
-    """Links, joints, actuators, wheels, sensors, batteries and meshes of a robot.
+    """Container of the links, joints, actuators, wheels, sensors, batteries and meshes of a robot.
 
-    The name of an element is ``<module>_<name>``.  ``<module>`` is the path of the module instance
-    with underscores instead of dots.  ``<name>`` is the name in the module document.
+    The name of a link or joint is ``<module>_<name>``.  The part ``<module>`` is the path of the
+    module instance with underscores instead of dots.  The part ``<name>`` is the name of the link
+    or joint in the module document.
     """
 
     links: list[Link]
@@ -33,9 +36,10 @@ class RobotParts:
     meshes: dict[str, Mesh] = field(default_factory=dict)
 
     def add(self, leaf: Instance, hardware: Mapping[str, Hardware]) -> None:
-        """Adds all elements of a leaf module.
+        """Adds the links, joints, motors and devices of a module.
 
-        ``hardware`` contains the hardware of each leaf module, by the path of the leaf.
+        ``hardware`` contains the links, joints and devices of each module, by the path of the
+        module.
         """
         part = hardware[leaf.path]
         prefix = name_prefix(leaf.path)
@@ -72,7 +76,7 @@ class RobotParts:
         self.add_joints(leaf, part)
 
     def add_joints(self, leaf: Instance, hardware: Hardware) -> None:
-        """Adds the joints and motors of a leaf module."""
+        """Adds the joints and motors of a module."""
         prefix = name_prefix(leaf.path)
         motors = {motor.joint: motor for motor in hardware.motors}
         # Effort (N m) and velocity (rad/s) limits of each joint with a motor.
@@ -80,7 +84,8 @@ class RobotParts:
         for joint in hardware.joints:
             motor = motors.get(joint.name)
             effort, velocity = joint.effort, joint.velocity
-            if motor is not None:  # The lower of the limits of the joint and the motor applies.
+            # Each limit is the lower of the joint's limit and the motor's limit.
+            if motor is not None:
                 effort = min(motor.max_torque, math.inf if effort is None else effort)
                 velocity = min(motor.max_velocity, math.inf if velocity is None else velocity)
                 velocity = clean(velocity)
@@ -130,7 +135,7 @@ class RobotParts:
     def check_names(self, report: Report) -> None:
         """Reports two links or two joints with the same name.
 
-        For example, the elements of the modules `a_b.c` and `a.b_c` have the same prefix `a_b_c`.
+        For example, the links of the modules `a_b.c` and `a.b_c` have the same prefix `a_b_c`.
         """
         for word, elements in (("link", self.links), ("joint", self.joints)):
             first_by_name: dict[str, Link | Joint] = {}
@@ -149,9 +154,9 @@ class RobotParts:
     def raise_root(self, height: float, hardware: Mapping[str, Hardware], report: Report) -> None:
         """Raises the root module by ``height`` (m), so that the wheels stand on the ground.
 
-        The module document may state the height of the root module above the ground.  A
-        difference from the stated height is reported.  The root module of a robot without wheels
-        is placed at the stated height.
+        The module document may state the height of the root module above the ground.  A difference
+        between ``height`` and the height in the module document is reported.  The root module of a
+        robot without wheels is placed at the height in the module document.
         """
         for i, joint in enumerate(self.joints):
             if joint.parent != "base_link" or joint.type != "fixed" or not joint.module:

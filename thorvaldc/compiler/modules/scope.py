@@ -27,15 +27,17 @@ from thorvaldc.diagnostics import Label, Report
 from thorvaldc.diagnostics.suggest import did_you_mean
 
 NONE = "none"
-MAX_CHAIN = 30  # Greatest length of a chain of names in which each value needs the next value.
+# Greatest length of a chain of parameters in which the value of each parameter depends on the next
+# parameter.
+MAX_CHAIN = 30
 MAX_CHOICES = 12  # Greatest depth of modules that are chosen by parameters of other modules.
 WHEEL_SIZES = ("radius", "width")
 
 
 def hint_of_known(word: str, known: list[str]) -> str:
-    """Returns a hint about an unknown word.
+    """Returns a hint for an error message about an unknown word.
 
-    The hint contains the most similar known word.  Without a similar word, the hint lists all
+    The hint contains the most similar known word.  If no known word is similar, the hint lists all
     known words.
     """
     all_words = "known: " + ", ".join(f"`{k}`" for k in known) if known else "there are none"
@@ -46,8 +48,9 @@ class ModuleChoice(Mapping[str, Any]):
     """The value of a `module` parameter, which is a module type with arguments.
 
     A ``ModuleChoice`` is a mapping of the parameter values of the chosen module.  An expression
-    such as `${wheel.radius}` reads a parameter value.  If the chosen module has no parameter
-    `radius` or `width`, the value is read from the section `wheel` of the module document.
+    such as `${wheel.radius}` reads a parameter value of the chosen module.  If the chosen module
+    has no parameter `radius` or `width`, the value is read from the section `wheel` of the module
+    document.
 
     Attributes
     ----------
@@ -64,7 +67,7 @@ class ModuleChoice(Mapping[str, Any]):
 
     @property
     def scope(self) -> Scope:
-        """Scope with the parameter values of the chosen module."""
+        """Names and parameter values of the chosen module."""
         if self._scope is None:
             if self.written_in.depth > MAX_CHOICES:
                 raise ReferenceCycleError(f"itself: {self.module.name} -> {self.module.name}")
@@ -92,20 +95,20 @@ class ModuleChoice(Mapping[str, Any]):
     def __len__(self) -> int:
         return len(self.scope)
 
-    # Two choices are equal only if both are the same object.  A comparison of the parameter
-    # values would evaluate all parameters.
+    # Two ``ModuleChoice`` objects are equal only if both are the same object.  A comparison of two
+    # modules by the parameter values would compute the values of all parameters.
     __eq__ = object.__eq__
     __hash__ = object.__hash__
 
     def __bool__(self) -> bool:
-        """Returns true, because a chosen module is true in an expression."""
+        """Returns true, because an expression can test whether a module is chosen."""
         return True
 
 
 class Scope(ValueReader):
     """Names that expressions in a module document may use.
 
-    The value of a name is computed when an expression first uses the name.
+    The value of a parameter is computed when an expression first uses the name of the parameter.
 
     Parameters
     ----------
@@ -138,7 +141,7 @@ class Scope(ValueReader):
         self._in_evaluation: list[str] = []
 
     def with_names(self, extra: dict[str, Any]) -> Scope:
-        """Returns a copy of the scope with additional names and values."""
+        """Returns a copy of the scope with additional names for expressions."""
         inner = Scope(self.module, self._arguments, self.library, self.report, self._entry, extra)
         inner._values = {**self._values, **extra}
         return inner
@@ -154,8 +157,8 @@ class Scope(ValueReader):
     def _value_of(self, name: str) -> Any:
         """Returns the value of a parameter or a `let` entry.
 
-        The value is computed once.  Raises ``KeyError`` for an unknown name, and
-        ``ReferenceCycleError`` if the value depends on itself.
+        The value of each parameter is computed once.  Raises ``KeyError`` if the name is unknown.
+        Raises ``ReferenceCycleError`` if the parameter value depends on itself.
         """
         if name in self._values:
             return self._values[name]
@@ -225,7 +228,8 @@ class Scope(ValueReader):
         if argument is not None:
             node, scope = argument
             value = scope._typed(node, declaration)
-            # If an assembly passes on a parameter without a value, the default value applies.
+            # If an assembly passes a parameter without a value to a module, the default value of
+            # the module's parameter applies.
             if value is not None or _kind(declaration) == "module":
                 return self._in_range(name, declaration, node, value)
         default = declaration.get("default")
@@ -242,14 +246,16 @@ class Scope(ValueReader):
         return self._in_range(name, declaration, default, value)
 
     def _typed(self, node: Node, declaration: Node, *, is_default: bool = False) -> Any:
-        """Returns the value of a node, converted to the declared type of a parameter.
+        """Returns the value of a YAML node, converted to the declared type of a parameter.
 
-        Returns ``INVALID`` and reports an error if the value does not have the declared type.
+        Returns ``INVALID`` and reports an error if the parameter value does not have the declared
+        type.
         """
         kind = _kind(declaration)
         quantity = _text(declaration, "quantity") or "ratio"
         if node.value is None or (node.value == NONE and kind != "module"):
-            # Only the default of a parameter may be `none`, and expressions can test for `none`.
+            # Only the default value of a parameter may be `none`.  An expression can test whether a
+            # parameter is `none`.
             if is_default:
                 return None
             self.report.add(
@@ -297,7 +303,8 @@ class Scope(ValueReader):
     def _module(self, node: Node, declaration: Node) -> Any:
         """Returns the value of a `module` parameter as a ``ModuleChoice``.
 
-        Returns ``None`` if the value is `none`, and ``INVALID`` if the value has an error.
+        Returns ``None`` if the parameter value is `none`, and ``INVALID`` if the parameter value
+        has an error.
         """
         params: dict[str, Node] = {}
         name_node: Node | None = node
@@ -336,7 +343,8 @@ class Scope(ValueReader):
     def _in_range(self, name: str, declaration: Node, node: Node, value: Any) -> Any:
         """Checks the value of a parameter against the choices and the limits of the parameter.
 
-        Returns the value.  Reports an error and returns ``INVALID`` if the value is not allowed.
+        Returns the value.  Reports an error and returns ``INVALID`` if the parameter value is not
+        allowed.
         """
         if value is None or value is INVALID:
             return value
@@ -353,7 +361,8 @@ class Scope(ValueReader):
             if limit is not INVALID and sign * value < sign * limit:
                 limit_text = f"{limit:g}"
                 if isinstance(limit_node.value, str) and not limit_node.value.startswith("${"):
-                    limit_text = limit_node.value  # The message shows the limit with its unit.
+                    # The error message shows the limit of the parameter with the unit.
+                    limit_text = limit_node.value
                 self.report.add(
                     "param-range",
                     f"`{name}` is {describe_value(node, value)}; "
@@ -367,7 +376,8 @@ class Scope(ValueReader):
     def _one_of(self, name: str, declaration: Node, choices: Node, node: Node, value: Any) -> Any:
         """Checks that the value of a parameter is one of the allowed choices.
 
-        Returns the value.  Reports an error and returns ``INVALID`` if the value is not allowed.
+        Returns the value.  Reports an error and returns ``INVALID`` if the parameter value is not
+        allowed.
         """
         known = [str(choice.value) for choice in items(choices)]
         if isinstance(value, ModuleChoice):

@@ -1,7 +1,7 @@
 """Reads the sources of commanded twists and the twist locks of a robot document.
 
-Each source and each lock has a priority.  An active lock stops all sources of the same or a lower
-priority.
+Each twist source and each twist lock has a priority.  An active twist lock stops all twist sources
+of the same or a lower priority.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.robot import TwistInput
 
-# The default sources and locks have the same names, priorities and topics as in the twist
-# multiplexer of the original system.  The joystick has a higher priority than the navigation.
+# The default twist sources and twist locks have the same names, priorities and ROS topics as in the
+# twist multiplexer of the original system.  The joystick has a higher priority than the navigation.
 DEFAULT_SOURCES = {"teleop_joy": 100, "auto_nav": 10}
 DEFAULT_LOCKS = {
     "safety_stop": (255, "safety_stop/lock"),
@@ -23,7 +23,7 @@ DEFAULT_LOCKS = {
 class TwistInputReader:
     """Reads the sections ``driver.twist_sources`` and ``driver.twist_locks`` of a robot document.
 
-    Each entry changes a default source or lock, or adds a new source or lock.
+    Each entry of the two sections changes a default twist source or twist lock, or adds a new one.
     """
 
     def __init__(self, document: Node, reader: ValueReader, report: Report) -> None:
@@ -32,9 +32,9 @@ class TwistInputReader:
         self._report = report
 
     def sources(self, command_timeout: float) -> tuple[TwistInput, ...]:
-        """Returns the sources of commanded twists.
+        """Returns the sources of commanded twists, such as the joystick and the navigation.
 
-        ``command_timeout``: default time-out of a source (s).
+        ``command_timeout``: default time-out of a twist source (s).
         """
         sources = {
             name: TwistInput(name, _topic(name), priority, command_timeout)
@@ -48,7 +48,10 @@ class TwistInputReader:
         return tuple(sources.values())
 
     def locks(self) -> tuple[TwistInput, ...]:
-        """Returns the twist locks.  A lock with a time-out of 0 s keeps the last received state."""
+        """Returns the twist locks, which stop sources of commanded twists.
+
+        A twist lock with the time-out 0 s never times out.
+        """
         locks = {
             name: TwistInput(name, topic, priority, 0.0)
             for name, (priority, topic) in DEFAULT_LOCKS.items()
@@ -62,9 +65,9 @@ class TwistInputReader:
         return entries(self._driver.get(key) if self._driver is not None else None)
 
     def _read(self, node: Node, default: TwistInput, *, may_be_silent: bool) -> TwistInput:
-        """Reads the priority, time-out and topic of a source or lock."""
+        """Reads the priority, time-out and ROS topic of a twist source or twist lock."""
         priority_node, topic = node.get("priority"), node.get("topic")
-        priority = 0  # The schema check has reported a missing priority.
+        priority = 0  # The schema check has already reported a missing priority.
         if priority_node is not None and isinstance(priority_node.value, int):
             priority = priority_node.value
         timeout = self._reader.quantity(node.get("timeout"), "time", default.timeout)
@@ -78,13 +81,14 @@ class TwistInputReader:
         return TwistInput(default.name, topic_name, priority, timeout)
 
     def _check_priorities(self, sources: dict[str, TwistInput], stated: dict[str, Node]) -> None:
-        """Reports two sources with the same priority.
+        """Reports two twist sources with the same priority.
 
-        With equal priorities, the order in the list would decide which source drives the robot.
+        With equal priorities, the order of the twist sources in the document would decide which
+        twist source drives the robot.
         """
         first_names: dict[int, str] = {}
-        # Default sources that the robot file does not name are checked first, because an error
-        # can only be corrected in the robot file.
+        # Default twist sources are checked first.  An error is then reported at a twist source in
+        # the robot file, where the user can correct the error.
         for name in [*(name for name in sources if name not in stated), *stated]:
             priority = sources[name].priority
             first = first_names.setdefault(priority, name)

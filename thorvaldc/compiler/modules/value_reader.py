@@ -1,8 +1,8 @@
 """Reads values of a document, evaluates expressions and converts quantities to SI units.
 
-Each method returns a value of the requested type.  If a value in the document is invalid, the
-method reports an error and returns the default value.  One run can therefore report all errors of
-a document.
+Each method of the class ``ValueReader`` returns a value of the requested type.  If a value in the
+document is invalid, the method reports an error and returns the default value.  One run can
+therefore report all errors of a document.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from thorvaldc.compiler.source.units import UnitError, parse_quantity
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.spatial import Pose, Vec3
 
-# Bounds of the absolute value of every number in SI units, except 0.  Squares and products of
-# numbers within the bounds do not overflow.
+# Least and greatest absolute value of every physical quantity in SI units, except 0.  Squares and
+# products of two quantities within the bounds do not overflow.
 LARGEST = 1e12
 SMALLEST = 1e-15
 FULL_TURN = 2.0 * math.pi  # rad
@@ -28,31 +28,33 @@ INVALID: Any = object()
 
 
 class ReferenceCycleError(Exception):
-    """The value of a name depends on itself."""
+    """Exception: the value of a parameter depends on itself."""
 
 
 class InvalidNameError(Exception):
-    """An expression uses a name whose value is invalid.
+    """Exception: an expression uses a parameter with an invalid value.
 
-    The error of the invalid value has already been reported.
+    The invalid parameter value has already been reported.
     """
 
 
 def entries(node: Node | None) -> dict[str, Node]:
-    """Returns the entries of a mapping node, or ``{}`` if the node is missing or no mapping."""
+    """Returns the entries of a YAML mapping, or ``{}`` if the YAML node is missing or not a
+    mapping.
+    """
     return node.value if node is not None and isinstance(node.value, dict) else {}
 
 
 def items(node: Node | None) -> tuple[Node, ...]:
-    """Returns the elements of a list node, or ``()`` if the node is missing or no list."""
+    """Returns the elements of a YAML list, or ``()`` if the YAML node is missing or not a list."""
     return node.value if node is not None and isinstance(node.value, tuple) else ()
 
 
 class ValueReader(Mapping[str, Any]):
     """Reads scalars, quantities, vectors and poses of a document.
 
-    A ``ValueReader`` is a mapping of the names that expressions may use.  The mapping of a plain
-    ``ValueReader`` is empty.  The subclass ``Scope`` contains the names of a module.
+    A ``ValueReader`` is a mapping of the names that expressions may use.  A plain ``ValueReader``
+    contains no names.  The subclass ``Scope`` contains the parameters of a module.
     """
 
     def __init__(self, report: Report) -> None:
@@ -68,14 +70,14 @@ class ValueReader(Mapping[str, Any]):
         return 0
 
     def value(self, node: Node) -> Any:
-        """Returns the value of a node, or the value of the expression in the node.
+        """Returns the value of a YAML node, or the result of the expression in the YAML node.
 
-        Returns ``INVALID`` if the value has an error.  Returns ``None`` for a module parameter
-        with the value `none`.
+        Returns ``INVALID`` if the YAML node or the expression has an error.  Returns ``None`` for a
+        module parameter with the value `none`.
         """
         value = node.value
         if value is None:
-            return INVALID  # The schema check has reported the invalid value.
+            return INVALID  # The schema check has already reported the invalid value.
         if not (isinstance(value, str) and value.startswith("${") and value.endswith("}")):
             return value
         try:
@@ -89,15 +91,15 @@ class ValueReader(Mapping[str, Any]):
         return INVALID
 
     def evaluate(self, node: Node) -> Any:
-        """Returns the value of a node, or ``None`` if the value is invalid."""
+        """Returns the value of a YAML node, or ``None`` if the value is invalid."""
         value = self.value(node)
         return None if value is INVALID else value
 
     def quantity(self, node: Node | None, quantity: str, default: float = 0.0) -> float:
         """Returns a physical quantity in SI units.
 
-        Returns the default if the node is missing or invalid.  ``quantity``: kind of quantity,
-        such as ``length``.
+        Returns the default value if the YAML node is missing or invalid.  ``quantity``: kind of
+        quantity, such as ``length``.
         """
         if node is None:
             return default
@@ -132,7 +134,9 @@ class ValueReader(Mapping[str, Any]):
         )
 
     def _bounded(self, value: float, node: Node, default: float) -> float:
-        """Returns the value, or the default if the value is too small or too large for a robot."""
+        """Returns the physical quantity, or the default value if the quantity is too small or too
+        large for a robot.
+        """
         if value == 0.0 or SMALLEST <= abs(value) <= LARGEST:
             return float(value)
         self.report.add(
@@ -144,7 +148,9 @@ class ValueReader(Mapping[str, Any]):
         return default
 
     def boolean(self, node: Node | None, default: bool) -> bool:
-        """Returns the boolean value of a node, or the default if the node is missing or invalid."""
+        """Returns the boolean value of a YAML node, or the default value if the node is missing or
+        invalid.
+        """
         if node is None:
             return default
         value = self.value(node)
@@ -155,7 +161,8 @@ class ValueReader(Mapping[str, Any]):
         return default
 
     def text(self, node: Node | None, default: str = "") -> str:
-        """Returns the text of a node, or the default if the node is missing or invalid."""
+        """Returns the text of a YAML node, or the default value if the node is missing or invalid.
+        """
         if node is None:
             return default
         value = self.value(node)
@@ -168,7 +175,8 @@ class ValueReader(Mapping[str, Any]):
     def vector(self, node: Node | None, quantity: str, default: Vec3 = (0.0, 0.0, 0.0)) -> Vec3:
         """Returns three physical quantities in SI units.
 
-        The node contains a list, or an expression with a list as its value.
+        The YAML node contains a list of three quantities, or an expression with a list as the
+        result.
         """
         if node is None:
             return default
@@ -197,7 +205,7 @@ class ValueReader(Mapping[str, Any]):
 
 
 def describe_node(node: Node) -> str:
-    """Describes the content of a node for a message."""
+    """Describes the value of a YAML node for an error message."""
     if isinstance(node.value, dict):
         return "a mapping"
     if isinstance(node.value, tuple):
@@ -210,7 +218,7 @@ def describe_node(node: Node) -> str:
 
 
 def describe_value(node: Node, value: Any) -> str:
-    """Describes the content of a node for a message.
+    """Describes the value of a YAML node for an error message.
 
     The description of an expression includes the value of the expression.
     """

@@ -40,7 +40,7 @@ class Measured(NamedTuple):
 
 @dataclass
 class Calibration:
-    """Content of a calibration file.
+    """Content of a calibration file, which contains measured wheel radii and steering offsets.
 
     Attributes
     ----------
@@ -136,8 +136,8 @@ def calibrate_wheels(
 ) -> list[PlacedWheel]:
     """Returns the wheels with the measured radii.
 
-    A named radius that equals the nominal ``radius`` of the wheel belongs to the same tyre.  The
-    named radius is therefore replaced by the same measured radius.
+    A named wheel radius that equals the nominal ``radius`` of the wheel belongs to the same tyre.
+    The named wheel radius is therefore replaced by the same measured radius.
     """
     known = [wheel.name for wheel in wheels]
     for name, span in calibration.names.items():
@@ -178,7 +178,7 @@ def _calibrate_wheel(calibration: Calibration, wheel: PlacedWheel, report: Repor
 def _checked_radius(measured: Measured, nominal: float, wheel: str, report: Report) -> float:
     """Returns the measured radius (m), or the nominal radius if the measurement is not plausible.
 
-    A measured radius that is not plausible is reported.
+    A measured wheel radius that is not plausible is reported.
     """
     if abs(measured.value - nominal) <= MAX_RADIUS_CHANGE * nominal:
         return measured.value
@@ -201,9 +201,10 @@ def raise_axles(
 ) -> None:
     """Raises the axle of each wheel by the difference of the measured and the nominal radius.
 
-    The function changes the poses of the spin joints in ``joints``.  All wheels of the model then
-    touch the ground.  The frame of a real robot bends by a few millimetres, so that all wheels
-    touch the ground.  A rigid model with different radii would stand on three wheels.
+    The function changes the poses of the spin joints in ``joints``.  After the function call, all
+    wheels of the model touch the ground.  The frame of a real robot bends by a few millimetres
+    until all wheels touch the ground.  A rigid robot model with different wheel radii would stand
+    on three wheels.
     """
     index = {joint.name: i for i, joint in enumerate(joints)}
     for nominal, measured in zip(nominal_wheels, measured_wheels, strict=True):
@@ -228,7 +229,7 @@ def calibrate_steering(
 ) -> None:
     """Sets the encoder offsets (rad) of the steering motors to the measured steering offsets.
 
-    The function replaces elements of ``actuators``.
+    The function replaces the steering motors in the list ``actuators``.
     """
     index = {actuator.joint: i for i, actuator in enumerate(actuators)}
     offset_by_joint: dict[str, Measured] = {}

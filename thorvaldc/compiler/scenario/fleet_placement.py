@@ -14,13 +14,13 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model import Placement, Pose, Robot
 
-# Distance (m) of the robots in a grid if the document contains no valid spacing.  The distance is
-# large, so that the robots do not overlap.
+# Distance (m) of the robots in a grid if the document contains no valid spacing.  The default
+# distance is large, so that the robots do not overlap.
 DEFAULT_SPACING = 100.0
 
 
 class _Footprint(NamedTuple):
-    """The ground area that a placed robot covers.
+    """Ground area that the wheels of a placed robot cover.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class _Footprint(NamedTuple):
 
 
 class Placements:
-    """Collects the placed robots of a fleet."""
+    """Collects the robots of a fleet with their names and poses."""
 
     def __init__(self, report: Report) -> None:
         self.placed: list[Placement] = []
@@ -57,7 +57,7 @@ class Placements:
         self._footprints: list[_Footprint] = []
 
     def add(self, entry: str, node: Node, robot: Robot) -> None:
-        """Places one robot, or a grid of robots, as an entry of the document describes.
+        """Places the robot, or the grid of robots, of an entry of the section `robots`.
 
         Parameters
         ----------
@@ -82,9 +82,9 @@ class Placements:
             self.placed.append(placement)
 
     def _poses(self, entry: str, node: Node) -> Iterator[tuple[str, Pose]]:
-        """Yields the name and the pose of each robot of an entry.
+        """Yields the name and the pose of each robot that an entry of the section `robots` places.
 
-        The robots of a grid are placed row by row.
+        The robots of a grid are placed one row after another.
         """
         first = self._quantities.planar_pose(node)
         grid = node.get("grid")
@@ -101,7 +101,8 @@ class Placements:
     def _check_overlap(self, footprint: _Footprint, span: Span, reported_entries: set[str]) -> None:
         """Reports an overlap of a robot with a robot that was placed earlier.
 
-        Each pair of entries causes at most one report.
+        Each pair of entries in the section `robots` causes at most one diagnostic about overlapping
+        robots.
         """
         for earlier in self._footprints:
             if earlier.entry not in reported_entries and footprint.overlaps(earlier):
@@ -118,7 +119,7 @@ class Placements:
 
 
 def robots_of(node: Node) -> int:
-    """Returns the number of robots that an entry of the document places."""
+    """Returns the number of robots that an entry of the section `robots` places."""
     grid = node.get("grid")
     return 1 if grid is None else _count(grid, "rows") * _count(grid, "columns")
 

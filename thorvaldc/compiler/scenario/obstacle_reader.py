@@ -31,9 +31,9 @@ class ObstacleReader:
         self._blocks: list[Block] = []
 
     def blocks(self) -> tuple[Block, ...]:
-        """Returns all blocks of the world.
+        """Returns the shapes of all obstacles in the world.
 
-        Returns an empty tuple and reports an error if the world has too many blocks.
+        Returns an empty tuple and reports an error if the obstacles consist of too many shapes.
         """
         for key, add in (
             ("kerbs", self._add_kerb),
@@ -56,7 +56,7 @@ class ObstacleReader:
         return tuple(self._blocks)
 
     def _add(self, kind: str, name: str, shape: Shape, pose: Pose) -> None:
-        """Adds a block to the world."""
+        """Adds one geometric shape to the world."""
         self._blocks.append(Block(kind, name, shape, pose.clean()))
 
     def _line(self, node: Node) -> tuple[Pose, float]:
@@ -79,7 +79,7 @@ class ObstacleReader:
         return Pose.from_xyz_rpy(((x0 + x1) / 2, (y0 + y1) / 2, 0.0), (0.0, 0.0, yaw)), length
 
     def _add_kerb(self, node: Node, name: str) -> None:
-        """Adds a kerb, which is a box along a line."""
+        """Adds a kerb, which is a long box on the ground."""
         center, length = self._line(node)
         width = self._quantities.positive(node, "width", "length", 0.15)
         height = self._quantities.positive(node, "height", "length", 0.05)
@@ -88,7 +88,10 @@ class ObstacleReader:
         )
 
     def _add_rails(self, node: Node, name: str) -> None:
-        """Adds two pipe rails.  If `ramp` is greater than 0, each rail has a ramp at each end."""
+        """Adds two pipe rails, on which a greenhouse robot drives.
+
+        If the value of `ramp` is positive, each pipe rail has a ramp at each end.
+        """
         center, length = self._line(node)
         gauge = self._quantities.positive(node, "gauge", "length", 0.6)
         diameter = self._quantities.positive(node, "diameter", "length", 0.051)
@@ -101,8 +104,8 @@ class ObstacleReader:
             self._add("rail", f"{name}_{side}", Cylinder(diameter / 2, length), center * rail_pose)
             if ramp <= 0.0:
                 continue
-            # The lower end of a ramp is half buried in the ground.  At the upper end, the axis of
-            # the ramp meets the axis of the rail.
+            # The lower end of a rail's ramp is half buried in the ground.  The axis of the ramp
+            # meets the axis of the pipe rail at the upper end.
             rise = height - diameter / 2
             pipe = Cylinder(diameter / 2, math.hypot(ramp, rise))
             for end, direction in (("begin", -1), ("end", 1)):
@@ -144,8 +147,8 @@ class ObstacleReader:
     def _add_crop(self, node: Node, name: str) -> None:
         """Adds rows of plants.
 
-        The pose in the document is the pose of the first plant.  The rows of plants run along the
-        x axis of the pose.
+        The document contains the pose of the first plant.  The rows of plants are parallel to the x
+        axis of the first plant's pose.
         """
         first, quantities = self._quantities.planar_pose(node), self._quantities
         rows, plants = _count(node, "rows"), _count(node, "plants")
@@ -168,8 +171,8 @@ class ObstacleReader:
     def _add_tunnel(self, node: Node, name: str) -> None:
         """Adds the two rows of posts of a polytunnel.
 
-        The origin of the pose in the document is the middle of the entrance.  The rows of posts
-        run along the x axis of the pose.
+        The document contains the pose of the polytunnel, with the origin in the middle of the
+        entrance.  The rows of posts are parallel to the x axis of the polytunnel's pose.
         """
         entrance, quantities = self._quantities.planar_pose(node), self._quantities
         length = quantities.positive(node, "length", "length", 10.0)

@@ -24,8 +24,8 @@ from thorvaldc.model.scenario import GROUPS, Command, Expectation, Noise, Scenar
 
 MAX_DURATION = 86400.0  # s: one day
 
-# For each type of injected fault: the key of the parameter, the kind of quantity, the least value
-# and the greatest value in SI units.
+# Parameter of each type of injected fault: the key, the kind of quantity, and the least and
+# greatest value in SI units.
 _FAULT_VALUES = {
     "steering_offset": ("angle", "angle", -1.0, 1.0),
     "radius_error": ("error", "number", -0.5, 1.0),
@@ -48,10 +48,10 @@ _METRICS = {
 
 
 def read_scenario(document: Node, fleet: Fleet, report: Report) -> Scenario:
-    """Returns the scenario of a document.
+    """Returns the scenario that a scenario document describes.
 
     The fleet of the scenario contains the robots of ``fleet`` and the world of the document.  The
-    function also checks each value in the section ``variations`` of the document.
+    function also checks each value in the section ``variations`` of the scenario document.
     """
     scenario = _read(document, fleet, report)
     if document.get("variations") is not None:
@@ -60,13 +60,15 @@ def read_scenario(document: Node, fleet: Fleet, report: Report) -> Scenario:
 
 
 def _check_variations(document: Node, fleet: Fleet, report: Report) -> None:
-    """Reports the errors that each value of a variation causes in the scenario document."""
+    """Applies each value of a variation to the scenario document, and reports the errors."""
     variations = read_variations(document, (), None, None, report)
     if report.has_errors:
         return
     for change in variations.single_changes():
         if change.path.partition(".")[0] in ("robots", "fleet"):
-            continue  # A check of the value would require the compilation of another robot.
+            # Values that replace a robot file are not checked, because the check would compile
+            # another robot.
+            continue
         shape, content = Report(), Report()
         varied = without_variations(with_changes(document, [change], content))
         check(varied, "scenario", shape)
@@ -107,9 +109,9 @@ def _read(document: Node, fleet: Fleet, report: Report) -> Scenario:
 
 
 def _record_groups(record: Node | None) -> tuple[str, ...]:
-    """Returns the groups of columns that a run records.
+    """Returns the names of the column groups that are written to the record of a run.
 
-    By default, a run records all groups of columns.
+    By default, all column groups are written to the record of a run.
     """
     named = {str(node.value) for node in items(record.get("what") if record else None)}
     return tuple(group for group in GROUPS if not named or group in named)
@@ -131,7 +133,8 @@ class _SectionReader:
         """
         commands: dict[str, list[Command]] = {name: [] for name in self.robots}
         if script is not None and (robot_node := script.get("robot")) is not None:
-            self._robot_names(robot_node)  # Check the robot name of a script that names a log.
+            # If the script names a log file, only the robot name of the script is checked.
+            self._robot_names(robot_node)
         last_time = 0.0
         for node in items(script):
             time = self.quantities(
@@ -188,9 +191,9 @@ class _SectionReader:
     def _wheel_fault(
         self, node: Node, fault_type: str, robot: str, wheel: Node
     ) -> WheelFault | None:
-        """Reads a fault at a wheel.
+        """Reads an injected fault at a wheel.
 
-        Returns ``None`` and reports an error if the fault is not valid.
+        Returns ``None`` and reports an error if the injected fault is not valid.
         """
         motor_node = node.get("motor")
         motor = str(motor_node.value) if motor_node is not None else "drive"
@@ -221,7 +224,8 @@ class _SectionReader:
         return WheelFault(fault_type, robot, str(wheel.value), motor, value, start, end, node.span)
 
     def _has_wheel(self, robot: Robot, node: Node, motor: str) -> bool:
-        """Checks that the robot has a wheel of this name and that the wheel has the motor.
+        """Checks that the robot has the wheel of an injected fault, and that the wheel has the
+        required motor.
 
         ``motor``: ``drive`` or ``steering``, or empty if the wheel needs no motor.
         """
@@ -247,9 +251,10 @@ class _SectionReader:
         return False
 
     def _robot_names(self, node: Node) -> Sequence[str]:
-        """Returns a list with the robot name in a node.
+        """Returns a list with the robot name that a YAML node contains.
 
-        Returns an empty list and reports an error if the scenario has no robot of this name.
+        Returns an empty list and reports an error if the scenario has no robot of the name in the
+        YAML node.
         """
         if node.value in self.robots:
             return [str(node.value)]
@@ -291,7 +296,7 @@ class _SectionReader:
         for metric, bounds in entries(node).items():
             quantity = _METRICS.get(metric)
             if quantity is None:
-                continue  # The schema check has reported the unknown metric.
+                continue  # The schema check has already reported the unknown metric.
             least, most = (
                 self.quantities(bounds, key, quantity) if bounds.get(key) is not None else None
                 for key in ("min", "max")

@@ -1,4 +1,4 @@
-"""Reads the script of a scenario from recorded twists in CSV files or ROS bags."""
+"""Reads the commanded twists of a scenario from a CSV file or a ROS bag."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from thorvaldc.model.scenario import Command
 
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 _COMPONENTS = ("vx", "vy", "wz")
-_LARGEST = 1e9  # Largest plausible velocity in a log (m/s or rad/s).
+_LARGEST = 1e9  # Largest plausible velocity in a log file (m/s or rad/s).
 
 
 def read_twists(
@@ -34,9 +34,9 @@ def read_twists(
     files: dict[str, Path],
     report: Report,
 ) -> dict[str, tuple[Command, ...]]:
-    """Returns the commands of each robot in a log, by the name of the robot.
+    """Returns the commanded twists of each robot in a log file, by the name of the robot.
 
-    The times of the commands count from the start of the log.
+    The time of each command is in seconds from the start of the log file.
 
     Parameters
     ----------
@@ -75,16 +75,16 @@ def read_twists(
 
 
 def _read_csv(path: Path, display: str, report: Report) -> tuple[Command, ...] | None:
-    """Reads the commands in a CSV file."""
+    """Reads the commanded twists from a CSV file."""
     table = read_table(path, display, report)
     return _commands_of_table(table, report) if table is not None else None
 
 
 def _commands_of_table(table: Table, report: Report) -> tuple[Command, ...] | None:
-    """Returns the commanded twists in a table.
+    """Returns the commanded twists from a CSV table.
 
-    The table is a CSV file of a record or of the user.  A component of the twist without a column
-    is 0.
+    The CSV table is a record of this program or a file of the user.  If the CSV table has no column
+    for a component of the twist, the component is 0.
     """
     columns = table.columns
     prefix = "asked_" if "asked_vx" in columns else ""
@@ -133,7 +133,7 @@ def _read_bag(
     topic: str,
     report: Report,
 ) -> dict[str, tuple[Command, ...]]:
-    """Reads the commands of each robot in a ROS bag, by the name of the robot."""
+    """Reads the commanded twists of each robot from a ROS bag, by the name of the robot."""
 
     def choose_topics(topics: Mapping[str, str]) -> list[str]:
         return _twist_topics(topics) if not topic else [topic] if topic in topics else []
@@ -168,9 +168,9 @@ def _read_bag(
                 hint=f"add `topic:`; {_list_topics(candidates)}" if candidates else None,
             )
             continue
-        # In a record of this program, a twist is valid until the next twist.  In a log of a real
-        # robot, a twist is valid for the command time-out of the base driver.  Only records of
-        # this program contain a topic with limited twists.
+        # In a record of this program, each commanded twist is valid until the next commanded twist.
+        # In the log of a real robot, each commanded twist is valid for the command time-out of the
+        # base driver.  Only records of this program contain a topic with limited twists.
         limited_topic = f"{robot_topic.removesuffix(COMMANDED_TWIST)}{LIMITED_TWIST}"
         timeout = math.inf if limited_topic in bag.topics else robot.driver.command_timeout
         commands = _commands_of_messages(bag.messages[robot_topic], timeout)
@@ -187,9 +187,9 @@ def _read_bag(
 
 
 def _twist_topics(topics: Mapping[str, str]) -> list[str]:
-    """Returns the sorted names of the topics with commanded twists.
+    """Returns the sorted names of the ROS topics that contain commanded twists.
 
-    The limited twists in records of this program are left out.
+    Topics with limited twists in records of this program are left out.
     """
     twists = {name for name, type_ in topics.items() if type_ in (TWIST, TWIST_STAMPED)}
     limited_suffix = f"/{LIMITED_TWIST}"
@@ -203,10 +203,11 @@ def _twist_topics(topics: Mapping[str, str]) -> list[str]:
 
 
 def _topic_of(robot: str, candidates: Sequence[str]) -> str | None:
-    """Returns the topic with the commanded twists of a robot.
+    """Returns the ROS topic with the commanded twists of a robot.
 
-    The topic name contains the name of the robot.  If there is no topic with the name of the robot
-    and only one candidate, the candidate is returned.  Otherwise the function returns ``None``.
+    The name of the ROS topic contains the name of the robot.  If no topic name contains the name of
+    the robot and the ROS bag contains only one twist topic, the only twist topic is returned.
+    Returns ``None`` if the ROS topic cannot be determined.
     """
     robot_topic = f"/{robot}/{COMMANDED_TWIST}"
     if robot_topic in candidates:
@@ -221,10 +222,10 @@ def _list_topics(topics: Sequence[str]) -> str:
 def _commands_of_messages(
     messages: Iterable[tuple[float, Any]], timeout: float
 ) -> tuple[Command, ...] | None:
-    """Returns the commands that the messages of a topic contain.
+    """Returns the commanded twists that the messages of a ROS topic contain.
 
-    If no message arrives for ``timeout`` (s), a command with the twist 0 is added.  Returns
-    ``None`` if a velocity is not a number or is too large.
+    If the ROS bag contains no message for longer than ``timeout`` (s), a command with the twist 0
+    is added.  Returns ``None`` if a velocity in the ROS bag is not a number or is too large.
     """
     commands: list[Command] = []
     last_time = math.inf

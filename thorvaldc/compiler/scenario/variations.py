@@ -30,10 +30,10 @@ _RANGE = re.compile(rf"(\s*{_NUMBER}[^.]*?)\.\.({_NUMBER}.*)", re.ASCII)
 
 
 class Change(NamedTuple):
-    """A new value for an entry of a document.
+    """A new value for one entry of a scenario document.
 
-    ``path`` is the dotted path of the entry.  ``value`` is the new value of the entry.
-    ``value.where`` is the span of the path.
+    ``path`` is the dotted path of the entry in the scenario document.  ``value`` is the new value
+    of the entry.  ``value.where`` is the source span of the path.
     """
 
     path: str
@@ -41,7 +41,7 @@ class Change(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Text of the new value for a table."""
+        """Text of the new value, for a table of the runs."""
         plain = self.value.plain()
         if isinstance(plain, str):
             return plain
@@ -50,9 +50,9 @@ class Change(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class VariedPath:
-    """The values that one entry of a scenario document gets.
+    """The values that one entry of a scenario document gets in the runs of a scenario.
 
-    The values are either a list or a range.
+    The values of a varied entry are given as a list or as a range.
 
     Attributes
     ----------
@@ -76,8 +76,9 @@ class VariedPath:
     def draw(self, seed: int, number: int) -> Node:
         """Returns a random value from the range.
 
-        The value depends only on ``seed``, on ``number`` (the number of the draw) and on the path.
-        Another varied path in the document therefore does not change the value.
+        The random value depends only on ``seed``, on ``number`` (the number of the random draw) and
+        on the path in the document.  The random values of other paths therefore do not change the
+        random value.
         """
         key = f"{seed} {number} {self.path}"
         generator = random.Random(hashlib.sha256(key.encode()).digest())
@@ -114,7 +115,7 @@ class Variations:
 
     @property
     def size(self) -> int:
-        """Number of runs of the scenario."""
+        """Number of runs of the scenario with all variations."""
         size = self.draws
         for varied in self.varied:
             size *= max(len(varied.choices), 1)
@@ -123,10 +124,10 @@ class Variations:
     def runs(self) -> Iterator[tuple[Change, ...]]:
         """Yields the changes of the scenario document for each run.
 
-        The combinations of listed values are yielded in order.  The value of the last path varies
-        fastest.  Each combination is run with all random draws.  The draw number k has the same
-        random values in all combinations.  If there are several draws, each draw has another seed
-        of the sensor noise.
+        The combinations of listed values are yielded in order, and the value of the last path
+        changes first.  Each combination of listed values is run with every random draw.  Each
+        random draw has the same random values in all combinations.  With several random draws, each
+        random draw has a different seed of the sensor noise.
         """
         lists = [varied for varied in self.varied if varied.choices]
         ranges = [varied for varied in self.varied if not varied.choices]
@@ -191,7 +192,8 @@ def read_variations(
 def _read_values(path: str, node: Node, report: Report) -> VariedPath | None:
     """Reads the values of a path in the section `vary` of a scenario document.
 
-    The entry is a list of values, or a range with the keys `min` and `max`.
+    The section `vary` contains for each path a list of values, or a range with the keys `min` and
+    `max`.
     """
     if isinstance(node.value, tuple):
         choices = tuple(value._replace(key_span=value.span) for value in node.value)
@@ -203,7 +205,7 @@ def _read_values(path: str, node: Node, report: Report) -> VariedPath | None:
 
 
 def _read_setting(path: str, text: str, report: Report) -> VariedPath | None:
-    """Reads the values of a path from a setting of the command line, as YAML."""
+    """Reads the values of a path from a command line option, which contains YAML text."""
     span = Span(f"{SETTING}{path}")
     limits = _RANGE.fullmatch(text)
     if limits is not None:
@@ -223,7 +225,7 @@ def _read_setting(path: str, text: str, report: Report) -> VariedPath | None:
 
 
 def _with_span(node: Node, span: Span) -> Node:
-    """Returns a copy of a node in which every value has the same span.
+    """Returns a copy of a YAML node in which every value has the same source span.
 
     Values from the command line have no line numbers.
     """
@@ -236,9 +238,9 @@ def _with_span(node: Node, span: Span) -> Node:
 
 
 def _read_range(path: str, low: str, high: str, span: Span, report: Report) -> VariedPath | None:
-    """Reads the limits of a range.
+    """Reads the two limits of a range of values.
 
-    Both limits must have the same unit.  A limit of 0 needs no unit.
+    Both limits of the range must have the same unit.  A limit of 0 needs no unit.
     """
     first, last = _QUANTITY.fullmatch(low), _QUANTITY.fullmatch(high)
     if first is None or last is None:
@@ -280,9 +282,9 @@ def _integer(node: Node | None, key: str, default: int) -> int:
 
 
 def with_changes(document: Node, changes: Sequence[Change], report: Report) -> Node:
-    """Returns the document with the changes applied.
+    """Returns the scenario document with the changed values.
 
-    Missing mappings on the path of a change are added.
+    Missing mappings on the path of a changed value are added.
     """
     for change in changes:
         document = _with_change(document, change.path.split("."), change, report)
@@ -290,7 +292,7 @@ def with_changes(document: Node, changes: Sequence[Change], report: Report) -> N
 
 
 def without_variations(document: Node) -> Node:
-    """Returns the document without the section ``variations``."""
+    """Returns the scenario document without the section ``variations``."""
     if not isinstance(document.value, dict):
         return document
     rest = {key: node for key, node in document.value.items() if key != "variations"}
@@ -298,9 +300,9 @@ def without_variations(document: Node) -> Node:
 
 
 def _with_change(node: Node, keys: Sequence[str], change: Change, report: Report) -> Node:
-    """Returns a node with one changed value.
+    """Returns a copy of a YAML node with one changed value.
 
-    ``keys``: keys and list indices that lead from the node to the changed value.
+    ``keys``: mapping keys and list indices that lead from the YAML node to the changed value.
     """
     if not keys:
         return change.value

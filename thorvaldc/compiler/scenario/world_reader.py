@@ -18,7 +18,7 @@ DEFAULT_SIZE = (30.0, 30.0)  # Default length and width of rough ground (m).
 
 
 def read_world(document: Node, quantities: BoundedQuantities, report: Report) -> World:
-    """Returns the world of a scenario document.
+    """Returns the world (ground, zones and obstacles) of a scenario document.
 
     The default world is level ground without obstacles.
     """
@@ -37,7 +37,7 @@ def read_world(document: Node, quantities: BoundedQuantities, report: Report) ->
 def wheel_friction(document: Node, quantities: BoundedQuantities) -> float | None:
     """Returns the friction coefficient that replaces the coefficients of all wheels.
 
-    Returns ``None`` if the document contains no friction coefficient for the world.
+    Returns ``None`` if the scenario document contains no friction coefficient of the world.
     """
     node = document.get("world")
     if node is None or node.get("friction") is None:
@@ -46,13 +46,15 @@ def wheel_friction(document: Node, quantities: BoundedQuantities) -> float | Non
 
 
 def with_friction(robot: Robot, coefficient: float) -> Robot:
-    """Returns the robot with the same friction coefficient for all wheels."""
+    """Returns a copy of the robot in which all wheels have the same friction coefficient."""
     wheels = (replace(wheel, friction=coefficient) for wheel in robot.wheels)
     return replace(robot, wheels=tuple(wheels))
 
 
 def _ground(node: Node, quantities: BoundedQuantities, report: Report) -> Ground:
-    """Reads the ground, and reports keys that have no effect on this type of ground."""
+    """Reads the ground of the world, and reports keys that have no effect on the type of the
+    ground.
+    """
     type_node = node.get("type")
     ground_type = str(type_node.value) if type_node is not None else ""
     keys_without_effect = {
@@ -94,7 +96,8 @@ def _rough_size(
 ) -> tuple[float, float]:
     """Returns the length and the width of rough ground (m).
 
-    Rough ground with too many height field cells is reported, and the default size is returned.
+    If rough ground has too many height field cells, the function reports an error and returns the
+    default size.
     """
     size = quantities.pair(node, "size", DEFAULT_SIZE)
     cells = math.prod(edge / wavelength * CELLS_PER_WAVE for edge in size)

@@ -17,7 +17,7 @@ CELLS_PER_WAVE = 10
 
 With fewer cells per wave, the edges between cells add rolling resistance.
 """
-LARGEST_CELL = 0.1  # Largest edge length of a height field cell (m).
+LARGEST_CELL = 0.1  # Largest edge length of a cell of the ground's height field (m).
 
 
 def read_zones(node: Node | None, quantities: BoundedQuantities, report: Report) -> Iterator[Zone]:
@@ -59,7 +59,7 @@ def read_zones(node: Node | None, quantities: BoundedQuantities, report: Report)
 
 
 def _check_keys(zone_node: Node, report: Report) -> None:
-    """Reports each key of a zone that has no effect because another key is missing.
+    """Reports each key of a ground zone that has no effect because another key is missing.
 
     For example, `wavelength` has no effect in a zone without `amplitude`.
     """
@@ -75,9 +75,9 @@ def _check_keys(zone_node: Node, report: Report) -> None:
 
 
 def _coefficient(node: Node, key: str, quantities: BoundedQuantities, most: float) -> float | None:
-    """Returns the friction or rolling resistance coefficient of a zone.
+    """Returns the friction coefficient or the rolling resistance coefficient of a ground zone.
 
-    Returns ``None`` if the zone does not change the coefficient of the wheels.
+    Returns ``None`` if the ground zone does not change the coefficient of the wheels.
     """
     if node.get(key) is None:
         return None
@@ -90,7 +90,9 @@ def check_starts(fleet: Fleet, document: Node, report: Report) -> None:
     zone_nodes = items(world.get("zones") if world is not None else None)
     zones = fleet.world.zones if fleet.world is not None else ()
     if len(zone_nodes) != len(zones):
-        return  # The numbers of nodes and zones differ if some zones are invalid.
+        # If a ground zone is invalid, the list of ground zones is shorter than the list of YAML
+        # nodes.
+        return
     for node, zone in zip(zone_nodes, zones, strict=True):
         if zone.level:
             continue
