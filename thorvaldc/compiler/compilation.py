@@ -100,8 +100,7 @@ class Compilation:
         return cls(folder=source.folder, files={source.name: source.path})
 
     def located(self, report: Report) -> Report:
-        """Replaces the file names in diagnostics about the model by the paths that the user passed.
-        """
+        """Replaces file names in diagnostics about the model by the paths that the user passed."""
 
         def with_user_path(span: Span) -> Span:
             if span.file.startswith((BUILTIN_LIBRARY, SETTING)):

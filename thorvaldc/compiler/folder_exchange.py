@@ -50,7 +50,8 @@ def staging_folder(target: Path) -> Iterator[Path]:
 
 
 def _is_fixed(target: Path) -> bool:
-    """Returns whether a folder must keep its inode and therefore cannot be exchanged.
+    """Returns whether a folder must keep the inode and therefore cannot be exchanged with another
+    folder.
 
     Mount points, the current folder and the parents of the current folder must keep the inode.  If
     the current folder were exchanged, the user's shell would be in a deleted folder.

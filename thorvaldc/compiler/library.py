@@ -46,7 +46,7 @@ def data_folder(name: str) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class ModuleType:
-    """A module type with its document, which is valid against the schema.
+    """A module type with the module document, which is valid against the schema.
 
     Attributes
     ----------

@@ -16,8 +16,7 @@ from thorvaldc.model import Robot
 
 
 def read_robot_lock(source: SourceFile, compilation: Compilation, report: Report) -> Lock | None:
-    """Returns the node ids in the lock file of a robot, or ``None`` if the robot has no lock file.
-    """
+    """Returns the node ids in a robot's lock file, or ``None`` if the robot has no lock file."""
     path = lock_path(source.path)
     if not os.path.lexists(path):
         return None

@@ -102,8 +102,8 @@ def _place_single_robot(robot: Robot, robots: Node | None, report: Report) -> tu
     """Places the robot that replaces all robots of a scenario.
 
     If the section ``robots`` of the scenario has exactly one entry, the new robot gets the name and
-    pose of the entry.  Otherwise the new robot keeps the name in the robot file and is placed at
-    the origin.
+    pose of the entry.  If the section ``robots`` does not have exactly one entry, the new robot
+    keeps the name in the robot file and is placed at the origin.
     """
     entries = robots.value if robots is not None else None
     if not isinstance(entries, dict) or len(entries) != 1:

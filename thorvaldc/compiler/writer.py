@@ -197,7 +197,8 @@ def _write(files: Mapping[str, bytes], target: Path, shown: str) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
     if target.exists():
         with locked(target.parent):
-            # A wrong path raises an error before any file of the build is written.
+            # Files of the user that the build would replace cause an error before any file is
+            # written.
             _check_content(_list_content(target), files, shown)
     with staging_folder(target) as stage:
         _fill(stage, files)

@@ -40,7 +40,7 @@ _BELOW_8 = bytes(b for b in range(256) if b & 0x7F < 0x41)
 
 
 class _MeshError(NamedTuple):
-    """An error of a mesh file.
+    """Description of an error in a mesh file.
 
     ``code`` is the name of the diagnostic that reports the mesh error.  ``text`` is the end of the
     error message, after the words "mesh file `name`".  ``hint`` explains how the user can correct
@@ -335,7 +335,8 @@ def _collada_axes(data: bytes) -> list[list[float]]:
     from xml.etree import ElementTree
 
     root = ElementTree.fromstring(data)
-    unit, up = 1.0, "Y_UP"  # Default values of the element <asset> in Collada 1.4.
+    # Default unit and default up axis of a Collada 1.4 file (element <asset>).
+    unit, up = 1.0, "Y_UP"
     for element in root.iter():
         name = element.tag.rpartition("}")[2]
         if name == "unit":

@@ -1,12 +1,13 @@
 """Checks which twists the wheels of a robot allow, and which twists the motors control.
 
 The notation follows Campion, Bastin and d'Andrea-Novel, "Structural properties and classification
-of kinematic and dynamic models of wheeled mobile robots" (1996).  A wheel at the position (x, y)
-with the heading angle b does not slide sideways if the twist (vx, vy, wz) satisfies
+of kinematic and dynamic models of wheeled mobile robots" (1996).  Condition that a wheel at the
+position (x, y) with the heading angle b does not slide sideways when the robot moves with the twist
+(vx, vy, wz):
 
     (-sin b, cos b, x cos b + y sin b) . (vx, vy, wz) = 0          (lateral row).
 
-The motor of a driven wheel sets the speed v of the wheel along the heading:
+Condition that a driven wheel rolls with the speed v along the heading:
 
     (cos b, sin b, x sin b - y cos b) . (vx, vy, wz) = v           (rolling row).
 """

@@ -152,8 +152,8 @@ def check_wheels_overlap(robot: Robot, report: Report) -> None:
         ]
         overlapping = next((n for n in neighbours if _rectangles_overlap(wheel, n)), None)
         if overlapping is not None:
-            # Each wheel causes at most one diagnostic about overlapping wheels.  Otherwise a
-            # thousand wheels in one position would cause half a million diagnostics.
+            # Each wheel causes at most one diagnostic about overlapping wheels.  Without the
+            # restriction, a thousand wheels in one position would cause half a million diagnostics.
             report.add(
                 "wheels-overlap",
                 f"the wheels of `{overlapping.module}` and `{wheel.module}` overlap",

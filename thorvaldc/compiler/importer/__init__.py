@@ -1,6 +1,7 @@
 """Converts configuration files of the original system to robot.yaml.
 
-``docs/import.md`` describes the conversion.  Modules of this package::
+The page ``docs/import.md`` describes the conversion of original configuration files.  Modules of
+this package::
 
     original_file                         file -> tree of texts, as ROS reads YAML
     original_mapping, conversion_log      typed values; a log entry for each value
@@ -44,7 +45,8 @@ _MAX_NESTING = 8
 # Diagnostic codes about the generated robot.yaml.  Without a robot.yaml, such diagnostics are
 # dropped.
 _RESULT_CODES = ("import-assumed", "import-left-out")
-# Keys of mappings that contain `motor_drives`.  A key in this list is not the name of a robot.
+# Keys of mappings that contain `motor_drives`.  A key such as `ros_parameters` is not the name of a
+# robot.
 _GENERIC_KEYS = (
     "",
     "ros_parameters",
@@ -133,9 +135,9 @@ def _find_root(node: Node, key: Key) -> tuple[Key, Node] | None:
 def _robot_name(root: OriginalMapping, path: Path) -> str:
     """Returns the name of the robot.
 
-    The name is the value of the key `robot_name`.  Without the key, the name is the key of the
-    innermost mapping that contains `motor_drives`.  Without such a mapping, the name is the file
-    name.
+    The name of the robot is the value of the key `robot_name`.  If the file has no key
+    `robot_name`, the name of the robot is the key of the innermost mapping that contains
+    `motor_drives`.  If no mapping key is a robot name, the name of the robot is the file name.
     """
     outer_keys = [key for key in root.key if as_id(key) not in _GENERIC_KEYS]
     return (

@@ -28,7 +28,8 @@ def add_casters(
 ) -> list[Module]:
     """Returns two casters if all driven wheels are on one straight line.
 
-    Otherwise the function returns an empty list.  Added casters are reported as an assumption.
+    If the driven wheels are not on one straight line, no casters are needed and the list is empty.
+    Added casters are reported as an assumption.
 
     ``frame_height`` (m) is the height of the robot's frame above the ground.  ``frame_center_x``
     (m) is the x coordinate of the middle of the frame in ``base_link``.

@@ -1,7 +1,7 @@
 """Reads a configuration file of the original system by the YAML rules of ROS.
 
-ROS reads YAML 1.1, and the original system accepts numbers and Booleans in quotes.  This module
-therefore returns every scalar as text.  The class ``OriginalMapping`` converts the text to a number
+ROS reads YAML 1.1, and the original system accepts numbers and Booleans in quotes.  Every scalar of
+the file is therefore returned as text.  The class ``OriginalMapping`` converts the text to a number
 or a Boolean.
 """
 

@@ -197,7 +197,7 @@ class OriginalMapping:
     def leave_out(self, key: str, reason: str) -> None:
         """Logs that robot.yaml cannot express the value of a key.
 
-        The method does nothing if the mapping does not contain the key.
+        A key that the mapping does not contain is not logged.
         """
         node = self.node.get(key)
         if node is not None:

@@ -125,8 +125,8 @@ def flow(value: Value) -> str:
 def angle(radians: float) -> Value:
     """Converts an angle in radians to a value for robot.yaml.
 
-    The result is a text such as ``90 deg`` if the angle is a whole number of degrees.  Otherwise
-    the result is the number of radians.
+    The result is a text such as ``90 deg`` if the angle is a whole number of degrees.  If the angle
+    is not a whole number of degrees, the result is the number of radians.
     """
     degrees = math.degrees(radians)
     return f"{round(degrees)} deg" if degrees and abs(degrees - round(degrees)) < 1e-9 else radians

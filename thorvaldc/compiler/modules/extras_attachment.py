@@ -100,7 +100,8 @@ class _AttachmentFinder:
             return reference, Pose()
         if reference in self.first_links:
             return self.first_links[reference], Pose()
-        references = References(Report())  # The reader of the extras reports unknown references.
+        # References to unknown links or modules are reported when the extras are read.
+        references = References(Report())
         node = Node(reference, self.document.span)
         leaf_and_port = references.find_port(self.robot, reference, node)
         if leaf_and_port is not None:

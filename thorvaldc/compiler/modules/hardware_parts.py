@@ -49,7 +49,7 @@ class JointPart(NamedTuple):
 
 
 class MotorPart(NamedTuple):
-    """A motor with its gear.
+    """A motor of a module, with the gear between motor and joint.
 
     ``motor_max_speed`` is the maximum speed of the motor shaft (rad/s).  ``max_velocity`` (rad/s),
     ``max_acceleration`` (rad/s^2) and ``max_torque`` (N m) are the limits of the motor at the

@@ -17,7 +17,7 @@ from thorvaldc.model.spatial import Pose
 class Instance:
     """A module instance, or the root of the tree of module instances.
 
-    The root represents the whole robot.
+    The root of the tree of module instances represents the whole robot.
 
     Attributes
     ----------

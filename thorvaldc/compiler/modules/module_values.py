@@ -100,6 +100,6 @@ class ModuleValues:
     def properties(self, node: Node | None) -> tuple[tuple[str, Scalar], ...]:
         """Returns the properties in a mapping of a module document, by name.
 
-        Quantities are converted to SI units.
+        Properties with a unit are converted to SI units.
         """
         return tuple((key, self.scalar(value)) for key, value in entries(node).items())

@@ -172,7 +172,7 @@ class Mounting:
         already been reported.
         """
         # A chain of mounts leads from a module to the carrying module, and so on.  For each module,
-        # the dictionary `chain_ends` contains whether the chain of mounts ends at the root module.
+        # the dictionary `chain_ends` contains whether the chain of mounts has an end.
         chain_ends: dict[int, bool] = {}
         for leaf in robot.leaves():
             chain = [leaf]

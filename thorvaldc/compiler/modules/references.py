@@ -57,14 +57,13 @@ class References:
     def find_port(
         self, inside: Instance, reference: str, node: Node
     ) -> tuple[Instance, str] | None:
-        """Returns the module that has the port, and the name of the port in the module document."""
+        """Returns the module that has the port, and the port's name in the module document."""
         return self._find_in_section(inside, reference, node, "ports", "port")
 
     def find_motor(
         self, inside: Instance, reference: str, node: Node
     ) -> tuple[Instance, str] | None:
-        """Returns the module that has the motor, and the name of the motor in the module document.
-        """
+        """Returns the module that has the motor, and the motor's name in the module document."""
         return self._find_in_section(inside, reference, node, "motors", "motor")
 
     def _find_in_section(
@@ -81,8 +80,8 @@ class References:
             return None
         part, rest = part_and_rest
         if not rest and part.parent is not None and part.parent is not inside:
-            # A module in an assembly and a motor of the assembly may have the same name.  A
-            # reference such as `fl.steering` then names the motor.
+            # A module in an assembly and a motor of the assembly may have the same name.  In this
+            # case, a reference such as `fl.steering` names the motor.
             name = reference.rpartition(".")[2]
             if part.parent.type is not None and name in part.parent.type.section(section):
                 part, rest = part.parent, [name]

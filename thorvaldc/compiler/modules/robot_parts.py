@@ -84,7 +84,7 @@ class RobotParts:
         for joint in hardware.joints:
             motor = motors.get(joint.name)
             effort, velocity = joint.effort, joint.velocity
-            # Each limit is the lower of the joint's limit and the motor's limit.
+            # Each effort or velocity limit is the lower of the joint's limit and the motor's limit.
             if motor is not None:
                 effort = min(motor.max_torque, math.inf if effort is None else effort)
                 velocity = min(motor.max_velocity, math.inf if velocity is None else velocity)

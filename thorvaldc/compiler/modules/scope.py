@@ -37,15 +37,15 @@ WHEEL_SIZES = ("radius", "width")
 def hint_of_known(word: str, known: list[str]) -> str:
     """Returns a hint for an error message about an unknown word.
 
-    The hint contains the most similar known word.  If no known word is similar, the hint lists all
-    known words.
+    The hint suggests the known word with the most similar spelling.  If no known word is similar,
+    the hint lists all known words.
     """
     all_words = "known: " + ", ".join(f"`{k}`" for k in known) if known else "there are none"
     return did_you_mean(word, known) or all_words
 
 
 class ModuleChoice(Mapping[str, Any]):
-    """The value of a `module` parameter, which is a module type with arguments.
+    """The value of a `module` parameter: a module type and its parameter values.
 
     A ``ModuleChoice`` is a mapping of the parameter values of the chosen module.  An expression
     such as `${wheel.radius}` reads a parameter value of the chosen module.  If the chosen module

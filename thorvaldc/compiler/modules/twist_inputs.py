@@ -12,7 +12,8 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model.robot import TwistInput
 
 # The default twist sources and twist locks have the same names, priorities and ROS topics as in the
-# twist multiplexer of the original system.  The joystick has a higher priority than the navigation.
+# twist multiplexer of the original system.  Commanded twists of the joystick have a higher priority
+# than commanded twists of the navigation.
 DEFAULT_SOURCES = {"teleop_joy": 100, "auto_nav": 10}
 DEFAULT_LOCKS = {
     "safety_stop": (255, "safety_stop/lock"),
@@ -23,7 +24,8 @@ DEFAULT_LOCKS = {
 class TwistInputReader:
     """Reads the sections ``driver.twist_sources`` and ``driver.twist_locks`` of a robot document.
 
-    Each entry of the two sections changes a default twist source or twist lock, or adds a new one.
+    Each entry of the two sections changes a default twist source or twist lock, or adds a new twist
+    source or twist lock.
     """
 
     def __init__(self, document: Node, reader: ValueReader, report: Report) -> None:

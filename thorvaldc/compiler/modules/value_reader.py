@@ -1,8 +1,8 @@
 """Reads values of a document, evaluates expressions and converts quantities to SI units.
 
 Each method of the class ``ValueReader`` returns a value of the requested type.  If a value in the
-document is invalid, the method reports an error and returns the default value.  One run can
-therefore report all errors of a document.
+document is invalid, the method reports an error and returns the default value.  One run of the
+compiler can therefore report all errors of a document.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ class ValueReader(Mapping[str, Any]):
         return default
 
     def boolean(self, node: Node | None, default: bool) -> bool:
-        """Returns the boolean value of a YAML node, or the default value if the node is missing or
+        """Returns the boolean value of a YAML node, or the default if the node is missing or
         invalid.
         """
         if node is None:
@@ -161,8 +161,7 @@ class ValueReader(Mapping[str, Any]):
         return default
 
     def text(self, node: Node | None, default: str = "") -> str:
-        """Returns the text of a YAML node, or the default value if the node is missing or invalid.
-        """
+        """Returns the text of a YAML node, or the default if the node is missing or invalid."""
         if node is None:
             return default
         value = self.value(node)

@@ -62,8 +62,7 @@ class ObstacleReader:
     def _line(self, node: Node) -> tuple[Pose, float]:
         """Returns the pose and the length (m) of the line between the points `from` and `to`.
 
-        The origin of the pose is the centre of the line.  The x axis of the pose points along the
-        line.
+        The pose of the line has the origin in the middle of the line and the x axis along the line.
         """
         x0, y0 = self._quantities.pair(node, "from", (0.0, 0.0))
         x1, y1 = self._quantities.pair(node, "to", (1.0, 0.0))
@@ -145,7 +144,7 @@ class ObstacleReader:
         self._add("obstacle", name, shape, pose * _offset(0.0, 0.0, height / 2))
 
     def _add_crop(self, node: Node, name: str) -> None:
-        """Adds rows of plants.
+        """Adds rows of crop plants to the world.
 
         The document contains the pose of the first plant.  The rows of plants are parallel to the x
         axis of the first plant's pose.
@@ -169,7 +168,7 @@ class ObstacleReader:
                 self._add("crop", f"{name}_{row + 1}_{i + 1}", plant, pose)
 
     def _add_tunnel(self, node: Node, name: str) -> None:
-        """Adds the two rows of posts of a polytunnel.
+        """Adds the two rows of posts of a polytunnel to the world.
 
         The document contains the pose of the polytunnel, with the origin in the middle of the
         entrance.  The rows of posts are parallel to the x axis of the polytunnel's pose.

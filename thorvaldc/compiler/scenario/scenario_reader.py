@@ -126,10 +126,10 @@ class _SectionReader:
         self.report = report
 
     def commands(self, script: Node | None) -> tuple[tuple[str, tuple[Command, ...]], ...]:
-        """Returns the scripted commands of each robot in the order of time.
+        """Returns the scripted commands of each robot, sorted by time.
 
-        The script may name a log instead of commands.  If the script names a log, the method
-        returns no commands, and the module ``scenario_compilation`` reads the log.
+        If the script names a log file instead of commands, the method returns no commands, and the
+        module ``scenario_compilation`` reads the log file.
         """
         commands: dict[str, list[Command]] = {name: [] for name in self.robots}
         if script is not None and (robot_node := script.get("robot")) is not None:

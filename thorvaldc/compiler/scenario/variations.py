@@ -74,7 +74,7 @@ class VariedPath:
     span: Span | None = None
 
     def draw(self, seed: int, number: int) -> Node:
-        """Returns a random value from the range.
+        """Returns a random value from the range of the varied entry.
 
         The random value depends only on ``seed``, on ``number`` (the number of the random draw) and
         on the path in the document.  The random values of other paths therefore do not change the
@@ -227,7 +227,7 @@ def _read_setting(path: str, text: str, report: Report) -> VariedPath | None:
 def _with_span(node: Node, span: Span) -> Node:
     """Returns a copy of a YAML node in which every value has the same source span.
 
-    Values from the command line have no line numbers.
+    Values from the command line have no line number in a file.
     """
     value = node.value
     if isinstance(value, dict):
