@@ -83,7 +83,10 @@ _HEADER = struct.Struct("<Hc")
 
 
 def pack(kind: bytes, body: bytes = b"") -> bytes:
-    """Returns a message as bytes.  ``kind``: message type, one byte."""
+    """Returns a message for the local socket as bytes.
+
+    ``kind``: one byte that identifies the type of the message.
+    """
     return _HEADER.pack(len(body), kind) + body
 
 

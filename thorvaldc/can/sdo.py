@@ -74,7 +74,7 @@ def encode_number(type_name: str, value: int) -> bytes:
 def decode_number(type_name: str, data: bytes) -> int:
     """Returns the integer in the first bytes of ``data`` (little endian).
 
-    Missing bytes are read as 0.
+    Missing bytes of the integer are read as 0.
     """
     length = number_length(type_name)
     signed = type_name.startswith("integer")

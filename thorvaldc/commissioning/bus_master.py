@@ -243,8 +243,8 @@ class BusMaster:
                 raise other_master_error([sign])
 
     def _sign_of_master(self, frame: CanFrame) -> str:
-        """Returns a description if only a CANopen master sends CAN frames of this type, else an
-        empty text."""
+        """Returns a description if the CAN frame can only come from a CANopen master, else an empty
+        text."""
         identifier = frame.id
         if identifier in self._from_nodes:
             return ""

@@ -42,7 +42,7 @@ class LssError(Exception):
 
 
 class LssMaster:
-    """Client of the layer setting services (LSS).
+    """LSS master that sets and reads node ids with the layer setting services (LSS).
 
     At most one LSS slave may be in the configuration state at a time.  ``switch_to_waiting`` ends
     the configuration state of all slaves.

@@ -82,8 +82,8 @@ class ObjectWriter:
     ) -> None:
         """Writes the mapping and the communication parameters of a PDO.
 
-        The PDO is disabled before the first write.  The COB-ID of the PDO is written last, because
-        this enables the PDO again.
+        The PDO is disabled before the first parameter is written.  The COB-ID of the PDO is written
+        last, because writing the COB-ID enables the PDO again.
         """
         cob_id = self._final_value(node, base, 1, "unsigned32", changed, present)
         present_id = present.get((base, 1))

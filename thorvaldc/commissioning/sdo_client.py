@@ -126,7 +126,7 @@ class SdoClient:
     def _single_response(
         self, node: int, request: bytes, timeout: float | None = None, segment: bool = False
     ) -> bytes:
-        """Returns the only response to an SDO request.
+        """Sends an SDO request and returns the response of the node.
 
         The SDO client does not wait for a second response to an SDO request.  A late second SDO
         response has no effect, because the response matches no later request.

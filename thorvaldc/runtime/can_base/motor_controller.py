@@ -87,8 +87,8 @@ class MotorController(abc.ABC):
 
     A motor controller driver never sends CAN frames.  The methods of a motor controller driver
     return the CAN frames to send, and ``CanBase`` sends the CAN frames in the control cycle.
-    Received CAN frames are passed to the functions in the dictionary ``handlers``.  All times are
-    in seconds.
+    Received CAN frames are passed to the functions in the dictionary ``handlers``.  All times of
+    the motor controller driver are in seconds.
 
     A Python package can add a motor controller driver with the entry-point group
     ``thorvaldc.motor_controllers``.  The name of the Python entry point is the protocol of the

@@ -42,7 +42,7 @@ class ObjectReadback:
         return not self._remaining or bool(self.problem)
 
     def next_request(self, now: float) -> CanFrame | None:
-        """Returns the next SDO request.
+        """Returns the SDO request for the next object dictionary entry.
 
         Returns ``None`` while an SDO response is awaited, and after the comparison has finished.
         """

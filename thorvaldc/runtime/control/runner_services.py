@@ -39,7 +39,7 @@ class RunnerControl:
         return self.multiplexer.feed(driver, now)
 
     def call(self, service: str, **arguments: Any) -> Any:
-        """Calls a service and returns the result.
+        """Calls a service of the robot and returns the result.
 
         Raises ``ServiceError`` if the service call is refused.
         """
@@ -148,7 +148,7 @@ def runner_state(runner: BaseRunner, multiplexer: Multiplexer, now: float) -> di
     """Returns the state of a robot with CAN buses as JSON values.
 
     The state contains values of the base driver, the base, the batteries, the IO boards and the
-    control loop.  The key ``supervisor`` contains the state of the base, such as ``READY``.  The
+    control loop.  The key ``supervisor`` contains the state of the base, such as ``ready``.  The
     key ``fault`` contains the reason why the base is in the state FAULT or ESTOP.
     """
     state = driver_state(runner.driver, multiplexer, now)

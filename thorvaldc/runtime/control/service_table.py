@@ -21,12 +21,15 @@ _REQUIRED = object()
 
 
 class ServiceError(ValueError):
-    """Error: a service call was refused.  The message is the reason in one line."""
+    """Error: a service call was refused.
+
+    The message of the exception is the reason in one line.
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class Argument:
-    """Definition of an argument of a service.
+    """Definition of one argument of a service: name, type and default value.
 
     ``kind``: type of the argument, which is ``number``, ``integer``, ``flag``, ``text`` or
     ``mapping``.  An argument of the type ``mapping`` is a dictionary of numbers by name.

@@ -138,7 +138,7 @@ class BusMonitor:
     def summary(self, now: float) -> dict[str, Any]:
         """Returns the state of the bus as JSON values.
 
-        All quantities are in SI units, and the bus load is a number from 0 to 1.  The value of an
+        All quantities are in SI units, and bus loads are fractions from 0 to 1.  The value of an
         unknown quantity is ``None``.  The last element of the list ``emergencies`` is the newest
         EMCY message.
         """
