@@ -45,7 +45,7 @@ class DriveMode(enum.Enum):
 
 @dataclass(slots=True)
 class DriverState:
-    """Result of a tick of the driver.
+    """State of the base driver after a tick.
 
     - ``time``: time of the tick, s.
     - ``mode``: mode of the base driver.
@@ -154,7 +154,9 @@ class BaseDriver:
         return self.settings.max_linear_velocity, self.settings.max_angular_velocity
 
     def use(self, parameters: str | None) -> None:
-        """Switches to a parameter set of the robot file.  ``None`` selects the ordinary values.
+        """Switches to a parameter set of the robot file.
+
+        The name ``None`` selects the ordinary parameters of the robot file.
 
         The parameter change takes effect in the next tick, after the odometry update.  The odometry
         uses the previous wheel radii for the motion before the change, so the pose does not jump.
@@ -176,9 +178,9 @@ class BaseDriver:
         - ``noise``: standard deviations of the measurement errors by name, see ``Noise``.
         - ``limits``: limits in SI units by name, such as ``max_linear_velocity``.
 
-        Parameters that are not named keep their values.  All changes take effect together in the
-        next tick, after the odometry update.  Raises ``ParameterError`` if a name is unknown or a
-        value is invalid.  The parameters are unchanged after an error.
+        Parameters that are not named keep their values.  All parameter changes take effect together
+        in the next tick, after the odometry update.  Raises ``ParameterError`` if a name is unknown
+        or a value is invalid.  The parameters are unchanged after an error.
         """
         current = self._staged[0] if self._staged is not None else self.parameters
         self._stage(current.changed(self.robot, radii, noise, limits))

@@ -7,7 +7,7 @@ not depend on the position of the robot.
 
 Exponential map: a robot that moves with a constant twist for the time dt turns by the angle a = wz
 dt.  In the frame at the start of the motion, the velocity of the robot at the time t is R(wz t) v.
-The integral of this velocity over 0 <= t <= dt is
+Integral of the velocity over 0 <= t <= dt:
 
     [ sin a / a       -(1 - cos a) / a ]
     [ (1 - cos a) / a   sin a / a      ]  v dt
@@ -153,7 +153,7 @@ def integrate(
     """Integrates a constant twist over ``dt`` s.
 
     Returns the motion, as computed by ``exp``, and the covariance of the pose after the motion.
-    The covariance P of the pose changes by
+    Change of the covariance P of the pose:
 
         P <- Ad P Ad' + J Q J' dt^2
 
@@ -186,7 +186,7 @@ def integrate(
 class Turn(NamedTuple):
     """Functions of the angle a by which a robot turns in one step.
 
-    The fields are numbers for one robot, or arrays for many robots.
+    Each field is a number for one robot, or an array for many robots.
     """
 
     c: Any  # cos a

@@ -1,7 +1,7 @@
 """Base calculators convert a twist to joint commands, and joint states to a twist estimate.
 
-To add a calculator to this package, write its file and list its class in ``calculator_registry``.
-Other packages add calculators with the entry point group ``thorvaldc.base_calculators``.
+To add a base calculator to this package, list its class in ``calculator_registry``.  Other Python
+packages add base calculators with the entry point group ``thorvaldc.base_calculators``.
 """
 
 from __future__ import annotations

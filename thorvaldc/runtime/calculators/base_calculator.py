@@ -34,8 +34,9 @@ class BaseCommand:
     - ``unreachable``: indices of the wheels that stand still because no angle within their steering
       limits points along the commanded motion.
     - ``required_rates``: for each wheel, the steering rate (rad/s) that would reach the target
-      angle within the tick.  If the rate limit of a wheel is lower than this rate, the wheel
-      arrives late.  All required rates are 0 if ``command`` is called without ``dt``.
+      angle within the tick.  A wheel whose steering rate limit is lower than the required rate
+      reaches its target angle late.  All required rates are 0 if ``command`` is called without
+      ``dt``.
     - ``must_stop``: ``True`` if a rolling wheel has to turn around its steering axis so far that
       the robot must stop first.  All wheels hold their steering angles until the driver has ramped
       the twist down to zero.
@@ -81,11 +82,11 @@ def finite_result(odometry: OdometryMethod) -> OdometryMethod:
 class BaseCalculator(abc.ABC):
     """Abstract base calculator: computes the joint commands and the odometry of one robot.
 
-    A base calculator stores its last joint command.  A subclass defines ``name``, ``summary`` and
-    ``Options``.  The class attribute ``Options`` is a frozen dataclass of scalars with default
-    values.  The method ``Options.__post_init__`` raises ``ValueError`` if an option is out of
-    range.  A subclass also overrides ``unsuited_reason`` to reject robots that the calculator
-    cannot drive.
+    A base calculator stores its last joint command.  A calculator class defines the class
+    attributes ``name``, ``summary`` and ``Options``.  The class attribute ``Options`` is a frozen
+    dataclass of scalars with default values.  The method ``Options.__post_init__`` raises
+    ``ValueError`` if an option is out of range.  A subclass also overrides ``unsuited_reason`` to
+    reject robots that the calculator cannot drive.
     """
 
     name: ClassVar[str]
@@ -124,7 +125,7 @@ class BaseCalculator(abc.ABC):
         kinematics without motor limits.
 
         Raises ``NotFiniteError`` if the twist, a joint state or ``dt`` is not a finite number.
-        After an error, the stored last command is unchanged.
+        After an error, the stored last joint command is unchanged.
         """
 
     def odometry(self, states: JointStates) -> TwistEstimate:
@@ -139,8 +140,9 @@ class BaseCalculator(abc.ABC):
     def reset(self, states: JointStates | None = None) -> None:
         """Discards the last joint command of the calculator.
 
-        After a reset, the calculator assumes that the joints are at ``states``.  Without
-        ``states``, the calculator assumes that all joints are at zero.
+        After a reset, the calculator assumes that the joints have the joint states ``states``.
+        Without ``states``, the calculator assumes that all steering angles and wheel speeds are
+        zero.
         """
 
     def with_parameters(self, radii: Sequence[float], noise: Noise) -> Self:

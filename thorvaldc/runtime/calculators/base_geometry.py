@@ -114,7 +114,7 @@ class BaseGeometry:
         """Returns the geometry of a robot with the given wheels.
 
         ``steering`` and ``spin`` contain the name of each wheel's steering joint and spin joint.
-        By default every wheel has its own joints.
+        By default every wheel has its own steering joint and spin joint.
         """
         steering = steering or [w.name for w in wheels]
         spin = spin or [w.name for w in wheels]
@@ -205,7 +205,7 @@ class FixedWheels:
     Fixed wheels with the same heading act as one axle.  The position of an axle is the mean contact
     point of its wheels.  The wheels of an axle must not slip sideways: (nx, ny, d) . (vx, vy, wz) =
     0, where n = (nx, ny) is the unit vector across the wheels, and d is the offset of the axle.
-    The number of axles determines the feasible twists:
+    Feasible twists by the number of axles:
 
     - no axle: every twist is feasible.
     - one axle: the yaw rate wz and the speed along the wheels are free, and determine the speed

@@ -1,8 +1,8 @@
 """Base calculator for differential drives: two or more driven wheels on one axle, without steering.
 
 The unit vector e points along the wheels, and the unit vector n points across the wheels.  The
-position of a wheel along n is a, and the position of the axle along e is d.  For a robot with the
-velocity v and the yaw rate wz:
+position of a wheel along n is a, and the position of the axle along e is d.  Kinematics of a robot
+with the velocity v and the yaw rate wz:
 
     rolling speed of the wheel:  e . v - a wz        no side slip of the axle:  n . v = -d wz
 
@@ -27,7 +27,7 @@ from thorvaldc.runtime.se2 import Twist
 class Differential(BaseCalculator):
     """Inverse kinematics and odometry of a differential drive in closed form.
 
-    The documentation of the module ``differential`` contains the equations.
+    The equations are in the documentation of the module ``differential``.
     """
 
     name = "differential"

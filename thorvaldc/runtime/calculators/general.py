@@ -11,8 +11,8 @@ scaled by the factor min(v_max / v_i).  With the same factor for all wheels, the
 does not change.
 
 While wheels turn to new steering angles, the wheel speeds of the commanded twist contradict each
-other and would make wheels slip.  Until the wheels are aligned, the wheel speeds realise a
-different twist xi*, which causes the least scrub at the present steering angles theta:
+other and would make wheels slip.  Until the wheels reach their target angles, the wheel speeds
+therefore produce the twist xi* that causes the least scrub at the present steering angles theta:
 
     xi* = argmin sum (T_i(theta_i) xi)^2 + lambda |xi - xi_target|^2
 
@@ -83,8 +83,8 @@ class GeneralOptions(SteeringOptions):
     """Options of the calculator ``general``, in addition to the steering options.
 
     - ``faulty_wheels``: largest number of faulty wheels that the odometry may leave out, 0 to 2.
-    - ``polish``: number of additional Gauss-Newton steps of the odometry.  Each additional step
-      brings the estimate closer to the maximum-likelihood estimate.
+    - ``polish``: number of additional Gauss-Newton steps of the odometry.  Each additional
+      Gauss-Newton step brings the estimated twist closer to the maximum-likelihood estimate.
     """
 
     faulty_wheels: int = 2
@@ -100,11 +100,11 @@ class GeneralOptions(SteeringOptions):
 
 
 class General(BaseCalculator):
-    """Calculator for any arrangement of wheels.
+    """Base calculator for any arrangement of driven, steered, fixed and swivelling wheels.
 
     The documentation of the module ``general`` contains the equations.
 
-    The method ``command`` works in these steps:
+    Steps of the method ``command``:
 
     1.  Replace the commanded twist by the nearest twist that the fixed wheels allow.
     2.  Choose the target angles of all steering joints.
@@ -258,7 +258,7 @@ class General(BaseCalculator):
         )
 
     def _square(self, twist: Twist) -> float:
-        """Returns vx^2 + vy^2 + (length wz)^2 of a twist, in m^2/s^2.
+        """Returns the squared size vx^2 + vy^2 + (length wz)^2 of a twist, in m^2/s^2.
 
         The result is the mean square speed of the wheels if the centroid of the wheels is at the
         origin of ``base_link``.
@@ -409,8 +409,8 @@ class General(BaseCalculator):
     def _target_speeds(self, target: Twist) -> tuple[list[float], float]:
         """Returns the wheel speeds (rad/s) at the target angles, and their common scale.
 
-        The scale is the factor by which the speed limits reduce all wheel speeds.  The scale is 1
-        if no wheel reaches its limit.
+        The common scale is the factor by which the speed limits reduce all wheel speeds.  The
+        common scale is 1 if no wheel reaches its speed limit.
         """
         speeds = list(self._zeros)
         scale = 1.0
@@ -434,7 +434,8 @@ class General(BaseCalculator):
     def _set_fixed_speeds(self, twist: Twist, speeds: list[float], scale: float) -> float:
         """Sets the speeds (rad/s) of the fixed wheels in ``speeds``.
 
-        Returns ``scale``, or a smaller factor if a fixed wheel would exceed its speed limit.
+        Returns the scale factor ``scale``, or a smaller factor if a fixed wheel would exceed its
+        speed limit.
         """
         vx, vy, wz = self._skid.compensate(twist) if self._skid else twist
         for i, l1, l2, l3, radius, limit in self._driven_fixed:

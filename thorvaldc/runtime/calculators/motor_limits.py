@@ -1,7 +1,7 @@
-"""Applies the speed and acceleration limits of the drive motors to all wheels together.
+"""Limits the wheel speeds to the speed and acceleration limits of the drive motors.
 
-All wheel speeds are scaled by the same factor.  The direction of the twist and the centre of
-rotation therefore do not change.
+All wheel speeds are scaled by the same factor, so that the direction of the twist and the centre of
+rotation do not change.
 """
 
 from __future__ import annotations
@@ -68,9 +68,9 @@ class DriveMotors:
 
         The limited wheel speeds are v0 + k (v - v0), where v0 are the last commanded speeds and v
         are the requested speeds.  The share k <= 1 of the change is as large as the acceleration
-        limits of all wheels allow.  The twist changes by the same share k.  If ``dt`` is ``None``,
-        the change of the wheel speeds is not limited.  The limited twist and wheel speeds are
-        returned and stored as the last command.
+        limits of all wheels allow.  The twist changes by the same share k as the wheel speeds.  If
+        ``dt`` is ``None``, the change of the wheel speeds is not limited.  The limited twist and
+        wheel speeds are returned and stored as the last command.
         """
         if dt is not None:
             last_speeds = self._speeds

@@ -2,7 +2,7 @@
 
 The fixed axle has the normal n = (nx, ny) and the offset d.  The axle allows no side slip: n . v +
 d wz = 0 for the velocity v and the yaw rate wz.  The driven wheel at p = (px, py) moves with the
-velocity u = v + wz (-py, px).  Hence n . u = n . v + wz (ny px - nx py), and
+velocity u = v + wz (-py, px).  Solution for the twist, with n . u = n . v + wz (ny px - nx py):
 
     wz = n . u / (ny px - nx py - d),   v = u - wz (-py, px)
 
@@ -29,11 +29,12 @@ from thorvaldc.runtime.se2 import Twist
 class OneWheel(BaseCalculator):
     """Calculator for tricycles.
 
-    The documentation of the module ``one_wheel`` contains the equations.
+    The equations are in the documentation of the module ``one_wheel``.
 
-    The robot can move without scrub at any steering angle of the driven wheel.  The robot therefore
-    does not stop while the wheel turns to its target angle.  While the driven wheel turns, its
-    rolling speed is the component of the commanded velocity along the present wheel direction.
+    The robot can move without scrub at any steering angle of the driven wheel.  A tricycle
+    therefore does not stop while the driven wheel turns to its target angle.  While the driven
+    wheel turns, its rolling speed is the component of the commanded velocity along the present
+    wheel direction.
     """
 
     name = "one_wheel"

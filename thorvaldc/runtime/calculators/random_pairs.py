@@ -1,4 +1,4 @@
-"""The odometry of the Thorvald II paper, as a baseline for comparisons."""
+"""Odometry by random pairs of wheels, from the Thorvald II paper, as a baseline for comparisons."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class RandomPairsOptions(GeneralOptions):
       a wheel at the centre of rotation is not used.  If ``special_cases`` is ``False``, only pairs
       of exactly parallel axle lines are left out.
     - ``parallel``: two wheels count as parallel if their directions differ by less than this angle
-      (rad).  Used only with ``special_cases``.
+      (rad).  The angle is used only if ``special_cases`` is ``True``.
     """
 
     seed: int = 1
@@ -62,9 +62,9 @@ class RandomPairs(General):
 
     Source: Grimstad and From, "Software Components of the Thorvald II Modular Robot" (2018),
     section 3.3.1.  The calculator ``random_pairs`` computes the same joint commands as the
-    calculator ``general``.  The covariance of the twist is constant.  The odometry of random pairs
-    is only a baseline for comparisons.  With measurement noise, two almost parallel axle lines can
-    intersect anywhere, which makes the mean intersection useless.
+    calculator ``general``.  The covariance of the estimated twist is constant.  The odometry of
+    random pairs is only a baseline for comparisons.  With measurement noise, two almost parallel
+    axle lines can intersect anywhere, which makes the mean intersection useless.
     """
 
     name = "random_pairs"
@@ -118,8 +118,7 @@ class RandomPairs(General):
     def _centre_of_rotation(self, lines: list[_AxleLine]) -> tuple[float, float] | None:
         """Returns the mean intersection (m) of the axle lines of random pairs of wheels.
 
-        Returns ``None`` if too few pairs of axle lines intersect.  In this case the robot does not
-        turn.
+        Returns ``None`` if too few pairs of axle lines intersect, because the robot does not turn.
         """
         options = self._pairs
         draw, n = self._random.randrange, len(lines)

@@ -11,15 +11,16 @@ class SkidSteering:
 
     With Coulomb friction and equal loads, the yaw rate is the least-squares fit of a twist to the
     surface velocities of the wheels.  Wheel i has the position a_i across the wheels and l_i along
-    the wheels, both relative to the mean position.  Yaw rate wz of the robot if each wheel i rolls
-    at the speed v_i:
+    the wheels, both relative to the mean position.  Yaw rate wz of a skidding robot whose wheels i
+    roll at the speeds v_i:
 
         wz = -sum a_i v_i / (sum a_i^2 + sum l_i^2)
 
     Without skidding, a robot with the wheel speeds v_i = -a_i wz' would turn at the yaw rate wz'.
-    With the same wheel speeds, a skidding robot turns only at g wz', where g = sum a_i^2 / (sum
-    a_i^2 + sum l_i^2).  For four wheels at (+-a, +-b), the factor is g = b^2 / (a^2 + b^2).  To
-    turn at wz, the compensation computes the wheel speeds for the yaw rate wz / g.
+    With the same wheel speeds, a skidding robot turns only at the yaw rate g wz', where g = sum
+    a_i^2 / (sum a_i^2 + sum l_i^2).  For four wheels at (+-a, +-b), the factor is g = b^2 / (a^2 +
+    b^2).  To turn a skidding robot at the yaw rate wz, the compensation computes the wheel speeds
+    for the yaw rate wz / g.
     """
 
     def __init__(self, inverse_gain: float, middle: float, normal: tuple[float, float]) -> None:

@@ -1,11 +1,12 @@
 """Chooses the steering angle of one wheel and moves the steering joint to the chosen angle.
 
 If the steering axis of a wheel moves in the direction phi, each steering angle c = phi + k pi with
-an integer k lets the wheel roll without side slip.  The wheel rolls forwards at phi and backwards
-at phi + pi.  The code calls both cases the forward branch and the backward branch.  Steering angles
-are not wrapped, because the motor cable limits the steering angle.  The steering angles c and c + 2
-pi are therefore two different candidates.  Among all candidates within the steering limits,
-``SteeringJoint`` chooses the steering angle with the smallest cost in seconds:
+an integer k lets the wheel roll without side slip.  At the steering angle phi, the wheel rolls
+forwards (forward branch).  At the steering angle phi + pi, the wheel rolls backwards (backward
+branch).  Steering angles are not wrapped to one turn, because the motor cable limits the steering
+angle.  Two steering angles that differ by a full turn are therefore different candidates.  Among
+all candidates within the steering limits, the class ``SteeringJoint`` chooses the steering angle c
+with the smallest cost (s):
 
     cost(c) = max(|c - angle| / rate, reversal of the wheel speed) + V(c) / rate + hysteresis
 
@@ -19,9 +20,9 @@ travel V of a steering joint near a limit:
     V = (1/pi) (integral of t from 0 to d + integral of t from 0 to pi - d)
       = (d^2 + (pi - d)^2) / (2 pi)
 
-V keeps steering joints away from their limits.  The mean travel of a steering joint with this cost
-is within 0.3 % of the optimum.  The optimum was computed by dynamic programming for limits of +-180
-deg and independent random directions.
+The term V(c) in the cost keeps steering joints away from their steering limits.  The mean travel of
+a steering joint with this cost is within 0.3 % of the optimum.  The optimum was computed by dynamic
+programming for limits of +-180 deg and independent random directions.
 """
 
 from __future__ import annotations
@@ -129,7 +130,8 @@ class SteeringJoint:
     def expected_travel(self, angle: float) -> float:
         """Returns the expected travel V (rad) of the joint from ``angle`` to its next target.
 
-        The documentation of the module ``steering_branch`` derives the formula for V.
+        The formula for the expected travel V is derived in the documentation of the module
+        ``steering_branch``.
         """
         travel = PI / 4.0
         for d in (angle - self._lower, self._upper - angle):
@@ -196,7 +198,7 @@ class SteeringJoint:
         free_low, free_high = lower + PI / 2.0, upper - PI / 2.0
         best_cost, best_angle, best_direction, excess = math.inf, 0.0, 0.0, 0.0
         for direction, base in ((1.0, sign * (phi + lead)), (-1.0, sign * (phi - lead + PI))):
-            # A wheel that rolls in the opposite direction has to reverse its speed first.
+            # A wheel that rolls in the opposite direction must first reverse its wheel speed.
             opposite = -direction * speed
             reversal = 2.0 * opposite / self.acceleration if opposite > 0.0 else 0.0
             hysteresis = 0.0 if direction == self.direction else self._hysteresis
@@ -249,8 +251,8 @@ class SteeringJoint:
     def advance(self, dt: float, share: float) -> None:
         """Moves the commanded steering angle towards the target for ``dt`` s, without overshoot.
 
-        ``share`` is the allowed share of the joint's rate limit.  The acceleration limit of the
-        steering joint is respected.
+        ``share`` is the allowed share of the steering joint's rate limit, 0 to 1. The acceleration
+        limit of the steering joint is respected.
         """
         error = self.target - self.angle
         if error == 0.0 and self.rate == 0.0:

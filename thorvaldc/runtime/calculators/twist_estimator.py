@@ -1,6 +1,6 @@
 """Estimator of the robot's twist from its joint states, with rejection of faulty wheels.
 
-The estimator works in these steps (``twist_fit`` derives the equations):
+Steps of an estimate (the module ``twist_fit`` derives the equations):
 
 1.  An unweighted least-squares fit predicts the velocity of each wheel's contact.
 2.  One Gauss-Newton step computes the weighted fit, with weights from the predicted velocities.
@@ -76,8 +76,8 @@ class TwistEstimate(NamedTuple):
       deviation.
     - ``chi_squares``: for each wheel, the chi-square of its disagreement with the other wheels.
       Each chi-square has two degrees of freedom, or one degree of freedom for a passive wheel.  The
-      chi-square of an untested wheel is 0. ``chi_squares`` is empty if the calculator does not test
-      wheels.
+      chi-square of a wheel that is not tested is 0. ``chi_squares`` is empty if the calculator does
+      not test wheels.
     - ``dropped``: indices of the faulty wheels.  The estimator has left out one or both
       measurements of each faulty wheel.
     """
@@ -96,8 +96,8 @@ class EstimatorOptions:
     - ``gate``: share of the ticks in which the estimator may reject a wheel of a healthy robot.
     - ``faulty``: largest number of faulty wheels to leave out, 0 to 2. If ``faulty`` is 0, wheels
       are tested but never left out.
-    - ``polish``: number of additional Gauss-Newton steps.  Each additional step brings the estimate
-      closer to the maximum-likelihood estimate.
+    - ``polish``: number of additional Gauss-Newton steps.  Each additional Gauss-Newton step brings
+      the estimated twist closer to the maximum-likelihood estimate.
     """
 
     gate: float = 0.008
@@ -246,9 +246,9 @@ class TwistEstimator:
         """Returns the slip velocity of each wheel's contact over the ground, for a given twist.
 
         The result contains, for each wheel, the slip velocity (m/s) along the wheel's direction and
-        to the left of the wheel.  A wheel that spins in mud slips backwards.  The slip along the
-        wheel is 0 for a wheel without encoder.  Both components of the slip velocity are 0 for a
-        caster.
+        to the left of the wheel.  A wheel that spins in mud slips backwards.  The slip velocity
+        along the wheel is 0 for a wheel without encoder.  Both components of the slip velocity are
+        0 for a caster wheel.
         """
         slips = [(0.0, 0.0)] * self._n
         vx, vy, wz = twist
@@ -269,7 +269,7 @@ class TwistEstimator:
     ) -> tuple[list[Measurement], tuple[float, float, float]]:
         """Returns the measurements of all wheels, and the right-hand side b of the fit.
 
-        The vector is b = sum L' z_L, which is valid only if all wheels have no trail and no lateral
+        The right-hand side b = sum L' z_L is valid only if all wheels have no trail and no lateral
         offset.
         """
         speeds, angles = states.speeds, states.angles
@@ -319,7 +319,7 @@ class TwistEstimator:
     def _solve(
         self, equations: NormalEquations, yaw_rate: float | None
     ) -> tuple[tuple[float, float, float], int]:
-        """Solves the unweighted normal equations.  Returns the twist and the rank.
+        """Solves the unweighted normal equations for the twist, and determines their rank.
 
         For the rank, the yaw rate is multiplied by ``length``, so that all eigenvalues of the
         normal matrix have the same unit.
@@ -360,10 +360,10 @@ class TwistEstimator:
     ) -> tuple[tuple[float, float, float, float, float, float], int] | None:
         """Returns the inverse of the unweighted normal matrix, and the rank of this matrix.
 
-        Returns ``None`` if the matrix depends on the steering angles.  The matrix is independent of
-        the steering angle of a wheel if the wheel has an encoder and no offset from its steering
-        axis.  A wheel with an encoder and no offset measures both components of the contact's
-        velocity, and L'L + T'T = H'H for any direction of the wheel.
+        Returns ``None`` if the normal matrix depends on the steering angles.  The normal matrix is
+        independent of the steering angle of a wheel if the wheel has an encoder and no offset from
+        its steering axis.  A wheel with an encoder and no offset measures both components of the
+        contact's velocity, and L'L + T'T = H'H for any direction of the wheel.
         """
         if any(w.steered and (not w.flags & USE_ROLL or w.trail or w.lateral) for w in self.wheels):
             return None
@@ -435,7 +435,7 @@ class TwistEstimator:
     ) -> TwistEstimate:
         """Returns the estimate at ``base_link``.
 
-        The parameter ``growth`` is a factor of the covariance.
+        The covariance of the estimated twist is multiplied by the factor ``growth``.
 
         A fit about the centroid (xm, ym) with the twist xi and the covariance P is converted to
         ``base_link`` by xi' = A xi and P' = A P A', with A = [1 0 ym; 0 1 -xm; 0 0 1].

@@ -13,7 +13,7 @@ Two measurements of the velocity u by a wheel with the rolling direction d = (c,
     T xi = z_T,   T = n' H = [-s,  c,  c x + s y]   no side slip: 0
 
 The two measurements of a wheel have independent errors, which grow with the speed a = |u| of the
-contact point.  Variances of the errors:
+contact point.  Variances of the measurement errors:
 
     sigma_L^2 = (speed_ratio a)^2 + speed_floor^2
     sigma_T^2 = (angle a)^2 + slip_floor^2
@@ -22,8 +22,7 @@ The speed a of the contact point is predicted by a first estimate of the twist. 
 speed were used, a stalled encoder would report 0 m/s with a very small variance and dominate the
 fit.
 
-With the weights w = 1 / sigma^2, the information matrix W of one wheel about u and the normal
-equations are
+Information matrix W of one wheel, normal equations, and solution, with the weights w = 1 / sigma^2:
 
     W = w_L d d' + w_T n n' = w_T 1 + (w_L - w_T) d d'
     M = sum H' W H + prior,   b = sum H' W m,   m = z_L d + z_T n
@@ -41,10 +40,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
-# Flags of a measurement.  With USE_ROLL and USE_SIDE, the fit uses the rolling speed (row L) and
-# the side slip (row T).  With TEST_ROLL and TEST_SIDE, the rolling speed and the side slip are
-# tested against the other wheels.  The fit does not use a rejected wheel, but the wheel is still
-# tested to determine its chi-square.  The fit uses a skidding wheel without a test.
+# Bit flags of a wheel measurement.  With USE_ROLL and USE_SIDE, the fit uses the rolling speed (row
+# L) and the side slip (row T).  With TEST_ROLL and TEST_SIDE, the rolling speed and the side slip
+# are tested against the other wheels.  The fit does not use a rejected wheel, but the wheel is
+# still tested to determine its chi-square.  The fit uses a skidding wheel without a test.
 USE_ROLL, USE_SIDE, TEST_ROLL, TEST_SIDE = 1, 2, 4, 8
 SIDE_ONLY = USE_SIDE | TEST_SIDE
 ROLL_AND_SIDE = USE_ROLL | TEST_ROLL | SIDE_ONLY
@@ -85,9 +84,10 @@ class Noise:
     - ``skid_ratio``: standard deviation of the speed of wheels that skid in turns, relative to the
       speed.
     - ``gyro``: standard deviation of the measured yaw rate, rad/s.
-    - ``correlation``: time constant of the errors, s.  If ``correlation`` is 0, the errors of two
-      ticks are independent.  Errors from ground and tyres last longer than a tick.  The time
-      constant affects the covariances of poses, but not of twists.
+    - ``correlation``: time constant of the errors, s.  If ``correlation`` is 0, the measurement
+      errors of two ticks are independent.  Measurement errors from ground and tyres last longer
+      than a tick.  The time constant affects the covariances of poses, but not the covariances of
+      twists.
     """
 
     speed_ratio: float = 0.01
@@ -187,11 +187,12 @@ def fit_twist(
     - ``prior``: prior information (inverse variances) that the velocity and the yaw rate are 0.
     - ``yaw_rate``: yaw rate (rad/s) that a gyro measures, or ``None`` without a gyro.
 
-    The measured direction of a steered wheel has an error.  If the rows L and T used the measured
-    direction, this error would reduce the measured speed by its cosine.  The rows L and T therefore
-    use the predicted direction u / a.  The measured side slip relative to the predicted direction
-    is the arc length z_T = -a asin(n . u / a), where n is the normal of the measured direction, u
-    is the predicted velocity, and a = |u|.
+    The measured direction of a steered wheel has an error.  With the measured direction in the fit,
+    the direction error would reduce the measured speed by the cosine of the error.  The fit
+    therefore uses the predicted direction u / a of a steered wheel, where u is the predicted
+    velocity of its contact point and a = |u|.  The measured side slip relative to the predicted
+    direction is the arc length z_T = -a asin(n . u / a), where n is the normal of the measured
+    direction.
     """
     sqrt = math.sqrt
     ratio2, angle2, floor2, slip2, skid2, gyro2 = noise
@@ -217,7 +218,8 @@ def fit_twist(
             across = c * uy - s * ux
             t2 = across * across
             # The predicted direction of a steered wheel is used only within 30 deg of the measured
-            # direction.  A larger difference means that the wheel is faulty.
+            # direction.  A larger difference between both directions means that the wheel is
+            # faulty.
             if t2 < 0.25 * a2 - STILL:
                 k = sqrt(a2) if c * ux + s * uy > 0.0 else -sqrt(a2)
                 c, s = ux / k, uy / k
@@ -257,7 +259,7 @@ def fit_twist(
     p22 = (a11 * a33 - a13 * a13) * d
     p23 = (a12 * a13 - a11 * a23) * d
     p33 = (a11 * a22 - a12 * a12) * d
-    # Calling the class takes twice as long as making the tuple directly.
+    # Calling the named tuple class takes twice as long as creating the tuple directly.
     values = (
         p11 * b1 + p12 * b2 + p13 * b3,
         p12 * b1 + p22 * b2 + p23 * b3,
@@ -278,8 +280,8 @@ def _mean_square_roll(
 ) -> float:
     """Returns the mean square rolling speed (m^2/s^2) of the skidding wheels.
 
-    All skidding wheels have the same variance, because Coulomb friction does not depend on the
-    sliding speed.
+    All skidding wheels have the same measurement variance, because Coulomb friction does not depend
+    on the sliding speed.
     """
     rolls = [
         c * (vx - wz * y) + s * (vy + wz * x)
@@ -292,11 +294,11 @@ def _mean_square_roll(
 def chi_squares(fit: Fit) -> list[float]:
     """Returns the chi-square D of each wheel: a measure of disagreement with other wheels.
 
-    The residual of a wheel is r = m - H xi.  If the fit uses the wheel, the residual has the
-    covariance S = R - H P H', where R is the covariance of the measurement.  The minus sign appears
-    because the fit follows the error of every wheel that it uses, which makes the residual smaller.
-    If the fit does not use the wheel, the residual has the covariance S = R + H P H'.  Chi-square
-    statistic:
+    The residual r = m - H xi of a wheel is the difference between its measured velocity m and its
+    fitted velocity H xi.  If the fit uses the wheel, the residual has the covariance S = R - H P
+    H', where R is the covariance of the measurement.  The covariance of the residual is smaller
+    than R, because the fit follows the errors of all wheels that it uses.  If the fit does not use
+    the wheel, the residual has the covariance S = R + H P H'.  Chi-square statistic:
 
         D = r' S^-1 r
 

@@ -54,7 +54,7 @@ class Hypothesis(NamedTuple):
     - ``cost``: cost of the hypothesis, by the formula in the documentation of the module
       ``wheel_rejection``.
     - ``worst_ratio``: largest quotient of chi-square and gate of the wheels that are not rejected.
-      A wheel with a quotient above 1 is suspect.
+      A wheel whose chi-square is larger than its gate is suspect.
     """
 
     rejected: tuple[int, ...]
@@ -95,8 +95,8 @@ class HypothesisSearch:
         """Returns all likely hypotheses about faulty wheels, the most likely hypothesis first.
 
         ``fit`` is the fitted twist with all measurements.  The returned list includes the
-        hypothesis that all wheels are healthy.  Returns an empty list if no hypothesis explains the
-        misfit.
+        hypothesis that all wheels are healthy.  Returns an empty list if no combination of faulty
+        wheels explains the misfit.
         """
         all_healthy = self._hypothesis((), measurements, fit)
         singles = self._reject_one_more(all_healthy)
@@ -122,8 +122,8 @@ class HypothesisSearch:
     ) -> list[Hypothesis]:
         """Returns all hypotheses with one more faulty wheel than ``hypothesis``.
 
-        ``visited`` contains the indices of the wheels that are not rejected again.  A wheel can be
-        rejected only if the other wheels determine the twist without it.
+        ``visited`` contains the indices of wheels that the search has already rejected.  A wheel
+        can be rejected only if the other wheels determine the twist without it.
         """
         extended: list[Hypothesis] = []
         if len(hypothesis.rejected) >= self._max_rejected:

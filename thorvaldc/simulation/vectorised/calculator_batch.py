@@ -31,7 +31,7 @@ MAX_VALUE = 1e9
 
 
 class CalculatorBatch:
-    """Evaluates a base calculator for arrays of states.
+    """Evaluates a base calculator for arrays of twists or joint states.
 
     The results equal the results of the scalar calculator to 1e-12.
     """
@@ -44,9 +44,9 @@ class CalculatorBatch:
     def inverse(self, twists: Array, speeds: Array, angles: Array) -> None:
         """Computes wheel speeds (rad/s) and steering angles (rad) for ``twists``.
 
-        Each twist is processed independently.  The result for a twist is the command that the
-        calculator computes after a reset without joint states.  All steering joints therefore start
-        at the angle 0.
+        Each twist in the array is processed independently of the other twists.  The result for a
+        twist is the command that the calculator computes after a reset without joint states.  All
+        steering joints therefore start at the angle 0.
 
         Raises ``ValueError`` if an array has the wrong shape, or if the contact of a steered wheel
         lies ahead of or behind its steering axis.  Raises ``NotFiniteError`` if a twist is not

@@ -225,7 +225,7 @@ class InverseBatch:
 def _branches(
     table: BranchTable, direction: Array
 ) -> tuple[Array, Array, NDArray[np.bool_] | None]:
-    """Evaluates a branch table at directions of motion (rad).
+    """Looks up the half turns in a branch table for an array of directions of motion (rad).
 
     Returns the angle (rad) to add to the direction of motion, the sign of the rolling speed, and a
     mask.  The mask is ``True`` for directions of motion without a reachable steering angle.  The

@@ -39,7 +39,7 @@ class Trajectories:
     - ``speeds``: wheel speeds, shape (n, t, wheels), rad/s.
     - ``angles``: steering angles, shape (n, t, wheels), rad.
     - ``states``: final MuJoCo states of the runs, shape (n, state).  Later runs can start from the
-      final states.
+      final MuJoCo states.
     """
 
     time: Array
