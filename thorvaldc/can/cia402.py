@@ -20,7 +20,8 @@ import enum
 class DriveState(enum.Enum):
     """Power state of a CiA 402 drive.
 
-    The value of a power state is its bit pattern in the status word.
+    The number of a power state is the bit pattern of the power state in the status word (object
+    0x6041).
     """
 
     NOT_READY = 0x00

@@ -57,7 +57,7 @@ def remove_stale_socket(path: Path, program: str) -> None:
 def runtime_directory() -> Path:
     """Returns the directory for the user's local sockets and lock files.
 
-    Creates the directory if it does not exist.
+    Creates the directory of the sockets if the directory does not exist.
 
     Raises ``PermissionError`` if the directory of the sockets belongs to another user.  The owner
     of the directory is checked, because every user can create a directory in /tmp.

@@ -130,7 +130,7 @@ class BusConfiguration:
     def node(self, name: str) -> NodeConfiguration:
         """Returns the required configuration of the node ``name``.
 
-        Raises ``KeyError`` if the bus has no node ``name``.
+        Raises ``KeyError`` if the CAN bus has no node ``name``.
         """
         for node in self.nodes:
             if node.name == name:

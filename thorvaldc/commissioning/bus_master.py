@@ -156,7 +156,7 @@ class BusMaster:
         timeout: float,
         settle: float | None,
     ) -> list[CanFrame]:
-        """Sends a request frame and returns all response frames.
+        """Sends a CAN frame with a request and returns all response frames.
 
         The method ``collect`` describes the parameters.
         """

@@ -74,8 +74,8 @@ def make_plan(configuration: BusConfiguration, scan: ScanResult) -> Plan:
     moves, blocked = _address_steps(moving, ids, identities, occupied, by_hand)
     problems += blocked
     steps: list[PlanStep] = [AttachStep(node.name, node.id) for node in by_hand]
-    # If a step removes the node id of a node, the object values of the node are written before the
-    # node ids change.  The object values of all other nodes are written after the node ids have
+    # The object values of a node are written before the node ids change if a step removes the node
+    # id of the node.  The object values of all other nodes are written after the node ids have
     # changed.
     losing_id = [node for node in moving if node.id == UNCONFIGURED]
     early = _configure_steps(losing_id, scan, ids, identities, ids)
@@ -192,9 +192,10 @@ def _duplicate_problem(node: NodeConfiguration, entry: ScanEntry, scan: ScanResu
 def _candidates(
     configuration: BusConfiguration, scan: ScanResult, device: FoundDevice
 ) -> list[str]:
-    """Returns the names of the missing nodes that the device can be.
+    """Returns the names of the missing nodes to which an unknown device can be assigned.
 
-    A node without serial number in the robot file can be any device with a matching identity.
+    Any device with a matching identity can be assigned to a node without serial number in the robot
+    file.
     """
     return [
         node.name

@@ -152,7 +152,8 @@ class ScanEvaluation:
         """Returns the scanned device that is assigned to a node, or ``None`` if the node was not
         found.
 
-        The device is found by the serial number, by the node id, or by the periodic frames.
+        The scanned device of a node is found by the serial number, by the node id, or by the
+        periodic CAN frames.
         """
         by_id = self.findings.by_id
         selected = self.findings.by_name.get(node.name)

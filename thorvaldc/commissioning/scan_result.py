@@ -79,7 +79,7 @@ class ScanResult:
     def ids(self) -> dict[str, int]:
         """Returns the scanned node ids by name of the node.
 
-        The node id 255 means that the node has no node id.
+        A node without node id has the number 255.
         """
         return {
             entry.node: entry.device.id

@@ -258,8 +258,8 @@ class BaseStateMachine:
             self.changed(now, state, reason)
 
     def _check_problems(self, now: float) -> None:
-        """Enters the state ESTOP if the safety stop is engaged, or the state FAULT if a problem was
-        detected."""
+        """Puts the base into the state ESTOP if the safety stop is engaged, or into the state FAULT
+        if a problem was detected."""
         if self.stop_engaged:
             if self.state is not BaseState.ESTOP:
                 self._enter(BaseState.ESTOP, now, "the safety stop is engaged")

@@ -58,7 +58,7 @@ class BusConnection:
     """
 
     def __init__(self, robot: Robot, bus: Bus, interface: CanInterface, *, threaded: bool) -> None:
-        """Creates a driver for each node on the bus.
+        """Creates a driver for each node on the CAN bus.
 
         If ``threaded`` is ``True``, CAN frames are received in a separate thread.  Raises
         ``DiagnosticError`` (``bus-driver-unknown``) if a motor controller has no driver.

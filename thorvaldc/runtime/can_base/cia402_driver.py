@@ -171,7 +171,7 @@ class Cia402Controller(MotorController):
                 self._add_handler(codec)
 
     def _add_handler(self, codec: FrameCodec) -> None:
-        """Adds a handler for the reports in the frame of ``codec``.
+        """Adds a handler that decodes the reports of a drive in one CAN frame.
 
         The indices of the CAN signals are looked up once, not in every control cycle.
         """

@@ -124,7 +124,7 @@ class MotorController(abc.ABC):
     @property
     @abc.abstractmethod
     def follows(self) -> bool:
-        """``True`` if all motors are powered and follow their targets."""
+        """``True`` if all motors are powered and follow the target speeds and target angles."""
 
     @property
     @abc.abstractmethod
@@ -253,7 +253,7 @@ def node_codecs(bus: Bus, node: Node) -> dict[str, FrameCodec]:
 
 
 def _axes(robot: Robot, node: Node) -> Iterator[Axis]:
-    """Yields an ``Axis`` for each channel of the node that drives or steers a wheel."""
+    """Yields an ``Axis`` for each channel of a motor controller that drives or steers a wheel."""
     wheels: dict[str, int] = {}
     for i, wheel in enumerate(robot.wheels):
         wheels[wheel.spin_joint] = i

@@ -327,7 +327,8 @@ class RoboteqScriptController(MotorController):
                 return DRIVE, HOME
             return DRIVE, DRIVE
         if intent is Intent.QUICK_STOP and self._modes is not None:
-            # The motors keep their torque until all wheels stand, but at most for STOP_TIME.
+            # During a stop the motors keep the torque until all wheels stand still, but at most for
+            # STOP_TIME seconds.
             since = now if self._stopped_at is None else self._stopped_at
             if not self.standing and now - since < STOP_TIME:
                 return self._modes

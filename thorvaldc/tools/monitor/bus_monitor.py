@@ -86,7 +86,7 @@ class _FrameRecord:
     def named_values(self) -> dict[str, float | str]:
         """Returns the values of the CAN signals by name.
 
-        For an enumerated signal the text of the value is returned.
+        The value of an enumerated CAN signal is returned as text.
         """
         values: dict[str, float | str] = {}
         for name, value in self.values().items():
@@ -136,7 +136,7 @@ class BusMonitor:
             self._emergency(time, record.codec.frame, frame.data)
 
     def summary(self, now: float) -> dict[str, Any]:
-        """Returns the state of the bus as JSON values.
+        """Returns the measured state of the CAN bus as JSON values.
 
         All quantities are in SI units, and bus loads are fractions from 0 to 1.  The value of an
         unknown quantity is ``None``.  The last element of the list ``emergencies`` is the newest
@@ -304,8 +304,9 @@ def _drive_states(node: Node, records: list[_FrameRecord]) -> dict[str, str | No
     """Returns the CiA 402 power state of each motor channel of a node, and the reported flags that
     are set.
 
-    The keys of the returned dictionary are the names of motor channels and flags.  The value of a
-    flag is ``None``.  The returned dictionary is empty for a node without motors.
+    The keys of the returned dictionary are the names of motor channels and flags.  In the returned
+    dictionary the value of a flag is ``None``.  The returned dictionary is empty for a node without
+    motors.
     """
     states: dict[str, str | None] = {}
     if not node.channels:
