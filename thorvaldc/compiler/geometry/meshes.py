@@ -42,8 +42,8 @@ _BELOW_8 = bytes(b for b in range(256) if b & 0x7F < 0x41)
 class _MeshError(NamedTuple):
     """Description of an error in a mesh file.
 
-    ``code`` is the name of the diagnostic that reports the mesh error.  ``text`` is the end of the
-    error message, after the words "mesh file `name`".  ``hint`` explains how the user can correct
+    ``code`` is the name of the diagnostic that reports the mesh error.  ``text`` is the error
+    message without the first words "mesh file `name`".  ``hint`` explains how the user can correct
     the mesh file.
     """
 
@@ -56,7 +56,7 @@ class _LoadedMesh(NamedTuple):
     """A mesh that was read from a file.
 
     ``suffix`` is the format of the mesh data, ``stl`` or ``obj``.  ``is_large`` is true if a
-    coordinate may have a magnitude of 8 m or more.
+    coordinate of the mesh may have a magnitude of 8 m or more.
     """
 
     mesh: Mesh

@@ -54,7 +54,8 @@ def feasible_twists(robot: Robot) -> int:
 
 
 def check_controllable(robot: Robot, report: Report) -> None:
-    """Checks that the wheels determine the twist (vx, vy, wz) for some steering angles.
+    """Checks that the wheels fully determine the motion of the robot, with suitable steering
+    angles.
 
     Each wheel that is not a caster adds a lateral row to a matrix.  Each driven wheel also adds a
     rolling row to the matrix.  The matrix of all lateral and rolling rows must have the rank 3.

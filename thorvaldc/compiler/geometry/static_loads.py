@@ -81,7 +81,7 @@ def free_pivots(tree: JointTree, wheels: Sequence[Wheel], actuated: Collection[s
 def static_loads(
     points: Sequence[tuple[float, float]], body: Inertial, pivots: Sequence[Pivot] = ()
 ) -> list[float]:
-    """Returns the static load of each wheel in N.
+    """Returns the static wheel load (N) of each wheel of the robot.
 
     A wheel can push the robot up, but cannot pull the robot down.  A negative wheel load is
     therefore set to 0, and the loads of the other wheels are computed again.  Wheels with contact

@@ -133,7 +133,7 @@ def _find_root(node: Node, key: Key) -> tuple[Key, Node] | None:
 
 
 def _robot_name(root: OriginalMapping, path: Path) -> str:
-    """Returns the name of the robot.
+    """Returns the name of the robot in an original configuration file.
 
     The name of the robot is the value of the key `robot_name`.  If the file has no key
     `robot_name`, the name of the robot is the key of the innermost mapping that contains

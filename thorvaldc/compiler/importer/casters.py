@@ -63,7 +63,8 @@ def _caster_positions(points: Sequence[Point], frame_center_x: float) -> list[Po
     """Returns the positions of two casters (x, y in m) in ``base_link``.
 
     The driven wheels are on one straight line, which usually is an axle across the robot.  If the
-    line is along the x axis, as on a bicycle, one caster is placed on each side.
+    wheels are in line along the x axis, as on a bicycle, one caster is placed on each side of the
+    robot.
     """
     x = sum(point[0] for point in points) / len(points)
     y = sum(point[1] for point in points) / len(points)

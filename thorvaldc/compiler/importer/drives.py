@@ -12,8 +12,8 @@ from thorvaldc.diagnostics import Label
 
 NODE_IDS = (1, 127)  # least and greatest CANopen node id (CiA 301)
 _WHEEL_RADIUS, _WHEEL_WIDTH = 0.2, 0.16  # m, radius and width of the module type wheel/agri_200
-# Least height (m) of the robot's frame above the top of a wheel.  The arm of the drive needs the
-# space.
+# Least height (m) of the robot's frame above the top of a wheel.  The arm of a drive needs the
+# space above the wheel.
 _CLEARANCE_FIXED = 0.12
 _CLEARANCE_STEERED = 0.22  # for a drive with a steering module
 _CLAMP_REACH = 0.4  # m, largest horizontal distance of a drive from the tube that the clamp holds

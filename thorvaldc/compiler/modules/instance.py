@@ -100,7 +100,7 @@ class Mount(NamedTuple):
 def used_by(path: str, span: Span) -> Label:
     """Returns a diagnostic label that names the module of the robot.
 
-    The label is added to each diagnostic about the document of the module type.
+    The label is added to each diagnostic about the module document that the module uses.
     """
     return Label(span, f"`{path.split('.', 1)[0]}` uses it")
 

@@ -57,7 +57,7 @@ class LinkShapeReader:
             masses.append(inertial.transformed(pose))
 
     def _inertial(self, part: Node, shape: Shape | None, scope: Scope) -> Inertial | None:
-        """Returns the mass and the inertia of a link part in the frame of the part.
+        """Returns the mass and the inertia of a link part in the coordinate frame of the part.
 
         If the module document does not state the inertia, the inertia of a uniform solid is
         computed.  The shape of the uniform solid is the value of `inertia_shape`, or the visual

@@ -15,9 +15,9 @@ from thorvaldc.model.robot import Scalar
 
 
 class ModuleValues:
-    """Reads the values of a module document.
+    """Reader of conditions, sizes and properties in a module document.
 
-    Expressions in the document use the parameter values in ``scope``.
+    Expressions in the module document use the parameter values in ``scope``.
     """
 
     def __init__(self, module: ModuleType, scope: Scope, report: Report) -> None:

@@ -1,9 +1,9 @@
 """Resolves a robot document to a tree of module instances.
 
-A robot and an assembly both consist of named modules.  Each module of a robot has a module type and
-is mounted on a port of another module.  The leaves of the tree of module instances are modules with
-links, joints or devices.  The resolver finds the link and the pose where each leaf module is
-mounted.
+A robot document and an assembly document both list modules with names.  Each module of a robot has
+a module type and is mounted on a port of another module.  The leaves of the tree of module
+instances are modules with links, joints or devices.  The resolver finds the link and the pose where
+each leaf module is mounted.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Resolver:
     def resolve(self, document: Node, invalid_modules: Iterable[str] = ()) -> Instance:
         """Returns the root of the tree of module instances.
 
-        A module instance with an invalid `mount` entry gets no mount.
+        A module with an invalid `mount` entry is not mounted on another module.
 
         ``invalid_modules``: names of the modules that were removed from the document because of
         invalid values.  The schema check has already reported the invalid values.

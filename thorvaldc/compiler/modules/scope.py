@@ -101,12 +101,14 @@ class ModuleChoice(Mapping[str, Any]):
     __hash__ = object.__hash__
 
     def __bool__(self) -> bool:
-        """Returns true, because an expression can test whether a module is chosen."""
+        """Returns true, so that an expression can test whether a module parameter has a module or
+        is `none`.
+        """
         return True
 
 
 class Scope(ValueReader):
-    """Names that expressions in a module document may use.
+    """Parameters and `let` values that expressions in a module document may use.
 
     The value of a parameter is computed when an expression first uses the name of the parameter.
 

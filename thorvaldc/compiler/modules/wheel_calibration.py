@@ -32,7 +32,9 @@ A larger steering offset is an error of the homing, which a calibration cannot c
 
 
 class Measured(NamedTuple):
-    """A measured value in SI units, and the span of the value in the calibration file."""
+    """A measured value in SI units, with file, line and column of the value in the calibration
+    file.
+    """
 
     value: float
     span: Span

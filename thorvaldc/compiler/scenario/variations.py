@@ -33,7 +33,8 @@ class Change(NamedTuple):
     """A new value for one entry of a scenario document.
 
     ``path`` is the dotted path of the entry in the scenario document.  ``value`` is the new value
-    of the entry.  ``value.where`` is the source span of the path.
+    of the entry in the scenario document.  ``value.where`` is the source span of the path, for
+    diagnostics.
     """
 
     path: str
