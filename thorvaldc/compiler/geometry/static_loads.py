@@ -7,8 +7,8 @@ i has the contact point (x_i, y_i) and carries the load N_i (N):
 
 For a robot with more than three wheels, the three equations have many solutions.  If all wheels
 have the same vertical stiffness and the robot is rigid, the wheel i at (x_i, y_i) carries the load
-N_i = a + b x_i + c y_i with the same constants a, b and c for all wheels.  The wheel loads N_i = a
-+ b x_i + c y_i also have the least sum of squares of all solutions.
+N_i = a + b x_i + c y_i with the same constants a, b and c for all wheels.  Of all solutions, the
+wheel loads N_i = a + b x_i + c y_i have the least sum of squares.
 
 A rocker (a suspension arm on a free joint) adds one equation, because the moments of the wheel
 loads about the rocker's joint are in balance.  The loads of a robot with rockers are computed

@@ -292,8 +292,7 @@ class _SectionReader:
         )
 
     def expectations(self, node: Node | None) -> Iterator[Expectation]:
-        """Yields the expected range of each metric in the section `expect` of a scenario document.
-        """
+        """Yields the expected range of each metric in the section `expect` of a scenario."""
         for metric, bounds in entries(node).items():
             quantity = _METRICS.get(metric)
             if quantity is None:
