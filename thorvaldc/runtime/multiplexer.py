@@ -19,7 +19,7 @@ _TIME_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """The selected source and its twist.
+    """The selected twist source and its commanded twist.
 
     - ``source``: name of the selected source, or empty if no source is selected.
     - ``twist``: twist of the selected source, or zero if no source is selected.
@@ -78,7 +78,7 @@ class Multiplexer:
 
     @classmethod
     def from_robot(cls, robot: Robot) -> Multiplexer:
-        """Returns a multiplexer with the sources and locks of the robot file."""
+        """Returns a multiplexer with the twist sources and stop locks of the robot file."""
         return cls(robot.twist_sources, robot.twist_locks)
 
     @property
@@ -92,11 +92,11 @@ class Multiplexer:
     def publish(self, source: str, twist: Twist, now: float) -> bool:
         """Publishes a commanded twist of a source at the time ``now`` (s).
 
-        The twist is valid until the time-out of the source.
+        The published twist is valid until the time-out of the source.
 
         Returns ``False`` if the twist or the time is not finite or too large.  If a twist is
         rejected, the previous twist of the source stays valid until its time-out.  Raises
-        ``ParameterError`` if the source is unknown.
+        ``ParameterError`` if the robot has no twist source with this name.
         """
         publisher = self._find("source of twists", source, self._sources)
         if not (sum(map(abs, twist)) < MAX_TWIST and math.isfinite(now)):

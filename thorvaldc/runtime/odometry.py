@@ -22,7 +22,7 @@ class Odometry:
     - ``estimate``: estimated mean twist in the interval between the last two joint states.
     - ``pose``: pose of ``base_link`` in the odometry frame.
     - ``covariance``: covariance of the pose, expressed as a small motion in ``base_link``.  The
-      covariance grows while joint states are missing.
+      covariance of the pose grows while joint states are missing.
     - ``joints``: last joint states, or ``None`` before the first update.
     - ``covariance_at_joints``: covariance of the pose at the time of ``joints``.
     - ``calculator``: base calculator, which can be replaced between two updates without a change of
@@ -49,11 +49,11 @@ class Odometry:
     def update(self, joints: JointStates, now: float) -> None:
         """Updates the pose with the joint states that were read at ``now`` (s, monotonic).
 
-        Between two joint states the robot is assumed to move with the mean twist.  The motion is
-        unknown if the interval is longer than ``LONGEST_INTERVAL`` or if the time of the joint
-        states decreases.  If the motion is unknown, the pose does not change, and its covariance
-        grows by the largest possible motion.  Joint states with the same time as the previous joint
-        states count as missing.
+        Between two joint states the robot is assumed to move with the mean twist.  The motion of
+        the robot is unknown if the interval is longer than ``LONGEST_INTERVAL`` or if the time of
+        the joint states decreases.  If the motion of the robot is unknown, the pose does not
+        change, and the covariance of the pose grows by the largest possible motion.  Joint states
+        with the same time as the previous joint states count as missing.
 
         Raises ``ValueError`` if the joint states are unusable, and ``NotFiniteError`` if a joint
         state is NaN. The odometry is unchanged after an error.
@@ -123,7 +123,7 @@ def _mean_states(start: JointStates, end: JointStates, dt: float) -> JointStates
     If the base measures positions, the wheel speeds are computed from the differences of the
     positions.
 
-    The measured angles at the start and the end of the interval are averaged.  Each measured
+    The steering angles at the start and the end of the interval are averaged.  Each measured
     steering angle affects two intervals, with half of its error in each interval.  Over many
     intervals, the sum of the mean angles has the same error as with independent errors in each
     interval.  The covariance of the pose therefore assumes independent errors in each interval.

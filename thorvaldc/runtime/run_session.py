@@ -1,6 +1,6 @@
 """A complete run of a robot on its buses, from the start to the shutdown and the summary.
 
-The command ``thorvaldc run`` uses ``RunSession``.  A Python program can use ``RunSession``, too::
+The command ``thorvaldc run`` uses ``RunSession``.  Example of a run in a Python program::
 
     interfaces = open_interfaces("socketcan:can0", robot)
     session = RunSession(robot, interfaces, twist=Twist(0.5, 0.0, 0.0), duration=10.0)
@@ -61,13 +61,13 @@ class RunSession:
         """Prepares the run with the CAN interfaces of the robot's buses.
 
         - ``interfaces``: CAN interface of each bus, by the name of the bus.
-        - ``threaded``: if ``True``, a thread for each bus reads the received frames.  A simulated
-          robot in this process needs ``threaded=False``.
+        - ``threaded``: if ``True``, a thread for each bus reads the received frames.  A robot that
+          is simulated in the same process needs ``threaded=False``.
         - ``paced``: if ``True``, the loop waits so that virtual time does not run faster than real
           time.
 
-        The session closes the interfaces at the end of the run.  Raises ``DiagnosticError`` if the
-        base cannot be created, and ``OSError`` if the control channel is in use.  The CAN
+        The session closes the CAN interfaces at the end of the run.  Raises ``DiagnosticError`` if
+        the base cannot be created, and ``OSError`` if the control channel is in use.  The CAN
         interfaces are also closed after an error.
         """
         self.robot = robot
@@ -124,7 +124,7 @@ class RunSession:
     def request_stop(self) -> None:
         """Ends the run after the present control cycle.
 
-        A signal handler may call this method.
+        A signal handler may call ``request_stop``.
         """
         self.stop_requested = True
 

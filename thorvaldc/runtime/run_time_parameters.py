@@ -29,7 +29,7 @@ _NOISE = tuple(field.name for field in dataclasses.fields(Noise))
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """Parameters of a driver.
+    """Parameters of a base driver that can change while the robot drives.
 
     - ``radii``: wheel radii (m) in the order of ``Robot.wheels``.
     - ``settings``: settings of the base driver, including limits and measurement noise.
@@ -40,7 +40,9 @@ class Parameters:
 
     @staticmethod
     def from_robot(robot: Robot, name: str | None = None) -> Parameters:
-        """Returns a parameter set of the robot file.  ``None`` selects the ordinary values.
+        """Returns a parameter set of the robot file.
+
+        The name ``None`` selects the ordinary parameters of the robot file.
 
         Raises ``DiagnosticError`` (``parameter-set-unknown``) if the robot file has no such set.
         """
@@ -77,7 +79,7 @@ class Parameters:
         - ``noise``: standard deviations of the measurement errors by name, see ``Noise``.
         - ``limits``: limits in SI units by name.
 
-        Raises ``ParameterError`` if a name is unknown or a value is invalid.
+        Raises ``ParameterError`` if the name or the value of a parameter is invalid.
         """
         wheels = [w.name for w in robot.wheels]
         new_radii = list(self.radii)

@@ -1,8 +1,8 @@
 """The control loop of a robot on its buses, and the services of a running robot.
 
-The loop starts its cycles at absolute deadlines: start, start + T, start + 2T and so on.  Timing
-errors therefore do not accumulate.  If a control cycle takes longer than the period T, the loop
-skips the missed deadlines and continues at the next deadline:
+The control loop starts its cycles at absolute deadlines, one per period T, so that timing errors do
+not accumulate.  If a control cycle takes longer than the period T, the loop skips the missed
+deadlines and continues at the next deadline:
 
     deadlines   |--------|--------|--------|--------|
     work        [##]     [################]         [##]
@@ -104,7 +104,7 @@ class BaseRunner:
         parameters: str | None = None,
         keep_starts: bool = False,
     ) -> None:
-        """Creates the driver of the robot.
+        """Creates the base driver of the robot.
 
         ``parameters`` is the name of the initial parameter set.  If ``parameters`` is ``None``, the
         driver uses the ordinary values of the robot file.  Raises ``DiagnosticError`` if the
@@ -157,8 +157,8 @@ class BaseRunner:
         stale = state.mode is not DriveMode.DRIVING
         self.base.state_machine.note_motion(now, not self.base.standing, stale)
         if self.ready and not self._was_ready:
-            # During homing, the odometry measured motions of the joints although the robot did not
-            # move.
+            # During homing, the odometry has measured motions of the steering joints although the
+            # robot did not move.
             self._was_ready = True
             self.driver.reset_pose()
         return state
@@ -235,8 +235,8 @@ class BaseRunner:
     def submit(self, service: Callable[[], T]) -> Future[T]:
         """Requests that the control loop calls ``service`` in its next cycle.
 
-        Any thread may call this method.  The returned future contains the result or the exception
-        of the service.
+        Any thread may call ``submit``.  The returned future contains the result or the exception of
+        the service.
         """
         future: Future[T] = Future()
         self._requests.put((future, service))
@@ -256,7 +256,7 @@ class BaseRunner:
                 future.set_exception(error)
 
     def safety_stop(self, engaged: bool = True) -> None:
-        """Stops all motors and switches them off.
+        """Stops all motors of the base and switches the motors off.
 
         With ``engaged=False``, releases the safety stop.
 
@@ -282,12 +282,13 @@ class BaseRunner:
         _raise_if(self.base.state_machine.home(self.clock.now))
 
     def set_home_count_current_position_zero(self, node: str = "") -> None:
-        """Sets the zero of the steering angles to the present angles, of one or all controllers.
+        """Sets the present steering angles of one or all motor controllers as the zero position.
 
-        ``node`` is the name of a motor controller.  An empty name selects all motor controllers.
-        The motor controllers store the new zero position and use the new zero position from the
-        next homing on.  Raises ``RequestRefused`` if the robot moves, if a selected motor
-        controller is not homed, or if none of the selected motor controllers uses a home switch.
+        ``node`` is the name of a motor controller in the robot file.  An empty name selects all
+        motor controllers.  The motor controllers store the new zero position and use the new zero
+        position from the next homing on.  Raises ``RequestRefused`` if the robot moves, if a
+        selected motor controller is not homed, or if none of the selected motor controllers uses a
+        home switch.
         """
         self._require_standing()
         frames = 0
@@ -314,12 +315,14 @@ class BaseRunner:
     ) -> None:
         """Switches to a parameter set of the robot file, or changes single parameters.
 
-        - ``parameters``: name of a parameter set.  ``None`` selects the ordinary values.
+        - ``parameters``: name of a parameter set.  The name ``None`` selects the ordinary
+          parameters of the robot file.
         - ``radii``: wheel radii (m) by wheel name.
         - ``limits``: limits in SI units by name.
 
-        All changes take effect together, between two cycles.  Raises ``RequestRefused`` if a name
-        is unknown or a value is invalid.  If the request is refused, no parameter is changed.
+        All parameter changes take effect together, between two control cycles.  Raises
+        ``RequestRefused`` if the name or the value of a parameter is invalid.  If the request is
+        refused, no parameter is changed.
         """
         try:
             if radii or limits:
@@ -336,7 +339,8 @@ class BaseRunner:
         - ``setting``: name of a value that the settings frame of the motor controller can change.
         - ``value``: new value in the unit of the motor controller.
 
-        Raises ``RequestRefused`` if the robot moves, or if a name or the value is invalid.
+        Raises ``RequestRefused`` if the robot moves, or if the name or the value of the setting is
+        invalid.
         """
         self._require_standing()
         for connection, controller in self._controllers(node):
@@ -355,7 +359,7 @@ class BaseRunner:
     def set_output(self, board: str, output: str, on: bool) -> None:
         """Switches an output of an IO board on or off.
 
-        Raises ``RequestRefused`` if the board or the output is unknown.
+        Raises ``RequestRefused`` if the robot has no such IO board or output.
         """
         for connection in self.base.connections:
             for io_board in connection.boards:
@@ -414,7 +418,7 @@ class BaseRunner:
     def relay_drops(self) -> dict[str, int]:
         """Returns the number of CAN frames that the relay dropped, for each CAN id and reason.
 
-        A key of the result is a text such as ``0x240 too often``.
+        The keys of the returned dictionary are texts such as ``0x240 too often``.
         """
         return {
             f"{cob_id:#05x} {reason}": number

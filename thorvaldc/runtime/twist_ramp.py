@@ -23,10 +23,10 @@ class Ramp:
 
     The direction of the straight ramp is constant.  On a ramp from rest or to rest, the centre of
     rotation therefore does not move.  At a corner of the straight ramp, however, steering joints
-    would have to reach their rate in zero time.  The attribute ``twist`` is therefore the mean of
-    the straight ramp over the last ``smoothing`` s, the time that steering joints need to reach
-    their full rate.  A ramp to zero is not smoothed: the wheels keep their directions, and the stop
-    begins in the same tick.
+    would have to reach their full steering rate in zero time.  The attribute ``twist`` is therefore
+    the mean of the straight ramp over the last ``smoothing`` s, the time that steering joints need
+    to reach their full rate.  A twist ramp to zero is not smoothed, so that the stop begins in the
+    same tick.  During a stop, the wheels keep their directions.
 
     The yaw rate is multiplied by ``length`` (m) to convert the yaw rate to a linear speed.
     """
@@ -77,9 +77,10 @@ class Ramp:
         While wheels steer or are at their limits, the robot is slower than the ramp.  Without a
         limit of the lead, the robot would accelerate abruptly when the wheels are ready.
 
-        ``aligned`` is ``False`` if steered wheels have to turn far.  In this case the ramp slows
-        down but keeps the direction of its twist.  With another direction, wheels that turn the
-        long way because of a steering limit would turn back and never reach their target angles.
+        ``aligned`` is ``False`` if steered wheels have to turn far.  While steered wheels turn far,
+        the ramp slows down but keeps the direction of its twist.  If the direction of the twist
+        changed, wheels that turn the long way because of a steering limit would turn back and never
+        reach their target angles.
         """
         vx, vy, wz = self.twist
         if not aligned:

@@ -122,8 +122,9 @@ class HypothesisSearch:
     ) -> list[Hypothesis]:
         """Returns all hypotheses with one more faulty wheel than ``hypothesis``.
 
-        ``visited`` contains the indices of wheels that the search has already rejected.  A wheel
-        can be rejected only if the other wheels determine the twist without it.
+        ``visited`` contains the indices of wheels that are skipped, because the search has already
+        rejected them.  A wheel can be rejected only if the other wheels determine the twist without
+        it.
         """
         extended: list[Hypothesis] = []
         if len(hypothesis.rejected) >= self._max_rejected:

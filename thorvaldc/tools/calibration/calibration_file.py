@@ -25,8 +25,8 @@ def overlay_text(result: CalibrationResult, robot: Path) -> str:
 def _present_values(robot: Path) -> dict[str, dict[str, Any]]:
     """Returns the present calibration of each wheel by the name of the wheel, in SI units.
 
-    The calibration is read from the calibration file that the robot file includes.  The dictionary
-    is empty if the robot file includes no calibration file.
+    The calibration is read from the calibration file that the robot file includes.  Returns an
+    empty dictionary if the robot file includes no calibration file.
     """
     document = read_file(robot, robot.name, Report())
     calibration = load_calibration(document, robot.parent, Report(), {}) if document else None
@@ -43,7 +43,7 @@ def _present_values(robot: Path) -> dict[str, dict[str, Any]]:
 
 
 def write_calibration(path: Path, text: str) -> None:
-    """Writes a calibration file.
+    """Writes the text of a calibration file to ``path``.
 
     The calibration file is either written completely or not changed.  Raises ``FileExistsError`` if
     ``path`` is an existing file that is not a calibration file.

@@ -52,7 +52,7 @@ class Solution:
     - ``pointing``: standard deviation of the direction residuals in a tick, rad.
     - ``slip``: part of ``pointing`` that lasts over many ticks, at the worst wheel, rad.
     - ``consistent``: ``True`` if the steering angles alone agree with the present steering offsets.
-      The axle lines of all wheels then always meet in one point.
+      With consistent steering angles, the axle lines of all wheels always meet in one point.
     - ``iterations``: number of Gauss-Newton iterations.
     """
 
@@ -77,10 +77,10 @@ class _Rows:
     """Linear measurement equations of all ticks for given steering offsets and radius ratios.
 
     The array ``matrix`` has the shape (ticks, rows, 3).  The product of ``matrix`` and the twist is
-    the expected value of ``measured`` (m/s).  The first rows are the rolling rows of the wheels
-    with encoder.  The next rows are the pointing rows of the steered wheels, which compare the
-    direction of the wheel with its motion.  The last rows describe the side slip of the fixed
-    axles.
+    the expected value of ``measured`` (m/s).  The first rows of ``matrix`` are the rolling rows of
+    the wheels with encoder.  The next rows of ``matrix`` are the pointing rows of the steered
+    wheels, which compare the direction of the wheel with its motion.  The last rows of ``matrix``
+    describe the side slip of the fixed axles.
     """
 
     matrix: Array
@@ -89,7 +89,7 @@ class _Rows:
 
 @dataclass(slots=True)
 class _Fit:
-    """Result of the Gauss-Newton iterations.
+    """Result of the Gauss-Newton iterations of the calibration.
 
     - ``parameters``: estimated parameters.
     - ``information``: information matrix of the parameters.
@@ -118,8 +118,8 @@ class Solver:
     """Gauss-Newton solver for the steering offsets and the radius ratios of the wheels.
 
     Each steering joint has an unknown steering offset.  Each wheel with encoder has an unknown log
-    ratio, the logarithm of its radius ratio.  The log ratios of all wheels sum to zero.  The solver
-    estimates the coordinates of the log ratios in a basis of the vectors with zero sum.
+    ratio, the logarithm of its radius ratio.  The sum of the log ratios of all wheels is zero.  The
+    solver estimates the coordinates of the log ratios in a basis of the vectors with zero sum.
     """
 
     def __init__(self, robot: Robot, ticks: Ticks) -> None:
@@ -330,7 +330,7 @@ class Solver:
     def _blocks(self) -> NDArray[np.intp]:
         """Returns the number of the 1 s block that contains each tick.
 
-        Blocks are numbered consecutively, and blocks without ticks have no number.
+        The 1 s blocks are numbered consecutively, without the blocks that contain no tick.
         """
         _, numbers = np.unique(
             np.floor(self.ticks.times - self.ticks.times[0]), return_inverse=True
@@ -340,9 +340,9 @@ class Solver:
     def _shares(self, fit: _Fit) -> tuple[Array, Array]:
         """Returns the residuals of all wheels in physical units, and the conversion factors.
 
-        The residual of a rolling row is relative to the speed.  The residual of a pointing row is
-        an angle in rad.  A conversion factor multiplied by the residual in physical units gives the
-        weighted residual of the row.
+        The residual of a rolling speed is relative to the speed.  The residual of a wheel direction
+        is an angle in rad.  The weighted residual is the product of the conversion factor and the
+        residual in physical units.
         """
         speed = np.maximum(np.hypot(*self._ground(fit.twists)), MIN_SPEED)
         speed = np.concatenate([speed[:, self.roll], speed[:, self.point]], 1)
@@ -407,7 +407,7 @@ def encoder_offset(robot: Robot, wheel: int) -> float:
 
 
 def _zero_sum(n: int) -> Array:
-    """Returns an orthonormal basis (n, n - 1) of the vectors whose entries sum to 0.
+    """Returns an orthonormal basis, shape (n, n - 1), of the vectors whose elements sum to 0.
 
     The columns of the returned matrix are the Helmert basis.
     """
@@ -422,7 +422,7 @@ def _zero_sum(n: int) -> Array:
 def _weights(residuals: Array) -> Array:
     """Returns the weight of each tick for a robust fit, by Geman and McClure.
 
-    The scale of the weights is the median of the squared residuals of a tick.
+    The weights are scaled by the median over all ticks of the squared residuals.
     """
     squares = np.sum(residuals**2, axis=1)
     size = max(float(np.median(squares)), 1e-12)
@@ -433,7 +433,7 @@ def _weights(residuals: Array) -> Array:
 def _factor(factor: float, weights: Array, residuals: Array, redundancy: Array) -> float:
     """Returns the updated factor of the standard deviations of a group of measurements.
 
-    With the updated factor, the weighted residuals have the variance that is expected.
+    With the updated factor, the weighted residuals have the expected variance.
     """
     expected = float(np.sum(weights[:, None] * redundancy))
     if expected < 1e-6 * len(residuals):

@@ -10,8 +10,8 @@ rows H of all wheels, the measured speeds z and the weights W:
     e(p) = (1 - H (H' W H)^-1 H' W) z
 
 Gauss-Newton iterations minimise the sum of e' W e over all ticks.  A common scale of all wheel
-radii does not change the minimum e = 0. The scale of the wheel radii is therefore 1 unless a
-measured distance determines the scale.
+radii does not change the minimum of the residuals.  The scale of the wheel radii is therefore 1
+unless a measured distance determines the scale.
 
 The standard deviations of the rolling speeds and of the wheel directions are estimated as variance
 components.  At the start of the iterations, the rolling speeds have smaller standard deviations
@@ -26,8 +26,8 @@ Ticks without motion of the robot are left out.  Ticks with wheel slip get a sma
 McClure).  Measurement errors in successive ticks are correlated.  The standard errors of the
 parameters are therefore computed from blocks of 1 s (sandwich estimator).
 
-This module imports numpy.  Other modules import ``self_calibration`` only in the function that
-needs it.
+This module imports numpy.  To avoid a slow import of numpy, other modules import
+``self_calibration`` only inside functions.
 """
 
 from __future__ import annotations
@@ -83,12 +83,12 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class WheelCalibration:
-    """The calibration of one wheel.
+    """The estimated calibration of one wheel.
 
     - ``offset``: steering offset in rad, or ``None`` for a wheel without steering motor.  The
       steering offset is the position of the steering joint at which its encoder reads 0.
     - ``ratio``: ratio of the wheel radius to the radius in the robot file, or ``None`` for a wheel
-      without encoder.  The mean of the logarithms of all ratios is 0.
+      without encoder.  The mean of the logarithms of all radius ratios is 0.
     - ``radius``: wheel radius with the measured scale in m, or ``None`` for a wheel without
       encoder.
     - ``named``: name of the wheel radius in the robot file, or empty for the ordinary radius.
@@ -155,8 +155,8 @@ def calibrate(
     - ``distance``: straight distance (m) between the positions of ``base_link`` at the first and
       the last line of the log.  The path of the robot between both positions may turn a little.
     - ``display``: name of the joint log in the source spans of diagnostics.
-    - ``parameters``: name of the parameter set with the radii at the time of the log.  ``None``
-      selects the ordinary radii.
+    - ``parameters``: name of the parameter set with the radii at the time of the log.  The name
+      ``None`` selects the ordinary wheel radii.
 
     Adds errors to ``report`` and returns ``None`` if the joint log is not usable.  Raises
     ``DiagnosticError`` if the parameter set is unknown.
