@@ -43,7 +43,8 @@ class KcBattery(SimulatedDevice):
     ) -> None:
         """Creates a battery with the battery id ``battery_id``.
 
-        ``voltage`` is in V and ``capacity`` in Ah.  ``period`` is the period of the frames (s).
+        ``voltage`` is the battery voltage (V), and ``capacity`` is the battery capacity (Ah).
+        ``period`` is the period of the sent CAN frames (s).
         """
         super().__init__(name, wire, bitrate, seed=seed, nonvolatile=nonvolatile)
         self.id = battery_id
@@ -99,8 +100,9 @@ class KcBattery(SimulatedDevice):
 class IoBoard(SimulatedDevice):
     """A simulated IO board with relays and a beacon.
 
-    The frame 0x200 + node id sets the outputs.  The frame 0x180 + node id reports the outputs and
-    the inputs.  Bits 0 and 1 of ``outputs`` switch the relays.  Bits 2 to 4 of ``outputs`` switch
+    The CAN frame with the identifier 0x200 + node id sets the outputs of the IO board.  The CAN
+    frame with the identifier 0x180 + node id reports the outputs and inputs of the IO board.  Bits
+    0 and 1 of ``outputs`` switch the two relays of the IO board.  Bits 2 to 4 of ``outputs`` switch
     the red, yellow and green light of the beacon.
     """
 
@@ -118,8 +120,8 @@ class IoBoard(SimulatedDevice):
     ) -> None:
         """Creates an IO board with the node id ``node_id``.
 
-        ``at_start`` are the bits of the outputs after power-on.  ``period`` is the period of the
-        report frame (s).
+        ``at_start`` has the states of the outputs after power-on, one bit for each output.
+        ``period`` is the period of the report frame (s).
         """
         super().__init__(name, wire, bitrate, seed=seed, nonvolatile=nonvolatile)
         self.id = node_id
@@ -165,12 +167,13 @@ class IoBoard(SimulatedDevice):
 
 
 class ForeignFrame(NamedTuple):
-    """A CAN frame that a foreign device sends.
+    """A CAN frame that a device of another maker sends.
 
     * ``cob_id``: identifier of the frame.
     * ``length``: number of data bytes.
     * ``period``: period of the frame (s), or ``None`` for a frame that answers a command.
-    * ``data``: data of the frame.  With ``None`` the first data byte is a frame counter.
+    * ``data``: data of the frame.  If ``data`` is ``None``, the first data byte of the CAN frame is
+      a frame counter.
     """
 
     cob_id: int
@@ -182,8 +185,8 @@ class ForeignFrame(NamedTuple):
 class ForeignDevice(SimulatedDevice):
     """A simulated device of another maker, whose protocol is unknown.
 
-    The device sends periodic frames and answers received command frames.  ``commands`` has the
-    last 64 received frames, from the oldest to the newest.
+    The device sends periodic CAN frames and answers received command frames.  ``commands`` has the
+    last 64 received CAN frames, from the oldest to the newest.
     """
 
     def __init__(
@@ -197,10 +200,10 @@ class ForeignDevice(SimulatedDevice):
         seed: int = 0,
         nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
-        """Creates a foreign device.
+        """Creates a simulated device of another maker.
 
-        ``receives`` are the identifiers of the command frames.  ``sends`` are the frames that the
-        device sends.
+        ``receives`` has the identifiers of the CAN frames that command the device.  ``sends`` has
+        the CAN frames that the device sends.
         """
         super().__init__(name, wire, bitrate, seed=seed, nonvolatile=nonvolatile)
         self._receives = tuple(receives)

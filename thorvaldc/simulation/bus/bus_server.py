@@ -1,6 +1,6 @@
 """Runs simulated CAN buses for programs in other processes, in real time or in lockstep.
 
-The docstring of ``thorvaldc.can.simulated_bus_protocol`` describes the messages between a program
+The module ``thorvaldc.can.simulated_bus_protocol`` describes the messages between a client program
 and the server.  This diagram shows lockstep with two clients (times in ms):
 
     client A   WAIT 20 -->                          <-- TIME 10         (a frame reached it)
@@ -39,7 +39,7 @@ _MAXIMUM_RATE = 10_000_000
 
 
 class _Connection:
-    """A connected client, with a socket, a CAN controller and the time until which it waits."""
+    """A client program that is connected to the server by a socket."""
 
     def __init__(self, stream: socket.socket, wire: Wire) -> None:
         self.stream = stream
@@ -55,9 +55,10 @@ class _Connection:
         """Number of frames of the client that were not yet reported as sent or dropped."""
 
     def send_state(self) -> None:
-        """Sends the error state of the controller to the client.
+        """Sends the error state of the CAN controller to the client program.
 
-        The message also contains the number of queued frames that bus-off or a restart dropped.
+        The message also contains the number of CAN frames that bus-off or a restart removed from
+        the send queue.
         """
         controller = self.controller
         if controller is not None:
@@ -67,9 +68,9 @@ class _Connection:
             )
 
     def put(self, message: bytes) -> None:
-        """Queues a message for the client.
+        """Queues a message to the client program.
 
-        The message is dropped if the client does not read and too many bytes are waiting.
+        The message is dropped if more than ``BACKLOG`` bytes are already queued.
         """
         if len(self.out) > BACKLOG:
             self.lost += 1
@@ -80,9 +81,10 @@ class _Connection:
 class BusServer:
     """Runs simulated CAN buses and offers each bus to other processes over a local socket.
 
-    In real time, the simulated time follows the clock of the computer.  A simulation that
-    computes too slowly lags behind the clock and catches up later.  ``behind`` is the largest lag
-    (ns).  With ``lockstep``, the simulated time advances only while all clients in lockstep wait.
+    In real time, the simulated time follows the clock of the computer.  A simulation that computes
+    too slowly lags behind the clock and catches up later.  ``behind`` is the largest lag (ns) of
+    the simulated time behind the clock.  If ``lockstep`` is true, the simulated time advances only
+    while all lockstep clients wait.
     """
 
     def __init__(
@@ -90,14 +92,15 @@ class BusServer:
     ) -> None:
         """Opens a local socket for each simulated bus.
 
-        ``wires`` has the simulated buses by channel name.  Raises ``OSError`` if another server
-        uses a channel name.
+        ``wires`` maps each channel name to a simulated bus.  Raises ``OSError`` if another server
+        already uses one of the channel names.
         """
         self.timeline = timeline
         self.lockstep = lockstep
         self.channels = tuple(wires)
         self.behind = 0
-        # The function select has a time resolution of microseconds, epoll only of milliseconds.
+        # The system call select has a time resolution of microseconds, and epoll only of
+        # milliseconds.
         self._selector = selectors.SelectSelector()
         self._connections: list[_Connection] = []
         self._paths: list[Path] = []
@@ -157,9 +160,9 @@ class BusServer:
         return bool(steppers) and all(c.waits_until is not None for c in steppers)
 
     def _step(self) -> None:
-        """Advances the simulation in lockstep.
+        """Advances the simulated time while all lockstep clients wait.
 
-        The simulation runs until a waiting client receives a frame, or until the wait time of a
+        The simulation runs until a waiting client receives a CAN frame, or until the wait time of a
         client ends.
         """
         if not self._all_wait():
@@ -168,7 +171,7 @@ class BusServer:
         until = min(c.waits_until for c in steppers if c.waits_until is not None)
         if until >= NEVER - 1 and self.timeline.next_time >= NEVER:
             return
-        # One call simulates at most 1 s, so that ``stop`` can end an unlimited wait.
+        # One call simulates at most 1 s, so that ``stop`` can end a wait without time limit.
         end = min(until, self.timeline.now + 1_000_000_000)
         self.timeline.run_until(end, lambda: any(c.has_frame for c in steppers))
         for connection in steppers:
@@ -357,10 +360,10 @@ def serving(
     lockstep: bool = False,
     stopped: Callable[[], None] | None = None,
 ) -> Iterator[BusServer]:
-    """Runs a server in a separate thread during the ``with`` block.
+    """Runs a server for simulated CAN buses in a separate thread during the ``with`` block.
 
-    Only the thread of the server may use the simulation during the ``with`` block.  The function
-    ``stopped`` is called after the end of the thread.
+    Other threads must not use the simulated buses during the ``with`` block.  The function
+    ``stopped`` is called after the server thread has ended.
     """
     server = BusServer(timeline, wires, lockstep=lockstep)
     thread = threading.Thread(target=server.run, name="bus server", daemon=True)

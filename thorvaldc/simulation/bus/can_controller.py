@@ -1,7 +1,7 @@
 """A simulated CAN controller with send queue, error counters and error state (ISO 11898-1).
 
-A CAN controller has a transmit error counter (TEC) and a receive error counter (REC).  The two
-counters determine the error state of the controller:
+A CAN controller has a transmit error counter (TEC) and a receive error counter (REC).  The error
+counters determine the error state of the CAN controller:
 
                  TEC > 127 or REC > 127               TEC > 255
     error-active ----------------------> error-passive ---------> bus-off
@@ -11,10 +11,10 @@ counters determine the error state of the controller:
          +-----------------------------------------------------------+
                restart, or 128 x 11 recessive bits with auto_recovery
 
-An error-active controller destroys a faulty frame with a dominant error flag.  An error-passive
-controller sends a recessive error flag, which other controllers do not detect.  After each sent
-frame, an error-passive controller waits 8 more bit times.  A controller in bus-off neither sends
-nor receives.
+An error-active CAN controller destroys a faulty CAN frame with a dominant error flag.  An
+error-passive CAN controller sends a recessive error flag, which other CAN controllers do not
+detect.  After each sent CAN frame, an error-passive CAN controller waits 8 more bit times.  A CAN
+controller in bus-off neither sends nor receives CAN frames.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ QUEUE_LIMIT = 32
 
 
 class QueuedFrame(NamedTuple):
-    """A frame in the send queue of a controller.
+    """A CAN frame in the send queue of a CAN controller.
 
-    The controller sends the frame with the lowest ``priority`` first, and among equal priorities
-    the frame with the lowest ``number``.
+    The CAN controller sends the CAN frame with the lowest ``priority`` first.  CAN frames with
+    equal priorities are sent in the order of ``number``.
     """
 
     priority: int
@@ -57,33 +57,33 @@ class Medium(Protocol):
     def timeline(self) -> Timeline: ...
 
     def wake(self) -> None:
-        """Requests an arbitration because a controller has a frame to send.
+        """Requests an arbitration because a CAN controller has a CAN frame to send.
 
         The arbitration starts when the bus line is free.
         """
 
     def dropped(self, controller: CanController) -> None:
-        """Handles a controller that stops sending and receiving.
+        """Handles a CAN controller that stops sending and receiving.
 
-        If no other controller sends the current frame, the frame ends.
+        The current CAN frame is aborted if no other CAN controller sends the same CAN frame.
         """
 
 
 class CanController:
     """A simulated CAN controller with a send queue, error counters and an error state.
 
-    The controller sends the queued frame with the lowest identifier first.  With ``fifo`` the
-    controller sends the oldest queued frame first.  A full send queue refuses a new frame.
-    Bus-off empties the send queue.  With ``auto_recovery`` the controller leaves bus-off after
-    128 x 11 bit times.
+    The CAN controller sends the queued CAN frame with the lowest identifier first.  If ``fifo`` is
+    true, the CAN controller sends the oldest queued CAN frame first.  If the send queue is full, a
+    new CAN frame is not queued.  The send queue is cleared when the CAN controller enters bus-off.
+    If ``auto_recovery`` is true, the CAN controller leaves bus-off after 128 x 11 bit times.
 
-    The owner of the controller may set these attributes:
+    Attributes that the user of the CAN controller may set:
 
     * ``on_frame``: function that the controller calls for each received frame.
     * ``on_sent``: function that the controller calls after a frame was sent.
     * ``on_state``: function that the controller calls after a change of the error state.
-    * ``accepts``: filter for received frames.  If the filter returns ``False``, the controller
-      acknowledges the frame, adds 1 to ``lost``, and drops the frame.
+    * ``accepts``: filter for received frames.  If the filter returns ``False``, the CAN controller
+      acknowledges the received CAN frame, adds 1 to ``lost``, and drops the CAN frame.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class CanController:
 
     @property
     def online(self) -> bool:
-        """True if the controller has power and is not in bus-off."""
+        """True if the CAN controller has power and is not in bus-off."""
         return self.powered and not self.bus_off
 
     @property
@@ -138,13 +138,13 @@ class CanController:
 
     @property
     def pending(self) -> int:
-        """Number of frames in the send queue."""
+        """Number of CAN frames in the send queue."""
         return len(self._queue)
 
     def send(self, frame: CanFrame) -> bool:
-        """Adds a frame to the send queue.
+        """Adds a CAN frame to the send queue.
 
-        Returns ``False`` if the send queue is full or the controller cannot send.
+        Returns ``False`` if the send queue is full or the CAN controller cannot send.
         """
         if not self.online or self.listen_only or len(self._queue) >= self.queue_limit:
             self.refused += 1
@@ -156,15 +156,16 @@ class CanController:
         return True
 
     def switch_on(self) -> None:
-        """Switches the controller on and sets both error counters to zero."""
+        """Switches the CAN controller on and sets both error counters to zero."""
         if not self.powered:
             self.powered = True
             self._join()
 
     def switch_off(self) -> None:
-        """Switches the controller off, as after a loss of power.
+        """Switches the CAN controller off, as after a loss of power.
 
-        The send queue and the error counters are cleared.  The transmission of a frame is aborted.
+        The send queue and the error counters of the CAN controller are cleared.  The transmission
+        of the current CAN frame is aborted.
         """
         if self.powered:
             self.powered = self.bus_off = False
@@ -172,7 +173,7 @@ class CanController:
             self.transmit_errors = self.receive_errors = 0
 
     def restart(self) -> None:
-        """Restarts the controller after bus-off or after a change of the bitrate."""
+        """Restarts the CAN controller after bus-off or after a change of the bitrate."""
         if self.powered:
             previous = self.state
             self.bus_off = False
@@ -181,7 +182,7 @@ class CanController:
             self._report_change(previous)
 
     def go_bus_off(self) -> None:
-        """Sets the controller to bus-off, as if the transmit error counter exceeded 255."""
+        """Sets the CAN controller to bus-off, as if the transmit error counter exceeded 255."""
         previous = self.state
         if previous is not ErrorState.BUS_OFF and self.powered:
             self.bus_off = True
@@ -192,25 +193,25 @@ class CanController:
             self._report_change(previous)
 
     def time_of(self, bits: int) -> int:
-        """Returns the duration (ns) of ``bits`` bits at the bitrate of the controller."""
+        """Returns the duration (ns) of ``bits`` bits at the bitrate of the CAN controller."""
         return bits * NANOSECONDS // self.bitrate
 
     # -- for the wire ----------------------------------------------------------------------
 
     def head(self) -> QueuedFrame | None:
-        """Returns the next frame to send, or ``None`` if no frame can be sent."""
+        """Returns the next CAN frame to send, or ``None`` if no CAN frame can be sent."""
         return self._queue[0] if self._queue and not self.listen_only else None
 
     def ready_at(self) -> int:
-        """Returns the time (ns) from which on the controller may send a frame."""
+        """Returns the earliest time (ns) at which the CAN controller may send a CAN frame."""
         return self._ready_at
 
     def online_at(self, time: int) -> bool:
-        """Returns true if the controller has been online since the time ``time`` (ns)."""
+        """Returns true if the CAN controller has been online since the time ``time`` (ns)."""
         return self.online and self._online_since <= time
 
     def frame_sent(self, queued: QueuedFrame) -> None:
-        """Removes a frame from the send queue after the successful transmission."""
+        """Removes a CAN frame from the send queue after the successful transmission."""
         previous = self.state
         index = bisect.bisect_left(self._queue, queued)
         if index < len(self._queue) and self._queue[index] is queued:
@@ -223,13 +224,13 @@ class CanController:
         self._report_change(previous)
 
     def suspend(self) -> None:
-        """Delays the next frame of an error-passive controller (suspend transmission)."""
+        """Delays the next CAN frame of an error-passive CAN controller (suspend transmission)."""
         if self.state is ErrorState.PASSIVE:
             bits = INTERFRAME_BITS + SUSPEND_BITS
             self._ready_at = self.wire.timeline.now + self.time_of(bits)
 
     def frame_received(self, frame: CanFrame) -> None:
-        """Receives a valid frame and decreases the receive error counter.
+        """Receives a valid CAN frame and decreases the receive error counter.
 
         The receive error counter decreases by 1, or from a value above 127 to 127 (ISO 11898-1).
         """
@@ -245,7 +246,7 @@ class CanController:
         self._report_change(previous)
 
     def count_errors(self, transmit: int = 0, receive: int = 0) -> None:
-        """Increases the error counters and updates the error state of the controller."""
+        """Increases the error counters and updates the error state of the CAN controller."""
         previous = self.state
         self.transmit_errors += transmit
         self.receive_errors = min(self.receive_errors + receive, 255)

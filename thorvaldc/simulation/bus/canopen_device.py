@@ -57,13 +57,15 @@ GENERIC_ERROR, COMMUNICATION_ERROR = 0x01, 0x10
 
 
 class CanopenDevice(SimulatedDevice):
-    """A simulated CANopen device.  A subclass adds objects, PDOs and the application.
+    """A simulated CANopen device.  A subclass adds object dictionary entries, PDOs and the
+    behaviour of the device.
 
     The mapping ``nonvolatile`` contains the ``node_id`` (255 for a device without a node id) and
-    the stored ``parameters``.  A node id or a bitrate that an LSS service sets is pending at
-    first.  An NMT reset of the communication applies the pending node id.  The LSS service "store"
-    writes the pending node id and the pending bitrate to non-volatile memory.  Power-on and an NMT
-    reset of the node load the values from non-volatile memory.
+    the stored ``parameters``.  A node id or a bitrate that an LSS service sets is pending at first.
+    An NMT reset of the communication applies the pending node id.  The LSS service "store
+    configuration" writes the pending node id and the pending bitrate to non-volatile memory.  The
+    device loads the node id, the bitrate and the parameters from non-volatile memory at power-on
+    and at an NMT reset of the node.
     """
 
     def __init__(
@@ -112,7 +114,7 @@ class CanopenDevice(SimulatedDevice):
     # -- for subclasses -----------------------------------------------------------------------
 
     def add_objects(self, objects: ObjectDictionary) -> None:
-        """Adds the objects of the subclass to the object dictionary.
+        """Adds the objects of the device to the object dictionary.
 
         The base class calls ``add_objects`` at every start of the device.
         """
@@ -125,7 +127,7 @@ class CanopenDevice(SimulatedDevice):
         return None
 
     def initialised(self) -> None:
-        """Starts the timers of the application.
+        """Starts the timers of the device.
 
         The base class calls ``initialised`` after the boot-up message.
         """
@@ -269,7 +271,7 @@ class CanopenDevice(SimulatedDevice):
     def _load_defaults(self, value: Any) -> DelayedWrite:
         """Handles a write to object 0x1011, "restore default parameters".
 
-        The factory values apply after the next reset of the device.
+        The factory values of the parameters apply after the next reset of the device.
         """
         if value != LOAD:
             raise SdoAbort(AbortCode.STORE_REFUSED)
@@ -288,7 +290,8 @@ class CanopenDevice(SimulatedDevice):
     def _add_configured_handlers(self) -> None:
         """Adds handlers for the RPDOs and for the heartbeats of other nodes.
 
-        The object dictionary defines the identifiers of the RPDOs and the watched nodes.
+        The object dictionary defines the identifiers of the RPDOs and the nodes whose heartbeat the
+        device supervises.
         """
         for subindex in range(1, CONSUMERS + 1):
             producer = self.objects[0x1016, subindex].value >> 16 & 0x7F
@@ -344,7 +347,7 @@ class CanopenDevice(SimulatedDevice):
     def _consumer_time(self, producer: int) -> float:
         """Returns the longest time (s) between two heartbeats of a node, from object 0x1016.
 
-        The value is 0 for a node whose heartbeat is not watched.
+        Returns 0 if the device does not supervise the heartbeat of the node.
         """
         for subindex in range(1, CONSUMERS + 1):
             value: int = self.objects[0x1016, subindex].value
@@ -353,9 +356,9 @@ class CanopenDevice(SimulatedDevice):
         return 0.0
 
     def _check_heartbeats(self) -> None:
-        """Reports the heartbeats that are missing.
+        """Reports the nodes whose heartbeat is missing.
 
-        The time supervision of a node begins with the first heartbeat of the node (CiA 301).
+        The supervision of the heartbeat of a node begins with the first heartbeat (CiA 301).
         """
         for producer, received_at in list(self._heartbeats.items()):
             limit = self._consumer_time(producer)
@@ -371,9 +374,9 @@ class CanopenDevice(SimulatedDevice):
     def emergency(self, code: int, register: int = GENERIC_ERROR, more: bytes = b"") -> None:
         """Sends an EMCY message for a new device error.
 
-        ``code`` is the error code.  The code 0 means that all device errors are cleared.
-        ``register`` is the value of the error register.  ``more`` are up to 5 bytes that the
-        manufacturer defines.
+        ``code`` is the EMCY error code.  The EMCY error code 0 means that all device errors are
+        cleared.  ``register`` is the value of the error register.  ``more`` has up to 5
+        manufacturer-specific data bytes of the EMCY message.
         """
         if code:
             self._error_register |= register | GENERIC_ERROR
@@ -424,7 +427,7 @@ class CanopenDevice(SimulatedDevice):
         self.store(pending, lambda: on_stored(0))
 
     def _lss_left(self) -> None:
-        """Handles the end of the LSS configuration state.
+        """Reacts when the device leaves the LSS state CONFIGURATION.
 
         A device without a node id applies the pending node id immediately (CiA 305).  A device
         with a node id applies a pending node id at the next reset.

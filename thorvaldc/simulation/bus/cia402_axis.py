@@ -1,9 +1,9 @@
 """One motor of a simulated CiA 402 drive, with objects, power state and control loop.
 
 The control loop runs every 2 ms.  In each cycle, the control loop measures the position and speed,
-computes the next set-point (``cia402_motion``), and commands the motor.  An object that the master
-writes takes effect in the next cycle of the control loop.  The axis supervises the motor and
-reports these device errors:
+computes the next set-point (``cia402_motion``), and commands the motor.  A new value of an object
+dictionary entry takes effect in the next cycle of the control loop.  Device errors that the drive
+reports for the motor:
 
     position modes   |set-point - position| > 0x6065 for longer than 0x6066 ms:   0x8611
     velocity modes   |set-point - speed| > 10 % of the top speed for 0.3 s:        0x8400
@@ -45,9 +45,10 @@ FOLLOWING_ERROR, VELOCITY_ERROR, HOMING_FAILED, CONNECTION_ERROR = 0x8611, 0x840
 
 @dataclass(frozen=True, slots=True)
 class AxisSettings:
-    """Hardware and factory settings of a motor.
+    """Hardware and factory settings of a motor of a simulated CiA 402 drive.
 
-    All speeds are in rad/s, accelerations in rad/s^2 and torques in N m at the joint.
+    Speeds are in rad/s, accelerations in rad/s^2 and torques in N m, all at the joint behind the
+    gear.
 
     * ``position_units``: number of position units of the drive per rad of the joint.
     * ``velocity_units``: number of velocity units of the drive per rad/s of the joint.
@@ -73,10 +74,10 @@ class AxisSettings:
 
 
 class Axis:
-    """One motor of a CiA 402 drive, with objects, state machine and set-point.
+    """One motor of a simulated CiA 402 drive.
 
     The function ``report_error`` is called with the error code of each new device error.  After a
-    reset of the device error, ``report_error`` is called with the code 0.
+    reset of the device error, ``report_error`` is called with the error code 0.
     """
 
     def __init__(
@@ -103,7 +104,7 @@ class Axis:
     # -- objects ---------------------------------------------------------------------------
 
     def add_objects(self, objects: ObjectDictionary, base: int) -> None:
-        """Adds the objects of the motor to the object dictionary.
+        """Adds the CiA 402 objects of the motor to the object dictionary.
 
         ``base`` is the first object index of the motor, which is 0x6000 for the first motor.
         """
@@ -166,7 +167,7 @@ class Axis:
         objects.add(base + 0x502, 0, Entry("u32", sum(1 << m - 1 for m in Mode), "const"))
 
     def number(self, index: int, subindex: int = 0) -> int:
-        """Returns the value of an object of the motor.
+        """Returns the value of an object dictionary entry of the motor.
 
         ``index`` is the object index relative to the first object index of the motor.
         """
@@ -174,11 +175,11 @@ class Axis:
         return value
 
     def _angle(self, index: int, subindex: int = 0) -> float:
-        """Returns the value of an object as an angle (rad)."""
+        """Returns the value of an object dictionary entry as an angle (rad)."""
         return self.number(index, subindex) / self.settings.position_units
 
     def _speed(self, index: int, subindex: int = 0) -> float:
-        """Returns the value of an object as a speed (rad/s) or an acceleration (rad/s^2)."""
+        """Returns the value of an object as a joint speed (rad/s) or acceleration (rad/s^2)."""
         return self.number(index, subindex) / self.settings.velocity_units
 
     def _torque_permille(self) -> int:
@@ -195,16 +196,17 @@ class Axis:
 
     @property
     def switches(self) -> tuple[bool, bool]:
-        """States of the negative and the positive limit switch."""
+        """States of the negative and the positive limit switch of the motor."""
         lower, upper = self.settings.lower, self.settings.upper
         low = lower is not None and self._joint_position <= lower
         return low, upper is not None and self._joint_position >= upper
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Lower and upper software limit (rad) from object 0x607D.
+        """Lower and upper software position limit (rad) of the motor from object 0x607D.
 
-        The software limits are infinite if the lower limit is not less than the upper limit.
+        The motor has no software position limits if the lower limit in object 0x607D is not less
+        than the upper limit.
         """
         low, high = self._angle(0x7D, 1), self._angle(0x7D, 2)
         return (low, high) if low < high else (-math.inf, math.inf)
@@ -244,9 +246,9 @@ class Axis:
         return word
 
     def fail(self, code: int) -> None:
-        """Enters the state FAULT and reports the device error ``code``.
+        """Enters the drive state FAULT and reports the device error with the error code ``code``.
 
-        Object 0x605E defines how the motor stops.
+        The fault reaction option code (object 0x605E) defines how the motor stops.
         """
         if self.states.fault(self.number(0x5E)):
             self.error_code = code
@@ -266,14 +268,14 @@ class Axis:
             self.states.quick_stop(self.number(0x5A))
 
     def power_stage_off(self, now: float) -> None:
-        """Switches the power stage off without a ramp and keeps the position and set-points."""
+        """Switches the power stage of the drive off without a ramp."""
         self.states.disable()
         self._relax(now)
 
     def start(self, now: float) -> None:
         """Starts the motor after power-on.
 
-        The encoder counts from the present position of the joint.
+        The encoder count is 0 at the present position of the joint.
         """
         self.error_code, self.homing = 0, None
         self.encoder.set_zero(self.motor.read(now))
@@ -293,7 +295,7 @@ class Axis:
     def tick(self, now: float, dt: float) -> None:
         """Runs one cycle of the control loop.
 
-        ``dt`` is the time (s) since the previous cycle.
+        ``dt`` is the time (s) since the previous cycle of the control loop.
         """
         self._measure(now)
         motion = self.motion
@@ -327,9 +329,9 @@ class Axis:
         self.position, self.velocity = self.encoder.measure(state)
 
     def _mode(self) -> int:
-        """Returns the commanded mode of operation.
+        """Returns the commanded CiA 402 mode of operation.
 
-        If the commanded mode is not supported, the function returns the present mode.
+        Returns the present mode of operation if the drive does not support the commanded mode.
         """
         commanded = self.number(0x60)
         return commanded if commanded in _MODES else self.motion.mode
@@ -381,7 +383,8 @@ class Axis:
         limit = min(self._speed(0x9A), self.settings.max_acceleration)
         speed = homing.speed(self.switches, self.velocity, fast, slow, dt)
         if homing.attained:
-            # The zero position is the home position plus the home offset (0x607C), by CiA 402.
+            # The zero position of the drive is the home position plus the home offset (object
+            # 0x607C), as CiA 402 defines.
             state = self.motor.read(now)
             if homing.method not in PRESENT_POSITION:
                 state = state._replace(position=state.position + self.settings.zero)
@@ -426,9 +429,10 @@ class Axis:
         self._check(within, VELOCITY_ERROR_TIME, VELOCITY_ERROR, now)
 
     def _check(self, within: bool, time: float, code: int, now: float) -> None:
-        """Reports the device error ``code`` if a limit has been exceeded for ``time`` s.
+        """Reports the device error with the error code ``code`` if a supervised value has exceeded
+        its limit for ``time`` s.
 
-        ``within`` is true while the supervised value is within the limit.
+        ``within`` is true if the supervised value is within the limit.
         """
         if within:
             self._error_since = None

@@ -37,12 +37,13 @@ _UNUSED_CHANNEL = AxisSettings(1.0, 1024, 652.0, 652.0, 1.0, 1.0)
 class Cia402Drive(CanopenDevice):
     """A simulated CiA 402 drive, whose motors start in the state SWITCH ON DISABLED.
 
-    ``received`` are the factory settings of the RPDOs, and ``sent`` the factory settings of the
-    TPDOs.  The identifiers in the factory settings do not contain the node id.
+    ``received`` has the factory settings of the RPDOs, and ``sent`` has the factory settings of the
+    TPDOs.  The drive adds the node id to the CAN identifiers in the factory settings.
 
     Object 0x6007 defines the reaction of the drive to a loss of the connection to the master.  The
-    connection is lost if a heartbeat that object 0x1016 defines is missing, if the CAN controller
-    is in bus-off, or if the NMT state leaves OPERATIONAL while a motor is powered.
+    connection to the master is lost in three cases: a heartbeat that object 0x1016 defines is
+    missing, the CAN controller is in bus-off, or the NMT state leaves OPERATIONAL while a motor is
+    powered.
     """
 
     def __init__(
@@ -149,8 +150,8 @@ class Cia402Drive(CanopenDevice):
 def _axis_settings(specification: DeviceSpecification, actuator: Actuator) -> AxisSettings:
     joint = specification.robot.joint(actuator.joint)
     steering = actuator.role == "steering"
-    # A quadrature encoder has four counts per pulse.  The gear ratio converts counts at the motor
-    # to counts at the joint.
+    # A quadrature encoder has four counts per encoder pulse.  The gear ratio converts encoder
+    # counts at the motor to encoder counts at the joint.
     counts_per_radian = 4.0 * actuator.encoder_ppr * actuator.gear_ratio / math.tau
     return AxisSettings(
         actuator.gear_ratio,

@@ -1,16 +1,18 @@
-r"""Set-points of a simulated CiA 402 drive in the modes of operation, in rad, rad/s and s.
+r"""Computes the position and speed set-points of a simulated CiA 402 drive.
 
-The drive computes a new set-point every 2 ms.  The mode of operation determines the set-point:
+The drive computes a new set-point every 2 ms.  Set-point in each mode of operation:
 
 * Profile position: the set-point moves to the target position with a trapezoidal speed profile
   (``setpoint_trajectory``).
 * Profile velocity and cyclic velocity: the speed changes on a ramp to the target speed.
 * Cyclic position: the master sends a target position in each cycle, and object 0x60C2 has the
-  duration of the cycle.  The set-point moves at constant speed and reaches the target position
-  after one cycle.  The motor thus moves smoothly, although the target changes only every 20 ms.
+  duration of the cycle.  The position set-point moves at constant speed and reaches the target
+  position after one cycle.  The motor thus moves smoothly, although the target position changes
+  only every 20 ms.
 
-The speed is limited near a position limit, so that the drive can stop before the limit.  With the
-deceleration a and the distance d to the limit, the speed limit is v <= sqrt(2 a d).
+The motor speed is limited near a position limit, so that the drive can stop before the position
+limit.  The highest speed v at the distance d from the position limit is v = sqrt(2 a d), where a is
+the deceleration.
 
 The mode profile position uses a handshake with bit 4 of the control word (new set-point) and bit 12
 of the status word (set-point acknowledged):
@@ -41,7 +43,7 @@ STALL_TIME = 0.1
 
 
 class Bounds(NamedTuple):
-    """Limits of a set-point.
+    """Limits of the position, speed and acceleration of a set-point.
 
     Positions are in rad, speeds in rad/s, and accelerations in rad/s^2.
     """
@@ -54,7 +56,8 @@ class Bounds(NamedTuple):
 
 
 class Motion:
-    """The set-point of a motor, and the state of the handshake with the control word.
+    """The position and speed set-points of a motor in the mode of operation that the master
+    selects.
 
     * ``reached``: bit 10 of the status word, the target is reached.
     * ``limited``: bit 11 of the status word, the target is beyond a limit.
@@ -81,7 +84,7 @@ class Motion:
         self._rate = 0.0
 
     def control(self, word: int) -> None:
-        """Handles the bits of the control word that depend on the mode of operation."""
+        """Handles the bits of the CiA 402 control word that depend on the mode of operation."""
         start = bool(word & NEW_SET_POINT)
         if start and not self.start:
             self._start_pending = True
@@ -92,7 +95,8 @@ class Motion:
         self._relative, self._immediately = bool(word & RELATIVE), bool(word & CHANGE_IMMEDIATELY)
 
     def rest(self, position: float, mode: int) -> None:
-        """Sets the set-point to ``position`` (rad) with speed 0, and discards pending targets."""
+        """Sets the position set-point to ``position`` (rad) and the speed set-point to 0, and
+        discards pending target positions."""
         self.mode = mode
         self.move = Move(position)
         self.reached = self.limited = False
@@ -111,7 +115,7 @@ class Motion:
     # -- modes ---------------------------------------------------------------------------------
 
     def stop(self, deceleration: float, dt: float) -> None:
-        """Reduces the speed of the set-point on a ramp to rest, for a time step of ``dt`` s."""
+        """Reduces the speed set-point towards 0 on a ramp, for a time step of ``dt`` s."""
         self.move.speed = ramp(self.move.speed, 0.0, deceleration, dt)
         self.move.position += self.move.speed * dt
         self.limited = False
@@ -119,8 +123,8 @@ class Motion:
     def profile_position(self, target: float, bounds: Bounds, dt: float) -> None:
         """Computes the set-point in the mode profile position, for a time step of ``dt`` s.
 
-        The target position ``target`` (rad) applies after bit 4 of the control word changes from 0
-        to 1.
+        The target position ``target`` (rad) takes effect after bit 4 of the control word changes
+        from 0 to 1.
         """
         if self.take_start():
             start = self._goal if self._relative else 0.0
@@ -141,9 +145,10 @@ class Motion:
         self.move.step(self._goal, bounds.velocity, bounds.acceleration, bounds.deceleration, dt)
 
     def settle(self, position: float, window: float, time: float, dt: float) -> None:
-        """Sets ``reached`` after the position has been near the target for ``time`` s.
+        """Sets ``reached`` to true after the motor has been near the target position for ``time``
+        s.
 
-        ``window`` is the largest distance (rad) between the position and the target.
+        ``window`` is the largest allowed distance (rad) from the target position.
         """
         if self.halt:
             return
@@ -152,9 +157,10 @@ class Motion:
         self.reached = self._settled > 0.0 and self._settled >= time
 
     def velocity(self, target: float, position: float, bounds: Bounds, dt: float) -> float:
-        """Computes the set-point in the modes profile velocity and cyclic velocity.
+        """Computes the speed set-point in the modes profile velocity and cyclic velocity.
 
-        ``dt`` is the time step (s).  Returns the speed (rad/s) at the end of the ramp.
+        ``dt`` is the time step (s) of the control loop.  Returns the speed set-point (rad/s) at the
+        end of the speed ramp.
         """
         if self.halt and self.mode == Mode.PROFILE_VELOCITY:
             target = 0.0
@@ -173,7 +179,8 @@ class Motion:
     def cyclic_position(self, target: float, bounds: Bounds, cycle: float, dt: float) -> None:
         """Computes the set-point in the mode cyclic position, for a time step of ``dt`` s.
 
-        The set-point moves at constant speed and reaches ``target`` (rad) after ``cycle`` s.
+        The position set-point moves at constant speed and reaches the target position ``target``
+        (rad) after ``cycle`` s.
         """
         allowed = min(max(target, bounds.lower), bounds.upper)
         if allowed != self._target:
@@ -189,16 +196,15 @@ class Motion:
 
 
 class Homing:
-    """A search for the home position.
+    """A search for the home position of a motor.
 
-    At the end of the search, either ``attained`` or ``failed`` is true.  The supported homing
-    methods of CiA 402 are:
+    At the end of the homing search, either ``attained`` or ``failed`` is true.  The supported
+    homing methods of CiA 402 are:
 
     * 17 and 18: the home position is the edge of the negative (17) or positive (18) limit switch.
-      The motor moves fast to the switch, and then slowly off the switch.
+      The motor moves fast to the limit switch or home switch, and then slowly off the switch.
     * 35 and 37: the home position is the present position.
-    * -1 and -2: the home position is the negative (-1) or positive (-2) mechanical stop.  The
-      manufacturer of the drive defines both methods.
+    * -1 and -2: the home position is the negative (-1) or positive (-2) mechanical stop.
     """
 
     def __init__(self, method: int) -> None:
@@ -220,10 +226,10 @@ class Homing:
     def speed(
         self, switches: tuple[bool, bool], velocity: float, fast: float, slow: float, dt: float
     ) -> float:
-        """Returns the search speed (rad/s) for the next ``dt`` s.
+        """Returns the speed (rad/s) of the homing search for the next ``dt`` s.
 
         ``switches`` are the states of the negative and the positive limit switch.  ``velocity`` is
-        the measured speed (rad/s).
+        the measured speed (rad/s) of the motor.
         """
         if self.attained or self.failed:
             return 0.0

@@ -1,7 +1,8 @@
 """The power state machine of a simulated CiA 402 drive.
 
-The control word changes the state, and the status word reports the state.  The module
-``thorvaldc.can.cia402`` has a diagram of the states.  The control word has these bits:
+The control word changes the state of the drive, and the status word reports the state of the drive.
+The module ``thorvaldc.can.cia402`` has a diagram of the drive states.  Bits of the CiA 402 control
+word:
 
     bit 0 switch on   bit 1 enable voltage   bit 2 quick stop (active low)
     bit 3 enable operation   bit 7 fault reset (rising edge)
@@ -19,10 +20,10 @@ QUICK_STOP_INACTIVE = 1 << 5
 
 
 class Reaction(NamedTuple):
-    """A ramp to rest, and the state that follows the ramp.
+    """A speed ramp that stops the motor, and the drive state after the ramp.
 
-    If ``quick`` is true, the ramp has the quick stop deceleration (object 0x6085).  If ``quick`` is
-    false, the ramp has the profile deceleration (object 0x6084).
+    If ``quick`` is true, the motor stops with the quick stop deceleration (object 0x6085).  If
+    ``quick`` is false, the motor stops with the profile deceleration (object 0x6084).
     """
 
     quick: bool
@@ -30,10 +31,10 @@ class Reaction(NamedTuple):
 
 
 class StateMachine:
-    """The power state machine of one motor.
+    """The CiA 402 power state machine of one motor.
 
-    ``reaction`` is the ramp that is in progress, or ``None``.  The owner of the state machine calls
-    ``stopped`` when the ramp has reached rest.
+    ``reaction`` is the stop ramp that is in progress, or ``None``.  The user of the state machine
+    calls ``stopped`` when the motor is at rest after a stop ramp.
     """
 
     def __init__(self) -> None:
@@ -50,7 +51,7 @@ class StateMachine:
         return word
 
     def command(self, word: int, quick_stop_option: int, disable_option: int) -> None:
-        """Handles a control word.
+        """Handles a received CiA 402 control word.
 
         ``quick_stop_option`` is the value of object 0x605A, and ``disable_option`` is the value of
         object 0x605C.
@@ -101,20 +102,21 @@ class StateMachine:
                 self._enter(DriveState.OPERATION_ENABLED)
 
     def disable(self) -> None:
-        """Switches the power stage off without a ramp."""
+        """Switches the power stage of the drive off without a stop ramp."""
         if self.state is not DriveState.FAULT:
             self._enter(DriveState.SWITCH_ON_DISABLED)
 
     def quick_stop(self, option: int) -> None:
-        """Starts a quick stop.
+        """Starts a quick stop of the motor.
 
-        ``option`` is the value of object 0x605A:
+        ``option`` is the quick stop option code (object 0x605A):
 
         * 0: the power stage is switched off without a ramp.
         * 1 and 2: the motor stops on a ramp, and then the power stage is switched off.
         * 5 and 6: the motor stops on a ramp, and the state remains QUICK STOP ACTIVE.
 
-        The options 1 and 5 use the profile deceleration, 2 and 6 the quick stop deceleration.
+        The option codes 1 and 5 use the profile deceleration, and the option codes 2 and 6 use the
+        quick stop deceleration.
         """
         if self.state is not DriveState.OPERATION_ENABLED:
             return
@@ -127,7 +129,7 @@ class StateMachine:
         self.reaction = Reaction(option not in (1, 5), next_state)
 
     def fault(self, option: int) -> bool:
-        """Enters the state FAULT.
+        """Enters the drive state FAULT.
 
         ``option`` is the value of object 0x605E, which defines whether the motor stops on a ramp
         first.  Returns ``False`` if the drive is in the state FAULT already.
@@ -142,7 +144,7 @@ class StateMachine:
         return True
 
     def stopped(self) -> None:
-        """Enters the state that follows a ramp, after the ramp has reached rest."""
+        """Enters the drive state that follows a stop ramp, after the motor has stopped."""
         if self.reaction is not None:
             self._enter(self.reaction.next_state)
 

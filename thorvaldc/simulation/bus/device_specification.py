@@ -1,4 +1,4 @@
-"""The data from which a simulated device is created."""
+"""The data from which the simulated device of a CAN node is created."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MASTER = "master"
 
 @dataclass
 class DeviceSpecification:
-    """The data of a node, the argument of ``SimulatedDevice.from_specification``.
+    """The data of a CAN node from which ``SimulatedDevice.from_specification`` creates a device.
 
     * ``robot``: robot of the node.
     * ``bus``: bus of the node.
@@ -27,7 +27,8 @@ class DeviceSpecification:
     * ``name``: name of the device, which differs from the name of the node only for a clone.
     * ``seed``: seed of the random numbers of the device.
     * ``delivered``: true for a device in the factory state.  A device in the factory state has no
-      node id and no parameters, if a master can write the node id and parameters over the bus.
+      node id and no parameters if a master can write the node id and the parameters over the CAN
+      bus.
     * ``nonvolatile``: values that replace values in the non-volatile memory of the device, such as
       ``node_id`` or ``bitrate``.
     """
@@ -44,12 +45,12 @@ class DeviceSpecification:
 
     @property
     def sent(self) -> list[FrameDefinition]:
-        """Definitions of the frames that the node sends."""
+        """Definitions of the CAN frames that the node sends."""
         return [frame for frame in self.bus.frames if frame.producer == self.node.name]
 
     @property
     def received(self) -> list[FrameDefinition]:
-        """Definitions of the frames that the master sends only to the node."""
+        """Definitions of the CAN frames that the master sends only to the node."""
         return [
             frame
             for frame in self.bus.frames
@@ -57,9 +58,10 @@ class DeviceSpecification:
         ]
 
     def period(self, cob_id: int, default: float) -> float:
-        """Returns the period (s) of the frame of the node with the identifier ``cob_id``.
+        """Returns the period (s) of the CAN frame with the identifier ``cob_id`` that the node
+        sends.
 
-        Returns ``default`` if the node does not send the frame, or if the frame has no period.
+        Returns ``default`` if the node does not send the CAN frame periodically.
         """
         periods = (frame.period for frame in self.sent if frame.cob_id == cob_id)
         return next((period for period in periods if period is not None), default)
@@ -70,11 +72,13 @@ class DeviceSpecification:
         return self.period(HEARTBEAT + self.node.id, 0.0)
 
     def property(self, name: str) -> Any:
-        """Returns a property of the module of the node, or ``None`` for an unknown name."""
+        """Returns a property of the robot module that contains the node, or ``None`` if the
+        property is unknown."""
         return dict(self.node.properties).get(name)
 
     def actuator(self, channel: str) -> Actuator | None:
-        """Returns the actuator that is connected to a channel of the node, or ``None``."""
+        """Returns the actuator that is connected to a channel of the motor controller, or
+        ``None``."""
         name = next(c.actuator for c in self.node.channels if c.name == channel)
         return next((actuator for actuator in self.robot.actuators if actuator.name == name), None)
 

@@ -25,11 +25,11 @@ SIMULATED_DEVICES: PluginTable[SimulatedDevice] = PluginTable(
 
 
 def create_device(specification: DeviceSpecification) -> SimulatedDevice:
-    """Creates the simulated device of a node.
+    """Creates the simulated device of a CAN node.
 
-    The protocol of the node selects the class of the device.  A node with an unknown protocol
-    becomes a ``ForeignDevice``.  Raises ``DiagnosticError`` (``bus-driver-unknown``) if a class
-    that another package provides is not a valid device class.
+    The protocol of the CAN node selects the class of the simulated device.  A CAN node with an
+    unknown protocol becomes a ``ForeignDevice``.  Raises ``DiagnosticError``
+    (``bus-driver-unknown``) if a class that another package provides is not a valid device class.
     """
     node = specification.node
     device = SIMULATED_DEVICES.load(node.protocol)

@@ -7,12 +7,12 @@ An LSS master finds a device by its identity and sets the node id and the bitrat
     any      --(switch state global)--------------------------------->  WAITING or CONFIGURATION
 
 An LSS slave accepts configuration services (node id, bit timing, store, inquire) only in the state
-CONFIGURATION.  A new node id is pending at first.  A device without a node id applies the pending
-node id when it leaves the state CONFIGURATION.  A device with a node id applies the pending node id
-after a reset of the communication.
+CONFIGURATION.  A node id that the LSS master sets is pending at first.  A device without a node id
+applies the pending node id when it leaves the state CONFIGURATION.  A device with a node id applies
+the pending node id after a reset of the communication.
 
 The service fastscan finds an LSS slave with an unknown identity, bit by bit.  The module
-``lss_master`` of the commissioning describes the sequence of fastscan.
+``lss_master`` describes the requests of the service fastscan.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from thorvaldc.can.lss import UNCONFIGURED, Identity
 class LssSlave:
     """The LSS services of one simulated device.
 
-    The LSS slave calls these functions of the device:
+    Functions of the device that the LSS slave calls:
 
     - ``set_id(id)`` sets the pending node id, 1..127 or 255.
     - ``set_bitrate(bit/s)`` sets the pending bitrate, and returns ``False`` for an unsupported
@@ -59,13 +59,13 @@ class LssSlave:
         self._activate = activate
         self._store = store
         self._left = left
-        # Each service has a counter of the parts of the identity that have matched.
+        # Each LSS service counts the parts of the device identity that have matched.
         self._selected = 0
         self._identified = 0
         self._scanned = 0
 
     def request(self, data: bytes) -> None:
-        """Handles an LSS request of 8 bytes.
+        """Handles a received LSS request of 8 bytes.
 
         The LSS slave does not answer a message with another length.
         """
@@ -96,7 +96,7 @@ class LssSlave:
     def _select(self, part: int, number: int) -> None:
         """Handles one of the four requests of the service "switch state selective".
 
-        Each request contains one part of the identity.
+        Each of the four requests contains one part of the device identity.
         """
         if part == 0:
             self._selected = 0
@@ -137,10 +137,11 @@ class LssSlave:
     def _fastscan(self, number: int, bit: int, part: int, following: int) -> None:
         """Handles a request of the service fastscan.
 
-        The LSS slave answers if bits 31 to ``bit`` of the identity part with the index ``part`` are
-        equal to the same bits of ``number``.  Only an LSS slave without a node id in the state
-        WAITING answers.  ``following`` is the index of the part that the master scans next.  If
-        ``following`` is lower than ``part``, the scan is complete.
+        The LSS slave answers if bits 31 to ``bit`` of one part of the device identity are equal to
+        the same bits of ``number``.  ``part`` is the index of the part of the device identity.
+        Only an LSS slave without a node id in the state WAITING answers.  ``following`` is the
+        index of the part of the device identity that the LSS master scans next.  The scan of the
+        device identity is complete if ``following`` is lower than ``part``.
         """
         if self._node_id() != UNCONFIGURED or self.configuring:
             return

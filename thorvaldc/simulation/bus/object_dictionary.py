@@ -25,7 +25,7 @@ DelayedWrite = Callable[[Callable[[], None]], None]
 
 
 class SdoAbort(Exception):
-    """An SDO transfer is aborted with an abort code."""
+    """The server aborts an SDO transfer with an abort code."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"abort {code:#010x}")
@@ -33,14 +33,14 @@ class SdoAbort(Exception):
 
 
 class Entry:
-    """One entry of an object dictionary.
+    """One entry of a CANopen object dictionary.
 
     * ``kind``: data type, ``u8`` to ``i32``, ``bool``, ``f32`` or ``text``.
     * ``access``: access by a client, ``ro``, ``rw``, ``wo`` or ``const``.
     * ``read``: function that computes the current value, for example of a measurement.
     * ``write``: function that is called before a new value is set.  The function may raise
-      ``SdoAbort``.  The function may also return a ``DelayedWrite``, which must end before the
-      server responds.
+      ``SdoAbort`` to refuse the value of the entry.  The function may return a ``DelayedWrite`` for
+      a write that takes time.  The SDO server responds after the end of the write.
     * ``lower``, ``upper``: limits of the accepted values.
     * ``stored``: true if object 0x1010 stores the value of the entry in non-volatile memory.
     """
@@ -70,7 +70,7 @@ class Entry:
 
     @property
     def size(self) -> int:
-        """Length of the value in bytes, or 0 for a text, which has no fixed length."""
+        """Length of the value of the object dictionary entry in bytes, or 0 for a text."""
         number_format = _FORMATS.get(self.kind)
         return struct.calcsize(number_format) if number_format else 0
 
@@ -78,9 +78,9 @@ class Entry:
         return self.value if self.read is None else self.read()
 
     def set(self, value: Any) -> DelayedWrite | None:
-        """Sets the entry to a value that a client writes.
+        """Sets the object dictionary entry to a value that an SDO client writes.
 
-        Raises ``SdoAbort`` if the entry does not accept the value.
+        Raises ``SdoAbort`` if the object dictionary entry does not accept the value.
         """
         too_low = self.lower is not None and value < self.lower
         if too_low or (self.upper is not None and value > self.upper):
@@ -90,7 +90,7 @@ class Entry:
         return delayed
 
     def encode(self) -> bytes:
-        """Returns the bytes of the value for an SDO or a PDO."""
+        """Encodes the value of the object dictionary entry as bytes for an SDO or a PDO."""
         value = self.get()
         if self.kind == "text":
             return str(value).encode("latin-1", "replace")
@@ -101,9 +101,9 @@ class Entry:
         return struct.pack(_FORMATS[self.kind], value)
 
     def decode(self, data: bytes) -> Any:
-        """Returns the value that received bytes contain.
+        """Decodes the value of an object dictionary entry from received bytes.
 
-        Raises ``SdoAbort`` if the number of bytes is wrong.
+        Raises ``SdoAbort`` if the number of received bytes is wrong.
         """
         if self.kind == "text":
             return data.decode("latin-1")
@@ -113,7 +113,7 @@ class Entry:
 
 
 class ObjectDictionary:
-    """The entries of an object dictionary by index and subindex."""
+    """The entries of a CANopen object dictionary, by index and subindex."""
 
     def __init__(self) -> None:
         self._entries: dict[tuple[int, int], Entry] = {}
@@ -125,17 +125,17 @@ class ObjectDictionary:
         return entry
 
     def add_record(self, index: int, *entries: Entry) -> None:
-        """Adds a record with the given entries.
+        """Adds a record (an object with several entries) to the object dictionary.
 
-        The entries have the subindices from 1 on.  The entry at subindex 0 is the highest
-        subindex.
+        The entries of the record have the subindices from 1 on.  The entry at subindex 0 of a
+        record contains the highest subindex.
         """
         self.add(index, 0, Entry("u8", len(entries), "const"))
         for subindex, entry in enumerate(entries, 1):
             self.add(index, subindex, entry)
 
     def __getitem__(self, key: tuple[int, int]) -> Entry:
-        """Returns the entry at (index, subindex).
+        """Returns the object dictionary entry with the given index and subindex.
 
         Raises ``SdoAbort`` if the object dictionary does not contain the entry.
         """
@@ -150,9 +150,9 @@ class ObjectDictionary:
         return key in self._entries
 
     def upload(self, index: int, subindex: int) -> bytes:
-        """Returns the bytes of the entry that a client reads.
+        """Returns the bytes of an object dictionary entry that an SDO client reads.
 
-        Raises ``SdoAbort`` if a client cannot read the entry.
+        Raises ``SdoAbort`` if the object dictionary entry does not exist or is not readable.
         """
         entry = self[index, subindex]
         if entry.access == "wo":
@@ -160,9 +160,9 @@ class ObjectDictionary:
         return entry.encode()
 
     def download(self, index: int, subindex: int, data: bytes) -> DelayedWrite | None:
-        """Sets an entry to the value of the bytes that a client writes.
+        """Sets an object dictionary entry to the value in the bytes that an SDO client writes.
 
-        Raises ``SdoAbort`` if the entry does not accept the value.
+        Raises ``SdoAbort`` if the object dictionary entry does not accept the value.
         """
         entry = self[index, subindex]
         if entry.access in ("ro", "const"):
@@ -170,14 +170,15 @@ class ObjectDictionary:
         return entry.set(entry.decode(data))
 
     def parameters(self) -> dict[str, Any]:
-        """Returns the values of all entries with ``stored``, by the name of the parameter.
+        """Returns the values of all object dictionary entries that are stored in non-volatile
+        memory.
 
-        The name of a parameter is ``index.subindex`` in hexadecimal.
+        The key of each value is ``index.subindex`` in hexadecimal.
         """
         return {name: entry.value for name, entry in self._stored()}
 
     def restore(self, values: dict[str, Any]) -> None:
-        """Sets all entries with ``stored`` to the values that ``parameters`` returned."""
+        """Sets the object dictionary entries to the values that ``parameters`` returned."""
         for name, entry in self._stored():
             if name in values:
                 entry.value = values[name]
@@ -189,5 +190,6 @@ class ObjectDictionary:
 
 
 def parameter_name(index: int, subindex: int) -> str:
-    """Returns the name of an entry in non-volatile memory, such as ``1017.00``."""
+    """Returns the name of an object dictionary entry in non-volatile memory, such as
+    ``1017.00``."""
     return f"{index:04x}.{subindex:02x}"

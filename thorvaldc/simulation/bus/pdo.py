@@ -1,13 +1,13 @@
 """The process data objects (PDOs) of a simulated CANopen device (CiA 301).
 
-The configuration of PDO number n is in these objects of the object dictionary.  The base index is
-0x1400 for an RPDO and 0x1800 for a TPDO:
+Objects of the object dictionary that configure PDO number n.  The base index is 0x1400 for an RPDO
+and 0x1800 for a TPDO:
 
     base + n - 1           sub 1 COB-ID (bit 31: switched off), sub 2 transmission type,
                            sub 5 event timer in ms
     base + 0x200 + n - 1   sub 0 number of mapped entries, then index << 16 | subindex << 8 | bits
 
-A master must change the mapping of a PDO in this order:
+Order in which a master must change the mapping of a PDO:
 
 1. switch the PDO off,
 2. set sub 0 of the mapping to 0,
@@ -15,11 +15,12 @@ A master must change the mapping of a PDO in this order:
 4. set sub 0 of the mapping to the number of mapped entries,
 5. switch the PDO on.
 
-The device aborts the SDO transfers of a master that uses another order.
+The device aborts the SDO transfers if the master changes the mapping in another order.
 
-The transmission type defines when a TPDO is sent.  A TPDO with type 0 is sent at SYNC if the data
-changed.  A TPDO with a type n from 1 to 240 is sent at every n-th SYNC.  A TPDO with a higher type
-is sent after an event or when the event timer ends.
+The transmission type of a TPDO defines when the device sends the TPDO.  A TPDO with the
+transmission type 0 is sent at the next SYNC message if the data changed.  A TPDO with a
+transmission type n from 1 to 240 is sent at every n-th SYNC message.  A TPDO with a transmission
+type above 240 is sent after an event or when the event timer ends.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ class Pdo(NamedTuple):
 
 
 class _ConfiguredPdo:
-    """A PDO with the configuration that the object dictionary currently defines."""
+    """A PDO of a simulated device, with the configuration in the object dictionary."""
 
     def __init__(self, pdo: Pdo, transmit: bool, objects: ObjectDictionary) -> None:
         self._objects = objects
@@ -99,9 +100,10 @@ class _ConfiguredPdo:
         return None if value & INVALID else value & 0x7FF
 
     def mapped(self) -> list[Entry | int]:
-        """Returns the mapped entries in order.
+        """Returns the object dictionary entries that the PDO contains, in the order of the PDO
+        data.
 
-        The list has a number of bits instead of an entry for a gap without an object.
+        An unused gap in the PDO data is returned as the number of bits of the gap.
         """
         items: list[Entry | int] = []
         for slot in self.slots[: self.count.value]:
@@ -110,16 +112,17 @@ class _ConfiguredPdo:
         return items
 
     def pack(self) -> bytes:
-        """Returns the present values of the mapped entries as the data of a CAN frame."""
+        """Returns the present values of the mapped object dictionary entries as the data of a CAN
+        frame."""
         parts = [
             item.encode() if isinstance(item, Entry) else bytes(item // 8) for item in self.mapped()
         ]
         return b"".join(parts)
 
     def unpack(self, data: bytes) -> None:
-        """Sets the mapped entries to the values in the data of a received CAN frame.
+        """Sets the mapped object dictionary entries to the values in a received CAN frame.
 
-        If a received value is out of range, the entry keeps the previous value.
+        An object dictionary entry keeps the previous value if the received value is out of range.
         """
         position = 0
         for item in self.mapped():
@@ -136,7 +139,8 @@ class _ConfiguredPdo:
         return sum(sizes)
 
     def _check_cob(self, value: Any) -> DelayedWrite | None:
-        """Checks a new COB-ID, which may change only while the PDO is switched off."""
+        """Checks a new COB-ID of a PDO. The COB-ID may change only while the PDO is switched
+        off."""
         changed = (value ^ self.cob.value) & 0x7FF
         if changed and not (value & INVALID or self.cob.value & INVALID):
             raise SdoAbort(AbortCode.STATE_REFUSED)
@@ -160,9 +164,9 @@ class _ConfiguredPdo:
 
 
 class PdoSet:
-    """The PDOs of a device.
+    """The PDOs of a simulated CANopen device.
 
-    ``received`` are the RPDOs, and ``sent`` are the TPDOs.
+    ``received`` has the RPDOs of the device, and ``sent`` has the TPDOs of the device.
     """
 
     def __init__(
@@ -184,8 +188,8 @@ class PdoSet:
     def receive(self, frame: CanFrame) -> bool:
         """Handles a received CAN frame.
 
-        The values of an RPDO apply immediately, or at the next SYNC for a synchronous RPDO.
-        Returns true if the CAN frame is an RPDO of the device.
+        The received values of an RPDO apply immediately, or at the next SYNC message if the RPDO is
+        synchronous.  Returns true if the CAN frame is an RPDO of the device.
         """
         for pdo in self.received:
             if pdo.cob_id == frame.id:
@@ -203,7 +207,7 @@ class PdoSet:
         return [pdo.cob_id for pdo in self.received if pdo.cob_id is not None]
 
     def synchronise(self) -> None:
-        """Handles a SYNC message.
+        """Handles a received SYNC message.
 
         The function first applies the pending RPDOs, and then sends the synchronous TPDOs.
         """
@@ -249,7 +253,7 @@ class PdoSet:
         """Sends the event-driven TPDOs that are due at the time ``now`` (s).
 
         A TPDO with an event timer is due at the end of the event timer.  A TPDO without an event
-        timer is due when the data changed.
+        timer is due when the data of the TPDO changed.
         """
         for index, pdo in enumerate(self.sent):
             cob_id = pdo.cob_id

@@ -1,13 +1,13 @@
 """Connects programs that use python-can to a simulated bus.
 
-The name of the python-can interface is ``thorvaldc_sim``:
+Example with the python-can interface ``thorvaldc_sim``:
 
     bus = can.Bus(interface="thorvaldc_sim", channel="thorvald_4wd4ws")
 
-The channel is the name that ``thorvaldc bus`` prints, or the path of the local socket.  In virtual
-time, a program in the same process as the simulation uses a ``Wire`` as the channel.  If thorvaldc
-is installed, python-can finds the interface by an entry point.  If thorvaldc is not installed, call
-``register()`` first.
+The argument ``channel`` is the name that ``thorvaldc bus`` prints, or the path of the local socket.
+In virtual time, a program in the same process as the simulation passes a ``Wire`` as the argument
+``channel``.  If thorvaldc is installed, python-can finds the interface by an entry point.  If
+thorvaldc is not installed, call ``register()`` first.
 """
 
 from __future__ import annotations
@@ -53,11 +53,12 @@ def register() -> None:
 class SimulatedBus(can.BusABC):
     """A python-can bus that is connected to a simulated CAN bus.
 
-    With a ``Wire`` as the channel, the time is virtual.  Virtual time advances only while the
-    program waits in ``recv`` or ``send``.  In virtual time, the program must use one thread, and
-    every run has the same result.  With the channel of another process, the time is real time.
-    With ``lockstep``, the simulated time advances only while all clients in lockstep wait.
-    Time-outs and timestamps are in s of the simulated time.
+    If the argument ``channel`` is a ``Wire``, the python-can bus runs in virtual time.  Virtual
+    time advances only while the program waits in ``recv`` or ``send``.  In virtual time, the
+    program must use one thread, and every run has the same result.  If the argument ``channel``
+    names a simulated bus in another process, the python-can bus runs in real time.  If ``lockstep``
+    is true, the simulated time advances only while all lockstep clients wait.  Time-outs and
+    timestamps are in s of the simulated time.
 
     The attribute ``interface`` has additional functions that python-can does not have: ``now``,
     ``sleep``, ``sleep_until`` and ``overruns``.
@@ -95,7 +96,7 @@ class SimulatedBus(can.BusABC):
                     str(channel), name, bitrate, lockstep=lockstep, **options
                 )
         except OSError as error:
-            # The class BusABC warns of a bus that is not marked as shut down.
+            # The python-can class BusABC prints a warning if a bus is not marked as shut down.
             self._is_shutdown = True
             raise can.CanInitializationError(str(error)) from None
         self.channel_info = f"{NAME} {channel if isinstance(channel, str) else name}"
@@ -172,7 +173,7 @@ class SimulatedBus(can.BusABC):
         )
 
     def _apply_filters(self, filters: Any) -> None:
-        """Does nothing, because ``recv`` applies the filters."""
+        """Does nothing, because the method ``recv`` applies the message filters."""
 
     def _send_periodic_internal(
         self,
@@ -204,7 +205,7 @@ class VirtualCyclicTask(
 ):
     """Sends messages periodically in virtual time.
 
-    If the send queue is full, the message of the period is dropped.
+    A periodic message is dropped if the send queue is full.
     """
 
     def __init__(
