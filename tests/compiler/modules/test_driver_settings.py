@@ -12,7 +12,7 @@ from thorvaldc.compiler.modules.driver_settings import LIMITS, NOISE
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import from_json, to_json
-from thorvaldc.runtime import driver_parameters as parameters
+from thorvaldc.runtime import run_time_parameters as parameters
 from thorvaldc.runtime.calculators import Noise
 
 MODULES = """
