@@ -14,7 +14,7 @@ from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Diagnostic, Report, Span
-from thorvaldc.model.robot import Actuator, Bus
+from thorvaldc.model.robot import Actuator, Bus, FrameDefinition, Signal
 
 MODULES = Path(__file__).parents[1] / "modules"
 DRIVE = "controller/propulsion_steering"
@@ -127,3 +127,25 @@ def node_of(value: object, span: Span) -> Node:
     if isinstance(value, dict):
         return Node({k: Node(v, span) for k, v in value.items()}, span)
     return Node(value, span)  # type: ignore[arg-type]
+
+
+def simple(
+    signals: str = "{a: {start: 0, length: 8}}",
+    *,
+    length: int = 8,
+    cob_id: int = 0x190,
+    kind: str = "pdo",
+    period: str = "on_demand",
+) -> str:
+    return (
+        f"{SIMPLE}    a: {{cob_id: {cob_id}, kind: {kind}, direction: report, "
+        f"length: {length}, period: {period}, signals: {signals}}}\n"
+    )
+
+
+def frame(bus: Bus, name: str) -> FrameDefinition:
+    return next(f for f in bus.frames if f.name == name)
+
+
+def signal(bus: Bus, frame_name: str, name: str) -> Signal:
+    return next(s for s in frame(bus, frame_name).signals if s.name == name)
