@@ -56,8 +56,7 @@ class Bounds(NamedTuple):
 
 
 class Motion:
-    """The position and speed set-points of a motor in the mode of operation that the master
-    selects.
+    """The position and speed set-points of a motor in each mode of operation.
 
     * ``reached``: bit 10 of the status word, the target is reached.
     * ``limited``: bit 11 of the status word, the target is beyond a limit.
@@ -95,8 +94,7 @@ class Motion:
         self._relative, self._immediately = bool(word & RELATIVE), bool(word & CHANGE_IMMEDIATELY)
 
     def rest(self, position: float, mode: int) -> None:
-        """Sets the position set-point to ``position`` (rad) and the speed set-point to 0, and
-        discards pending target positions."""
+        """Stops the set-point at ``position`` (rad) and discards pending target positions."""
         self.mode = mode
         self.move = Move(position)
         self.reached = self.limited = False
@@ -145,8 +143,7 @@ class Motion:
         self.move.step(self._goal, bounds.velocity, bounds.acceleration, bounds.deceleration, dt)
 
     def settle(self, position: float, window: float, time: float, dt: float) -> None:
-        """Sets ``reached`` to true after the motor has been near the target position for ``time``
-        s.
+        """Sets ``reached`` after the motor has been near the target position for ``time`` s.
 
         ``window`` is the largest allowed distance (rad) from the target position.
         """
@@ -204,7 +201,8 @@ class Homing:
     * 17 and 18: the home position is the edge of the negative (17) or positive (18) limit switch.
       The motor moves fast to the limit switch or home switch, and then slowly off the switch.
     * 35 and 37: the home position is the present position.
-    * -1 and -2: the home position is the negative (-1) or positive (-2) mechanical stop.
+    * -1 and -2 (manufacturer-specific): the home position is the negative (-1) or positive (-2)
+      mechanical stop.
     """
 
     def __init__(self, method: int) -> None:

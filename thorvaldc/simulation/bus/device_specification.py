@@ -72,13 +72,11 @@ class DeviceSpecification:
         return self.period(HEARTBEAT + self.node.id, 0.0)
 
     def property(self, name: str) -> Any:
-        """Returns a property of the robot module that contains the node, or ``None`` if the
-        property is unknown."""
+        """Returns a property of the robot module with the node, or ``None`` if unknown."""
         return dict(self.node.properties).get(name)
 
     def actuator(self, channel: str) -> Actuator | None:
-        """Returns the actuator that is connected to a channel of the motor controller, or
-        ``None``."""
+        """Returns the actuator at a channel of the motor controller, or ``None``."""
         name = next(c.actuator for c in self.node.channels if c.name == channel)
         return next((actuator for actuator in self.robot.actuators if actuator.name == name), None)
 

@@ -23,7 +23,7 @@ The function is called at the start and at the end of an injected fault."""
 class FaultInjector:
     """Schedules the injected faults of a script on the simulated buses of a robot.
 
-    ``active`` has the injected faults that are in effect, in the order of their start times.
+    ``active`` has the injected faults that are in effect, ordered by start time.
     """
 
     def __init__(

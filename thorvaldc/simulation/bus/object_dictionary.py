@@ -170,8 +170,7 @@ class ObjectDictionary:
         return entry.set(entry.decode(data))
 
     def parameters(self) -> dict[str, Any]:
-        """Returns the values of all object dictionary entries that are stored in non-volatile
-        memory.
+        """Returns the values of the object dictionary entries in non-volatile memory.
 
         The key of each value is ``index.subindex`` in hexadecimal.
         """
@@ -190,6 +189,5 @@ class ObjectDictionary:
 
 
 def parameter_name(index: int, subindex: int) -> str:
-    """Returns the name of an object dictionary entry in non-volatile memory, such as
-    ``1017.00``."""
+    """Returns the name of a stored object dictionary entry, such as ``1017.00``."""
     return f"{index:04x}.{subindex:02x}"

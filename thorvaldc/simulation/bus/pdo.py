@@ -100,8 +100,7 @@ class _ConfiguredPdo:
         return None if value & INVALID else value & 0x7FF
 
     def mapped(self) -> list[Entry | int]:
-        """Returns the object dictionary entries that the PDO contains, in the order of the PDO
-        data.
+        """Returns the object dictionary entries in the PDO, in the order of the data.
 
         An unused gap in the PDO data is returned as the number of bits of the gap.
         """
@@ -112,8 +111,7 @@ class _ConfiguredPdo:
         return items
 
     def pack(self) -> bytes:
-        """Returns the present values of the mapped object dictionary entries as the data of a CAN
-        frame."""
+        """Returns the values of the mapped object dictionary entries as CAN frame data."""
         parts = [
             item.encode() if isinstance(item, Entry) else bytes(item // 8) for item in self.mapped()
         ]
@@ -139,8 +137,7 @@ class _ConfiguredPdo:
         return sum(sizes)
 
     def _check_cob(self, value: Any) -> DelayedWrite | None:
-        """Checks a new COB-ID of a PDO. The COB-ID may change only while the PDO is switched
-        off."""
+        """Checks that the COB-ID of a PDO changes only while the PDO is switched off."""
         changed = (value ^ self.cob.value) & 0x7FF
         if changed and not (value & INVALID or self.cob.value & INVALID):
             raise SdoAbort(AbortCode.STATE_REFUSED)

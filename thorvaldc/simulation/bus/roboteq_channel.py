@@ -20,7 +20,7 @@ DRIVE = 0
 
 @dataclass(frozen=True, slots=True)
 class ChannelSettings:
-    """Hardware settings of a motor channel.
+    """Hardware settings of a motor channel of the Roboteq controller.
 
     ``steering`` is true for a steering motor, and false for a propulsion motor.  ``limit`` is the
     largest steering angle (rad) in both directions.
@@ -35,7 +35,7 @@ class ChannelSettings:
 
 
 class Channel:
-    """A motor channel with a motor and an encoder.
+    """A channel of the Roboteq controller with a motor and an encoder.
 
     ``position`` is the joint position (rad), and ``rpm`` is the speed of the motor (rpm).
     """
@@ -67,9 +67,9 @@ class Channel:
         return round(self.position * self.encoder.counts_per_radian)
 
     def start(self, now: float) -> None:
-        """Starts the channel after power-on.
+        """Starts the motor channel after power-on.
 
-        The encoder counts from the present position of the joint.
+        The encoder count is 0 at the present position of the joint.
         """
         self.mode = DRIVE
         self.max_rpm, self.acceleration = self.settings.max_rpm, 0.0
@@ -83,9 +83,9 @@ class Channel:
         self.rpm = velocity / self.radians_per_rpm
 
     def turn(self, rpm: float, now: float, dt: float) -> None:
-        """Commands a motor speed (rpm), limited by the speed limit of the channel.
+        """Commands a motor speed (rpm), limited by the speed limit of the motor channel.
 
-        The motor model limits the acceleration further.
+        The motor model limits the acceleration of the motor.
         """
         setpoint = min(max(rpm, -self.max_rpm), self.max_rpm)
         if self.acceleration > 0.0:
@@ -97,7 +97,8 @@ class Channel:
     def stalled(self, now: float) -> bool:
         """Returns true if the measured motor speed is too low for longer than ``STALL_TIME``.
 
-        The cause is a motor that does not follow the commanded speed, or a failed encoder.
+        The measured speed is too low if the motor does not follow the commanded speed, or if the
+        encoder failed.
         """
         if abs(self.setpoint) < STALL_RPM or abs(self.rpm) > STALL_RPM / 2.0:
             self._still_since = None

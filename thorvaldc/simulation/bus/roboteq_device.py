@@ -1,24 +1,25 @@
 """The simulated two-channel motor controller of the Thorvald robot.
 
 The real motor controller is a Roboteq FBL2360 that runs a script of the robot's maker.  The motor
-controller uses CANopen, but not the device profile CiA 402.  The PDOs contain variables of the
-script.  The frames, scalings, flags and setup ids are the same as in the real script.  The page
-docs/simulated-bus.md lists the behaviour of the script that is not published and thus assumed.
+controller uses CANopen, but not the device profile CiA 402.  The PDOs of the motor controller
+contain variables of the script.  The simulated motor controller uses the same CAN frames, scalings,
+status flags and setup ids as the real script.  The page docs/simulated-bus.md lists the behaviour
+of the script that is not published and thus assumed.
 
-This diagram shows the handling of one command of the master:
+Handling of one command of the master:
 
     master   RPDO1 sequence, speed -->
     script   (writes variables 9 and 10; the second write makes them a command)
              loop every 5 ms: measure, check time-out and stalls, command both motors
     script                                  --> TPDO1 speeds, counts (every cycle, free-running)
 
-If the sequence number of the commands does not change for 0.5 s, the script stops the propulsion
-motors.
+The script stops the propulsion motors if the sequence number of the commands does not change for
+0.5 s.
 
 Homing of a steering motor: the home switch reads 1 on one side of the home angle and 0 on the other
-side.  The first reading of the home switch thus determines the direction of the search.  The
-steering motor turns until the reading of the home switch changes.  The encoder then counts from the
-home angle.
+side.  The first reading of the home switch thus determines the direction in which the steering
+motor searches the home angle.  The steering motor turns until the reading of the home switch
+changes.  The encoder count is then set to the count of the home angle.
 """
 
 from __future__ import annotations
@@ -75,15 +76,15 @@ _STATIC_POWER = 24.0
 
 
 class RoboteqController(CanopenDevice):
-    """A simulated motor controller with two channels on one node.
+    """A simulated Roboteq motor controller with two motors on one CAN node.
 
-    The channels drive a propulsion motor and a steering motor, or two propulsion motors.  A master
-    cannot change the node id over the bus.  The method ``change_node_id`` has the same effect as
-    the tool of the manufacturer.
+    The motor controller drives a propulsion motor and a steering motor, or two propulsion motors.
+    A master cannot change the node id over the bus.  The method ``change_node_id`` sets the node
+    id, as the configuration tool of the manufacturer does.
 
     * ``home_angle``: true steering angle (rad) at the edge of the home switch.
-    * ``home_count``: setting with the encoder count at the home switch.  With a correct setting,
-      the encoder count is 0 when the wheel points straight ahead.
+    * ``home_count``: setting with the encoder count at the home switch.  If the home angle is set
+      correctly, the encoder count is 0 when the wheel points straight ahead.
     """
 
     def __init__(
@@ -272,9 +273,10 @@ class RoboteqController(CanopenDevice):
     # -- commands -----------------------------------------------------------------------------
 
     def _write_variable(self, number: int, value: Any) -> DelayedWrite | None:
-        """Writes a variable of the script.
+        """Handles a write of the master to a variable of the script.
 
-        The write to the second variable of a pair triggers the command of the pair.
+        Each command consists of two variables of the script.  The command takes effect after the
+        second variable is written.
         """
         self._variables[number] = value
         if number % 2:
@@ -361,8 +363,8 @@ class RoboteqController(CanopenDevice):
             channel.setpoint = 0.0
             channel.motor.hold(channel.encoder.joint_position(goal), now)
         else:
-            # Near the goal, the speed is proportional to the distance from the goal, so that the
-            # steering does not overshoot.
+            # Near the target angle, the steering speed is proportional to the remaining angle, so
+            # that the steering motor does not overshoot.
             speed = min(top, APPROACH_GAIN * abs(distance) / channel.radians_per_rpm)
             channel.turn(math.copysign(speed, distance), now, LOOP_PERIOD)
 
@@ -459,9 +461,10 @@ class RoboteqController(CanopenDevice):
         return flags | NOT_OK if flags & ~ILLEGAL_COMMAND else flags
 
     def _power(self, channel: Channel) -> float:
-        """Returns the electric power of a channel (W).
+        """Returns the electric power (W) of a motor.
 
-        The electric power is the mechanical power plus losses that are proportional to the speed.
+        The electric power of a motor is the mechanical power plus losses that are proportional to
+        the motor speed.
         """
         state = channel.state
         return abs(state.torque * state.velocity) + 4.0 * abs(state.velocity)
@@ -479,7 +482,7 @@ def _version(text: Any) -> tuple[int, int, int]:
 
 
 def _words(low: float, high: float) -> int:
-    """Packs two numbers as signed 16-bit words into a variable of the script."""
+    """Packs two numbers as signed 16-bit words into a 32-bit variable of the script."""
     return _i16(low) & 0xFFFF | _i16(high) << 16
 
 

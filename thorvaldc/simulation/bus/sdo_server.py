@@ -13,9 +13,9 @@ from thorvaldc.simulation.bus.object_dictionary import DelayedWrite, ObjectDicti
 class SdoServer:
     """Answers the SDO requests of a client, one transfer at a time.
 
-    The function ``respond`` sends a response to the client.  The server aborts a block transfer
-    with the abort code "command unknown".  A client then uses a segmented transfer.  A new request
-    ends an unfinished transfer.
+    The function ``respond`` sends a response to the SDO client.  The server aborts a block transfer
+    with the abort code "command unknown".  An SDO client then uses a segmented transfer instead of
+    a block transfer.  A new SDO request ends an unfinished SDO transfer.
     """
 
     def __init__(self, objects: ObjectDictionary, respond: Callable[[bytes], None]) -> None:
@@ -32,7 +32,7 @@ class SdoServer:
     def request(self, data: bytes) -> None:
         """Handles an SDO request of 8 bytes.
 
-        The server does not answer a message with another length.
+        The SDO server does not answer a message with another length.
         """
         if len(data) != 8:
             return

@@ -1,7 +1,7 @@
 r"""Computes the set-points of a drive for speed ramps and for trapezoidal moves.
 
-A trapezoidal move ends at rest at the goal.  This diagram shows a trapezoidal move with the top
-speed v and with equal acceleration and deceleration a:
+A trapezoidal move ends at rest at the target position.  This diagram shows a trapezoidal move with
+the top speed v and with equal acceleration and deceleration a:
 
     speed ^      v ____________
           |       /            \
@@ -10,9 +10,9 @@ speed v and with equal acceleration and deceleration a:
           +--+----------------------+--> time
 
 The speed limit s in a step is the highest speed from which the drive can still stop at the goal.
-The speed changes in time steps of dt, so that the braking distance is the sum
-s dt + (s - a dt) dt + ... = s^2 / (2 a) + s dt/2.  The braking distance must be equal to the
-distance d to the goal.  The solution of the quadratic equation for s is:
+The speed changes in time steps of dt, so that the braking distance is the sum s dt + (s - a dt) dt
++ ... = s^2 / (2 a) + s dt/2.  The speed limit s makes the braking distance equal to the distance d
+to the target position.  Solution of the quadratic equation for the speed limit s:
 
     s = sqrt((a dt/2)^2 + 2 a d) - a dt/2
 """
@@ -44,7 +44,8 @@ class Move:
     ) -> bool:
         """Computes the set-point after a time step of ``dt`` s.
 
-        All limits must be positive.  Returns true if the set-point has reached the goal.
+        All limits of speed and acceleration must be positive.  Returns true if the set-point has
+        reached the target position.
         """
         distance = goal - self.position
         half = deceleration * dt / 2.0

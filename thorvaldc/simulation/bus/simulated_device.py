@@ -30,17 +30,18 @@ class SimulatedDevice:
     """A simulated device on a CAN bus.
 
     A subclass implements the method ``start``, which adds frame handlers and starts timers.
-    ``handlers`` has a function for each 11-bit identifier that the device receives.  The device
+    ``handlers`` has a function for each 11-bit CAN identifier that the device receives.  The device
     calls the frame handlers with a short random delay, in the order of the received frames.
-    ``seed`` and ``name`` determine the random delays.
+    ``seed`` and ``name`` determine the random delays of the device.
 
     A device is inactive before ``power_on``.  A loss of power stops all timers and clears the send
-    queue and the volatile state of the device.  The mapping ``nonvolatile`` keeps its values
-    without power.  A device with ``muted`` receives and acknowledges frames, but does not send
-    frames.
+    queue and the volatile state of the device.  The mapping ``nonvolatile`` is the non-volatile
+    memory of the device.  If ``muted`` is true, the device receives and acknowledges CAN frames,
+    but does not send CAN frames.
 
     Another package can provide a device class by an entry point in the group
-    ``thorvaldc.simulated_devices``.  The name of the entry point is the protocol of the node.
+    ``thorvaldc.simulated_devices``.  The name of the Python entry point is the protocol of the CAN
+    node.
     """
 
     def __init__(
@@ -104,8 +105,8 @@ class SimulatedDevice:
     def power_off(self) -> None:
         """Switches the power of the device off.
 
-        A write to non-volatile memory that is in progress is lost.  With ``torn_writes``, the
-        values of the write are destroyed.
+        A write to non-volatile memory that is in progress is lost.  If ``torn_writes`` is true, a
+        write to non-volatile memory that a loss of power interrupts destroys the stored values.
         """
         if not self.powered:
             return
@@ -141,7 +142,7 @@ class SimulatedDevice:
     def change_node_id(self, node_id: int) -> None:
         """Changes the node id of the device.
 
-        The method has the same effect as the tool of the manufacturer.  Raises ``ValueError`` if
+        The method replaces the configuration tool of the manufacturer.  Raises ``ValueError`` if
         the device has no node id.
         """
         raise ValueError(f"{self.name} has no id")
@@ -161,7 +162,7 @@ class SimulatedDevice:
     def after(self, delay: float, action: Action) -> Event:
         """Calls ``action`` after ``delay`` s.
 
-        A loss of power cancels the call.
+        A loss of power cancels the call of ``action``.
         """
         life = self._life
 
@@ -174,9 +175,9 @@ class SimulatedDevice:
     def every(self, period: Callable[[], float], action: Action, first: float = 0.0) -> None:
         """Calls ``action`` periodically, for the first time after ``first`` s.
 
-        The function ``period`` returns the time (s) to the next call.  If the time is not positive,
-        ``action`` is not called, and ``period`` is called again after 0.1 s.  A loss of power ends
-        the periodic calls.
+        The function ``period`` returns the time (s) to the next call of ``action``.  If ``period``
+        returns 0 or less, ``action`` is not called, and ``period`` is called again after 0.1 s.  A
+        loss of power ends the periodic calls.
         """
 
         def repeat() -> None:
@@ -191,7 +192,7 @@ class SimulatedDevice:
     def send(self, identifier: int, data: bytes) -> None:
         """Sends a CAN frame.
 
-        The frame is dropped if the device is muted, if the send queue is full, or if the CAN
+        The CAN frame is dropped if the device is muted, if the send queue is full, or if the CAN
         controller is in bus-off.
         """
         if not self.muted:

@@ -19,7 +19,7 @@ STOP = math.pi
 
 
 class MotorState(NamedTuple):
-    """The state of a motor at the joint.
+    """The position, speed and torque of a motor, measured at the joint.
 
     * ``position``: joint position (rad), not wrapped.
     * ``velocity``: joint velocity (rad/s).
@@ -34,8 +34,9 @@ class MotorState(NamedTuple):
 class MotorModel(abc.ABC):
     """A motor with a gear that drives a joint.
 
-    All values are in rad, rad/s and N m at the joint.  Times are in s and never decrease.  A
-    command applies until the next command.  If ``blocked`` is true, the joint cannot move.
+    Positions are in rad, speeds in rad/s and torques in N m, all at the joint behind the gear.
+    Times are in s and never decrease.  A motor command applies until the next motor command.  If
+    ``blocked`` is true, the joint of the motor cannot move.
     """
 
     blocked = False
@@ -58,11 +59,11 @@ class MotorModel(abc.ABC):
 
 
 class IdealMotor(MotorModel):
-    """A motor without load.
+    """A model of a motor without load.
 
-    A commanded velocity is reached with ``max_acceleration`` (rad/s^2).  A commanded position is
-    reached with ``max_velocity`` (rad/s).  ``lower`` and ``upper`` are the positions (rad) of the
-    mechanical stops.
+    The motor accelerates to a commanded velocity with ``max_acceleration`` (rad/s^2).  The motor
+    moves to a commanded position with ``max_velocity`` (rad/s).  ``lower`` and ``upper`` are the
+    positions (rad) of the mechanical stops.
     """
 
     def __init__(
@@ -119,8 +120,8 @@ class IdealMotor(MotorModel):
             commanded = min(max(self._speed or 0.0, -limit), limit)
             step = self.max_acceleration * dt
             self._velocity = min(max(commanded, speed - step), speed + step)
-            # The position changes with the mean speed during the ramp, and with the final speed
-            # during the rest of dt.
+            # The joint position changes with the mean speed during the speed ramp, and with the
+            # final speed during the rest of the time step dt.
             ramp = min(abs(self._velocity - speed) / self.max_acceleration, dt)
             end = start + (speed + self._velocity) / 2.0 * ramp + self._velocity * (dt - ramp)
             share = (self._velocity - speed) / step
@@ -201,8 +202,8 @@ class _BaseMotor(MotorModel):
         if not self._steering:
             self._write(velocity, now)
             return
-        # The base controls a steering joint by position.  The commanded position therefore moves
-        # with the commanded speed.
+        # The base controls a steering joint by position.  The commanded position of a steering
+        # joint therefore moves with the commanded speed.
         if self._turning is None:
             self._commanded = self.read(now).position
         else:
@@ -242,7 +243,7 @@ class _BaseMotor(MotorModel):
 class Encoder:
     """An incremental encoder on the motor shaft with four counts per pulse.
 
-    The count is 0 at power-on.  If ``frozen`` is true, the encoder repeats the last count.
+    The encoder count is 0 at power-on.  If ``frozen`` is true, the encoder repeats the last count.
     """
 
     def __init__(self, gear_ratio: float, pulses: int) -> None:

@@ -41,11 +41,11 @@ class SimulatedRobot:
     ) -> None:
         """Creates a simulated device for each node of the robot.
 
-        * ``base``: simulated base whose joints the motors move, for example a ``MujocoBase``.  The
-          default is ideal motors without a base.
+        * ``base``: simulated base whose joints the motors move, for example a ``MujocoBase``.  By
+          default, the simulated motors are ideal motors without a simulated base.
         * ``delivered``: true if all devices are in the factory state.
         * ``nonvolatile``: values in the non-volatile memory by node name, for example
-          ``{"fl_drive": {"node_id": 2}}``.  The values replace the values from the robot model.
+          ``{"fl_drive": {"node_id": 2}}``.
 
         Raises ``DiagnosticError`` (``bus-missing``) if the robot has no bus.
         """
@@ -77,24 +77,25 @@ class SimulatedRobot:
     ) -> VirtualTimeInterface:
         """Opens a CAN interface to a bus in virtual time.
 
-        The default bus is the first bus of the robot.
+        The default CAN bus is the first CAN bus of the robot.
         """
         return VirtualTimeInterface(self.wire(bus), name, **options)
 
     def wire(self, bus: str | None = None) -> Wire:
         """Returns the simulated bus line of a bus.
 
-        The default bus is the first bus of the robot.  Raises ``KeyError`` if the robot has no bus
-        with the name ``bus``.
+        The default CAN bus is the first CAN bus of the robot.  Raises ``KeyError`` if the robot has
+        no bus with the name ``bus``.
         """
         return self.wires[bus if bus is not None else self.robot.buses[0].name]
 
     def clone(self, node: str, name: str, **nonvolatile: Any) -> SimulatedDevice:
-        """Adds a copy of the device of the node ``node``.
+        """Adds a copy of the simulated device of the node ``node`` to the CAN bus.
 
-        The copy has ideal motors, no power and a different serial number.  The copy has the same
-        product code as the device, and the same node id unless ``nonvolatile`` contains another
-        node id.  Raises ``KeyError`` if the robot has no node with the name ``node``.
+        The copy of the device has ideal motors, no power and a different serial number.  The copy
+        has the product code of the original device.  The copy also has the node id of the original
+        device, unless ``nonvolatile`` contains another node id.  Raises ``KeyError`` if the robot
+        has no node with the name ``node``.
         """
         for bus in self.robot.buses:
             for original in bus.nodes:

@@ -11,7 +11,7 @@ Action = Callable[[], None]
 
 
 class Event:
-    """An action that is called at the virtual time ``time`` (ns), unless the event is cancelled."""
+    """A scheduled call of ``action`` at the virtual time ``time`` (ns), which can be cancelled."""
 
     __slots__ = ("action", "time")
 
@@ -26,8 +26,9 @@ class Event:
 class Timeline:
     """The virtual clock of a simulation and the queue of scheduled events.
 
-    ``now`` is the virtual time (ns).  Events with equal times run in the order in which the events
-    were scheduled.  An event with ``last`` runs after all other events with the same time.
+    ``now`` is the virtual time (ns).  Simulation events with equal times run in the order in which
+    the events were scheduled.  An event with ``last`` runs after all other events with the same
+    time.
     """
 
     def __init__(self) -> None:
@@ -52,7 +53,7 @@ class Timeline:
     def at(self, time: int, action: Action, last: bool = False) -> Event:
         """Schedules a call of ``action`` at the virtual time ``time`` (ns).
 
-        A time in the past is replaced by the current time.
+        A virtual time in the past is replaced by the current virtual time.
         """
         event = Event(max(time, self.now), action)
         self._planned += 1
@@ -64,7 +65,7 @@ class Timeline:
         return self.at(self.now + delay, action)
 
     def step(self) -> bool:
-        """Runs the next event.
+        """Runs the next event of the simulation.
 
         Returns ``False`` if no event is scheduled.
         """
@@ -81,9 +82,10 @@ class Timeline:
     def run_until(self, time: int, stop: Callable[[], bool] | None = None) -> bool:
         """Runs all events until ``time`` (ns), including events at ``time``.
 
-        The function ``stop`` is called after each event.  If ``stop`` returns true, the method ends
-        early and returns true.  If no call of ``stop`` returns true, the method sets ``now`` to
-        ``time`` and returns false.  Raises ``RuntimeError`` if an event calls ``run_until``.
+        The function ``stop`` is called after each event of the simulation.  If ``stop`` returns
+        true, the method ends early and returns true.  If no call of ``stop`` returns true, the
+        method sets ``now`` to ``time`` and returns false.  Raises ``RuntimeError`` if an event
+        calls ``run_until``.
         """
         if self._running:
             raise RuntimeError("an event of the simulation cannot wait for the simulation")

@@ -2,20 +2,20 @@
 
 The simulation computes one event per CAN frame, instead of one event per bit.
 
-Arbitration: when the bus line is free, all controllers with a frame to send start at the same bit.
-The bit 0 is dominant.  A controller that sends a 1 and reads a 0 has lost the arbitration and
-becomes a receiver.  The frame with the lowest arbitration field thus wins the arbitration without
-an error:
+Arbitration: when the bus line is free, all CAN controllers with a CAN frame to send start at the
+same bit.  The bit 0 is dominant.  A controller that sends a 1 and reads a 0 has lost the
+arbitration and becomes a receiver.  The CAN frame with the lowest arbitration field thus wins the
+arbitration without an error:
 
     bit        SOF 10  9  8  7  6  5  4  3 ...
     A 0x185     0   0  0  1  1  0  0  0  0      wins
     B 0x285     0   0  1  .  .  .  .  .  .      reads 0 for its 1 at bit 9, and stops
     wire        0   0  0  1  1  0  0  0  0
 
-Two controllers may send frames with the same identifier at the same time.  If the two frames are
-equal, the receivers receive one frame.  If the two frames have different data, one controller sends
-a 1 and reads a 0 after the arbitration field, which is a bit error.  An error-active controller
-with a bit error destroys both frames with an error flag:
+Two controllers may send frames with the same identifier at the same time.  If the two CAN frames
+are equal, the receivers receive one CAN frame.  If the two CAN frames have different data, one CAN
+controller sends a 1 and reads a 0 after the arbitration field.  The CAN controller then detects a
+bit error.  An error-active controller with a bit error destroys both frames with an error flag:
 
     time -->
     frame of A  |SOF|identifier|length|data 01 2 |
@@ -33,9 +33,9 @@ An error increases the transmit error counter of a sender by 8 and the receive e
 receiver by 1.  The receive error counter of the receiver that sent the first error flag increases
 by 9, because the receiver also detects the dominant bits of the other error flags.
 
-A receiver receives a frame at the end of the frame, before the interframe space.  A sender repeats
-a frame that no controller acknowledges.  A missing acknowledgement does not increase the transmit
-error counter of an error-passive sender.
+A receiver accepts a CAN frame at the end of the CAN frame, before the interframe space.  A sender
+repeats a frame that no controller acknowledges.  A missing acknowledgement does not increase the
+transmit error counter of an error-passive sender.
 
 The page docs/simulated-bus.md lists the simplifications of the simulation.
 """
@@ -61,8 +61,8 @@ MISMATCH_BIT = 13
 class _Transmission:
     """A CAN frame that is being sent.
 
-    ``senders`` are the controllers that send the frame.  ``listeners`` are the controllers that
-    were online at the start of the frame.
+    ``senders`` has the CAN controllers that send the CAN frame.  ``listeners`` has the CAN
+    controllers that were online at the start of the CAN frame.
     """
 
     __slots__ = ("bits", "event", "frame", "listeners", "queued", "senders", "start")
@@ -77,8 +77,8 @@ class _Transmission:
     ) -> None:
         """Creates the transmission of a CAN frame.
 
-        ``queued`` has the entry in the send queue of each sender.  ``start`` is the start time in
-        ns.
+        ``queued`` has the queued CAN frame of each sender.  ``start`` is the start time (ns) of the
+        transmission.
         """
         self.frame = frame
         self.senders = senders
@@ -97,7 +97,7 @@ class Wire:
     """A simulated CAN bus line that connects CAN controllers.
 
     * ``timeline``: virtual time of the simulation.
-    * ``bitrate``: nominal bitrate (bit/s).  Each controller also has a separate bitrate.
+    * ``bitrate``: nominal bitrate (bit/s).  Each CAN controller may have a different bitrate.
     * ``frames``: number of valid frames.
     * ``errors``: number of frames that were destroyed or not acknowledged.
     * ``busy``: total duration (ns) of all valid and faulty frames.
@@ -128,9 +128,9 @@ class Wire:
         self.controllers.remove(controller)
 
     def at_frame(self, number: int, action: Callable[[], None]) -> None:
-        """Calls ``action`` in the middle of the frame with the number ``number``.
+        """Calls ``action`` in the middle of the CAN frame with the number ``number``.
 
-        The first frame has the number 1.
+        The first CAN frame on the bus line has the number 1.
         """
         self._at_frame.setdefault(number, []).append(action)
 
@@ -191,7 +191,7 @@ class Wire:
             )
 
     def _find_error(self, current: _Transmission) -> tuple[int, list[CanController]] | None:
-        """Finds the first error in a frame.
+        """Finds the first error in a CAN frame.
 
         Returns the bit at which the first error flag starts, and the controllers that send the
         first error flag.  Returns ``None`` if no dominant error flag destroys the frame.
@@ -228,7 +228,7 @@ class Wire:
     def _finish(self) -> None:
         """Handles the end of a frame, before the interframe space.
 
-        The receivers accept the frame as valid.
+        The receivers accept the CAN frame as valid.
         """
         current = self._current
         if current is None:
@@ -305,8 +305,8 @@ class Wire:
             current.event.cancel()
         self.errors += 1
         self._current = None
-        # The receivers detect a stuff error after 6 equal bits.  The error flag and the echo of the
-        # error flag follow.
+        # The receivers detect a stuff error after 6 equal bits.  After a stuff error, the error
+        # flag and the echo of the error flag follow.
         self._release_wire(current, 3 * FLAG_BITS + DELIMITER_BITS + INTERFRAME_BITS)
         for listener in current.listeners:
             if listener.online and not listener.listen_only:
