@@ -32,9 +32,9 @@ def largest_component(twist: Twist) -> float:
 class Sample:
     """Measurements of a simulated robot at one tick of its driver.
 
-    ``time`` is in s.  Twists are expressed in ``base_link``, poses in the world frame.  The
-    yaw angles of the poses are not wrapped.  With ideal joints, the true pose and the true
-    twist are equal to the estimated pose and twist.
+    ``time`` is the simulated time (s) of the tick.  Twists are expressed in the link frame
+    ``base_link``, and poses in the world frame.  The yaw angles of the poses are not wrapped.  With
+    ideal joints, the true pose and the true twist are equal to the estimated pose and twist.
 
     * ``commanded``: twist that the script requests.
     * ``limited``: commanded twist after the limits and ramps of the driver.
@@ -102,11 +102,11 @@ class ControlLoop:
 
     @property
     def next_time(self) -> float:
-        """Time (s) of the next tick."""
+        """Time (s) of the next tick of the driver."""
         return self.ticks / self.robot.driver.rate
 
     def tick(self, joints: JointStates | None = None) -> None:
-        """Runs one tick of the driver.
+        """Runs one tick of the base driver.
 
         ``joints`` are joint states that were already read, as for ``BaseDriver.tick``.
         """
@@ -142,7 +142,7 @@ class ControlLoop:
         turn = math.remainder(pose.yaw - self.pose_true.yaw, math.tau)
         self.yaw_true += turn
         # The robot is assumed to move along an arc between two ticks.  The distance between the
-        # two positions is the chord of the arc.
+        # positions of the robot at the two ticks is the chord of the arc.
         chord = math.hypot(pose.x - self.pose_true.x, pose.y - self.pose_true.y)
         self.path_true += chord / se2.chord_over_arc(turn)
         self.pose_true = pose
@@ -151,7 +151,7 @@ class ControlLoop:
             self.uprightness = uprightness
 
     def sample(self) -> Sample:
-        """Returns the measurements of the last tick."""
+        """Returns the measurements at the last tick of the driver."""
         state = self.driver.state
         estimated, pose = state.odometry.twist, self.start.moved(state.pose)
         true, pose_true = estimated, pose

@@ -28,7 +28,7 @@ _LARGEST = (math.inf, math.inf, math.inf)
 def twist_at(manoeuvre: Manoeuvre, time: float) -> Twist:
     """Returns the commanded twist of a manoeuvre at ``time`` (s).
 
-    The twist is zero before the first segment.
+    The commanded twist is zero before the first segment of the manoeuvre.
     """
     following = bisect.bisect_right(manoeuvre, (time + 1e-9, _LARGEST))
     return manoeuvre[following - 1].twist if following else ZERO_TWIST
@@ -50,9 +50,9 @@ _TIME_STEP = 0.1
 def default_manoeuvre(robot: Robot) -> tuple[list[Segment], float]:
     """Returns the default manoeuvre of a robot and the duration of the manoeuvre (s).
 
-    The default manoeuvre has four parts: straight ahead, an arc, sideways, and a turn on the
-    spot.  A part is omitted if the arrangement of the wheels or a steering limit does not allow
-    the motion.  At the end the robot stands still for ``STOP`` s.
+    The default manoeuvre has four parts: straight ahead, an arc, sideways, and a turn on the spot.
+    A part of the default manoeuvre is omitted if the arrangement of the wheels or a steering limit
+    does not allow the motion.  At the end the robot stands still for ``STOP`` s.
     """
     segments: list[Segment] = []
     time = 0.0
@@ -71,10 +71,10 @@ def fleet_manoeuvres(
     """Returns a manoeuvre for each robot of a fleet, and the duration of the manoeuvres (s).
 
     ``robots`` has a tuple for each robot: name, robot, and start pose in the world.  All robots
-    drive the same parts of the default manoeuvre at the same times.  A robot that cannot drive
-    a part stands still during the part.  The function tries the whole default manoeuvre first,
-    and then simpler and shorter manoeuvres.  The function returns the first manoeuvres in which
-    the robots do not collide (``_keep_apart``).
+    drive the same parts of the default manoeuvre at the same times.  A robot that cannot drive a
+    part of the manoeuvre stands still during the part.  The function tries the whole default
+    manoeuvre first, and then simpler and shorter manoeuvres.  The function returns the first
+    manoeuvres in which the robots do not collide (``_keep_apart``).
     """
     if not robots:
         return {}, STOP
@@ -143,9 +143,9 @@ def _keep_apart(
 ) -> bool:
     """Returns true if all robots keep a safe distance from each other on the predicted paths.
 
-    Each robot is approximated by a disc around the wheels of the robot.  Two discs must not
-    touch.  If two discs touch at the start already, the distance between the two robots must
-    not decrease by more than 5 cm.
+    Each robot is approximated by a disc around the wheels of the robot.  The discs of two robots
+    must not touch.  If two discs touch at the start already, the distance between the two robots
+    must not decrease by more than 5 cm.
     """
     paths: list[list[Pose2]] = []
     radii: list[float] = []

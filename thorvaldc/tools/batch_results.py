@@ -111,7 +111,8 @@ class ResultFile:
 def _write_rows(stream: TextIO, runs: Sequence[Run], *, heading: bool) -> None:
     """Writes one CSV line for each robot of each run.
 
-    The columns are the varied values, all metrics in SI units, the verdict and the hash.
+    The columns of the CSV file are the varied values, all metrics in SI units, the verdict and the
+    hash of the run.
     """
     writer = csv.writer(stream, lineterminator="\n")
     if heading and runs:
@@ -150,7 +151,7 @@ def _value_text(value: Any) -> str:
 def _short_text(value: Any) -> str:
     """Returns a value as text, with at most six significant digits for a float.
 
-    A random value would otherwise have up to 17 digits.
+    Without rounding, a random value would have up to 17 digits.
     """
     if isinstance(value, float):
         return f"{value:.6g}"

@@ -99,12 +99,12 @@ def _with_fleet_name(result: SimulationResult, fleet: str) -> SimulationResult:
 def _import(job: DemoJob, report: Report) -> str:
     """Converts a configuration of the original system to a robot.yaml and returns the path.
 
-    The path is an empty text if the conversion fails.
+    Returns an empty text if the conversion to robot.yaml fails.
     """
     text, import_report = import_original(Path(job.file))
     for diagnostic in import_report:
-        # The import adds a note for each value that robot.yaml cannot express.  The notes are too
-        # many for the table of the demo.
+        # The import adds a note for each value that robot.yaml cannot express.  The demo omits the
+        # notes of the import, because the notes are too many for the table.
         if diagnostic.severity is not Severity.NOTE:
             report.put(diagnostic)
     if text is None:

@@ -22,7 +22,7 @@ def summary(
 ) -> SimulationResult:
     """Returns the result of a recorded run.
 
-    A value that the record does not contain is nan.
+    Each result that needs data outside the record is nan.
     """
     end = max(run.samples[-1].time for run in runs.values())
     results = tuple(_result(name, robot, runs[name].samples) for name, robot in robots)
@@ -73,8 +73,8 @@ def _path(poses: Sequence[Pose2]) -> float:
 class Replay:
     """Moves the robots of a scene to the recorded poses and joint positions.
 
-    The poses are the true poses, or the estimated poses if the record has no true poses.  Joints
-    without a motor are not recorded, and the replay does not move joints without a motor.
+    The robots move to the true poses, or to the estimated poses if the record has no true poses.
+    Joints without a motor are not recorded, and the replay does not move joints without a motor.
     """
 
     def __init__(

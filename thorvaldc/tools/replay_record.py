@@ -19,8 +19,8 @@ def read_replay_record(
     """Returns the recorded runs by robot name.
 
     A replay requires the group ``odometry`` or the group ``truth`` in the record.  A plot requires
-    both groups.  If the record is invalid or a group is missing, the function adds errors to
-    ``report`` and returns ``None``.
+    the group ``odometry`` and the group ``truth`` in the record.  If the record is invalid or a
+    group is missing, the function adds errors to ``report`` and returns ``None``.
     """
     runs = read_record(path, robots, report)
     if runs is None:

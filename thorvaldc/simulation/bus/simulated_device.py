@@ -105,8 +105,8 @@ class SimulatedDevice:
     def power_off(self) -> None:
         """Switches the power of the device off.
 
-        A write to non-volatile memory that is in progress is lost.  If ``torn_writes`` is true, a
-        write to non-volatile memory that a loss of power interrupts destroys the stored values.
+        A write to non-volatile memory that is in progress is lost.  If ``torn_writes`` is true, the
+        stored values that the interrupted write changes are deleted.
         """
         if not self.powered:
             return

@@ -45,7 +45,7 @@ class SimulatedRobot:
           default, the simulated motors are ideal motors without a simulated base.
         * ``delivered``: true if all devices are in the factory state.
         * ``nonvolatile``: values in the non-volatile memory by node name, for example
-          ``{"fl_drive": {"node_id": 2}}``.
+          ``{"fl_drive": {"node_id": 2}}``.  These values override the values from the robot model.
 
         Raises ``DiagnosticError`` (``bus-missing``) if the robot has no bus.
         """

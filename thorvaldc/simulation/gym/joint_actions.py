@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 class JointActions:
     """Converts an action of a Gymnasium environment to joint commands.
 
-    The values of an action are in -1..1.  The first values are the speeds of the driven wheels,
-    and the other values are the angles of the steered wheels.
+    Each value of an action is between -1 and 1.  The first values of an action are the speeds of
+    the driven wheels, and the other values are the angles of the steered wheels.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -62,7 +62,7 @@ class JointActions:
 class DirectCommands(BaseCalculator):
     """A base calculator that returns the joint commands of an action for every twist.
 
-    The calculator ``odometer`` computes the odometry.
+    The base calculator ``odometer`` computes the odometry.
     """
 
     name = "direct"

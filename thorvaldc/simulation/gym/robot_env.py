@@ -53,7 +53,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """One step of the environment, the argument of a reward function.
+    """The data of one step of the environment, which a reward function receives.
 
     * ``action``: values of the action, in -1..1.
     * ``before``: sample of the robot before the step.
@@ -81,11 +81,11 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
 
     * With ``action="twist"`` the values are vx, vy and wz, each divided by the largest value that
       the driver allows.  The base driver applies its limits and ramps to the twist.
-    * With ``action="joints"`` the first values are the speeds of the driven wheels, each divided
-      by the largest speed of the motor.  The other values are the angles of the steered wheels,
-      each divided by the larger steering limit, or by pi for a wheel without steering limits.  The
-      wheels are in the order of ``Robot.wheels``.  An angle beyond a steering limit is clipped.
-      The joint commands bypass the base calculator of the driver.
+    * With ``action="joints"`` the first values are the speeds of the driven wheels, each divided by
+      the largest speed of the motor.  The other values are the angles of the steered wheels, each
+      divided by the larger steering limit, or by pi for a wheel without steering limits.  The
+      wheels are in the order of ``Robot.wheels``.  A steering angle beyond a steering limit is
+      clipped.  The joint commands bypass the base calculator of the driver.
 
     The driver ticks at a separate rate between two steps of the environment.  An action takes
     effect at the next tick of the driver and holds until the next step.
@@ -107,8 +107,8 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     Reward: the value of the function ``reward``, or 0 without a reward function.
 
     An episode is terminated when the robot falls over or the simulation diverges.  An episode is
-    truncated after ``duration``.  The random start pose and the noise of a scenario depend only on
-    the seed of ``reset``.
+    truncated after ``duration`` s.  The random start pose and the noise of a scenario depend only
+    on the seed of ``reset``.
     """
 
     # Gymnasium requires this class attribute; each instance has its own with its rate.
@@ -132,8 +132,8 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         """Loads the MuJoCo scene of the environment.
 
         * ``files``: a build folder, or the outputs of the ``mjcf`` backend for the model.
-        * ``robot``: name of the robot that the actions control.  The default is the first robot.
-          All other robots follow the script of the scenario.
+        * ``robot``: name of the robot that the actions control.  By default, the actions control
+          the first robot.  All other robots follow the script of the scenario.
         * ``action``: kind of the actions, ``twist`` or ``joints``.
         * ``rate``: number of steps per second (Hz).  The duration of a step is rounded to a whole
           number of driver ticks.
@@ -364,7 +364,7 @@ def _names(robot: Robot, action: str) -> tuple[tuple[str, ...], tuple[str, ...]]
 
 
 class _Drawing:
-    """Draws pictures of a scene.
+    """Draws pictures of the MuJoCo scene of the environment.
 
     The pictures show a copy of the scene with visual geoms.  The camera follows the robots.
     """
@@ -377,8 +377,8 @@ class _Drawing:
         self._scene = picture_scene(files, size, self._view, quick=True)
         self._aspect = size[0] / size[1]
         self._boxes: BoundingBoxes = BoundingBoxes(self._scene)
-        # The renderer requires the extent of the scene.  A margin of 20 m leaves space for the
-        # motion of the robots.
+        # The renderer requires the extent of the scene.  The extent of the scene includes a margin
+        # of 20 m for the motion of the robots.
         corners = self._boxes.corners(self._scene)
         corners = np.vstack([corners.min(axis=0) - 20.0, corners.max(axis=0) + 20.0])
         self._resources = ExitStack()

@@ -14,10 +14,10 @@ DRIVABLE = ("ground", "rail", "kerb")
 class CollisionCounter:
     """Counts the collisions of each robot.
 
-    ``collisions`` has the number of collisions by robot name.  A wheel may touch the ground,
-    rails and kerbs.  Every other contact of a robot is a collision.  For example, a contact of
-    the chassis with the ground is a collision.  A contact that lasts for several steps counts
-    once.
+    ``collisions`` maps each robot name to the number of collisions.  A wheel may touch the ground,
+    rails and kerbs.  Every other contact of a robot counts as a collision.  For example, a contact
+    of the chassis with the ground is a collision.  A contact that lasts for several simulation
+    steps counts as one collision.
     """
 
     def __init__(self, scene: MujocoScene, robots: Mapping[str, Robot]) -> None:
@@ -35,8 +35,8 @@ class CollisionCounter:
             # wheel link into another body.
             joints = (scene.index("joint", prefix + w.spin_joint, robot) for w in robot.wheels)
             wheel_bodies |= {int(model.jnt_bodyid[joint]) for joint in joints}
-        # The lists have one item for each geom of the scene.  ``_owner`` is the name of the robot
-        # with the geom, or an empty text for a geom of the world.
+        # Lists with one item for each geom of the MuJoCo scene.  ``_owner`` is the name of the
+        # robot with the geom, or an empty text for a geom of the world.
         self._owner: list[str] = []
         self._is_wheel: list[bool] = []
         self._is_drivable: list[bool] = []

@@ -11,8 +11,8 @@ from thorvaldc.runtime.se2 import Pose2, Twist
 class GroundTruthBase(BaseHandle):
     """A simulated base that also returns the true motion of the robot.
 
-    The true motion serves only for measurements.  The base driver uses only the methods of
-    ``BaseHandle``.
+    The true motion of the robot is used only for measurements.  The base driver uses only the
+    methods of ``BaseHandle``.
     """
 
     @abc.abstractmethod
@@ -26,20 +26,21 @@ class GroundTruthBase(BaseHandle):
     def posture(self) -> tuple[float, float, float]:
         """Returns the height (m), roll (rad) and pitch (rad) of ``base_link``.
 
-        The height is measured from the ground plane.
+        The height of ``base_link`` is measured from the ground plane.
         """
         return 0.0, 0.0, 0.0
 
     def uprightness(self) -> float:
         """Returns the cosine of the tilt angle of the robot.
 
-        The cosine is 1 for an upright robot and 0 for a robot that lies on its side.
+        The cosine of the tilt angle is 1 for an upright robot and 0 for a robot that lies on its
+        side.
         """
         return 1.0
 
     def leaning(self) -> str:
         """Returns the direction in which the robot leans, such as `to its left`.
 
-        The text is empty if the direction is unknown.
+        Returns an empty text if the direction in which the robot leans is unknown.
         """
         return ""

@@ -13,9 +13,9 @@ from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 class GroundZones:
     """Sets the friction and rolling resistance of each wheel from the zone under the wheel.
 
-    The zone under the centre of the wheel determines the coefficients.  If zones overlap, the
-    last zone in the document determines the coefficients.  An active ``ice`` fault of a wheel
-    overrides the friction of the zone.
+    The ground zone under the centre of a wheel determines the friction and the rolling resistance
+    of the wheel.  If ground zones overlap, the last ground zone in the YAML file applies.  An
+    active ``ice`` fault of a wheel overrides the friction of the zone.
     """
 
     def __init__(
@@ -56,9 +56,9 @@ class GroundZones:
 
 
 class _Rectangle:
-    """The rectangle of a ground zone.
+    """The rectangle on the ground that a ground zone covers.
 
-    The sine and cosine of the yaw angle are computed only once.
+    The sine and cosine of the yaw angle of the ground zone are computed only once.
     """
 
     def __init__(self, zone: Zone) -> None:
@@ -69,7 +69,7 @@ class _Rectangle:
         self._half_x, self._half_y = (edge / 2 for edge in zone.size)
 
     def contains(self, x: float, y: float) -> bool:
-        """Returns true if the point (``x``, ``y``) in m is inside the zone."""
+        """Returns true if the point (``x``, ``y``) in m is inside the ground zone."""
         dx, dy = x - self._x, y - self._y
         return (
             abs(self._cos * dx + self._sin * dy) <= self._half_x
@@ -115,14 +115,15 @@ class _WheelGround:
     def apply(self, friction: float | None, resistance: float | None) -> None:
         """Sets the coefficients of friction and rolling resistance of the wheel.
 
-        ``None`` selects the original coefficient of the wheel.
+        If a coefficient is ``None``, the original coefficient of the wheel applies.
         """
         if (friction, resistance) == self._applied:
             return
         self._applied = (friction, resistance)
         for geom, own in zip(self._geoms, self._own_frictions, strict=True):
-            # The torsional friction (m) is mu * width / 4.  The torsional friction is thus
-            # proportional to the sliding friction mu.
+            # The coefficient of torsional friction (m) is mu * width / 4, with the coefficient of
+            # sliding friction mu and the wheel width.  The torsional friction is thus proportional
+            # to the coefficient of sliding friction mu.
             ratio = 1.0 if friction is None else friction / own[0] if own[0] else 0.0
             self._model.geom_friction[geom, :2] = own[:2] * ratio
         added = 0.0 if resistance is None else resistance - self._own_resistance

@@ -19,11 +19,12 @@ LONGEST_STEP = 0.2
 class MujocoBase(GroundTruthBase):
     """The joints and the true motion of one robot in a MuJoCo scene.
 
-    Wheel errors: the scene contains the wheels without errors.  The errors are applied to the
-    values that the driver writes and reads.  A wheel with the true radius ratio * R, where R is
-    the radius in the model, rolls ratio * R * w at the wheel speed w.  A wheel with the radius R
-    rolls the same distance at the wheel speed ratio * w.  The base thus multiplies a commanded
-    wheel speed by the ratio, and divides a measured wheel speed by the ratio.
+    Wheel errors: the MuJoCo scene contains the wheels without wheel errors.  The base applies the
+    wheel errors to the joint commands and the joint readings of the driver.  A wheel with the true
+    radius ratio * R, where R is the radius in the model, rolls ratio * R * w at the wheel speed w.
+    A wheel with the radius R of the model rolls the same distance at the wheel speed ratio * w.
+    The base thus multiplies a commanded wheel speed by the radius ratio, and divides a measured
+    wheel speed by the radius ratio.
 
     Open loop: with ``open_loop`` the drive motors apply a voltage without speed control.  The
     torque of a DC motor at constant voltage falls linearly from the stall torque to zero at the
@@ -46,9 +47,9 @@ class MujocoBase(GroundTruthBase):
     ) -> None:
         """Finds the joints, actuators and bodies of the robot in the scene.
 
-        The names of the joints, actuators and bodies begin with ``prefix``.  The default prefix is
-        the name space of the robot and a slash.  Raises ``DiagnosticError`` if the scene does not
-        contain the robot.
+        The names of the joints, actuators and bodies begin with ``prefix``.  By default, ``prefix``
+        is the name space of the robot and a slash.  Raises ``DiagnosticError`` if the scene does
+        not contain the robot.
         """
         if prefix is None:
             prefix = robot.prefix
@@ -69,8 +70,8 @@ class MujocoBase(GroundTruthBase):
         self._base = int(model.jnt_qposadr[free])
         self._base_velocity = int(model.jnt_dofadr[free])
         # A joint is (wheel, index in qpos, index in qvel).  Both indices count from the free joint
-        # of the base, because the free joint is the first joint of the robot.  A motor is
-        # (wheel, actuator).
+        # of the base, because the free joint is the first joint of the robot.  Each motor is a
+        # tuple of the wheel index and the actuator index.
         self._spin: list[tuple[int, int, int]] = []
         self._steering: list[tuple[int, int, int]] = []
         self._drive_motors: list[tuple[int, int]] = []
@@ -92,8 +93,9 @@ class MujocoBase(GroundTruthBase):
         all_joints = self._spin + self._steering
         last_q = max((q for _, q, _ in all_joints), default=6)
         last_v = max((v for _, _, v in all_joints), default=5)
-        # Views of MuJoCo's arrays.  Making a view takes four times as long as copying the values
-        # of the view.  MuJoCo never moves the arrays of a scene.
+        # Views of the MuJoCo arrays of the scene.  Creating a view of a MuJoCo array takes four
+        # times as long as copying the values of the view.  MuJoCo never moves the arrays of a
+        # scene.
         data, base, base_velocity = scene.data, self._base, self._base_velocity
         self._qpos = data.qpos[base : base + last_q + 1]
         self._qvel = data.qvel[base_velocity : base_velocity + last_v + 1]
@@ -162,12 +164,12 @@ class MujocoBase(GroundTruthBase):
             self.scene.data.qfrc_applied[joint] = slope * commands.speeds[i] * self._ratios[i]
 
     def expect_single_commands(self) -> None:
-        """Disables the feed-forward term, because the time between two commands is not known."""
+        """Disables the feed-forward term if the time between two joint commands is not known."""
         self._drives = tuple((i, motor, 0.0) for i, motor, _ in self._drives)
         self._steerings = tuple((i, motor, 0.0) for i, motor, _ in self._steerings)
 
     def _lag(self, motor: int) -> float:
-        """Returns the lag kv/kp (s) of the servo of a motor."""
+        """Returns the time (s) by which the servo of a motor lags behind the position set point."""
         _, stiffness, damping = self.scene.model.actuator_biasprm[motor, :3].tolist()
         return damping / stiffness if stiffness else 0.0
 
@@ -229,7 +231,7 @@ class MujocoBase(GroundTruthBase):
 
     def leaning(self) -> str:
         _, _, _, w, i, j, k = self._base_position()
-        # Vertical components of the x axis and the y axis of ``base_link``.
+        # Vertical components of the x axis and the y axis of the link ``base_link``.
         x, y = 2.0 * (i * k - w * j), 2.0 * (j * k + w * i)
         if abs(x) > abs(y):
             return "forwards" if x < 0.0 else "backwards"
@@ -238,8 +240,9 @@ class MujocoBase(GroundTruthBase):
     def _base_position(self) -> list[float]:
         """Returns the position x, y, z (m) and the quaternion wxyz of the base.
 
-        The values are read from ``qpos``.  The array ``xpos`` of MuJoCo is not used, because
-        ``xpos`` after a step contains the positions at the beginning of the step.
+        The position and quaternion are read from the MuJoCo array ``qpos``.  The array ``xpos`` of
+        MuJoCo is not used, because ``xpos`` after a step contains the positions at the beginning of
+        the step.
         """
         position: list[float] = self._base_qpos.tolist()
         return position

@@ -44,11 +44,11 @@ class MujocoScene:
     ) -> None:
         """Loads the file ``scene`` from a build folder or from ``{path: bytes}``.
 
-        If ``visuals`` is false, MuJoCo discards the visual geoms and fuses bodies that are fixed
-        to each other.  The physics is the same, and the simulation takes three quarters of the
-        time.  However, a scene without visual geoms cannot be rendered, and a fused link has no
-        body in the scene.  The function ``prepare`` may change the ``MjSpec`` of the scene before
-        MuJoCo compiles the ``MjSpec``.
+        If ``visuals`` is false, MuJoCo discards the visual geoms and fuses bodies that are fixed to
+        each other.  The simulated physics is the same without visual geoms, and the simulation
+        takes three quarters of the time.  However, a scene without visual geoms cannot be rendered,
+        and a fused link has no body in the scene.  The function ``prepare`` may change the
+        ``MjSpec`` of the scene before MuJoCo compiles the ``MjSpec``.
 
         Raises ``DiagnosticError`` (``simulation-scene``) if the file is missing or MuJoCo cannot
         read the file.
@@ -89,13 +89,13 @@ class MujocoScene:
     def advance(self, now: float) -> None:
         """Runs the simulation until the time ``now`` (s).
 
-        The time is rounded to a whole number of simulation steps.  All steps run in one call of
-        MuJoCo.  A time in the past has no effect.
+        The time ``now`` is rounded to a whole number of simulation steps.  All simulation steps run
+        in one call of MuJoCo.  A call with a time in the past has no effect.
         """
         steps = round(now / self.timestep) - self.steps
         if steps > 0 and not self.diverged:
             # MuJoCo prints warnings about a divergence and writes a log file.  The attribute
-            # `diverged` replaces the warnings.
+            # `diverged` replaces the warnings of MuJoCo.
             mujoco = self._mujoco
             user_warning = mujoco.get_mju_user_warning()
             mujoco.set_mju_user_warning(_ignore)
@@ -105,13 +105,13 @@ class MujocoScene:
                 mujoco.set_mju_user_warning(user_warning)
             self.steps += steps
             speeds = self.data.qvel
-            # A speed that becomes nan stays nan, so that a test after the last step is enough.  A
-            # comparison with nan is false, so that `not <` also detects nan.
+            # A joint speed that becomes nan stays nan, so that a test after the last simulation
+            # step is enough.  A comparison with nan is false, so that `not <` also detects nan.
             self.diverged = not speeds.dot(speeds) < _DIVERGED_SPEED**2
 
     @property
     def fastest(self) -> str:
-        """Text that describes the fastest joint, or a joint whose speed is not finite."""
+        """Description of the fastest joint, or of a joint whose speed is not finite."""
         import numpy
 
         speeds = numpy.abs(self.data.qvel)

@@ -30,9 +30,9 @@ _LEAST_SPEED = 1e-3
 class RollingBase(SimBase, GroundTruthBase):
     """A simulated base whose wheels roll without slip.
 
-    The twist of the robot is the best fit to the commanded joints, and all joints follow the
-    twist.  Real drive motors without speed control follow the motion of the robot in the same
-    way.  Real steering motors hold their angle instead.
+    The twist of the robot is the best fit to the commanded joints, and all joints follow the twist.
+    Real drive motors without speed control follow the motion of the robot in the same way.  Real
+    steering motors hold the steering angle instead.
     """
 
     def __init__(
@@ -44,8 +44,8 @@ class RollingBase(SimBase, GroundTruthBase):
     ) -> None:
         """Creates the base at rest, at the time ``start`` (s).
 
-        ``radii`` are the wheel radii (m) without wheel errors.  The default is the wheel radii of
-        the model.
+        ``radii`` are the wheel radii (m) without wheel errors.  By default, ``radii`` has the wheel
+        radii of the model.
         """
         super().__init__(robot, start)
         wheel_errors = wheel_errors or WheelErrors.none(robot)
@@ -115,11 +115,12 @@ class RollingBase(SimBase, GroundTruthBase):
     def _fitted_twist(self) -> Twist:
         """Returns the least-squares fit of the twist to the commanded joints.
 
-        A wheel without swivel gives one or two conditions, linear in the twist.  The ground speed
-        across the wheel is zero.  For a driven wheel, the ground speed along the wheel is the
-        wheel speed times the true wheel radius.  Both conditions contain a correction for a
-        contact point that is not on the steering axis.  A robot may have fewer conditions than
-        unknowns, so that a small multiple of the identity is added to the normal equations.
+        Each wheel that is not a caster gives one or two linear equations for the twist of the
+        robot.  The speed of the wheel contact point across the wheel is zero.  For a driven wheel,
+        the ground speed along the wheel (m/s) is the wheel speed (rad/s) times the true wheel
+        radius (m).  The equations contain a correction for a wheel contact point that is not on the
+        steering axis.  A robot may have fewer equations than unknowns, so that a small multiple of
+        the identity matrix is added to the normal equations of the least-squares fit.
         """
         a11 = a12 = a13 = a22 = a23 = a33 = b1 = b2 = b3 = 0.0
         for i, wheel in enumerate(self._true):

@@ -12,7 +12,7 @@ from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 class RollingRadii:
     """Finds the tread on which each wheel of a robot rolls.
 
-    The contacts of the MuJoCo scene determine the tread.
+    The contacts in the MuJoCo scene determine the tread on which a wheel rolls.
     """
 
     def __init__(self, robot: Robot, scene: MujocoScene) -> None:

@@ -53,8 +53,8 @@ class SimBase(BaseHandle):
                 start = self._speeds[i]
                 step = wheel.max_acceleration * dt
                 end = min(max(goal, start - step), start + step)
-                # The speed changes linearly for `ramp` s and is then constant.  The position is the
-                # integral of the speed.
+                # The joint speed changes linearly for `ramp` s and is then constant.  The joint
+                # position is the integral of the joint speed.
                 ramp = min(abs(end - start) / wheel.max_acceleration, dt)
                 self._positions[i] += (start + end) / 2.0 * ramp + end * (dt - ramp)
                 self._speeds[i] = end

@@ -20,7 +20,8 @@ class WheelErrors:
 
     * ``radius_ratios``: true wheel radius divided by the wheel radius in the model.
     * ``steering_offsets``: true angle of the steering joint minus the angle that the base reports
-      (rad).  The base reports the encoder reading plus the encoder offset of the model.
+      (rad).  The simulated base reports the encoder reading plus the encoder offset in the robot
+      model.
     """
 
     radius_ratios: tuple[float, ...]
@@ -40,9 +41,9 @@ class WheelErrors:
     ) -> WheelErrors:
         """Returns the wheel errors for radius ratios and steering offsets by wheel name.
 
-        A wheel that is not named has no error.  Raises ``DiagnosticError`` (``hidden-error``) if
-        the robot does not have a named wheel, if a wheel with a steering offset is not steered, or
-        if a value is out of range.
+        A wheel without a given radius ratio or steering offset has no wheel error.  Raises
+        ``DiagnosticError`` (``hidden-error``) if the robot does not have a named wheel, if a wheel
+        with a steering offset is not steered, or if a value is out of range.
         """
         ratios, offsets = radius_ratios or {}, steering_offsets or {}
         names = [wheel.name for wheel in robot.wheels]

@@ -1,7 +1,7 @@
 """Writes and reads the record of a run as CSV files, one file per robot.
 
-All values are in SI units.  The first column is ``time`` (s).  The other columns belong to one or
-more of these groups:
+All values in the CSV files are in SI units.  The first column of a CSV file is ``time`` (s).
+Groups of the other columns:
 
 ============  ==========================================================================
 ``odometry``  ``odometry_x`` .. ``_yaw`` and ``odometry_vx`` .. ``_wz``: pose and twist
@@ -10,7 +10,7 @@ more of these groups:
 ``joints``    ``<joint>_position``, ``_velocity`` and ``_command``
 ============  ==========================================================================
 
-An empty cell means that the value is unknown.
+An empty cell of a CSV file means that the value is unknown.
 """
 
 from __future__ import annotations
@@ -64,7 +64,8 @@ class CsvRecorder:
 
     * ``path``: a folder for the files ``<robot>.csv``, or a file ``*.csv`` for a single robot.
     * ``groups``: names of the groups of columns.
-    * ``every``: time between two recorded samples (s).  The value 0 records all samples.
+    * ``every``: time between two recorded samples (s).  If ``every`` is 0, all samples are
+      recorded.
     """
 
     def __init__(
@@ -109,8 +110,8 @@ class CsvRecorder:
     def close(self) -> None:
         """Closes all CSV files.
 
-        If closing a file fails, the method closes the other files and then raises the last
-        ``OSError``.
+        If a CSV file cannot be closed, the method closes the other CSV files and then raises the
+        last ``OSError``.
         """
         last_error: OSError | None = None
         while self._files:
@@ -156,7 +157,7 @@ def _values(
 
 
 def _text(value: float) -> str:
-    """Returns a number with nine significant digits, or an empty text if not finite."""
+    """Formats a number with nine significant digits, or as an empty text if not finite."""
     return f"{value:.9g}" if math.isfinite(value) else ""
 
 
@@ -230,7 +231,7 @@ def _read_run(path: Path, robot: Robot, report: Report) -> RecordedRun | None:
 
 
 def _columns_match(table: Table, robot: Robot, groups: Sequence[str], report: Report) -> bool:
-    """Checks that the table has exactly the columns of the groups of a robot."""
+    """Checks that a CSV file has exactly the columns of the recorded groups of a robot."""
     known = columns(robot, GROUPS)
     unknown = next((column for column in table.columns if column not in known), None)
     missing = next((c for c in columns(robot, groups) if c not in table.columns), None)

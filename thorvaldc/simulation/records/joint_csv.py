@@ -1,8 +1,8 @@
 """Writes and reads joint logs: CSV files of encoder readings for the command ``calibrate``.
 
-The first line of a joint log contains the column names.  The first column is ``time`` (s), and
-the other column names are ``<joint>.<quantity>``.  Each further line has the values of one tick of
-the driver.
+The first line of a joint log contains the column names.  The first column of a joint log is
+``time`` (s), and the other column names are ``<joint>.<quantity>``.  Each further line of a joint
+log has the encoder readings of one tick of the driver.
 
 ===============  =====================================================================
 drive joint      ``position`` (rad, not wrapped) or ``velocity`` (rad/s); optionally
@@ -10,8 +10,9 @@ drive joint      ``position`` (rad, not wrapped) or ``velocity`` (rad/s); option
 steering joint   ``position`` (rad)
 ===============  =====================================================================
 
-All values are raw encoder readings without the steering offsets of a calibration.  The reader does
-not accept empty cells or incomplete lines, because a calibration requires complete data.
+The values in a joint log are raw encoder readings without the steering offsets of a calibration.
+The reader does not accept empty cells or incomplete lines, because a calibration requires complete
+data.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ _ROW_RULES = RowRules(
 class _Joint:
     """A joint with an encoder, the index of the first wheel on the joint, and the encoder offset.
 
-    The encoder offset is in rad.
+    The encoder offset of the joint is in rad.
     """
 
     name: str

@@ -96,8 +96,8 @@ def _record_topics(topics: Mapping[str, str]) -> set[str]:
 class _BagRun:
     """The messages of one robot in a bag, grouped by time.
 
-    A sample of a record consists of messages on several topics.  All messages of a sample have the
-    same time.
+    A sample of a record consists of messages on several topics.  All ROS messages of a sample have
+    the same time.
     """
 
     def __init__(
@@ -119,7 +119,7 @@ class _BagRun:
     def read(self, report: Report) -> RecordedRun | None:
         """Returns the recorded run of the robot.
 
-        Returns ``None`` if messages are missing or belong to another robot.
+        Returns ``None`` if ROS messages are missing or belong to another robot.
         """
         topic_of = {
             "odometry": ODOM,
@@ -172,10 +172,10 @@ class _BagRun:
         return True
 
     def _sample(self, time: float, last_yaws: list[float]) -> Sample:
-        """Returns the sample at ``time``.
+        """Returns the recorded sample at the time ``time``.
 
         ``last_yaws`` are the estimated and the true yaw (rad) of the previous sample.  The function
-        replaces both values by the yaw angles of the returned sample.
+        replaces the yaw angles in ``last_yaws`` by the yaw angles of the returned sample.
         """
         estimated, pose, true, pose_true = _NO_TWIST, _NO_POSE, _NO_TWIST, _NO_POSE
         posture = (math.nan, math.nan, math.nan)

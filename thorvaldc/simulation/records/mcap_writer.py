@@ -76,9 +76,10 @@ _BATCH = 500
 class McapRecorder:
     """Writes the samples of all robots to one MCAP file.
 
-    The arguments ``groups`` and ``every`` have the same meaning as for ``CsvRecorder``.  Equal
-    runs give files with equal bytes.  During the run, the MCAP file is in a hidden folder next to
-    ``path``.  The method ``close`` moves the MCAP file to ``path``, also after an error or Ctrl-C.
+    The arguments ``groups`` and ``every`` have the same meaning as for ``CsvRecorder``.  Two equal
+    runs give MCAP files with equal bytes.  During the run, the MCAP file is in a hidden folder next
+    to ``path``.  The method ``close`` moves the MCAP file to ``path``, also after an error or
+    Ctrl-C.
     """
 
     def __init__(
@@ -263,7 +264,7 @@ class _RobotTopics:
         """Returns the numbers of a JointState message from joint commands.
 
         A steering joint has a commanded position, and a drive joint has a commanded velocity.  All
-        other numbers are nan.
+        other numbers in the JointState message are nan.
         """
         drives, steering = self._drives, self._steering
         return [
@@ -277,7 +278,8 @@ class _RobotTopics:
 def recorded_joints(robot: Robot) -> tuple[dict[str, int], dict[str, int]]:
     """Returns the drive joints and the steering joints of a robot.
 
-    Both mappings give the index of the first wheel on a joint.  Two wheels may share a joint.
+    The joints are mappings from the joint name to the index of the first wheel on the joint.  Two
+    wheels may share a steering joint or a drive joint.
     """
     drives: dict[str, int] = {}
     steering: dict[str, int] = {}

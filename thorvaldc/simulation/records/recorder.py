@@ -18,7 +18,8 @@ class Recorder(Protocol):
     """A recorder receives the samples of a run.
 
     The samples of a robot arrive in the order of their times.  ``commands`` are the joint commands
-    of the driver, or ``None`` before the first command.  The method ``close`` may be called twice.
+    of the driver, or ``None`` before the first command.  The method ``close`` of a recorder may be
+    called twice.
     """
 
     def record(self, robot: str, sample: Sample, commands: JointCommands | None) -> None: ...
