@@ -15,7 +15,7 @@ class VirtualTimeInterface:
     """A ``CanInterface`` to a simulated bus in virtual time.
 
     Virtual time advances only while the program waits.  The receive queue has space for
-    ``receive_limit`` frames.  A frame that arrives while the receive queue is full is dropped, and
+    ``receive_limit`` CAN frames.  If the receive queue is full, a received CAN frame is dropped and
     ``overruns`` is increased by 1.  Real CAN controllers and operating systems drop frames in the
     same way.  ``bitrate`` is the bitrate of the CAN controller (bit/s), by default the bitrate of
     the simulated bus.
@@ -67,7 +67,7 @@ class VirtualTimeInterface:
         return self.timeline.seconds
 
     def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
-        """Adds a frame to the send queue.
+        """Adds a CAN frame to the send queue.
 
         The method waits at most ``timeout`` s for space in the send queue.  Returns ``False`` if
         the send queue is still full, or if the CAN controller is in bus-off.
@@ -79,11 +79,11 @@ class VirtualTimeInterface:
         return controller.send(frame)
 
     def receive(self, timeout: float | None = None) -> ReceivedFrame | None:
-        """Returns the oldest received frame.
+        """Returns the oldest CAN frame in the receive queue.
 
-        Virtual time advances until a frame is received.  Returns ``None`` if no frame is received
-        within ``timeout`` s.  Without a time-out, the method returns ``None`` if the simulation has
-        no further events.
+        Virtual time advances until a CAN frame is received.  Returns ``None`` if no CAN frame is
+        received within ``timeout`` s.  If ``timeout`` is ``None``, the method returns ``None`` when
+        the simulation has no further events.
         """
         if not self.received and (timeout is None or timeout > 0.0):
             limit = NEVER - 1 if timeout is None else self.timeline.now + to_ns(timeout)
@@ -97,7 +97,7 @@ class VirtualTimeInterface:
     def sleep(self, seconds: float) -> None:
         """Advances the virtual time by ``seconds`` s.
 
-        Received frames wait in the receive queue.
+        CAN frames that are received during the wait are added to the receive queue.
         """
         self.timeline.run_until(self.timeline.now + to_ns(seconds))
 

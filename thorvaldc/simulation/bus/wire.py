@@ -12,10 +12,11 @@ arbitration without an error:
     B 0x285     0   0  1  .  .  .  .  .  .      reads 0 for its 1 at bit 9, and stops
     wire        0   0  0  1  1  0  0  0  0
 
-Two controllers may send frames with the same identifier at the same time.  If the two CAN frames
-are equal, the receivers receive one CAN frame.  If the two CAN frames have different data, one CAN
-controller sends a 1 and reads a 0 after the arbitration field.  The CAN controller then detects a
-bit error.  An error-active controller with a bit error destroys both frames with an error flag:
+Two CAN controllers may send CAN frames with the same identifier at the same time.  If the two CAN
+frames are equal, the receivers receive one CAN frame.  If the two CAN frames have different data,
+one CAN controller sends a 1 and reads a 0 after the arbitration field.  The CAN controller then
+detects a bit error.  An error-active CAN controller that detects a bit error destroys both CAN
+frames with an error flag:
 
     time -->
     frame of A  |SOF|identifier|length|data 01 2 |
@@ -34,8 +35,8 @@ receiver by 1.  The receive error counter of the receiver that sent the first er
 by 9, because the receiver also detects the dominant bits of the other error flags.
 
 A receiver accepts a CAN frame at the end of the CAN frame, before the interframe space.  A sender
-repeats a frame that no controller acknowledges.  A missing acknowledgement does not increase the
-transmit error counter of an error-passive sender.
+repeats a CAN frame that no other CAN controller acknowledges.  A missing acknowledgement does not
+increase the transmit error counter of an error-passive sender.
 
 The page docs/simulated-bus.md lists the simplifications of the simulation.
 """
@@ -59,7 +60,7 @@ MISMATCH_BIT = 13
 
 
 class _Transmission:
-    """A CAN frame that is being sent.
+    """The transmission of a CAN frame on the bus line.
 
     ``senders`` has the CAN controllers that send the CAN frame.  ``listeners`` has the CAN
     controllers that were online at the start of the CAN frame.
@@ -226,7 +227,7 @@ class Wire:
     # -- ends of a frame -----------------------------------------------------------------------
 
     def _finish(self) -> None:
-        """Handles the end of a frame, before the interframe space.
+        """Handles the end of a CAN frame, before the interframe space.
 
         The receivers accept the CAN frame as valid.
         """
@@ -254,7 +255,7 @@ class Wire:
             receiver.frame_received(current.frame)
 
     def _end_unacknowledged(self, current: _Transmission) -> None:
-        """Handles the end of a frame that no controller acknowledged.
+        """Handles the end of a CAN frame that no CAN controller acknowledged.
 
         An acknowledgement error does not change the state of a sender beyond error-passive
         (ISO 11898-1).
@@ -269,10 +270,10 @@ class Wire:
             sender.suspend()
 
     def _destroy(self, detectors: Iterable[CanController]) -> None:
-        """Destroys the current frame with an error flag.
+        """Destroys the current CAN frame with an error flag.
 
-        All receivers drop the frame, and all senders repeat the frame.  ``detectors`` are the
-        controllers that send the first error flag.
+        All receivers drop the destroyed CAN frame, and all senders repeat the CAN frame.
+        ``detectors`` has the CAN controllers that send the first error flag.
         """
         current = self._current
         if current is None:
@@ -289,9 +290,9 @@ class Wire:
                 listener.count_errors(receive=9 if listener in first else 1)
 
     def dropped(self, controller: CanController) -> None:
-        """Handles a controller that stops sending and receiving.
+        """Handles a CAN controller that stops sending and receiving.
 
-        If the controller is the only sender of the current frame, the frame is aborted.
+        If the CAN controller is the only sender of the current CAN frame, the CAN frame is aborted.
         """
         current = self._current
         if current is None or controller not in current.senders:
@@ -305,8 +306,8 @@ class Wire:
             current.event.cancel()
         self.errors += 1
         self._current = None
-        # The receivers detect a stuff error after 6 equal bits.  After a stuff error, the error
-        # flag and the echo of the error flag follow.
+        # The receivers of a CAN frame detect a stuff error after 6 equal bits.  After a stuff
+        # error, the error flag and the echo of the error flag follow.
         self._release_wire(current, 3 * FLAG_BITS + DELIMITER_BITS + INTERFRAME_BITS)
         for listener in current.listeners:
             if listener.online and not listener.listen_only:

@@ -164,7 +164,7 @@ class MujocoBase(GroundTruthBase):
             self.scene.data.qfrc_applied[joint] = slope * commands.speeds[i] * self._ratios[i]
 
     def expect_single_commands(self) -> None:
-        """Disables the feed-forward term if the time between two joint commands is not known."""
+        """Disables the servo feed-forward, because the time between joint commands is unknown."""
         self._drives = tuple((i, motor, 0.0) for i, motor, _ in self._drives)
         self._steerings = tuple((i, motor, 0.0) for i, motor, _ in self._steerings)
 

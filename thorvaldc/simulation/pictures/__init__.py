@@ -4,7 +4,8 @@
 * ``render`` and ``video`` draw the scene with MuJoCo and Pillow, without a display.
 * ``web_page`` writes a web page that shows the robot in 3D.
 
-Optional packages are imported on first use.  ``PictureError`` names a missing package.
+Optional packages are imported on first use.  The message of a ``PictureError`` names the missing
+package.
 """
 
 from __future__ import annotations

@@ -170,7 +170,7 @@ class Part(NamedTuple):
 def footprint(robot: Robot, sample: Sample | None = None) -> list[Part]:
     """Returns the visual shapes of a robot, seen from above, from the lowest to the highest.
 
-    The steering angles are the angles in ``sample``.
+    The wheels are drawn at the steering angles in ``sample``.
     """
     import numpy as np
 
@@ -196,7 +196,7 @@ def footprint(robot: Robot, sample: Sample | None = None) -> list[Part]:
 def _convex(points: Points) -> Points:
     """Returns an approximate convex hull of points.
 
-    The corners are the furthest points in each of ``_DIRECTIONS`` directions.
+    The corners of the hull are the furthest points in each of ``_DIRECTIONS`` directions.
     """
     import numpy as np
 

@@ -34,7 +34,8 @@ FILL = (-0.35, -0.86, -0.5)
 class View:
     """A viewing direction of the camera in degrees.
 
-    The azimuth is measured counter-clockwise from the x axis.  The elevation is positive upwards.
+    The azimuth of the camera is measured counter-clockwise from the x axis.  The elevation of the
+    camera is positive upwards.
     """
 
     azimuth: float = 145.0
@@ -96,8 +97,9 @@ def render(
 
     ``files`` are the outputs of the ``mjcf`` backend.  The wheels are steered for the twist
     ``twist``.  Each wheel is turned by ``spin`` rad more than the previous wheel.  If the function
-    ``arrange`` is set, ``arrange`` moves the robots instead.  Raises ``DiagnosticError`` if MuJoCo
-    cannot read the files.  Raises ``PictureError`` if MuJoCo cannot draw.
+    ``arrange`` is set, ``arrange`` moves the robots and the arguments ``twist`` and ``spin`` have
+    no effect.  Raises ``DiagnosticError`` if MuJoCo cannot read the files.  Raises ``PictureError``
+    if MuJoCo cannot draw.
     """
     from PIL import Image
 
@@ -161,7 +163,8 @@ def renderer(scene: MujocoScene, size: tuple[int, int], points: Points) -> Itera
 def _set_lights(spec: Any, view: View, size: tuple[int, int], quick: bool) -> None:
     """Sets the lights and the colour of the ground for pictures.
 
-    The key light casts a soft shadow.  The fill light comes from the opposite side.
+    The key light (the main light of the picture) casts a soft shadow.  The fill light comes from
+    the side opposite to the key light.
     """
     import mujoco
 

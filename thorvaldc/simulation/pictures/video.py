@@ -1,6 +1,7 @@
 """Draws videos of runs.
 
-The positions of the robots are stored during the run.  The pictures are drawn after the run.
+The positions of the robots are stored during the run.  The pictures of the video are drawn after
+the run.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ def encoder() -> str:
 class VideoRecorder:
     """Stores the joint positions of a scene during a run, and draws a video from the positions.
 
-    ``rate`` is the number of pictures per second.
+    ``rate`` is the number of pictures of the video per second.
     """
 
     def __init__(self, rate: float) -> None:
@@ -69,7 +70,7 @@ class VideoRecorder:
         self._positions.append(scene.data.qpos.copy())
 
     def __len__(self) -> int:
-        """Returns the number of pictures."""
+        """Returns the number of pictures in the video."""
         return len(self._positions)
 
     def write(
@@ -83,10 +84,10 @@ class VideoRecorder:
         """Draws a video of the scene at the stored joint positions.
 
         ``files`` are the outputs of the ``mjcf`` backend.  The suffix of ``path`` selects the
-        format MP4 or GIF.  The camera follows the robots.  ``progress`` is called with the number
-        of finished pictures.  An existing file is replaced only when the new video is complete.
-        Raises ``PictureError`` if MuJoCo or the video encoder fails.  Raises ``OSError`` if the
-        file cannot be written.
+        format MP4 or GIF.  The camera of the video follows the robots.  ``progress`` is called with
+        the number of finished pictures.  An existing file is replaced only when the new video is
+        complete.  Raises ``PictureError`` if MuJoCo or the video encoder fails.  Raises ``OSError``
+        if the file cannot be written.
         """
         video_format = path.suffix.lower().lstrip(".")
         size = size or SIZES[video_format]

@@ -1,4 +1,5 @@
-"""Encodes the ROS 2 messages of a record as CDR.  Times are in ns, other values in SI units.
+"""Encodes the ROS 2 messages of a record as CDR.  Times of ROS messages are in ns, and other values
+are in SI units.
 
 CDR (OMG DDS-XTypes 7.4, version 1, little-endian) is the byte format of ROS 2 messages::
 
@@ -6,7 +7,7 @@ CDR (OMG DDS-XTypes 7.4, version 1, little-endian) is the byte format of ROS 2 m
     header      | int32 | uint32  | uint32 | bytes       | 0s | double | double | ..
 
 The offset of a value, counted from the end of the header, is a multiple of the size of the value.
-A string consists of the length, the characters and a final zero byte.  The length of a string
+A string consists of the length, the characters and a final zero byte.  The length of a CDR string
 includes the zero byte.  A sequence consists of the number of items and the items.
 
 Two messages of the same topic differ only in the times and the numbers.  A ``MessageTemplate``
@@ -42,8 +43,8 @@ class MessageTemplate:
     def __init__(self) -> None:
         self._data = bytearray(_CDR_HEADER)
         self._stamps: list[int] = []
-        # Each item is (offset, format, first, end) of a block of adjacent numbers.  One call writes
-        # all numbers of a block.
+        # Each item is (offset, format, first, end) of a block of adjacent numbers.  One call of
+        # struct writes all numbers of a block.
         self._runs: list[tuple[int, struct.Struct, int, int]] = []
         self._count = 0
 
@@ -81,7 +82,7 @@ class MessageTemplate:
         self._data += bytes(-(len(self._data) - len(_CDR_HEADER)) % size)
 
     def encode(self, time: int, numbers: Sequence[float]) -> bytes:
-        """Returns the bytes of a message.
+        """Returns the bytes of a ROS message with the given time and numbers.
 
         The function writes ``time`` (ns) into all gaps for times, and ``numbers`` into the gaps for
         numbers.
@@ -110,8 +111,8 @@ def odometry_template(frame: str, child: str) -> MessageTemplate:
 def transforms_template(frames: Sequence[tuple[str, str]]) -> MessageTemplate:
     """Returns the template of a ``tf2_msgs/TFMessage`` message.
 
-    ``frames`` has a tuple (parent frame, child frame) for each transform.  The numbers are the
-    poses of the child frames.
+    ``frames`` has a tuple (parent frame, child frame) for each transform.  The numbers in the
+    message are the poses of the child frames.
     """
     message = MessageTemplate()
     message.count(len(frames))
@@ -125,7 +126,7 @@ def transforms_template(frames: Sequence[tuple[str, str]]) -> MessageTemplate:
 def twist_template(frame: str) -> MessageTemplate:
     """Returns the template of a ``geometry_msgs/TwistStamped`` message.
 
-    The numbers are the components of the twist.
+    The numbers in the message are the components of the twist.
     """
     message = MessageTemplate()
     message.header(frame)
