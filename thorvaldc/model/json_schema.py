@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import json
+import re
 import types
 import typing
 from typing import Any
@@ -115,6 +116,6 @@ def _list_schema(items: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _description(cls: type) -> str:
-    """Return the docstring of a model class, with each paragraph on one line."""
+    """Return the docstring of a model class, with each paragraph and each list item on one line."""
     text = inspect.cleandoc(cls.__doc__ or "").replace("``", "`").replace("`None`", "`null`")
-    return "\n\n".join(" ".join(paragraph.split()) for paragraph in text.split("\n\n"))
+    return re.sub(r"(?<!\n)\n(?!\n|- )\s*", " ", text)
