@@ -82,7 +82,7 @@ def test_a_missing_command_is_3_and_one_line(
     assert (result.returncode, result.stdout) == (3, "")
     assert result.stderr == (
         f"error: {feature} is not available: this installation is the runtime alone; "
-        "`pip install thorvaldc` installs the rest\n"
+        "to replace it: `pip uninstall thorvaldc-runtime`, then `pip install thorvaldc`\n"
     )
 
 

@@ -255,7 +255,8 @@ def test_without_evdev_one_line_names_the_package(
     result = thorvaldc("teleop", "good.yaml", "--joystick", "auto")
     assert (result.status, result.err) == (
         3,
-        "error: a joystick needs the package evdev (Linux): pip install 'thorvaldc[joystick]'\n",
+        "error: a joystick needs the package evdev (Linux): pip install 'thorvaldc[joystick]',"
+        " with the runtime alone 'thorvaldc-runtime[joystick]'\n",
     )
 
 

@@ -230,7 +230,7 @@ def _package_error(spec: str, backend: str, text: str) -> DiagnosticError:
     """Returns the error for a backend of python-can whose Python packages are not installed."""
     extra = _EXTRAS.get(backend)
     hint = (
-        f"pip install 'thorvaldc[{extra}]'"
+        f"pip install 'thorvaldc[{extra}]', with the runtime alone 'thorvaldc-runtime[{extra}]'"
         if extra
         else f"see python-can's documentation of {backend}"
     )

@@ -12,6 +12,9 @@ from typing import NoReturn
 
 from thorvaldc.cli.exits import OutsideError
 
+# Both packages contain the same files, so a computer must not have both.
+REPLACE_RUNTIME = "to replace it: `pip uninstall thorvaldc-runtime`, then `pip install thorvaldc`"
+
 
 def is_runtime_only() -> bool:
     """Returns whether only the runtime package is installed, without the compiler and the
@@ -22,8 +25,7 @@ def is_runtime_only() -> bool:
 def require_full_installation(feature: str) -> NoReturn:
     """Raises ``OutsideError`` for a feature that needs the compiler or the simulation."""
     raise OutsideError(
-        f"{feature} is not available: this installation is the runtime alone;"
-        " `pip install thorvaldc` installs the rest"
+        f"{feature} is not available: this installation is the runtime alone; {REPLACE_RUNTIME}"
     )
 
 

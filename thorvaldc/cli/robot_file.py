@@ -45,7 +45,7 @@ def load_robot(file: str, library: Sequence[str]) -> LoadedRobot | None:
     if is_runtime_only():
         raise OutsideError(
             f"{file} needs the compiler, and this installation is the runtime alone: give the"
-            " model.json of a build, or `pip install thorvaldc`"
+            " model.json of a build"
         )
     # The compiler is imported only when it is used, because the runtime package does not contain
     # the compiler.

@@ -13,5 +13,5 @@ def require_bus(robot: Robot) -> None:
             "bus-missing",
             f"{robot.name} has no devices, and so no bus",
             robot.span,
-            hint="give its motors controllers, as the assemblies of the library have",
+            hint="give its motors controllers; the assembly `assembly/steered_drive` contains one",
         )

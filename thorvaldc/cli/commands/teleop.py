@@ -167,7 +167,8 @@ def _joystick_search(joystick: str, mapping: str) -> Search:
         search = evdev_search("" if joystick == "auto" else joystick, mapping)
     except ImportError:
         raise OutsideError(
-            "a joystick needs the package evdev (Linux): pip install 'thorvaldc[joystick]'"
+            "a joystick needs the package evdev (Linux): pip install 'thorvaldc[joystick]',"
+            " with the runtime alone 'thorvaldc-runtime[joystick]'"
         ) from None
     except ParameterError as error:
         raise typer.BadParameter(str(error), param_hint="'--map'") from None
