@@ -63,9 +63,9 @@ def test_active_lock_blocks_lower_priorities(mux: Multiplexer) -> None:
     assert mux.select(0.3).source == "teleop_joy"
 
 
-def test_active_lock_does_not_block_its_own_priority_as_in_ros() -> None:
+def test_active_lock_blocks_its_own_priority() -> None:
     mux = Multiplexer(
-        [TwistInput("a", "a/cmd_vel", 50, 1.0), TwistInput("b", "b/cmd_vel", 49, 1.0)],
+        [TwistInput("a", "a/cmd_vel", 51, 1.0), TwistInput("b", "b/cmd_vel", 50, 1.0)],
         [TwistInput("l", "l/lock", 50, 0.0)],
     )
     mux.lock("l", True, 0.0)
@@ -73,6 +73,20 @@ def test_active_lock_does_not_block_its_own_priority_as_in_ros() -> None:
     assert mux.select(0.0).source == ""
     mux.publish("a", SLOW, 0.0)
     assert mux.select(0.0).source == "a"
+
+
+@pytest.mark.parametrize("stop_priority", [255, 100])
+def test_no_priority_drives_through_a_stop_lock(stop_priority: int) -> None:
+    """The compiler refuses such sources; a model from elsewhere must be stopped too."""
+    for name, priority in (("safety_stop", stop_priority), ("fence", 255)):
+        mux = Multiplexer(
+            [TwistInput("override", "override/cmd_vel", 255, 1.0)],
+            [TwistInput(name, f"{name}/lock", priority, 0.0)],
+        )
+        mux.publish("override", SLOW, 0.0)
+        assert mux.select(0.0).source == "override"
+        mux.lock(name, True, 0.0)
+        assert mux.select(0.0).source == ""
 
 
 def test_lock_with_a_time_out_is_active_when_it_times_out() -> None:

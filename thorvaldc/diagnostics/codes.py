@@ -289,6 +289,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV879", "bus-mismatch", "the devices on a bus do not match the robot file"),
     _error("TV880", "bus-stopped", "a fault stopped the robot", outside=True),
     _error("TV890", "twist-priority-duplicate", "two twist sources have the same priority"),
+    _error("TV891", "twist-priority-lock", "a lock does not stop a twist source as it should"),
     # 9xx: files and import
     _error("TV901", "file-not-found", "a file does not exist"),
     _error("TV902", "file-is-a-directory", "a folder is given instead of a file"),

@@ -48,6 +48,11 @@ __all__ = [
     "Wheel",
 ]
 
+SAFETY_STOP = "safety_stop"
+"""Name of the stop lock that every robot has."""
+STOP_PRIORITY = 255
+"""Priority of a twist lock from which on the lock is a stop lock, see ``TwistInput``."""
+
 
 # -- geometry -----------------------------------------------------------------
 
@@ -399,16 +404,17 @@ class ParameterSet(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class TwistInput(Element):
-    """A source of commanded twists for the multiplexer twist_mux, or a stop lock that blocks
-    sources.
+    """A source of commanded twists for the twist multiplexer, or a twist lock that blocks sources.
 
-    twist_mux sends the commands of the active twist source with the highest priority to the robot.
-    A stop lock of twist_mux blocks the twist sources with a lower priority.
+    The twist multiplexer sends the commands of the active twist source with the highest priority to
+    the robot. An active twist lock blocks the twist sources of the same or a lower priority. The
+    compiler accepts no source with the priority of a lock, so that the rule gives the same result
+    as the rule of the ROS node twist_mux, which blocks lower priorities only.
 
     - ``topic``: name of the ROS topic in the name space of the robot.
     - ``priority``: priority of the source or lock, 1 to 255.
     - ``timeout``: time in s without a message after which a source becomes inactive and a lock
-      blocks. A stop lock with the timeout 0 s never times out and keeps the state of its last
+      blocks. A twist lock with the timeout 0 s never times out and keeps the state of its last
       message.
     """
 
@@ -416,6 +422,15 @@ class TwistInput(Element):
     topic: str
     priority: int
     timeout: float
+
+    @property
+    def is_stop_lock(self) -> bool:
+        """``True`` if this twist lock blocks all sources: ``safety_stop``, and a lock of the
+        priority 255.
+
+        Other twist locks, such as ``auto_nav_pause``, block only sources up to their priority.
+        """
+        return self.name == SAFETY_STOP or self.priority >= STOP_PRIORITY
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -24,7 +24,7 @@ class Selection:
     - ``source``: name of the selected source, or empty if no source is selected.
     - ``twist``: twist of the selected source, or zero if no source is selected.
     - ``time``: time (s) at which the source published the twist.
-    - ``locks``: names of the stop locks that are active.
+    - ``locks``: names of the locks that are active.
     """
 
     source: str
@@ -34,7 +34,7 @@ class Selection:
 
 
 class _Input:
-    """A twist source or a stop lock, with its last published value and the time of publication."""
+    """A twist source or a lock, with its last published value and the time of publication."""
 
     def __init__(self, settings: TwistInput) -> None:
         self.settings = settings
@@ -52,17 +52,19 @@ class _Input:
 
 
 class Multiplexer:
-    """Selects among twist sources with priorities and time-outs, and stop locks that block sources.
+    """Selects among twist sources with priorities and time-outs, and locks that block sources.
 
     The robot follows the source with the highest priority among the sources whose last twist is not
-    older than the source's time-out.  An active stop lock blocks all twist sources with a lower
-    priority than the lock.  A stop lock is active while its last published state is ``True``.  A
-    stop lock with a time-out is also active before its first publication, and while its last
-    publication is older than the time-out.
+    older than the source's time-out.  An active lock blocks all twist sources of the same or a
+    lower priority.  A lock is active while its last published state is ``True``.  A lock with a
+    time-out is also active before its first publication, and while its last publication is older
+    than the time-out.  An active stop lock (``TwistInput.is_stop_lock``) blocks all twist sources,
+    whatever their priority is.
 
-    The multiplexer follows the rules of the ROS node twist_mux with one exception.  A stop lock of
-    the multiplexer stops the robot immediately.  A stop lock of twist_mux stops the robot only
-    after the driver's time-out.
+    The multiplexer follows the rules of the ROS node twist_mux with two exceptions.  A lock of the
+    multiplexer stops the robot immediately; a lock of twist_mux stops the robot only after the
+    driver's time-out.  A lock of twist_mux does not block a source of its own priority; the
+    compiler accepts no such source.
 
     All times are monotonic times in s from the caller, because the multiplexer does not read a
     clock.
@@ -71,6 +73,11 @@ class Multiplexer:
     def __init__(self, sources: Iterable[TwistInput], locks: Iterable[TwistInput]) -> None:
         self._sources = {s.name: _Input(s) for s in sources}
         self._locks = {lock.name: _Input(lock) for lock in locks}
+        # Highest priority of a source that the lock blocks while the lock is active.
+        self._barriers = {
+            name: math.inf if lock.settings.is_stop_lock else float(lock.settings.priority)
+            for name, lock in self._locks.items()
+        }
         # Twist sources in the order of descending priority.  Of two sources with the same priority,
         # the first source in the robot file wins, as in twist_mux.
         self._ranked = sorted(self._sources.values(), key=lambda i: -i.settings.priority)
@@ -78,7 +85,7 @@ class Multiplexer:
 
     @classmethod
     def from_robot(cls, robot: Robot) -> Multiplexer:
-        """Returns a multiplexer with the twist sources and stop locks of the robot file."""
+        """Returns a multiplexer with the twist sources and locks of the robot file."""
         return cls(robot.twist_sources, robot.twist_locks)
 
     @property
@@ -105,15 +112,15 @@ class Multiplexer:
         return True
 
     def lock(self, name: str, locked: bool, now: float) -> None:
-        """Publishes the state of a stop lock at the time ``now`` (s).
+        """Publishes the state of a lock at the time ``now`` (s).
 
-        Raises ``ParameterError`` if the robot has no stop lock with this name.
+        Raises ``ParameterError`` if the robot has no lock with this name.
         """
         publisher = self._find("lock", name, self._locks)
         publisher.locked, publisher.time = locked, now
 
     def active_locks(self, now: float) -> tuple[str, ...]:
-        """Returns the names of the stop locks that are active at the time ``now`` (s)."""
+        """Returns the names of the locks that are active at the time ``now`` (s)."""
         return tuple(
             name for name, lock in self._locks.items() if lock.locked or lock.is_silent(now)
         )
@@ -121,9 +128,9 @@ class Multiplexer:
     def select(self, now: float) -> Selection:
         """Selects the twist source that drives the robot at the time ``now`` (s)."""
         locks = self.active_locks(now)
-        barrier = max((self._locks[name].settings.priority for name in locks), default=0)
+        barrier = max((self._barriers[name] for name in locks), default=-1.0)
         for source in self._ranked:
-            if source.settings.priority < barrier:
+            if source.settings.priority <= barrier:
                 break
             if not source.is_silent(now) and source.time > -math.inf:
                 return Selection(source.settings.name, source.twist, source.time, locks)
@@ -133,9 +140,9 @@ class Multiplexer:
         """Selects a twist source and sends its twist to ``driver`` as a command.
 
         The command time-out and the limits of the driver still apply.  If no source is selected
-        after a source has driven the robot, the robot stops.  With an active stop lock, the driver
-        immediately ramps the twist down to zero.  Without an active stop lock, the robot stops when
-        the last command times out.
+        after a source has driven the robot, the robot stops.  With an active lock, the driver
+        immediately ramps the twist down to zero.  Without an active lock, the robot stops when the
+        last command times out.
         """
         selection = self.select(now)
         if selection.source:

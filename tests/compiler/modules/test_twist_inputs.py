@@ -12,6 +12,8 @@ from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import from_json, to_json
 from thorvaldc.model.robot import TwistInput
+from thorvaldc.runtime.multiplexer import Multiplexer
+from thorvaldc.runtime.se2 import Twist
 
 
 def compiled(folder: Path, driver: str) -> Compilation:
@@ -71,12 +73,44 @@ def test_sources_of_the_file_are_in_the_ros_parameters(tmp_path: Path) -> None:
         ("driver: {twist_sources: {a: {priority: 10}}}\n", "twist-priority-duplicate"),
         ("driver: {twist_sources: {auto_nav: {priority: 100}}}\n", "twist-priority-duplicate"),
         ("driver: {twist_sources: {a: {priority: 5, prio: 1}}}\n", "unknown-key"),
+        ("driver: {twist_sources: {a: {priority: 255}}}\n", "twist-priority-lock"),
+        ("driver: {twist_sources: {a: {priority: 50}}}\n", "twist-priority-lock"),
+        ("driver: {twist_locks: {safety_stop: {priority: 99}}}\n", "twist-priority-lock"),
+        ("driver: {twist_locks: {gate: {priority: 100}}}\n", "twist-priority-lock"),
     ],
 )
 def test_errors_are_reported(tmp_path: Path, driver: str, code: str) -> None:
     compilation = compiled(tmp_path, driver)
     assert [(d.code.name, d.span.line if d.span else 0) for d in compilation.report] == [(code, 3)]
     assert compilation.model is None
+
+
+def test_source_above_a_stop_lock_is_reported_at_both(tmp_path: Path) -> None:
+    driver = "driver:\n  twist_sources: {a: {priority: 210}}\n"
+    driver += "  twist_locks: {safety_stop: {priority: 200}}\n"
+    (diagnostic,) = compiled(tmp_path, driver).report
+    assert diagnostic.span is not None
+    assert (diagnostic.span.line, diagnostic.span.column) == (4, 33)
+    assert "the stop lock `safety_stop` of the priority 200 would not stop it" in diagnostic.message
+    assert "at most 199" in (diagnostic.hint or "")
+    assert [label.span.line for label in diagnostic.labels] == [5]
+
+
+def test_base_driver_and_twist_mux_stop_the_same_sources(tmp_path: Path) -> None:
+    """twist_mux masks a source if ``priority < lock_priority`` (velocity_topic_handle)."""
+    model = robot(
+        tmp_path,
+        "driver:\n"
+        "  twist_sources: {a: {priority: 254}, b: {priority: 49}, c: {priority: 51}}\n"
+        "  twist_locks: {gate: {priority: 30}, fence: {priority: 255}, half: {priority: 150}}\n",
+    )
+    for lock in model.twist_locks:
+        for source in model.twist_sources:
+            multiplexer = Multiplexer.from_robot(model)
+            multiplexer.publish(source.name, Twist(0.1, 0.0, 0.0), 0.0)
+            multiplexer.lock(lock.name, True, 0.0)
+            masked_by_ros = source.priority < lock.priority
+            assert (multiplexer.select(0.0).source == "") is masked_by_ros, (source, lock)
 
 
 def test_sources_may_exchange_their_priorities(tmp_path: Path) -> None:

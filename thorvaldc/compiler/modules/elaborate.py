@@ -204,7 +204,7 @@ class _Elaborator:
         parameter_sets = settings_reader.parameter_sets(driver)
         twist_inputs = TwistInputReader(self.document, self.scope, self.report)
         twist_sources = twist_inputs.sources(driver.command_timeout)
-        twist_locks = twist_inputs.locks()
+        twist_locks = twist_inputs.locks(twist_sources)
         buses = self._wiring(parts, self.report).buses(robot, 1.0 / driver.rate)
         if not geometry_is_valid:
             return None

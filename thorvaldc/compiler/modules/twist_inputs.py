@@ -1,22 +1,29 @@
 """Reads the sources of commanded twists and the twist locks of a robot document.
 
 Each twist source and each twist lock has a priority.  An active twist lock stops all twist sources
-of the same or a lower priority.
+of the same or a lower priority.  The ROS node twist_mux stops only the twist sources of a lower
+priority.  A twist source must therefore not have the priority of a twist lock, so that the base
+driver and twist_mux stop the same twist sources.
+
+A stop lock is a twist lock that stops every twist source: ``safety_stop``, and a twist lock of the
+priority 255.  Every twist source must have a lower priority than every stop lock.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+
 from thorvaldc.compiler.modules.value_reader import ValueReader, entries
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Report
-from thorvaldc.model.robot import TwistInput
+from thorvaldc.diagnostics import Label, Report
+from thorvaldc.model.robot import SAFETY_STOP, STOP_PRIORITY, TwistInput
 
 # The default twist sources and twist locks have the same names, priorities and ROS topics as in the
 # twist multiplexer of the original system.  Commanded twists of the joystick have a higher priority
 # than commanded twists of the navigation.
 DEFAULT_SOURCES = {"teleop_joy": 100, "auto_nav": 10}
 DEFAULT_LOCKS = {
-    "safety_stop": (255, "safety_stop/lock"),
+    SAFETY_STOP: (STOP_PRIORITY, "safety_stop/lock"),
     "auto_nav_pause": (50, "auto_nav/pause"),
 }
 
@@ -49,8 +56,8 @@ class TwistInputReader:
         self._check_priorities(sources, stated)
         return tuple(sources.values())
 
-    def locks(self) -> tuple[TwistInput, ...]:
-        """Returns the twist locks, which stop sources of commanded twists.
+    def locks(self, sources: Sequence[TwistInput]) -> tuple[TwistInput, ...]:
+        """Returns the twist locks, which stop the ``sources`` of commanded twists.
 
         A twist lock with the time-out 0 s never times out.
         """
@@ -61,6 +68,8 @@ class TwistInputReader:
         for name, node in self._entries("twist_locks").items():
             default = locks.get(name) or TwistInput(name, f"{name}/lock", 0, 0.0)
             locks[name] = self._read(node, default, may_be_silent=True)
+        for source in sources:
+            self._check_locks(source, locks.values())
         return tuple(locks.values())
 
     def _entries(self, key: str) -> dict[str, Node]:
@@ -101,6 +110,45 @@ class TwistInputReader:
                     (stated[name].get("priority") or stated[name]).span,
                     hint="give each source its own priority",
                 )
+
+    def _check_locks(self, source: TwistInput, locks: Iterable[TwistInput]) -> None:
+        """Reports a twist source that is not below a stop lock, or has the priority of another
+        twist lock.
+        """
+        for lock in locks:
+            if source.priority < lock.priority or source.priority <= 0 or lock.priority <= 0:
+                continue
+            if lock.is_stop_lock:
+                message = (
+                    f"`{source.name}` has the priority {source.priority}; the stop lock"
+                    f" `{lock.name}` of the priority {lock.priority} would not stop it"
+                )
+                hint = f"a source has a lower priority than `{lock.name}`: at most %d"
+            elif source.priority == lock.priority:
+                message = (
+                    f"`{source.name}` has the priority {source.priority}, as the lock"
+                    f" `{lock.name}` has"
+                )
+                hint = f"give the source at most the priority %d, if `{lock.name}` shall stop it"
+            else:
+                continue
+            source_node = self._entries("twist_sources").get(source.name)
+            lock_node = self._entries("twist_locks").get(lock.name)
+            # The values of the robot file can be corrected; the default values cannot.
+            stated = [_priority(node) for node in (source_node, lock_node) if node is not None]
+            labels = [Label(node.where, "the lock") for node in stated[1:]]
+            span = stated[0].span if stated else None
+            self._report.add(
+                "twist-priority-lock",
+                message,
+                span,
+                hint=hint % (lock.priority - 1),
+                labels=labels,
+            )
+
+
+def _priority(node: Node) -> Node:
+    return node.get("priority") or node
 
 
 def _topic(source: str) -> str:

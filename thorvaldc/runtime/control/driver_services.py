@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from thorvaldc.model.robot import SAFETY_STOP
 from thorvaldc.runtime.control.service_table import Argument, Service, ServiceError
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.multiplexer import Multiplexer
 from thorvaldc.runtime.run_time_parameters import LIMITS
 from thorvaldc.runtime.se2 import Twist
-
-SAFETY_STOP = "safety_stop"
-"""Name of the lock that every robot has; the priority is above the priority of all sources."""
 
 
 def driving_services(driver: BaseDriver, multiplexer: Multiplexer) -> list[Service]:
@@ -68,7 +66,7 @@ def driving_services(driver: BaseDriver, multiplexer: Multiplexer) -> list[Servi
         ),
         Service(
             "lock",
-            "Set a lock, which blocks sources of lower priority, or release it.",
+            "Set a lock, which blocks sources up to its priority, or release it.",
             lock,
             (Argument("name", "text"), Argument("locked", "flag", True)),
         ),

@@ -6,8 +6,9 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from thorvaldc.model.robot import SAFETY_STOP
 from thorvaldc.runtime.control.control_server import ControlServer
-from thorvaldc.runtime.control.driver_services import SAFETY_STOP, driver_state, driving_services
+from thorvaldc.runtime.control.driver_services import driver_state, driving_services
 from thorvaldc.runtime.control.service_table import Argument, Service, ServiceError, Services
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.multiplexer import Multiplexer, Selection
