@@ -29,13 +29,20 @@ FAULT_KINDS = {
     "mute": FaultKind("yes"),
     "heartbeat_stop": FaultKind("yes"),
     "duplicate_id": FaultKind("yes", ("id",), lasts=False),
+    "clone": FaultKind("yes"),
     "babble": FaultKind("yes", ("cob_id", "period")),
     "emcy": FaultKind("yes", ("code",), ("register",), lasts=False),
+    "forged_frames": FaultKind("no", ("cob_id",), ("data", "period")),
+    "battery_charge": FaultKind("yes", ("charge",)),
+    "watchdog_lost": FaultKind("yes", lasts=False),
     "frozen_encoder": FaultKind("yes", ("channel",)),
+    "encoder_jump": FaultKind("yes", ("channel", "angle"), lasts=False),
     "blocked_motor": FaultKind("yes", ("channel",)),
     "wrong_bitrate": FaultKind("yes", ("bitrate",)),
     "bus_off": FaultKind("yes", lasts=False),
     "lost_frames": FaultKind("maybe", ("share",), ("cob_id",)),
+    "late_frames": FaultKind("maybe", ("share", "latency"), ("cob_id",)),
+    "repeated_frames": FaultKind("maybe", ("share",), ("cob_id",)),
     "noise": FaultKind("no", ("share",)),
 }
 
@@ -51,13 +58,19 @@ class BusFault:
 
     - ``node``: name of the affected device, or ``None`` for all devices on the bus.
     - ``id``: node id that the device takes.
-    - ``cob_id``: COB-ID of the frames that a babbling device sends, or of the frames that are lost.
-      If ``cob_id`` is ``None``, CAN frames with any COB-ID can be lost.
-    - ``period``: period in s of the frames that a babbling device sends.
+    - ``cob_id``: COB-ID of the frames that a babbling device or a foreign sender sends, or of the
+      frames that are lost, late or repeated.  If ``cob_id`` is ``None``, CAN frames with any COB-ID
+      can be lost, late or repeated.
+    - ``data``: data of the forged frames, or ``None`` for new random data in each forged frame.
+    - ``period``: period in s of the frames that a babbling device or a foreign sender sends.  If
+      ``period`` is 0, a foreign sender sends one frame.
     - ``code``, ``register``: error code and error register of the injected emergency frame (EMCY).
     - ``channel``: name of the motor channel that is affected.
     - ``bitrate``: wrong bit rate of the device in bit/s.
     - ``share``: fraction of the frames that the fault affects, 0 to 1.
+    - ``latency``: time in s by which late frames arrive late.
+    - ``angle``: angle in rad at the joint by which the reading of an encoder jumps.
+    - ``charge``: state of charge of the battery, 0 to 1.
     """
 
     kind: str
@@ -76,6 +89,10 @@ class BusFault:
     channel: str = ""
     bitrate: int = 0
     share: float = 0.0
+    data: bytes | None = None
+    latency: float = 0.0
+    angle: float = 0.0
+    charge: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from tests.robots import SPAN
 from tests.simulation.bus.master import Master
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.error_state import ErrorState
+from thorvaldc.can.frame import CanFrame
 from thorvaldc.compiler.injected_fault_file import read_faults
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
@@ -181,6 +182,114 @@ def test_lost_frames_affect_one_receiver_only() -> None:
     assert run.master.number(1, 0x1000) == 0xFFFF0192
 
 
+def test_late_and_repeated_frames() -> None:
+    run = Run(
+        fault("late_frames", None, at=0.5, cob_id=0x702, share=1.0, latency=0.05, duration=1.0),
+        fault("repeated_frames", None, at=0.5, cob_id=0x703, share=1.0, duration=1.0),
+    )
+    run.simulated.run(0.5)
+    sent: list[float] = []
+
+    def note(time: int, frame: CanFrame, _: object) -> None:
+        if frame.id == 0x702:
+            sent.append(time / 1e9)
+
+    run.simulated.wire().observers.append(note)
+    run.master.interface.received.clear()
+    run.simulated.run(0.9)
+    frames = list(run.master.interface.received)
+    arrivals = [received.time / 1e9 for received in frames if received.frame.id == 0x702]
+    assert len(arrivals) > 5
+    assert arrivals == pytest.approx([time + 0.05 for time in sent[: len(arrivals)]])
+    counts = [sum(received.frame.id == 0x700 + k for received in frames) for k in (1, 3)]
+    assert counts == [9, 18]
+    run.simulated.run(0.3)
+    run.master.interface.received.clear()
+    assert run.beats(3, 0.95) in (9, 10), "the fault has ended"
+
+
+def test_a_clone_answers_under_the_same_id_until_it_is_removed() -> None:
+    run = Run(fault("clone", at=0.0, duration=1.5))
+    run.simulated.run(1.0)
+    run.master.interface.received.clear()
+    assert run.beats(1, 0.49) in (8, 9, 10), "two nodes send the heartbeat 0x701, 5 times each"
+    names = set(run.simulated.devices)
+    run.simulated.run(0.02)
+    assert names - set(run.simulated.devices) == {f"{FL}_clone"}
+    run.master.interface.received.clear()
+    assert run.beats(1, 0.5) == 5
+
+
+def test_forged_frames() -> None:
+    run = Run(
+        fault("forged_frames", None, cob_id=0x77F, data=b"\x05", period=0.1, duration=1.0),
+        fault("forged_frames", None, cob_id=0x123, period=0.1, duration=0.55),
+        fault("forged_frames", None, cob_id=0x000, data=bytes([0x80, 0x00])),
+    )
+    run.simulated.run(0.99)
+    run.master.interface.received.clear()
+    run.simulated.run(2.0)
+    frames = [received.frame for received in run.master.interface.received]
+    assert [frame.data for frame in frames if frame.id == 0x77F] == [b"\x05"] * 10
+    random_data = [frame.data for frame in frames if frame.id == 0x123]
+    assert len(set(random_data)) == len(random_data) == 6, "new data in each frame"
+    assert [frame.data for frame in frames if frame.id == 0x000] == [b"\x80\x00"]
+
+
+def test_random_reports_have_the_length_of_the_reports_of_the_node() -> None:
+    run = Run(fault("forged_frames", None, cob_id=0x181, at=0.0, period=0.1, duration=1.0))
+    run.simulated.run(1.0)
+    report = next(f for f in cia402_robot().buses[0].frames if f.cob_id == 0x181)
+    lengths = {len(r.frame.data) for r in run.master.interface.received if r.frame.id == 0x181}
+    assert lengths == {report.length}
+
+
+def test_encoder_jump() -> None:
+    run = Run(fault("encoder_jump", channel="steering", angle=0.5))
+    run.simulated.run(0.9)
+    encoder, motor = run.simulated.devices[FL].channel_motor(1)
+    assert encoder is not None
+    assert motor is not None
+    before = encoder.measure(motor.read(0.9))[0]
+    run.simulated.run(0.2)
+    assert encoder.measure(motor.read(1.1))[0] == pytest.approx(before + 0.5)
+
+
+def test_battery_charge() -> None:
+    run = Run(fault("battery_charge", "battery", charge=0.04, duration=1.0))
+    for start, percent in ((0.7, 90), (1.2, 4), (2.2, 90)):
+        run.simulated.run(start - run.simulated.timeline.seconds)
+        run.master.interface.received.clear()
+        assert run.master.all(0x3E1, 0.2)[-1][0] == percent
+
+
+def test_watchdog_lost_of_a_cia402_drive() -> None:
+    run = Run(fault("watchdog_lost"))
+    run.simulated.run(0.9)
+    assert run.master.number(1, 0x1016, 1) > 0
+    run.simulated.run(0.2)
+    assert run.master.number(1, 0x1016, 1) == 0
+    assert run.master.number(2, 0x1016, 1) > 0
+    run.simulated.devices[FL].power_off()
+    run.simulated.devices[FL].power_on()
+    run.simulated.run(0.5)
+    assert run.master.number(1, 0x1016, 1) > 0, "the stored value holds after power-on"
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_watchdog_lost_of_a_script(lost: bool) -> None:
+    robot = example_robot("4wd4ws_wide")
+    run = Run(*([fault("watchdog_lost", at=0.25)] if lost else []), robot=robot)
+    run.simulated.run(0.3)
+    run.master.nmt(1)
+    node = next(n for n in robot.buses[0].nodes if n.name == FL)
+    run.master.send(0x200 + node.id, struct.pack("<ii", 1, 500))
+    run.simulated.run(2.0)
+    _, motor = run.simulated.devices[FL].channel_motor(0)
+    assert motor is not None
+    assert (abs(motor.read(run.simulated.timeline.seconds).velocity) > 1.0) is lost
+
+
 def test_noise_costs_time_but_nothing_is_lost() -> None:
     noisy, quiet = Run(fault("noise", None, at=0.0, share=0.3)), Run()
     for run in (noisy, quiet):
@@ -235,6 +344,13 @@ def test_the_example_is_read() -> None:
         ("  - {fault: duplicate_id, node: fl_controller, id: 0, at: 1 s}", "can-id-range"),
         ("  - {fault: duplicate_id, node: battery, id: 16, at: 1 s}", "can-id-range"),
         ("  - {fault: frozen_encoder, node: fl_controller, channel: x, at: 0}", "channel-unknown"),
+        ("  - {fault: encoder_jump, node: fl_controller, channel: steering, at: 0}", "missing-key"),
+        ("  - {fault: forged_frames, cob_id: 0x80, data: [256], at: 0}", "out-of-range"),
+        ("  - {fault: forged_frames, node: battery, cob_id: 0x80, at: 0}", "conflicting-keys"),
+        ("  - {fault: battery_charge, node: fl_controller, charge: 0, at: 0}", "bus-fault-unsuited"),
+        ("  - {fault: battery_charge, node: battery, charge: 2, at: 0}", "out-of-range"),
+        ("  - {fault: watchdog_lost, node: battery, at: 0}", "bus-fault-unsuited"),
+        ("  - {fault: late_frames, share: 0.5, at: 0}", "missing-key"),
         ("  - {fault: mute, bus: other, node: fl_controller, at: 1 s}", "can-bus-unknown"),
         ("  - {fault: explode, node: fl_controller, at: 1 s}", "unknown-value"),
         ("  - {fault: mute, node: fl_controller, at: 1 kg}", "wrong-dimension"),
@@ -246,18 +362,41 @@ def test_errors_in_a_document_are_reported(text: str, code: str, tmp_path: Path)
     assert script is None
 
 
+def test_new_keys_are_read(tmp_path: Path) -> None:
+    script, diagnostics = read(
+        "  - {fault: forged_frames, cob_id: 0x181, data: [1, 0xFF], period: 10 ms, at: 0}\n"
+        "  - {fault: encoder_jump, node: fl_controller, channel: steering, angle: -90 deg, at: 0}\n"
+        "  - {fault: battery_charge, node: battery, charge: 5 %, at: 0}\n"
+        "  - {fault: late_frames, share: 1, latency: 20 ms, at: 0}\n",
+        tmp_path,
+    )
+    assert diagnostics == []
+    assert script is not None
+    forged, jump, battery, late = script.faults
+    assert (forged.cob_id, forged.data, forged.period) == (0x181, b"\x01\xff", 0.01)
+    assert jump.angle == pytest.approx(-1.5707963)
+    assert (battery.charge, late.latency) == pytest.approx((0.05, 0.02))
+
+
 def test_every_kind_of_fault_can_be_injected() -> None:
     """The injector knows every kind of the schema."""
     more: dict[str, Any] = {
         "id": 9, "cob_id": 0x400, "period": 0.01, "code": 0x1000, "channel": "steering",
-        "bitrate": 125_000, "share": 0.5,
+        "bitrate": 125_000, "share": 0.5, "latency": 0.01, "angle": 0.1, "charge": 0.1,
     }  # fmt: skip
     faults = [
-        fault(kind, None if spec.node == "no" else FL, duration=0.5 if spec.lasts else None, **more)
+        fault(
+            kind,
+            None if spec.node == "no" else "battery" if "charge" in spec.needs else FL,
+            duration=0.5 if spec.lasts else None,
+            **more,
+        )
         for kind, spec in FAULT_KINDS.items()
     ]
     run = Run(*faults)
     run.simulated.run(3.0)
     begun = [kind for _, kind, begins in run.reports if begins]
     assert begun == list(FAULT_KINDS)
-    assert [f.kind for f in run.faults.active] == ["duplicate_id", "emcy", "bus_off"]
+    assert [f.kind for f in run.faults.active] == [
+        "duplicate_id", "emcy", "watchdog_lost", "encoder_jump", "bus_off",
+    ]  # fmt: skip

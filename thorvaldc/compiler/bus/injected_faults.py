@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from thorvaldc.compiler.library import Library
 from thorvaldc.compiler.modules.bounded_quantities import BoundedQuantities
 from thorvaldc.compiler.modules.scope import Scope
+from thorvaldc.compiler.modules.value_reader import items
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.suggest import did_you_mean
@@ -79,6 +80,10 @@ class _Reader:
             str(channel.value) if (channel := node.get("channel")) is not None else "",
             round(bitrate),
             numbers(node, "share", "number", least=0.0, most=1.0),
+            _data(node),
+            numbers(node, "latency", "time", least=0.0, most=LONGEST),
+            numbers(node, "angle", "angle"),
+            numbers(node, "charge", "number", least=0.0, most=1.0),
         )
 
     def _bus_and_device(self, node: Node, kind: FaultKind) -> tuple[Bus | None, Device | None]:
@@ -153,8 +158,14 @@ class _Reader:
         reason = ""
         if name in kinds and not any(f.kind == kinds[name] for f in frames):
             reason = "sends no heartbeat" if name == "heartbeat_stop" else "sends no emergencies"
-        elif name == "duplicate_id" and not device.id_space:
+        elif name in ("duplicate_id", "clone") and not device.id_space:
             reason = "has no id"
+        elif name == "watchdog_lost" and not device.channels:
+            reason = "is no motor controller"
+        elif name == "battery_charge" and all(
+            battery.node != device.name for battery in self.robot.batteries
+        ):
+            reason = "is no battery"
         if reason:
             self.report.add(
                 "bus-fault-unsuited",
@@ -186,3 +197,11 @@ class _Reader:
 def _integer(node: Node, key: str) -> int | None:
     number = node.get(key)
     return number.value if number is not None and type(number.value) is int else None
+
+
+def _data(node: Node) -> bytes | None:
+    """Returns the data bytes of a forged frame, or ``None`` if the document has no valid data."""
+    elements = items(node.get("data"))
+    if node.get("data") is None or any(type(element.value) is not int for element in elements):
+        return None
+    return bytes(element.value for element in elements)

@@ -83,6 +83,10 @@ class KcBattery(SimulatedDevice):
     def change_node_id(self, node_id: int) -> None:
         self.id = node_id
 
+    def set_charge(self, charge: float) -> float:
+        previous, self.charge = self.charge, charge
+        return previous
+
     def _report(self) -> None:
         used = self.current * self.period / (self.capacity * _SECONDS_PER_HOUR)
         self.charge = min(max(self.charge - used, 0.0), 1.0)

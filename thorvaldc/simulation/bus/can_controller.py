@@ -229,21 +229,27 @@ class CanController:
             bits = INTERFRAME_BITS + SUSPEND_BITS
             self._ready_at = self.wire.timeline.now + self.time_of(bits)
 
-    def frame_received(self, frame: CanFrame) -> None:
+    def frame_received(self, frame: CanFrame, lost: bool = False) -> None:
         """Receives a valid CAN frame and decreases the receive error counter.
 
         The receive error counter decreases by 1, or from a value above 127 to 127 (ISO 11898-1).
+        If ``lost`` is true, the CAN controller treats the CAN frame as ``accepts`` would do with a
+        CAN frame that the filter drops.
         """
         previous = self.state
         errors = self.receive_errors
         self.receive_errors = 127 if errors > 127 else max(errors - 1, 0)
-        if self.accepts is not None and not self.accepts(frame):
+        if lost or (self.accepts is not None and not self.accepts(frame)):
             self.lost += 1
         else:
-            self.received += 1
-            if self.on_frame is not None:
-                self.on_frame(frame)
+            self.deliver(frame)
         self._report_change(previous)
+
+    def deliver(self, frame: CanFrame) -> None:
+        """Passes a CAN frame to the device or program that owns the CAN controller."""
+        self.received += 1
+        if self.on_frame is not None:
+            self.on_frame(frame)
 
     def count_errors(self, transmit: int = 0, receive: int = 0) -> None:
         """Increases the error counters and updates the error state of the CAN controller."""

@@ -170,6 +170,15 @@ class CanopenDevice(SimulatedDevice):
         if self.powered:
             self.reset_node()
 
+    def lose_watchdog(self) -> None:
+        """Sets all entries of object 0x1016 (consumer heartbeat time) to 0.
+
+        A reset of the node restores the stored entries.
+        """
+        if self.node_id != lss.UNCONFIGURED:
+            for subindex in range(1, CONSUMERS + 1):
+                self.objects[0x1016, subindex].value = 0
+
     def reset_node(self) -> None:
         """Restarts the device as after power-on, but keeps the CAN controller on the bus."""
         self._life += 1

@@ -6,8 +6,10 @@ import random
 from collections.abc import Callable
 
 from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.frame_bits import frame_bits
 from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.model.bus_faults import BusFault, BusFaults
+from thorvaldc.simulation.bus.can_controller import CanController
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.simulated_device import SimulatedDevice
 from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel
@@ -91,8 +93,10 @@ class FaultInjector:
                 wire.noise = 0.0
 
             return end_noise
-        if fault.kind == "lost_frames":
-            return self._drop_frames(fault, devices)
+        if fault.kind in ("lost_frames", "late_frames", "repeated_frames"):
+            return self._filter_frames(fault, None if fault.node is None else devices[0])
+        if fault.kind == "forged_frames":
+            return self._forge(fault)
         return self._start_device_fault(fault, devices[0])
 
     def _start_device_fault(self, fault: BusFault, device: SimulatedDevice) -> Action:
@@ -104,6 +108,21 @@ class FaultInjector:
             device.emergency(fault.code, fault.register)
         elif fault.kind == "duplicate_id":
             device.change_node_id(fault.id)
+        elif fault.kind == "clone":
+            return self._clone(device)
+        elif fault.kind == "watchdog_lost":
+            device.lose_watchdog()
+        elif fault.kind == "battery_charge":
+            charge = device.set_charge(fault.charge)
+
+            def restore_charge() -> None:
+                device.set_charge(charge)
+
+            return restore_charge
+        elif fault.kind == "encoder_jump":
+            encoder, _ = self._channel_motor(device, fault.channel)
+            if encoder is not None:
+                encoder.jump(fault.angle)
         elif fault.kind == "bus_off":
             device.controller.go_bus_off()
         elif fault.kind == "wrong_bitrate":
@@ -138,19 +157,75 @@ class FaultInjector:
                     return [c.name for c in node.channels].index(channel)
         raise KeyError(node_name)
 
-    def _drop_frames(self, fault: BusFault, devices: list[SimulatedDevice]) -> Action:
-        def accepts(frame: CanFrame) -> bool:
-            affected = fault.cob_id is None or frame.id == fault.cob_id
-            return not (affected and self._random.random() < fault.share)
+    def _clone(self, device: SimulatedDevice) -> Action:
+        """Adds a device with the id and the behaviour of ``device`` to the CAN bus."""
+        simulated = self.simulated
+        name = f"{device.name}_clone"
+        while name in simulated.devices:
+            name += "_clone"
+        clone = simulated.clone(device.name, name)
+        clone.power_on()
 
-        for device in devices:
-            device.controller.accepts = accepts
+        def remove_clone() -> None:
+            clone.power_off()
+            clone.wire.detach(clone.controller)
+            del simulated.devices[name]
 
-        def remove_filter() -> None:
-            for device in devices:
-                device.controller.accepts = None
+        return remove_clone
 
-        return remove_filter
+    def _filter_frames(self, fault: BusFault, device: SimulatedDevice | None) -> Action:
+        """Lets receivers lose CAN frames, or receive CAN frames late or twice.
+
+        If ``device`` is ``None``, the fault affects every receiver on the CAN bus.
+        """
+        wire, timeline = self.simulated.wires[fault.bus], self.simulated.timeline
+
+        def deliver_later(controller: CanController, frame: CanFrame, delay: int) -> None:
+            timeline.after(delay, lambda: controller.deliver(frame) if controller.online else None)
+
+        def accepts(controller: CanController, frame: CanFrame) -> bool:
+            if device is not None and controller is not device.controller:
+                return True
+            if fault.cob_id is not None and frame.id != fault.cob_id:
+                return True
+            if self._random.random() >= fault.share:
+                return True
+            if fault.kind == "repeated_frames":
+                deliver_later(controller, frame, controller.time_of(frame_bits(frame)))
+                return True
+            if fault.kind == "late_frames":
+                deliver_later(controller, frame, to_ns(fault.latency))
+            return False
+
+        wire.filters.append(accepts)
+        return lambda: wire.filters.remove(accepts)
+
+    def _forge(self, fault: BusFault) -> Action:
+        """Sends CAN frames from an additional CAN controller on the CAN bus."""
+        wire = self.simulated.wires[fault.bus]
+        sender = CanController(wire, "foreign_sender", wire.bitrate)
+        cob_id = fault.cob_id or 0
+        length = self._frame_length(fault.bus, cob_id)
+        wire.attach(sender)
+        sender.switch_on()
+
+        def send() -> None:
+            if sender.powered:
+                data = self._random.randbytes(length) if fault.data is None else fault.data
+                sender.send(CanFrame(cob_id, data))
+                if fault.period > 0.0:
+                    self.simulated.timeline.after(to_ns(fault.period), send)
+
+        send()
+        return lambda: wire.detach(sender)
+
+    def _frame_length(self, bus_name: str, cob_id: int) -> int:
+        """Returns the number of data bytes of the CAN frames with the COB-ID ``cob_id``."""
+        for bus in self.simulated.robot.buses:
+            for frame in bus.frames:
+                if bus.name == bus_name and frame.cob_id == cob_id:
+                    return frame.length
+        return 8
 
     def _babble(self, fault: BusFault, device: SimulatedDevice) -> Action:
         frame = CanFrame(fault.cob_id or 0, bytes(8))

@@ -182,6 +182,7 @@ class RoboteqController(CanopenDevice):
         self._steering_rpm = 0
         self._sequence: int | None = None
         self._last_command = -math.inf
+        self._command_timeout = COMMAND_TIMEOUT
         self._home_distance = 0.0
         self._home_reading: bool | None = None
         self._content = 0
@@ -220,6 +221,11 @@ class RoboteqController(CanopenDevice):
         if index >= len(self.channels):
             return None, None
         return self.channels[index].encoder, self.channels[index].motor
+
+    def lose_watchdog(self) -> None:
+        """Keeps the propulsion motors at the last command when no new command arrives."""
+        super().lose_watchdog()
+        self._command_timeout = math.inf
 
     def nmt_state_changed(self, state: NmtState) -> None:
         if state is not NmtState.OPERATIONAL:
@@ -335,7 +341,7 @@ class RoboteqController(CanopenDevice):
         now = self.now
         for channel in self.channels:
             channel.measure(now)
-        timed_out = now - self._last_command > COMMAND_TIMEOUT
+        timed_out = now - self._last_command > self._command_timeout
         off = self.power_stage_error or self._stalled
         for index, channel in enumerate(self.channels):
             if off or channel.mode == DECOUPLED:

@@ -147,6 +147,21 @@ class SimulatedDevice:
         """
         raise ValueError(f"{self.name} has no id")
 
+    def set_charge(self, charge: float) -> float:
+        """Sets the state of charge of a battery, 0 to 1, and returns the previous state of charge.
+
+        Raises ``ValueError`` if the device is not a battery.
+        """
+        raise ValueError(f"{self.name} is not a battery")
+
+    def lose_watchdog(self) -> None:
+        """Switches off the watchdog that stops the motors when the base driver falls silent.
+
+        The watchdog works again after a reset of the device.  Raises ``ValueError`` if the device
+        has no watchdog.
+        """
+        raise ValueError(f"{self.name} has no watchdog")
+
     def change_bitrate(self, bitrate: int) -> None:
         """Changes the bitrate (bit/s) of the CAN controller until the next power-on."""
         self.controller.bitrate = bitrate

@@ -265,6 +265,10 @@ class Encoder:
         """
         self._zero = state.position - counts / self.counts_per_radian
 
+    def jump(self, angle: float) -> None:
+        """Adds ``angle`` (rad at the joint) to the joint position that the encoder reads."""
+        self._zero -= angle
+
     def joint_position(self, counted: float) -> float:
         """Returns the true joint position (rad) for the counted position ``counted`` (rad)."""
         return counted + self._zero

@@ -92,6 +92,8 @@ class _Transmission:
 
 Observer = Callable[[int, CanFrame, Sequence[CanController]], None]
 """Function that is called with the time (ns), the frame and the senders of each valid frame."""
+Filter = Callable[[CanController, CanFrame], bool]
+"""Function that returns ``False`` if the CAN controller loses the received CAN frame."""
 
 
 class Wire:
@@ -103,6 +105,7 @@ class Wire:
     * ``errors``: number of frames that were destroyed or not acknowledged.
     * ``busy``: total duration (ns) of all valid and faulty frames.
     * ``noise``: probability (0..1) that a frame is destroyed by a random error.
+    * ``filters``: filters for the CAN frames that the CAN controllers on the bus line receive.
     * ``seed``: seed of the random errors.
     """
 
@@ -111,6 +114,7 @@ class Wire:
         self.bitrate = bitrate
         self.controllers: list[CanController] = []
         self.observers: list[Observer] = []
+        self.filters: list[Filter] = []
         self.noise = 0.0
         self.frames = 0
         self.errors = 0
@@ -251,8 +255,10 @@ class Wire:
             observer(now, current.frame, current.senders)
         for sender, queued in zip(current.senders, current.queued, strict=True):
             sender.frame_sent(queued)
+        frame, filters = current.frame, self.filters
         for receiver in receivers:
-            receiver.frame_received(current.frame)
+            lost = bool(filters) and not all(accepts(receiver, frame) for accepts in filters)
+            receiver.frame_received(frame, lost)
 
     def _end_unacknowledged(self, current: _Transmission) -> None:
         """Handles the end of a CAN frame that no CAN controller acknowledged.
