@@ -347,7 +347,10 @@ def test_the_example_is_read() -> None:
         ("  - {fault: encoder_jump, node: fl_controller, channel: steering, at: 0}", "missing-key"),
         ("  - {fault: forged_frames, cob_id: 0x80, data: [256], at: 0}", "out-of-range"),
         ("  - {fault: forged_frames, node: battery, cob_id: 0x80, at: 0}", "conflicting-keys"),
-        ("  - {fault: battery_charge, node: fl_controller, charge: 0, at: 0}", "bus-fault-unsuited"),
+        (
+            "  - {fault: battery_charge, node: fl_controller, charge: 1, at: 0}",
+            "bus-fault-unsuited",
+        ),
         ("  - {fault: battery_charge, node: battery, charge: 2, at: 0}", "out-of-range"),
         ("  - {fault: watchdog_lost, node: battery, at: 0}", "bus-fault-unsuited"),
         ("  - {fault: late_frames, share: 0.5, at: 0}", "missing-key"),
