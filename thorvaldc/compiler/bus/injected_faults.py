@@ -201,7 +201,8 @@ def _integer(node: Node, key: str) -> int | None:
 
 def _data(node: Node) -> bytes | None:
     """Returns the data bytes of a forged frame, or ``None`` if the document has no valid data."""
-    elements = items(node.get("data"))
-    if node.get("data") is None or any(type(element.value) is not int for element in elements):
+    if node.get("data") is None:
         return None
-    return bytes(element.value for element in elements)
+    values = [element.value for element in items(node.get("data"))]
+    numbers = [value for value in values if type(value) is int]
+    return bytes(numbers) if len(numbers) == len(values) else None
