@@ -96,6 +96,7 @@ def open_interface(spec: str, bus: Bus, *, listen_only: bool = False) -> CanInte
     return PythonCanInterface(
         _open_python_can(spec, backend, channel, options),
         echoes=backend == "udp_multicast",
+        shared=backend == "socketcan",
         write_time=SERIAL_WRITE_TIME if backend == "slcan" else 0.0,
     )
 

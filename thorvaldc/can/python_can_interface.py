@@ -60,10 +60,20 @@ class PythonCanInterface:
 
     overruns = 0
 
-    def __init__(self, bus: can.BusABC, *, echoes: bool = False, write_time: float = 0.0) -> None:
+    def __init__(
+        self,
+        bus: can.BusABC,
+        *,
+        echoes: bool = False,
+        shared: bool = False,
+        write_time: float = 0.0,
+    ) -> None:
         """Creates a CAN interface that uses the python-can bus ``bus``.
 
         - ``echoes``: ``True`` if ``bus`` also delivers the program's own frames;
+        - ``shared``: ``True`` if several programs of this computer can use the interface, and
+          ``bus`` marks the frames of the other programs as sent (``is_rx`` is ``False``).  The
+          interface socketcan does so.  Frames of the other programs are frames of another node;
         - ``write_time``: shortest write time-out (s) with which ``bus`` sends whole frames.
         """
         import can
@@ -73,6 +83,7 @@ class PythonCanInterface:
         self._expected_echoes: Counter[tuple[int, bytes]] | None = Counter() if echoes else None
         self._sent: deque[tuple[float, tuple[int, bytes]]] = deque()
         self._lock = threading.Lock()
+        self._shared = shared
         self._write_time = write_time
         self._state = ErrorState.ACTIVE
         self._last_time = 0
@@ -139,7 +150,7 @@ class PythonCanInterface:
             )
             if self._expected_echoes is None or not self._is_echo(frame):
                 arrival = self._monotonic_time(message.timestamp)
-                return ReceivedFrame(arrival, frame, not message.is_rx)
+                return ReceivedFrame(arrival, frame, not (message.is_rx or self._shared))
 
     def sleep(self, seconds: float) -> None:
         if seconds > 0.0:

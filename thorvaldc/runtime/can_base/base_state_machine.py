@@ -6,7 +6,7 @@ controllers.  Messages between the base driver and a motor controller node durin
 
     state    driver (master)                          node
     INIT     listens 0.25 s; sends nothing      <---  heartbeat 05, if it was running
-             (SYNC, NMT or the master's heartbeat: another master is on the bus, FAULT)
+             (any frame of a master: another master is on the bus, FAULT)
     PREOP    NMT enter pre-operational          --->
              heartbeat 7F every 100 ms          --->  its heartbeat consumer (0x1016) starts
                                                 <---  heartbeat 7F
@@ -39,6 +39,7 @@ from thorvaldc.can.canopen import NmtCommand, NmtState
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
+from thorvaldc.runtime.can_base.frame_rates import OBSERVATION
 from thorvaldc.runtime.can_base.motor_controller import Intent, MotorController
 
 
@@ -89,6 +90,8 @@ class BaseStateMachine:
         self._nmt_sent_at = -math.inf
         self._repeat_at = -math.inf
         self._may_send = False
+        self._observed_since = -math.inf
+        """Time (s) from which the frames of the nodes are counted."""
         self._operational = False
         self._verified = False
         self._enabling_since: float | None = None
@@ -138,10 +141,12 @@ class BaseStateMachine:
         ]
         for connection in self.connections:
             connection.foreign_master = ""
+            connection.clear_counts(boot_ups=1)
             connection.failures_in_a_row = 0
             if connection.interface.state is ErrorState.BUS_OFF:
                 connection.interface.restart()
         self._reported_problem = ""
+        self._observed_since = now
         self._enter(BaseState.PREOP, now)
         return ""
 
@@ -244,7 +249,9 @@ class BaseStateMachine:
             self._operational = self._verified = self.mismatch = False
             for connection in self.connections:
                 connection.watchdog.stop()
-        if state is BaseState.PREOP:
+        if state is BaseState.INIT:
+            self._observed_since = now
+        elif state is BaseState.PREOP:
             self._may_send = True
             for controller in self.controllers:
                 controller.allow_reset()
@@ -252,6 +259,7 @@ class BaseStateMachine:
         elif state is BaseState.CONFIG:
             for connection in self.connections:
                 connection.start_readback()
+                connection.watchdog.allow_boot_ups(0)
         elif state is BaseState.READY:
             self.was_ready = True
         if self.changed is not None:
@@ -268,7 +276,7 @@ class BaseStateMachine:
             return
         problem, self._reported_problem = self._reported_problem, ""
         for connection in self.connections:
-            problem = problem or connection.foreign_master or connection.receiver.lost
+            problem = problem or connection.impostor() or connection.receiver.lost
         if problem:
             self._enter(BaseState.FAULT, now, problem)
             return
@@ -369,7 +377,7 @@ class BaseStateMachine:
                     incomplete.append(name)
         if now >= self._repeat_at:
             self._repeat_at = now + self.times.repeat
-        if not incomplete:
+        if not incomplete and now - self._observed_since >= OBSERVATION:
             for connection in self.connections:
                 connection.watchdog.start(now)
             self._verified = True

@@ -25,6 +25,7 @@ from thorvaldc.runtime.can_base.battery_and_io_drivers import (
     battery_driver,
 )
 from thorvaldc.runtime.can_base.foreign_frame_relay import Relay
+from thorvaldc.runtime.can_base.frame_rates import FrameRates, second_device
 from thorvaldc.runtime.can_base.frame_receiver import Event, FrameReceiver
 from thorvaldc.runtime.can_base.motor_controller import (
     MASTER,
@@ -33,7 +34,11 @@ from thorvaldc.runtime.can_base.motor_controller import (
     controller_class,
 )
 from thorvaldc.runtime.can_base.node_watchdog import NodeWatchdog
-from thorvaldc.runtime.can_base.object_readback import ObjectReadback
+from thorvaldc.runtime.can_base.object_readback import (
+    ObjectReadback,
+    ObjectSupervision,
+    SupervisedNode,
+)
 
 OCCASIONAL_AT_REST, OCCASIONAL_DRIVING = 8, 1
 """Largest number of occasional frames in a cycle: at rest, and while the robot drives."""
@@ -74,6 +79,11 @@ class BusConnection:
         self.relay = Relay(bus)
         self.readbacks: dict[str, ObjectReadback] = {}
         """Comparison of the objects of a node with the robot file, by name of the node."""
+        self.supervision = ObjectSupervision(())
+        """Repeated reading of the safety objects of the motor controllers."""
+        self._unanswered: dict[str, int] = {}
+        """Number of SDO requests without response by name of the node."""
+        self._extra_response = ""
         self.foreign_master = ""
         """Description of a frame of another master on the bus; empty if there is none."""
         self.outbox: deque[CanFrame] = deque()
@@ -96,6 +106,7 @@ class BusConnection:
             for node in by_name
             if len(frames := _sdo_frames(bus, node)) == 2
         }
+        self._sdo_requests = {request: node for node, (request, _) in self._sdo.items()}
         self._sdo_responses = {response: node for node, (_, response) in self._sdo.items()}
         self._handlers = [
             *(pair for controller in self.controllers for pair in controller.handlers.items()),
@@ -103,11 +114,9 @@ class BusConnection:
             *(pair for board in self.boards for pair in board.handlers.items()),
         ]
         self._handled: dict[int, int] = {}
-        # Only a master sends NMT, SYNC and the heartbeat of the master.  If an NMT, SYNC or master
-        # heartbeat frame is received, another master is on the bus.
-        self._master_names = {NMT: "NMT", SYNC: "SYNC"}
-        if self._heartbeat is not None:
-            self._master_names[self._heartbeat.cob_id] = "a heartbeat"
+        # Only a master sends NMT, SYNC, the heartbeat of the master, commands and SDO requests.  If
+        # such a frame is received, another master is on the bus.
+        self._master_names = {NMT: "NMT", SYNC: "SYNC", **_master_frames(bus)}
         event_ids = {
             *self._master_names,
             *self.relay.from_device,
@@ -117,6 +126,10 @@ class BusConnection:
         }
         self.receiver = FrameReceiver(interface, event_ids)
         self.watchdog = NodeWatchdog(bus, self.controllers, self.receiver.latest)
+        devices = [*self.controllers, *self.batteries, *self.boards]
+        periods = {n: t for c in self.controllers for n, t in c.shortest_periods().items()}
+        names = [device.node.name for device in devices]
+        self.rates = FrameRates(bus, names, self.receiver.latest, periods)
         if threaded:
             self.receiver.start()
 
@@ -140,6 +153,7 @@ class BusConnection:
         self.watchdog.begin_cycle(now)
         for event in self.receiver.drain():
             self._handle_event(event)
+        self.rates.take_sample()
         latest, handled = self.receiver.latest, self._handled
         for cob_id, handler in self._handlers:
             frame = latest.get(cob_id)
@@ -159,14 +173,55 @@ class BusConnection:
             if len(data) >= 2:
                 self._emergency_frames[cob_id].error_code = Emergency.unpack(data).error_code
         elif cob_id in self._sdo_responses:
-            readback = self.readbacks.get(self._sdo_responses[cob_id])
-            if readback is not None:
-                readback.take_response(data)
+            self._take_sdo_response(self._sdo_responses[cob_id], cob_id, data)
         elif cob_id in self.relay.from_device:
             self.relay.take(cob_id, data, time)
         elif cob_id in self._master_names:
             name = self._master_names[cob_id]
             self.foreign_master = f"another master is on the bus: it sends {name} ({cob_id:#05x})"
+
+    def _take_sdo_response(self, name: str, cob_id: int, data: bytes) -> None:
+        readback = self.readbacks.get(name)
+        if readback is None:
+            return
+        self._unanswered[name] = self._unanswered.get(name, 0) - 1
+        if self._unanswered[name] < 0 and not self._extra_response:
+            node_id = next(c.node.id for c in self.controllers if c.node.name == name)
+            self._extra_response = (
+                f"{name}: more SDO responses ({cob_id:#05x}) than requests; "
+                f"{second_device(node_id)}"
+            )
+        readback.take_response(data)
+        self.supervision.take_response(name, data)
+
+    def clear_counts(self, boot_ups: int) -> None:
+        """Forgets the frames that were counted before, and allows ``boot_ups`` further boot-up
+        messages of each node."""
+        self.rates.clear()
+        self.watchdog.allow_boot_ups(boot_ups)
+        self._extra_response = ""
+
+    def impostor(self) -> str:
+        """Returns a reason to stop if another master, or a second device with the id of a motor
+        controller, is on the bus; otherwise returns an empty text."""
+        if self.foreign_master or self._extra_response:
+            return self.foreign_master or self._extra_response
+        for controller in self.controllers:
+            name = controller.node.name
+            problem = self.rates.excessive.get(name) or self.watchdog.boot_up_problem(controller)
+            if problem:
+                return f"{name}: {problem}"
+        return ""
+
+    def suspicious_devices(self) -> list[str]:
+        """Returns a message for each battery or IO board that exists twice on the bus."""
+        devices = [*self.batteries, *self.boards]
+        excessive = self.rates.excessive
+        return [
+            f"{device.node.name}: {excessive[device.node.name]}"
+            for device in devices
+            if device.node.name in excessive
+        ]
 
     def problem(self, now: float) -> str:
         """Returns the first reason to stop the robot, or an empty text if there is no reason."""
@@ -174,8 +229,8 @@ class BusConnection:
             return f"the CAN interface of the bus `{self.bus.name}` is lost: {self.receiver.lost}"
         if self.interface.state is ErrorState.BUS_OFF:
             return f"the CAN controller of the bus `{self.bus.name}` is off the bus (bus-off)"
-        if self.foreign_master:
-            return self.foreign_master
+        if self.supervision.problem:
+            return self.supervision.problem
         if self.failures_in_a_row >= SEND_FAILURES:
             return f"frames cannot be sent on the bus `{self.bus.name}`; is any node connected?"
         for controller in self.controllers:
@@ -216,6 +271,15 @@ class BusConnection:
             for c in self.controllers
             if c.node.name in self._sdo
         }
+        self._unanswered.clear()
+        self._extra_response = ""
+        self.supervision = ObjectSupervision(
+            [
+                SupervisedNode(c.node.name, *self._sdo[c.node.name], tuple(c.safety_objects()))
+                for c in self.controllers
+                if c.node.name in self._sdo
+            ]
+        )
 
     def cyclic_frames(self, intent: Intent, now: float) -> list[CanFrame]:
         """Returns the motor command frames of a control cycle in the order of their CAN
@@ -240,10 +304,18 @@ class BusConnection:
         while room > 0 and self.outbox:
             room -= 1
             yield self.outbox.popleft()
-        for readback in self.readbacks.values():
+        for name, readback in self.readbacks.items():
             request = readback.next_request(now) if room > 0 else None
             if request is not None:
                 room -= 1
+                self._unanswered[name] = self._unanswered.get(name, 0) + 1
+                yield request
+        if room > 0 and commands:
+            request = self.supervision.next_request(now)
+            if request is not None:
+                room -= 1
+                name = self._sdo_requests[request.id]
+                self._unanswered[name] = self._unanswered.get(name, 0) + 1
                 yield request
         count = len(self.controllers)
         for i in range(count):
@@ -301,6 +373,25 @@ class BusConnection:
     def close(self) -> None:
         self.receiver.stop()
         self.interface.close()
+
+
+def _master_frames(bus: Bus) -> dict[int, str]:
+    """Returns a description of each frame that only the master may send, by COB-ID.
+
+    Frames that the base driver relays to foreign devices are excluded, because a foreign device may
+    have a master of its own.
+    """
+    names: dict[int, str] = {}
+    for frame in bus.frames:
+        if frame.producer != MASTER:
+            continue
+        if frame.kind == "heartbeat":
+            names[frame.cob_id] = "a heartbeat"
+        elif frame.kind == "sdo":
+            names[frame.cob_id] = f"SDO requests to {', '.join(frame.consumers)}"
+        elif frame.kind == "pdo":
+            names[frame.cob_id] = f"commands to {', '.join(frame.consumers)}"
+    return names
 
 
 def _sdo_frames(bus: Bus, node: str) -> list[FrameDefinition]:

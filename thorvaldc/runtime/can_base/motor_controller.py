@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import enum
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import TypeVar
 
 from thorvaldc.can.frame import CanFrame
@@ -18,6 +18,9 @@ from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 T = TypeVar("T")
 MASTER = "master"
 """Name of the base driver as a producer or consumer of frames."""
+SAFETY_OBJECTS = frozenset({0x1016, 0x1017, 0x1029})
+"""Objects of CiA 301 that stop a node or tell of its failure: the heartbeat consumer, the heartbeat
+producer, and the behaviour after a communication error."""
 STANDING = 0.02
 """Speed (rad/s) below which a wheel or a steering joint counts as standing."""
 IN_POSITION = 0.01
@@ -156,6 +159,19 @@ class MotorController(abc.ABC):
         """Yields the object dictionary entries whose values in the device must match the robot
         file."""
         return iter(())
+
+    def safety_objects(self) -> Iterator[ObjectValue]:
+        """Yields those of the expected objects that stop the motors if the base driver or the motor
+        controller fails.
+
+        The base driver reads these objects again and again while the motors are enabled.
+        """
+        return (entry for entry in self.expected_objects() if entry.index in SAFETY_OBJECTS)
+
+    def shortest_periods(self) -> Mapping[str, float]:
+        """Returns the shortest period (s) of each report that the driver accelerates, by frame
+        name."""
+        return {}
 
     @abc.abstractmethod
     def allow_reset(self) -> None:

@@ -1,4 +1,4 @@
-"""Detects motor controllers that restart, leave OPERATIONAL, or stop sending.
+"""Detects motor controllers that restart, leave OPERATIONAL, stop sending, or exist twice.
 
 The watchdog detects missing heartbeats and missing reports of the motor controllers.  If the
 watchdog detects a problem, the state machine of the base enters the state FAULT.
@@ -15,6 +15,9 @@ watchdog detects a problem, the state machine of the base enters the state FAULT
 The watchdog tolerates one missing report of a motor controller, but not two missing reports in a
 row.  After a late control cycle the watchdog does not check for missing reports, because received
 CAN frames may not have been read yet.
+
+A node sends one boot-up message at each start.  Each boot-up message after the first one means that
+the node has restarted, or that a second device with the same node id was switched on.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from typing import NamedTuple
 
 from thorvaldc.can.canopen import NmtState, heartbeat_state, nmt_state_text
 from thorvaldc.model.bus import Bus, FrameDefinition
+from thorvaldc.runtime.can_base.frame_rates import second_device
 from thorvaldc.runtime.can_base.frame_receiver import LatestFrame
 from thorvaldc.runtime.can_base.motor_controller import MotorController
 
@@ -83,6 +87,8 @@ class NodeWatchdog:
         self._reports = {name: _reports(bus, name) for name in self._controllers}
         self._heartbeats: dict[str, Heartbeat] = {}
         self._restarted: set[str] = set()
+        self._boot_ups: dict[str, int] = {}
+        self._allowed_boot_ups: dict[str, int] = {}
         self._started_at = math.inf
         self._last_cycle = math.inf
         self._late_cycles = 0
@@ -109,6 +115,7 @@ class NodeWatchdog:
         if state == NmtState.INITIALISING:
             self._controllers[name].handle_restart()
             self._restarted.add(name)
+            self._boot_ups[name] = self._boot_ups.get(name, 0) + 1
         self._heartbeats[name] = Heartbeat(time, state)
 
     def start(self, now: float) -> None:
@@ -122,6 +129,11 @@ class NodeWatchdog:
     def stop(self) -> None:
         self._started_at = math.inf
 
+    def allow_boot_ups(self, number: int) -> None:
+        """Allows ``number`` further boot-up messages of each node, and forgets the earlier ones."""
+        self._boot_ups.clear()
+        self._allowed_boot_ups = dict.fromkeys(self._controllers, number)
+
     # -- output ------------------------------------------------------------------------------------
 
     def problem(self, controller: MotorController, now: float) -> str:
@@ -129,6 +141,14 @@ class NodeWatchdog:
         if controller.node.name in self._restarted:
             return "it restarted"
         return controller.problem or self._silence(controller, now)
+
+    def boot_up_problem(self, controller: MotorController) -> str:
+        """Returns a message if a node has sent too many boot-up messages during the start-up of the
+        base, or an empty text."""
+        name = controller.node.name
+        if self._boot_ups.get(name, 0) <= self._allowed_boot_ups.get(name, 1):
+            return ""
+        return f"it restarted during the start-up; {second_device(controller.node.id)}"
 
     def is_silent(self, controller: MotorController) -> bool:
         """Returns ``True`` if a node that must send heartbeats has never sent a heartbeat."""

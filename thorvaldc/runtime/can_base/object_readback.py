@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 from thorvaldc.can import sdo
 from thorvaldc.can.frame import CanFrame
@@ -12,6 +14,9 @@ from thorvaldc.model.bus import ObjectValue
 ANSWER_TIME = 0.1
 """Time (s) after which a request without a response is repeated."""
 TRIES = 3
+SUPERVISION_INTERVAL = 0.1
+"""Time (s) between two SDO requests of the supervision, which is at least five control cycles at
+50 Hz.  The bus load contains one SDO exchange for each control cycle."""
 
 
 class ObjectReadback:
@@ -77,6 +82,62 @@ class ObjectReadback:
             return
         self._remaining.pop()
         self._requested_at, self._tries = None, 0
+
+
+class SupervisedNode(NamedTuple):
+    """A node whose objects are read again and again.
+
+    ``request`` and ``response``: COB-IDs of the SDO requests and SDO responses.
+    """
+
+    name: str
+    request: int
+    response: int
+    objects: tuple[ObjectValue, ...]
+
+
+class ObjectSupervision:
+    """Reads the safety objects of all nodes of a bus again and again, one SDO transfer at a time.
+
+    A drive whose watchdog was changed or switched off after the start-up would not stop if the base
+    driver fails.  A node that restarted without a boot-up message, or another program on the bus,
+    can cause such a change.  With N objects on the bus, each object is read again after ``N *
+    SUPERVISION_INTERVAL`` seconds.
+    """
+
+    def __init__(self, nodes: Sequence[SupervisedNode]) -> None:
+        self.problem = ""
+        """First mismatch with the name of the node, or an empty text."""
+        self._nodes = [node for node in nodes if node.objects]
+        self._index = -1
+        self._readback: ObjectReadback | None = None
+        self._due = -math.inf
+
+    def next_request(self, now: float) -> CanFrame | None:
+        """Returns the SDO request that is due at ``now`` (s), or ``None``."""
+        if now < self._due or not self._nodes or self.problem:
+            return None
+        readback = self._readback
+        if readback is None or readback.finished:
+            self._index = (self._index + 1) % len(self._nodes)
+            node = self._nodes[self._index]
+            readback = ObjectReadback(node.request, node.response, node.objects)
+            self._readback = readback
+        request = readback.next_request(now)
+        if request is not None:
+            self._due = now + SUPERVISION_INTERVAL
+        self._take_problem()
+        return request
+
+    def take_response(self, node: str, data: bytes) -> None:
+        """Compares an SDO response of ``node``, if its response is awaited."""
+        if self._readback is not None and self._nodes[self._index].name == node:
+            self._readback.take_response(data)
+            self._take_problem()
+
+    def _take_problem(self) -> None:
+        if self._readback is not None and self._readback.problem:
+            self.problem = f"{self._nodes[self._index].name}: {self._readback.problem}"
 
 
 def _label(entry: ObjectValue) -> str:

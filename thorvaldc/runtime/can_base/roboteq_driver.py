@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model.bus import Bus, Node, ObjectValue
@@ -204,6 +204,12 @@ class RoboteqScriptController(MotorController):
         for entry in self.node.objects:
             if entry.index in _EXPECTED_OBJECTS and entry.value is not None:
                 yield entry
+
+    def shortest_periods(self) -> Mapping[str, float]:
+        frame = self.codecs["tpdo4"].frame if "tpdo4" in self.codecs else None
+        if frame is None or frame.period is None:
+            return {}
+        return {frame.name: min(frame.period, FAST_CONSTANTS / 1000.0)}
 
     def handle_restart(self) -> None:
         super().handle_restart()
