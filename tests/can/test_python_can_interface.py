@@ -94,6 +94,16 @@ def message(stamp: float, data: bytes = b"\x05") -> can.Message:
     )
 
 
+def test_frames_of_other_programs_of_this_computer() -> None:
+    """socketcan marks frames of other local programs as sent; a second master is one of them."""
+    frame = message(time.time())
+    frame.is_rx = False
+    for shared in (False, True):
+        received = PythonCanInterface(Scripted(frame), shared=shared).receive(0.0)
+        assert received is not None
+        assert received.own is not shared
+
+
 def test_times_are_monotonic() -> None:
     wall = time.time()
     stamps = [wall - 0.3, wall - 0.2, wall + 50.0, wall - 500.0, wall - 0.1]

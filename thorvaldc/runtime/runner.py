@@ -413,6 +413,7 @@ class BaseRunner:
         ]
         for connection in self.base.connections:
             warnings += [f"{name}: no reports" for name in connection.silent_devices(now)]
+            warnings += connection.suspicious_devices()
         return warnings
 
     def relay_drops(self) -> dict[str, int]:

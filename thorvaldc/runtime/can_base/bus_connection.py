@@ -48,6 +48,8 @@ DEVICE_TIMEOUT = 1.0
 """Time (s) without a report after which a warning names the battery or IO board."""
 SEND_FAILURES = 3
 """Number of incomplete cycles in a row after which the robot stops."""
+EXTRA_RESPONSES = 2.0
+"""Largest number of SDO responses without request."""
 _ROUNDING = 1e-6
 """Tolerance (s) for the rounding of times."""
 
@@ -83,7 +85,8 @@ class BusConnection:
         """Repeated reading of the safety objects of the motor controllers."""
         self._unanswered: dict[str, int] = {}
         """Number of SDO requests without response by name of the node."""
-        self._extra_response = ""
+        self._extra_responses: dict[str, float] = {}
+        """Number of SDO responses without request by name of the node; see ``_count_request``."""
         self.foreign_master = ""
         """Description of a frame of another master on the bus; empty if there is none."""
         self.outbox: deque[CanFrame] = deque()
@@ -126,9 +129,8 @@ class BusConnection:
         }
         self.receiver = FrameReceiver(interface, event_ids)
         self.watchdog = NodeWatchdog(bus, self.controllers, self.receiver.latest)
-        devices = [*self.controllers, *self.batteries, *self.boards]
         periods = {n: t for c in self.controllers for n, t in c.shortest_periods().items()}
-        names = [device.node.name for device in devices]
+        names = [*by_name, *self._device_names()]
         self.rates = FrameRates(bus, names, self.receiver.latest, periods)
         if threaded:
             self.receiver.start()
@@ -173,24 +175,21 @@ class BusConnection:
             if len(data) >= 2:
                 self._emergency_frames[cob_id].error_code = Emergency.unpack(data).error_code
         elif cob_id in self._sdo_responses:
-            self._take_sdo_response(self._sdo_responses[cob_id], cob_id, data)
+            self._take_sdo_response(self._sdo_responses[cob_id], data)
         elif cob_id in self.relay.from_device:
             self.relay.take(cob_id, data, time)
         elif cob_id in self._master_names:
             name = self._master_names[cob_id]
             self.foreign_master = f"another master is on the bus: it sends {name} ({cob_id:#05x})"
 
-    def _take_sdo_response(self, name: str, cob_id: int, data: bytes) -> None:
+    def _take_sdo_response(self, name: str, data: bytes) -> None:
         readback = self.readbacks.get(name)
         if readback is None:
             return
-        self._unanswered[name] = self._unanswered.get(name, 0) - 1
-        if self._unanswered[name] < 0 and not self._extra_response:
-            node_id = next(c.node.id for c in self.controllers if c.node.name == name)
-            self._extra_response = (
-                f"{name}: more SDO responses ({cob_id:#05x}) than requests; "
-                f"{second_device(node_id)}"
-            )
+        if self._unanswered.get(name, 0) > 0:
+            self._unanswered[name] -= 1
+        else:
+            self._extra_responses[name] = self._extra_responses.get(name, 0.0) + 1.0
         readback.take_response(data)
         self.supervision.take_response(name, data)
 
@@ -199,15 +198,20 @@ class BusConnection:
         messages of each node."""
         self.rates.clear()
         self.watchdog.allow_boot_ups(boot_ups)
-        self._extra_response = ""
+        self._extra_responses.clear()
 
     def impostor(self) -> str:
         """Returns a reason to stop if another master, or a second device with the id of a motor
         controller, is on the bus; otherwise returns an empty text."""
-        if self.foreign_master or self._extra_response:
-            return self.foreign_master or self._extra_response
+        if self.foreign_master:
+            return self.foreign_master
         for controller in self.controllers:
             name = controller.node.name
+            if self._extra_responses.get(name, 0.0) > EXTRA_RESPONSES:
+                return (
+                    f"{name}: more SDO responses ({self._sdo[name][1]:#05x}) than requests; "
+                    f"{second_device(controller.node.id)}"
+                )
             problem = self.rates.excessive.get(name) or self.watchdog.boot_up_problem(controller)
             if problem:
                 return f"{name}: {problem}"
@@ -215,13 +219,11 @@ class BusConnection:
 
     def suspicious_devices(self) -> list[str]:
         """Returns a message for each battery or IO board that exists twice on the bus."""
-        devices = [*self.batteries, *self.boards]
         excessive = self.rates.excessive
-        return [
-            f"{device.node.name}: {excessive[device.node.name]}"
-            for device in devices
-            if device.node.name in excessive
-        ]
+        return [f"{name}: {excessive[name]}" for name in self._device_names() if name in excessive]
+
+    def _device_names(self) -> list[str]:
+        return [b.node.name for b in self.batteries] + [b.node.name for b in self.boards]
 
     def problem(self, now: float) -> str:
         """Returns the first reason to stop the robot, or an empty text if there is no reason."""
@@ -272,7 +274,7 @@ class BusConnection:
             if c.node.name in self._sdo
         }
         self._unanswered.clear()
-        self._extra_response = ""
+        self._extra_responses.clear()
         self.supervision = ObjectSupervision(
             [
                 SupervisedNode(c.node.name, *self._sdo[c.node.name], tuple(c.safety_objects()))
@@ -308,14 +310,13 @@ class BusConnection:
             request = readback.next_request(now) if room > 0 else None
             if request is not None:
                 room -= 1
-                self._unanswered[name] = self._unanswered.get(name, 0) + 1
+                self._count_request(name)
                 yield request
         if room > 0 and commands:
             request = self.supervision.next_request(now)
             if request is not None:
                 room -= 1
-                name = self._sdo_requests[request.id]
-                self._unanswered[name] = self._unanswered.get(name, 0) + 1
+                self._count_request(self._sdo_requests[request.id])
                 yield request
         count = len(self.controllers)
         for i in range(count):
@@ -327,6 +328,16 @@ class BusConnection:
                 room -= 1
                 self._next_controller = (self._next_controller + i + 1) % count
                 yield frame
+
+    def _count_request(self, name: str) -> None:
+        """Counts an SDO request to a node.
+
+        A single repeated response, which errors on the bus can cause, is forgotten after four
+        requests.
+        """
+        self._unanswered[name] = self._unanswered.get(name, 0) + 1
+        if name in self._extra_responses:
+            self._extra_responses[name] = max(self._extra_responses[name] - 0.25, 0.0)
 
     def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
         """Puts a CAN frame into the send queue of the CAN interface.

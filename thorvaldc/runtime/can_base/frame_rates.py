@@ -17,8 +17,8 @@ therefore does not depend on the load of the computer:
 - Lost frames and frames that arrive late make the excess smaller.
 - Frames that a CAN adapter or a stalled program delivers in a burst follow a silence.  The silence
   and the burst usually belong to the same sample, because t does not change during the silence.  If
-  a sample ends in the middle of the burst, the silence gives a credit (e < 0).  The credit is
-  halved in each following sample, and is at most ``LONGEST_BURST``.
+  a sample ends in the middle of the burst, the silence gives a credit (e < 0).  Of the
+  credit, ``CREDIT_SHARE`` is left in the next sample; the credit is at most ``LONGEST_BURST``.
 - A device that sends some frames early, such as a heartbeat at each change of its NMT state, stays
   below ``EXCESS``.
 
@@ -33,15 +33,17 @@ from collections.abc import Collection, Iterator, Mapping
 from thorvaldc.model.bus import Bus, FrameDefinition
 from thorvaldc.runtime.can_base.frame_receiver import LatestFrame
 
-EXCESS = 4.0
+EXCESS = 5.0
 """Largest number of frames above the stated number."""
 TOLERANCE = 0.01
 """Largest deviation of the rate of a device from the stated rate, as a share."""
 LONGEST_BURST = 0.25
 """Largest time (s) of silence that gives a credit for the frames that follow."""
+CREDIT_SHARE = 0.75
+"""Share of the credit that is left in the next sample."""
 SAMPLE_CYCLES = 5
 """Number of control cycles between two samples of the same identifier."""
-OBSERVATION = 0.6
+OBSERVATION = 1.0
 """Shortest time (s) of observation before the motors are enabled.
 
 After this time a second device that sends heartbeats with a period of 100 ms has exceeded
@@ -73,7 +75,7 @@ class _Rate:
         """Takes a sample; returns ``True`` if too many frames were received."""
         if self.time is not None:
             credit = LONGEST_BURST * self.per_second
-            excess = self.excess if self.excess > 0.0 else 0.5 * self.excess
+            excess = self.excess if self.excess > 0.0 else CREDIT_SHARE * self.excess
             excess += newest.number - self.number - (newest.time - self.time) * self.per_second
             self.excess = excess if excess > -credit else -credit
         self.number, self.time = newest.number, newest.time

@@ -36,6 +36,11 @@ REPORT_TIMEOUT = 2.5
 """Time-out of a report in periods: two reports in a row are missing."""
 HEARTBEAT_TIMEOUT = 3.0
 """Time-out of a heartbeat in periods, unless ``Node.heartbeat_timeout`` is shorter."""
+BOOT_TIME = 0.05
+"""Time (s) in which no node can boot twice.
+
+A boot-up message that is repeated within this time was repeated by an error on the bus, or comes
+from a second device, whose heartbeats are counted."""
 LATE_CYCLE = 1.5
 """Time between two control cycles, in periods, above which the second cycle is late."""
 LATE_CYCLES = 2
@@ -115,7 +120,9 @@ class NodeWatchdog:
         if state == NmtState.INITIALISING:
             self._controllers[name].handle_restart()
             self._restarted.add(name)
-            self._boot_ups[name] = self._boot_ups.get(name, 0) + 1
+            previous = self._heartbeats.get(name, Heartbeat(-math.inf, NmtState.STOPPED))
+            if previous.state != state or time - previous.time > BOOT_TIME:
+                self._boot_ups[name] = self._boot_ups.get(name, 0) + 1
         self._heartbeats[name] = Heartbeat(time, state)
 
     def start(self, now: float) -> None:

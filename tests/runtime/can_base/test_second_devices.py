@@ -1,0 +1,220 @@
+"""Second devices, second masters, false reports and changed watchdogs, for both kinds of drives."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import pytest
+
+from tests.robots import SPAN
+from tests.runtime.can_base.fault_matrix import ROBOTS, cia402
+from tests.runtime.can_base.simulated_rig import Rig
+from thorvaldc.model import Robot
+from thorvaldc.model.bus_faults import BusFault, BusFaults
+from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.can_base.frame_rates import OBSERVATION
+from thorvaldc.simulation.bus.canopen_device import CanopenDevice
+from thorvaldc.simulation.bus.fault_injection import FaultInjector
+
+both = pytest.mark.parametrize("make", ROBOTS.values(), ids=ROBOTS)
+Make = Callable[[], Robot]
+PERIOD = 0.02
+
+
+def inject(rig: Rig, kind: str, node: str | None = None, **fields: object) -> None:
+    fault = BusFault(kind, "main", node, 0.0, None, SPAN, **fields)  # type: ignore[arg-type]
+    FaultInjector(rig.simulated, BusFaults(())).inject(fault)
+
+
+def device(rig: Rig, name: str = "fl_controller") -> CanopenDevice:
+    simulated_device = rig.simulated.devices[name]
+    assert isinstance(simulated_device, CanopenDevice)
+    return simulated_device
+
+
+def until_fault(rig: Rig, limit: float) -> float:
+    """Returns the time (s) until FAULT; no READY may come before."""
+    took = rig.until(lambda: rig.state in (BaseState.FAULT, BaseState.READY), limit)
+    assert rig.state is BaseState.FAULT
+    return took
+
+
+# -- before the robot is ready -----------------------------------------------------------------
+
+
+@both
+@pytest.mark.parametrize("delay", [0.0, 0.003, 0.3, 1.0])
+def test_a_clone_on_the_bus_from_power_on(make: Make, delay: float) -> None:
+    rig = Rig(make(), power=False)
+    clone = rig.simulated.clone("fl_controller", "spare")
+    rig.simulated.power_on()
+    if delay:
+        clone.power_off()
+        rig.simulated.run(delay)
+        clone.power_on()
+    assert until_fault(rig, 5.0) < 0.3 + OBSERVATION
+    assert "fl_controller" in rig.reason
+    assert "is a second device with the id 1 on the bus?" in rig.reason
+
+
+@both
+def test_a_clone_that_was_there_long_before_the_driver(make: Make) -> None:
+    """No boot-up message of the clone is received; its heartbeats are too many."""
+    rig = Rig(make())
+    rig.simulated.clone("fr_controller", "spare").power_on()
+    rig.simulated.run(2.0)
+    drop_received(rig)
+    assert until_fault(rig, 5.0) < 0.3 + OBSERVATION
+    assert "is a second device with the id 2 on the bus?" in rig.reason
+
+
+def drop_received(rig: Rig) -> None:
+    """Forgets the frames that came before the driver listened."""
+    for interface in rig.interfaces.values():
+        while interface.receive(0.0) is not None:
+            pass
+
+
+@both
+def test_a_reset_does_not_help_while_the_clone_is_there(make: Make) -> None:
+    rig = Rig(make(), power=False)
+    clone = rig.simulated.clone("fl_controller", "spare")
+    rig.simulated.power_on()
+    until_fault(rig, 5.0)
+    rig.runner.reset()
+    assert until_fault(rig, 8.0) < 2.0
+    clone.power_off()
+    rig.run(0.1)
+    rig.runner.reset()
+    rig.until(lambda: rig.state is BaseState.READY)
+
+
+@both
+def test_a_drive_that_restarts_during_the_start_up(make: Make) -> None:
+    """Its objects were compared before the restart, so that the comparison is worth nothing."""
+    rig = Rig(make())
+    rig.until(lambda: rig.state is BaseState.CONFIG)
+    rig.run(0.2)
+    device(rig).power_off()
+    device(rig).power_on()
+    until_fault(rig, 5.0)
+    assert "restarted during the start-up" in rig.reason
+
+
+# -- while driving -----------------------------------------------------------------------------
+
+
+@both
+def test_a_silent_clone_starts_while_the_robot_drives(make: Make) -> None:
+    """Heartbeats of a second device, without its boot-up message."""
+    rig = Rig(make())
+    rig.drive()
+    inject(rig, "forged_frames", cob_id=0x701, data=b"\x05", period=0.1)
+    rig.until(lambda: rig.state is BaseState.FAULT, 0.7)
+    assert "fl_controller: heartbeat (0x701)" in rig.reason
+
+
+@both
+@pytest.mark.parametrize(("period", "limit"), [(0.005, 0.2), (0.02, 0.25), (0.2, 1.5), (0.7, 8.0)])
+def test_false_reports(make: Make, period: float, limit: float) -> None:
+    rig = Rig(make())
+    rig.drive(seconds=1.0)
+    true_report = next(f.data for t, f in reversed(rig.frames) if f.id == 0x181)
+    inject(rig, "forged_frames", cob_id=0x181, data=true_report, period=period)
+    rig.until(lambda: rig.state is BaseState.FAULT, limit)
+    assert "fl_controller: tpdo1 (0x181) comes more often than the robot file states" in rig.reason
+    rig.until(lambda: rig.speed() == 0.0, 1.5)
+
+
+@both
+def test_every_identifier_of_the_master_from_elsewhere(make: Make) -> None:
+    robot = make()
+    frames = [f for f in robot.buses[0].frames if f.producer == "master" and f.kind != "relay"]
+    assert {f.kind for f in frames} == {"nmt", "sync", "heartbeat", "pdo", "sdo"}
+    rig = Rig(robot)
+    rig.ready()
+    for frame in frames:
+        rig.simulated.run(0.007)  # apart from the driver's own frames
+        data = bytes([0, 99]) if frame.kind == "nmt" else bytes(frame.length)
+        inject(rig, "forged_frames", cob_id=frame.cob_id, data=data, duration=0.01)
+        rig.run(2 * PERIOD)
+        assert rig.state is BaseState.FAULT, frame.name
+        assert rig.reason.startswith("another master is on the bus: it sends ")
+        assert f"({frame.cob_id:#05x})" in rig.reason
+        rig.run(0.5)
+        rig.runner.reset()
+        rig.until(lambda: rig.state is BaseState.READY)
+
+
+@pytest.mark.parametrize("node", ["fl_controller", "fr_controller"])
+def test_the_watchdog_of_a_drive_is_read_again(node: str) -> None:
+    rig = Rig(cia402())
+    rig.drive()
+    inject(rig, "watchdog_lost", node)
+    rig.until(lambda: rig.state is BaseState.FAULT, 3.0)
+    assert rig.reason == (
+        f"{node}: heartbeat_consumer_time (0x1016:1) is 0, but the robot file has 8323572"
+    )
+
+
+@pytest.mark.parametrize("index", [0x6007, 0x6807, 0x605A, 0x685A, 0x605E, 0x6085, 0x1017])
+def test_every_safety_object_is_read_again(index: int) -> None:
+    rig = Rig(cia402())
+    rig.drive()
+    entry = device(rig).objects[(index, 0)]
+    entry.value = entry.value + 1
+    rig.until(lambda: rig.state is BaseState.FAULT, 3.0)
+    assert f"({index:#06x}:0) is " in rig.reason
+
+
+@both
+def test_the_supervision_sends_at_most_one_request_in_five_cycles(make: Make) -> None:
+    rig = Rig(make())
+    rig.drive(seconds=1.0)
+    start = len(rig.frames)
+    rig.run(5.0)
+    times = [t / 1e9 for t, f in rig.frames[start:] if 0x601 <= f.id <= 0x67F]
+    assert len(times) > 40
+    assert min(b - a for a, b in itertools.pairwise(times)) > 0.095
+
+
+# -- no false alarm ----------------------------------------------------------------------------
+
+
+@both
+def test_lost_and_late_frames_are_no_second_device(make: Make) -> None:
+    rig = Rig(make())
+    rig.drive(seconds=1.0)
+    inject(rig, "noise", share=0.1)
+    rig.run(20.0)
+    assert rig.state is BaseState.ACTIVE, rig.reason
+
+
+@both
+def test_late_cycles_are_no_second_device(make: Make) -> None:
+    rig = Rig(make())
+    rig.drive(seconds=1.0)
+    cycles = 0
+
+    def late(*_: object) -> None:
+        nonlocal cycles
+        cycles += 1
+        if cycles % 7 == 0:
+            rig.interface.sleep(0.017 if cycles % 2 else 0.028)
+
+    rig.runner.run(rig.now + 20.0, watch=late)
+    assert rig.runner.timing.overruns > 10
+    assert "second device" not in rig.reason
+    assert "another master" not in rig.reason
+
+
+def test_two_batteries_with_one_id_are_a_warning() -> None:
+    rig = Rig(cia402())
+    rig.drive()
+    assert not rig.runner.warnings()
+    inject(rig, "forged_frames", cob_id=0x3E1, period=0.1)
+    rig.run(1.5)
+    assert rig.state is BaseState.ACTIVE
+    (warning,) = rig.runner.warnings()
+    assert warning.startswith("battery: charge (0x3e1) comes more often than the robot file states")
