@@ -1,0 +1,1 @@
+"""Deterministic simulation of missions with random faults; docs/chaos.md describes it."""

@@ -1,0 +1,112 @@
+"""``python -m tests.chaos``: runs seeds, shrinks violations, replays scripts."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+from tests.chaos.chaos_robots import ROBOTS
+from tests.chaos.mission_generator import MissionGenerator
+from tests.chaos.schedule import Schedule
+from tests.chaos.seed_runner import Outcome, run_schedule
+from tests.chaos.shrinker import Shrinker
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.chaos", description=__doc__)
+    parser.add_argument("--seeds", default="0:100", help="first:end, or one seed")
+    parser.add_argument("--jobs", type=int, default=1, help="number of processes")
+    parser.add_argument("--robot", choices=list(ROBOTS), help="only this robot")
+    parser.add_argument("--shrink", action="store_true", help="shrink each violation to a script")
+    parser.add_argument("--stop", type=int, default=0, metavar="N", help="end after N violations")
+    parser.add_argument("--print", action="store_true", help="print the schedule of each seed")
+    parser.add_argument("--folder", type=Path, help="write shrunk scripts into this folder")
+    parser.add_argument("scripts", nargs="*", type=Path, help="scripts to replay")
+    options = parser.parse_args()
+    if options.scripts:
+        return _replay(options.scripts)
+    first, _, end = options.seeds.partition(":")
+    seeds = range(int(first), int(end) if end else int(first) + 1)
+    children = []
+    for job in range(1, options.jobs):
+        child = os.fork()
+        if child == 0:
+            os._exit(_run(seeds[job :: options.jobs], options))
+        children.append(child)
+    status = _run(seeds[0 :: options.jobs], options)
+    for child in children:
+        status |= os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    return status
+
+
+def _replay(paths: list[Path]) -> int:
+    status = 0
+    for path in paths:
+        outcome = run_schedule(Schedule.from_json(path.read_text(encoding="utf-8")))
+        print(f"{path.name}: {_text(outcome)}")
+        status |= not outcome.holds
+    return status
+
+
+def _run(seeds: range, options: argparse.Namespace) -> int:
+    start, cpu = time.monotonic(), time.process_time()
+    simulated: Counter[str] = Counter()
+    runs: Counter[str] = Counter()
+    violations: Counter[tuple[str, str]] = Counter()
+    for seed in seeds:
+        schedule = MissionGenerator(seed, options.robot).schedule()
+        if options.print:
+            print(schedule.to_json())
+        outcome = run_schedule(schedule)
+        runs[schedule.robot] += 1
+        simulated[schedule.robot] += outcome.seconds  # type: ignore[assignment]
+        if outcome.holds:
+            continue
+        violations[schedule.robot, outcome.invariant] += 1
+        print(f"seed {seed} ({schedule.robot}, from {schedule.start}): {_text(outcome)}", flush=True)
+        if options.shrink:
+            _shrink(schedule, outcome, options.folder)
+        if options.stop and violations.total() >= options.stop:
+            break
+    wall = time.monotonic() - start
+    used = time.process_time() - cpu + _children_time()
+    hours = sum(simulated.values()) / 3600.0
+    print(
+        f"{runs.total()} schedules, {hours:.3f} simulated hours, {violations.total()} violations;"
+        f" {wall:.1f} s, {used:.1f} s of CPU,"
+        f" {60.0 * hours / max(used, 1e-9):.2f} simulated hours per minute of CPU"
+    )
+    for robot in sorted(runs):
+        found = {name: n for (r, name), n in sorted(violations.items()) if r == robot}
+        print(f"  {robot}: {runs[robot]} schedules, {simulated[robot] / 3600.0:.3f} h, {found}")
+    return int(bool(violations))
+
+
+def _children_time() -> float:
+    times = os.times()
+    return times.children_user + times.children_system
+
+
+def _shrink(schedule: Schedule, outcome: Outcome, folder: Path | None) -> None:
+    def fails(candidate: Schedule) -> bool:
+        return run_schedule(candidate).invariant == outcome.invariant
+
+    script = Shrinker(fails).shrink(schedule)
+    print(script.to_json(), _text(run_schedule(script)), flush=True)
+    if folder is not None:
+        name = f"{outcome.invariant.replace(' ', '_')}_{schedule.seed}.json"
+        (folder / name).write_text(script.to_json(), encoding="utf-8")
+
+
+def _text(outcome: Outcome) -> str:
+    if outcome.holds:
+        return f"all invariants hold for {outcome.seconds:.1f} s"
+    return f"{outcome.invariant} at {outcome.time:.2f} s: {outcome.text}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,592 @@
+"""A robot with its driver, its clients and its faults in one process, in virtual time."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from tests.chaos.chaos_robots import chaos_robot, wrong_file
+from tests.chaos.control_streams import MemoryControlServer, MemoryListener, MemoryStream
+from tests.chaos.invariants import (
+    CHECK_PERIOD,
+    MotionInvariant,
+    OdometryInvariant,
+    StateInvariant,
+    Violation,
+    check_commands,
+)
+from tests.chaos.permission import Permission
+from tests.chaos.schedule import POWER_ON, ChaosEvent, Schedule
+from tests.robots import SPAN
+from thorvaldc.can.canopen import HEARTBEAT, NMT, RPDO, SYNC, TPDO
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.nanoseconds import to_ns
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model.bus_faults import BusFault, BusFaults
+from thorvaldc.runtime.can_base.can_base import CanBase
+from thorvaldc.runtime.control.runner_services import RunnerControl
+from thorvaldc.runtime.driver import BaseDriver, DriverState
+from thorvaldc.runtime.runner import BaseRunner
+from thorvaldc.runtime.se2 import Twist
+from thorvaldc.simulation.bus.fault_injection import FaultInjector
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
+
+READY_TIME = 40.0
+"""Longest time (s) of a start-up."""
+CALL_TIME = 0.1
+"""s that a person waits for the effect of a call."""
+RECOVERIES = 4
+RECOVERY_TWIST = Twist(0.3, 0.0, 0.0)
+RECOVERED_SPEED = 0.15
+MASTER_BUS_OFF = "master_bus_off"
+IMPEDING = (
+    "babble",
+    "bus_off",
+    "late_frames",
+    "lost_frames",
+    "noise",
+    "repeated_frames",
+    "wrong_bitrate",
+    "clone",
+    "second_master",
+    "false_reports",
+    MASTER_BUS_OFF,
+)
+"""Kinds of injected faults in which the drives may not receive what the driver sends."""
+LYING = (
+    "clone",
+    "duplicate_id",
+    "encoder_jump",
+    "false_reports",
+    "frozen_encoder",
+    "late_frames",
+    "repeated_frames",
+    "blocked_motor",
+)
+"""Kinds of injected faults that falsify what the motors report, without notice at first."""
+LATCHED = ("second_master",)
+"""Kinds of problems that must be noticed, even if they were short."""
+
+
+@dataclass
+class Problem:
+    """An injected fault in effect.  ``since``: time (s) of its start; ``inert``: not judged."""
+
+    kind: str
+    since: float
+    ended: bool = False
+    noticed: bool = False
+
+
+class ChaosInterface(VirtualTimeInterface):
+    """The CAN interface of the driver, in whose ``send`` the driver may stall."""
+
+    world: ChaosWorld
+
+    def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
+        self.world.stall_while_sending()
+        return super().send(frame, timeout)
+
+    def jump(self, seconds: float) -> None:
+        """Shifts the times of waiting frames, as a wall clock that is set.
+
+        The interfaces of python-can limit the age of a frame to 1 s.
+        """
+        now = self.timeline.now
+        lowest = now - to_ns(1.0)
+        moved = [
+            received._replace(time=min(max(received.time - to_ns(seconds), lowest), now))
+            for received in self.received
+        ]
+        self.received.clear()
+        self.received.extend(moved)
+
+
+class ChaosClient:
+    """A program that is connected to the control channel of the driver."""
+
+    def __init__(self, world: ChaosWorld, name: str) -> None:
+        self.world = world
+        self.name = name
+        self.stream: MemoryStream | None = None
+        self.connection = ""
+        self.reads = True
+        self._connections = 0
+        self._driving = 0
+
+    def connect(self) -> None:
+        self.close()
+        world = self.world
+        if world.listener is None:
+            return
+        self._connections += 1
+        self.connection = f"{self.name}#{self._connections}"
+        self.stream = MemoryStream()
+        world.listener.waiting.append(self.stream)
+        world.permission.connects(self.connection)
+
+    def close(self) -> None:
+        """Ends, as a program that is killed."""
+        self._driving += 1
+        if self.stream is not None:
+            self.stream.client_gone = True
+            self.stream = None
+            self.world.permission.disconnects(self.connection)
+
+    def hang(self) -> None:
+        """Sends nothing more, but keeps the connection."""
+        self._driving += 1
+        self.reads = False
+
+    def send(self, data: bytes) -> bool:
+        """Sends bytes; returns ``False`` if the connection is closed or full."""
+        if self.stream is None or self.stream.closed:
+            self.connect()
+        if self.stream is None:
+            return False
+        before = len(self.stream.to_driver)
+        self.stream.client_send(data)
+        if self.reads:
+            self.stream.client_read()
+        return len(self.stream.to_driver) - before == len(data)
+
+    def call(self, service: str, arguments: dict[str, Any]) -> None:
+        line = json.dumps({"call": service, "arguments": arguments}).encode() + b"\n"
+        if not self.send(line):
+            return
+        permission, now = self.world.permission, self.world.now
+        if service == "twist":
+            parts = [arguments.get(name, 0.0) for name in ("vx", "vy", "wz")]
+            if all(isinstance(part, int | float) for part in parts):
+                source = str(arguments.get("source"))
+                permission.sends_twist(self.connection, source, Twist(*parts), now)
+        else:
+            permission.calls(self.connection, service, arguments, now)
+
+    def drive(self, source: str, twist: list[float], seconds: float, rate: float) -> None:
+        """Sends a twist periodically, and zero at the end."""
+        self._driving += 1
+        number, end = self._driving, self.world.now + seconds
+        vx, vy, wz = twist
+
+        def send() -> None:
+            if self._driving != number:
+                return
+            if self.world.now >= end:
+                self.call("twist", {"source": source})
+                return
+            self.call("twist", {"source": source, "vx": vx, "vy": vy, "wz": wz})
+            self.world.after(1.0 / rate, send)
+
+        send()
+
+
+class ChaosWorld:
+    """The simulated robot, the process of the driver, the clients and the judge.
+
+    ``run`` runs a schedule and raises ``Violation`` if an invariant does not hold.
+    """
+
+    def __init__(self, robot_name: str, seed: int) -> None:
+        self.robot = chaos_robot(robot_name)
+        self.simulated = SimulatedRobot(self.robot, seed=seed)
+        self.timeline = self.simulated.timeline
+        period = min(bus.sync_period for bus in self.robot.buses)
+        arming = getattr(self.robot.driver, "arming", "automatic")
+        self.permission = Permission(self.robot, period, needs_arming=arming == "required")
+        self.runner: BaseRunner = None  # type: ignore[assignment]
+        self.alive = False
+        self.listener: MemoryListener | None = None
+        self.control: RunnerControl | None = None
+        self.interfaces: dict[str, ChaosInterface] = {}
+        self.clients: dict[str, ChaosClient] = {}
+        self.problems: dict[int, Problem] = {}
+        self.limits = (self.robot.driver.max_linear_velocity, self.robot.driver.max_angular_velocity)
+        self.driver_hangs = False
+        self.hung_until = -math.inf
+        self.cycles = 0
+        self.violation: Violation | None = None
+        self._ends: dict[int, Callable[[], None]] = {}
+        self._stall, self._stall_in_sending = 0.0, 0.0
+        self._end = ""
+        self._start_wrong = False
+        self._numbers = 0
+        self._forged_until = -math.inf
+        self._injector = FaultInjector(self.simulated, BusFaults((), seed=seed))
+        self._motors = [
+            (wheel, self.simulated.motors[spin.name], self._steering_motor(wheel.steering_joint))
+            for wheel in self.robot.wheels
+            if (spin := self.robot.actuator_of(wheel.spin_joint)) is not None
+        ]
+        self.motion = MotionInvariant(self)
+        self.state_check = StateInvariant(self)
+        self.odometry = OdometryInvariant(self)
+        self._digest = hashlib.sha256()
+
+    def _steering_motor(self, joint: str | None) -> Any:
+        actuator = self.robot.actuator_of(joint) if joint is not None else None
+        return self.simulated.motors[actuator.name] if actuator is not None else None
+
+    # -- time and truth ----------------------------------------------------------------------------
+
+    @property
+    def now(self) -> float:
+        return self.timeline.seconds
+
+    def after(self, seconds: float, action: Callable[[], None]) -> None:
+        self.timeline.after(to_ns(seconds), action)
+
+    def true_speed(self) -> float:
+        """Returns the speed (m/s) of the fastest wheel."""
+        now = self.now
+        return max(abs(motor.read(now).velocity) * wheel.radius for wheel, motor, _ in self._motors)
+
+    def true_twist(self) -> Twist:
+        """Returns the twist of the robot that fits the motion of the wheels best."""
+        now, n = self.now, len(self._motors)
+        sx = sy = squares = sum_c = sum_s = moment = 0.0
+        for wheel, motor, steering in self._motors:
+            angle = wheel.heading
+            if steering is not None:
+                angle += wheel.steering_sign * steering.read(now).position
+            speed = motor.read(now).velocity * wheel.radius
+            c, s = speed * math.cos(angle), speed * math.sin(angle)
+            x, y = wheel.x, wheel.y
+            sx, sy, squares = sx + x, sy + y, squares + x * x + y * y
+            sum_c, sum_s, moment = sum_c + c, sum_s + s, moment + x * s - y * c
+        wz = (moment + sy * sum_c / n - sx * sum_s / n) / (squares - (sx * sx + sy * sy) / n)
+        return Twist((sum_c + sy * wz) / n, (sum_s - sx * wz) / n, wz)
+
+    @property
+    def impeded(self) -> bool:
+        """``True`` if the drives may not receive what the driver sends."""
+        if self.driver_hangs or not self.alive:
+            return True
+        return any(problem.kind in IMPEDING for problem in self.problems.values())
+
+    @property
+    def late_cycle(self) -> bool:
+        return self.now < self.hung_until + 0.15
+
+    @property
+    def encoders_lie(self) -> bool:
+        return any(problem.kind in LYING for problem in self.problems.values())
+
+    def forged_level(self, now: float) -> float:
+        """Returns the speed (m/s) that forged commands may cause."""
+        if now > self._forged_until:
+            return 0.0
+        actuators = [self.robot.actuator_of(w.spin_joint) for w in self.robot.wheels]
+        return max(a.max_velocity for a in actuators if a is not None) * 0.5
+
+    def describe(self) -> str:
+        if not self.alive:
+            return "no driver runs"
+        machine = self.runner.base.state_machine
+        kinds = ", ".join(sorted({p.kind for p in self.problems.values()})) or "no problem"
+        return (
+            f"{machine.state.value} {machine.reason!r}, armed {self.runner.base.armed},"
+            f" permitted {self.permission.twist(self.now)}, {kinds}"
+        )
+
+    def _monitor(self) -> None:
+        now = self.now
+        try:
+            self.odometry.advance(now)
+            self.motion.check(now)
+        except Violation as violation:
+            self.violation = violation
+            raise
+        self.after(CHECK_PERIOD, self._monitor)
+
+    # -- the process of the driver -----------------------------------------------------------------
+
+    def start_driver(self, wrong: bool = False) -> None:
+        robot = wrong_file(self.robot) if wrong else self.robot
+        self.interfaces = {}
+        for bus in self.robot.buses:
+            interface = ChaosInterface(self.simulated.wire(bus.name), "master", fifo=True)
+            interface.world = self
+            self.interfaces[bus.name] = interface
+        base = CanBase(robot, self.interfaces, threaded=False)
+        self.runner = BaseRunner(robot, base, next(iter(self.interfaces.values())))
+        self.runner.pace = self._before_cycle
+        self.control = RunnerControl(self.runner)
+        self.listener = MemoryListener()
+        self.control._server = MemoryControlServer(self.control.services, self.listener)
+        self.runner.feed = self._feed
+        self.permission.driver_restarted()
+        self.alive, self.driver_hangs = True, False
+        self.hung_until = self.now
+        for client in self.clients.values():
+            client.stream = None
+
+    def _feed(self, driver: BaseDriver, now: float) -> None:
+        assert self.control is not None
+        self.control.feed(driver, now)
+
+    def _before_cycle(self, deadline: float) -> None:
+        if self._stall:
+            seconds, self._stall = self._stall, 0.0
+            self._hang(seconds)
+        self.permission.cycle_starts(self.now)
+
+    def stall_while_sending(self) -> None:
+        if self._stall_in_sending:
+            seconds, self._stall_in_sending = self._stall_in_sending, 0.0
+            self._hang(seconds)
+
+    def _hang(self, seconds: float) -> None:
+        self.driver_hangs = True
+        self.timeline.run_until(self.timeline.now + to_ns(seconds))
+        self.driver_hangs = False
+        self.hung_until = self.now
+
+    def _watch(self, runner: BaseRunner, state: DriverState) -> None:
+        now = self.now
+        base_state = runner.state
+        self.cycles += 1
+        settings = runner.driver.settings
+        self.limits = (settings.max_linear_velocity, settings.max_angular_velocity)
+        self.permission.cycle_ends(now, base_state.drives, base_state.starts)
+        for number, problem in list(self.problems.items()):
+            problem.noticed = problem.noticed or not base_state.drives
+            if problem.ended and (problem.noticed or problem.kind not in LATCHED):
+                del self.problems[number]
+        self.state_check.check(now)
+        check_commands(self, now)
+        self.odometry.check(now)
+
+    def run_until(self, end: float, stop: Callable[[], bool] | None = None) -> None:
+        """Runs the driver, or the robot alone, until a time (s) or until ``stop()`` is true."""
+        while self.now < end - 1e-9 and not (stop is not None and stop()):
+            if not self.alive:
+                self.timeline.run_until(
+                    to_ns(end), lambda: bool(self._end) or (stop is not None and stop())
+                )
+            else:
+                self.runner.run(
+                    end, watch=self._watch, stop=lambda: bool(self._end) or (stop or _never)()
+                )
+            how, self._end = self._end, ""
+            if how == "start" and not self.alive:
+                self.start_driver(self._start_wrong)
+            elif how in ("end", "kill") and self.alive:
+                self._end_driver(how)
+
+    def _end_driver(self, how: str) -> None:
+        if how == "end":
+            self.permission.disarm()
+            self.runner.shutdown()
+        else:
+            self.runner.base.close()
+        assert self.control is not None
+        self.control.close()
+        self.alive, self.listener = False, None
+        self.hung_until = self.now
+        self.permission.driver_restarted()
+
+    # -- the mission --------------------------------------------------------------------------------
+
+    def prepare(self) -> None:
+        """Runs the start-up until the robot is ready."""
+        self.simulated.power_on()
+        self.start_driver()
+        self.run_until(READY_TIME, lambda: self.runner.ready)
+        assert self.runner.ready, self.describe()
+        self.run_until(self.now + 0.1)
+
+    def run(self, schedule: Schedule) -> dict[str, Any]:
+        """Runs the mission and the recovery; returns numbers of the run."""
+        if schedule.start == POWER_ON:
+            self.simulated.power_on()
+            self.start_driver()
+        start = self.now
+        self._injector._random.seed(f"{schedule.seed}:chaos")
+        self._monitor()
+        for event in schedule.events:
+            self.after(event.at, lambda event=event: self._act(event))  # type: ignore[misc]
+        try:
+            self.run_until(start + schedule.duration)
+            self._recover()
+        except Violation as violation:
+            self.violation = self.violation or violation
+        if self.violation is not None:
+            # The time counts from the start of the mission, as that of the events.
+            self.violation.time -= start
+            raise self.violation
+        return {"seconds": self.now - start, "cycles": self.cycles, "digest": self.digest()}
+
+    def digest(self) -> str:
+        """Returns a number that differs if anything on the buses differed."""
+        wires = [(w.frames, w.errors, w.busy) for w in self.simulated.wires.values()]
+        twist = self.true_twist()
+        self._digest.update(repr((self.timeline.now, wires, twist, self.odometry.pose)).encode())
+        return self._digest.hexdigest()[:16]
+
+    def _act(self, event: ChaosEvent) -> None:
+        getattr(self, f"act_{event.act}")(**event.values)
+
+    def client(self, name: str) -> ChaosClient:
+        return self.clients.setdefault(name, ChaosClient(self, name))
+
+    # -- acts ----------------------------------------------------------------------------------------
+
+    def act_call(self, client: str, service: str, arguments: dict[str, Any] | None = None) -> None:
+        self.client(client).call(service, arguments or {})
+
+    def act_drive(
+        self, client: str, source: str, twist: list[float], seconds: float, rate: float = 20.0
+    ) -> None:
+        self.client(client).drive(source, twist, seconds, rate)
+
+    def act_close(self, client: str) -> None:
+        self.client(client).close()
+
+    def act_hang(self, client: str) -> None:
+        self.client(client).hang()
+
+    def act_raw(self, client: str, text: str, times: int = 1) -> None:
+        """Sends text that need not be a request."""
+        self.client(client).reads = False
+        for _ in range(times):
+            self.client(client).send(text.encode())
+
+    def act_stall(self, seconds: float, sending: bool = False) -> None:
+        if sending:
+            self._stall_in_sending = seconds
+        else:
+            self._stall = seconds
+
+    def act_end(self) -> None:
+        self._end = "end"
+
+    def act_kill(self) -> None:
+        self._end = "kill"
+
+    def act_start(self, wrong: bool = False) -> None:
+        self._end, self._start_wrong = "start", wrong
+
+    def act_clock_jump(self, seconds: float) -> None:
+        for interface in self.interfaces.values():
+            interface.jump(seconds)
+
+    def act_master_bus_off(self, bus: str) -> None:
+        if bus in self.interfaces and self.alive:
+            self.interfaces[bus].controller.go_bus_off()
+            self._open_problem(MASTER_BUS_OFF)
+
+    def act_inject(
+        self, kind: str, bus: str, node: str | None = None, seconds: float | None = None, **more: Any
+    ) -> None:
+        if "data" in more:
+            more["data"] = bytes.fromhex(more["data"])
+        fault = BusFault(kind, bus, node, 0.0, None, SPAN, **more)
+        self._injector.active.append(fault)
+        remove = self._injector._start(fault)
+        number = self._open_problem(self._kind_of(fault))
+        device = self.simulated.devices.get(node or "")
+        original = device.nonvolatile.get("node_id") if device is not None else None
+        if kind == "duplicate_id" and device is not None:
+            original = next(
+                n.id for b in self.robot.buses for n in b.nodes if n.name == device.name
+            )
+
+        def end() -> None:
+            if self._ends.pop(number, None) is None:
+                return
+            remove()
+            if kind == "duplicate_id" and device is not None and original is not None:
+                device.change_node_id(original)
+            self._close_problem(number)
+
+        self._ends[number] = end
+        if kind == "forged_frames" and self.problems[number].kind == "second_master":
+            self._forged_until = self.now + (seconds or 0.0) + 0.06
+        if seconds is not None:
+            self.after(seconds, end)
+
+    def _kind_of(self, fault: BusFault) -> str:
+        nodes = {n.name: n for b in self.robot.buses for n in b.nodes}
+        if fault.kind == "forged_frames":
+            base = (fault.cob_id or 0) & 0x780
+            master = (NMT, SYNC, HEARTBEAT + 0x7F)
+            if fault.cob_id in master or base in RPDO:
+                return "second_master"
+            return "false_reports" if base in TPDO else "forged_frames"
+        if fault.node is not None and not nodes[fault.node].channels:
+            return f"{fault.kind} of a device"
+        return fault.kind
+
+    def _open_problem(self, kind: str) -> int:
+        self._numbers += 1
+        self.problems[self._numbers] = Problem(kind, self.now)
+        if kind in LYING:
+            self.odometry.invalidate()
+        return self._numbers
+
+    def _close_problem(self, number: int) -> None:
+        problem = self.problems.get(number)
+        if problem is not None:
+            problem.ended = True
+            if not self.alive:
+                del self.problems[number]
+
+    # -- the recovery ----------------------------------------------------------------------------
+
+    def _recover(self) -> None:
+        """Ends all injected faults; a person resets and arms; the robot must drive again."""
+        self.act_end_faults()
+        self._end = ""
+        self.run_until(self.now + 1.2)
+        for _ in range(RECOVERIES):
+            if not self.alive:
+                self._end, self._start_wrong = "start", False
+                self.run_until(self.now + 0.04)
+            if self._drives_again():
+                return
+        raise Violation("recovery", self.now, f"the robot does not drive again: {self.describe()}")
+
+    def act_end_faults(self) -> None:
+        for end in list(self._ends.values()):
+            end()
+        for client in self.clients.values():
+            client.close()
+
+    def _drives_again(self) -> bool:
+        person = self.client("person")
+        person.connect()
+        self._call(person, "release_safety_stop", force=True)
+        for lock in self.robot.twist_locks:
+            self._call(person, "lock", name=lock.name, locked=False, force=True)
+        if self.runner.robot is not self.robot:
+            self._end = "end"
+            return False
+        self.run_until(self.now + CALL_TIME)
+        if not self.runner.state.drives:
+            self._call(person, "reset_faults")
+            self.run_until(
+                self.now + READY_TIME,
+                lambda: self.runner.ready or self.runner.state.value in ("fault", "estop"),
+            )
+        self._call(person, "arm")
+        person.drive("teleop_joy", list(RECOVERY_TWIST), 2.0, 20.0)
+        end = self.now + 2.0
+        self.run_until(end, lambda: self.true_twist().vx > RECOVERED_SPEED)
+        return self.true_twist().vx > RECOVERED_SPEED
+
+    def _call(self, client: ChaosClient, service: str, **arguments: Any) -> None:
+        client.call(service, arguments)
+        self.run_until(self.now + CALL_TIME)
+
+
+def _never() -> bool:
+    return False
+
+
+__all__ = ["ChaosWorld", "DiagnosticError", "Violation"]

@@ -1,0 +1,211 @@
+"""What must hold at every instant, judged by the true motors and not by what the driver believes."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from tests.chaos.permission import wheel_speed
+from thorvaldc.runtime.se2 import ORIGIN, Pose2
+
+if TYPE_CHECKING:
+    from tests.chaos.chaos_world import ChaosWorld
+
+CHECK_PERIOD = 0.02
+REACTION = 0.2
+"""s from the end of a permission until the wheels brake: cycles, a tolerated gap, the drives."""
+WATCHDOG = 0.72
+"""s until the drives brake by themselves: their watchdog of 0.5 s, a heartbeat, and ``REACTION``."""
+AFTER_IMPEDIMENT = 0.2
+"""s after which the driver controls the drives again, when a hindrance has ended."""
+SPEED_TOLERANCE, SPEED_SHARE = 0.04, 1.06
+"""Wheel speeds (m/s) that count as standing, and the tolerance of the permitted speed."""
+SIGMAS = 5.0
+POSE_TOLERANCE = 0.08
+"""m and rad: time between the report of a motor and the control cycle, at top speed."""
+NOTICE = {
+    "power_cut": 0.12,
+    "mute": 0.12,
+    "heartbeat_stop": 0.45,
+    "wrong_bitrate": 0.2,
+    "clone": 0.6,
+    "second_master": 0.15,
+    "false_reports": 0.25,
+    "battery": 3.0,
+}
+"""Longest time (s) from an injected fault until the driver no longer reports that it can drive."""
+MARGIN = 0.1
+
+
+class Violation(Exception):
+    """An invariant does not hold."""
+
+    def __init__(self, invariant: str, time: float, text: str) -> None:
+        super().__init__(f"{invariant} at {time:.3f} s: {text}")
+        self.invariant = invariant
+        self.time = time
+        self.text = text
+
+
+@dataclass
+class MotionInvariant:
+    """No wheel turns faster than permitted, and every stop ends in time.
+
+    The envelope of the wheel speed is the highest permitted speed in the last reaction time.  Then
+    it falls with the slowest ramp of the robot.  The reaction time is that of the driver, or that
+    of the drives' own watchdogs where the driver cannot act.
+    """
+
+    world: ChaosWorld
+    envelope: float = 0.0
+    _recent: deque[tuple[float, float]] = field(default_factory=deque)
+    _impeded_until: float = -math.inf
+
+    def __post_init__(self) -> None:
+        robot = self.world.robot
+        settings = robot.driver
+        levers = [math.hypot(w.x, w.y) for w in robot.wheels if w.driven]
+        turning = settings.max_angular_acceleration * min(levers)
+        self.deceleration = 0.5 * min(settings.max_linear_acceleration, turning)
+
+    def check(self, now: float) -> None:
+        world = self.world
+        settings = world.limits
+        level = 0.0
+        if not world.driver_hangs:
+            twist = world.permission.twist(now)
+            level = wheel_speed(world.robot, twist, *settings)
+        level = max(level, world.forged_level(now))
+        recent = self._recent
+        recent.append((now, level))
+        if world.impeded:
+            self._impeded_until = now + AFTER_IMPEDIMENT
+        reaction = WATCHDOG if now < self._impeded_until else REACTION
+        while recent and recent[0][0] < now - WATCHDOG:
+            recent.popleft()
+        highest = max(level for time, level in recent if time >= now - reaction)
+        self.envelope = max(highest, self.envelope - self.deceleration * CHECK_PERIOD)
+        speed = world.true_speed()
+        if speed > SPEED_SHARE * self.envelope + SPEED_TOLERANCE:
+            raise Violation(
+                "unasked motion",
+                now,
+                f"a wheel turns at {speed:.2f} m/s; permitted are {self.envelope:.2f} m/s"
+                f" ({world.describe()})",
+            )
+
+
+@dataclass
+class StateInvariant:
+    """The reported state is not better than the truth for longer than the stated time."""
+
+    world: ChaosWorld
+    _since: dict[int, float] = field(default_factory=dict)
+
+    def check(self, now: float) -> None:
+        """Called after each control cycle."""
+        world = self.world
+        for number, problem in world.problems.items():
+            limit = NOTICE.get(problem.kind)
+            if limit is None:
+                continue
+            if not world.runner.state.drives or world.late_cycle:
+                self._since.pop(number, None)
+                continue
+            since = self._since.setdefault(number, max(now, problem.since))
+            if now - since > limit + MARGIN:
+                raise Violation(
+                    "unnoticed problem",
+                    now,
+                    f"{problem.kind} since {now - since:.2f} s, and the driver reports"
+                    f" `{world.runner.state.value}`",
+                )
+        for number in [n for n in self._since if n not in world.problems]:
+            del self._since[number]
+
+
+def check_commands(world: ChaosWorld, now: float) -> None:
+    """Commands are finite and within the limits of the robot."""
+    base, state = world.runner.base, world.runner.driver.state
+    if state.time != now:
+        return
+    for axis in base._axes:
+        actuator, target = axis.actuator, axis.target
+        if not math.isfinite(target):
+            raise Violation("command", now, f"{actuator.name} is commanded to {target}")
+        if not base.state_machine.state.drives:
+            continue
+        joint = world.robot.joint(actuator.joint)
+        if axis.steering:
+            lower = -math.inf if joint.lower is None else joint.lower
+            upper = math.inf if joint.upper is None else joint.upper
+            within = lower - 1e-3 <= target <= upper + 1e-3
+        else:
+            within = abs(target) <= 1.001 * actuator.max_velocity + 1e-6
+        if not within:
+            raise Violation("command", now, f"{actuator.name} is commanded to {target:.3f}")
+    linear, angular = world.limits
+    twist = state.ramped
+    if twist.speed > 1.01 * linear + 0.01 or abs(twist.wz) > 1.01 * angular + 0.01:
+        raise Violation("command", now, f"the ramped twist {twist} exceeds {world.limits}")
+
+
+@dataclass
+class OdometryInvariant:
+    """The covariance of the odometry contains the true pose.
+
+    The true pose follows from the true motors: the twist that fits the wheels best, integrated.
+    The check pauses after an injected fault that falsifies what the motors report, until the pose
+    is set to zero again.
+    """
+
+    world: ChaosWorld
+    pose: Pose2 = ORIGIN
+    valid: bool = False
+    _time: float = -math.inf
+    _was_origin: bool = False
+
+    def advance(self, now: float) -> None:
+        """Integrates the true pose to the time ``now`` (s)."""
+        dt = now - self._time
+        self._time = now
+        if 0.0 < dt < 1.0:
+            vx, vy, wz = self.world.true_twist()
+            x, y, yaw = self.pose
+            heading = yaw + wz * dt / 2.0
+            c, s = math.cos(heading), math.sin(heading)
+            self.pose = Pose2(x + (c * vx - s * vy) * dt, y + (s * vx + c * vy) * dt, yaw + wz * dt)
+
+    def invalidate(self) -> None:
+        self.valid = False
+
+    def check(self, now: float) -> None:
+        """Compares with the odometry after a control cycle."""
+        state = self.world.runner.driver.state
+        pose, covariance = state.pose, state.pose_covariance
+        x, y, yaw = pose
+        if x == y == yaw == 0.0 and not any(covariance[i][i] for i in range(3)):
+            self.pose, self.valid = ORIGIN, not self.world.encoders_lie
+            self._time = now
+            return
+        if self.world.encoders_lie:
+            self.valid = False
+        if not self.valid:
+            return
+        true_x, true_y, true_yaw = self.pose
+        dx, dy = true_x - x, true_y - y
+        c, s = math.cos(yaw), math.sin(yaw)
+        turn = math.remainder(true_yaw - yaw, math.tau)
+        errors = (c * dx + s * dy, c * dy - s * dx, turn)
+        for i, error in enumerate(errors):
+            variance = covariance[i][i]
+            allowed = SIGMAS * math.sqrt(max(variance, 0.0)) + POSE_TOLERANCE * (1 + abs(turn))
+            if not abs(error) <= allowed:
+                raise Violation(
+                    "odometry",
+                    now,
+                    f"the pose is {error:.3f} off in {('x', 'y', 'yaw')[i]}; 5 sigma and the"
+                    f" tolerance are {allowed:.3f}",
+                )

@@ -1,0 +1,191 @@
+"""Which motion the clients have asked for, by rules that do not use the driver's own decisions.
+
+A motion is permitted while all of this is true.  The rules are those of docs/driving.md:
+
+- The driver was armed after it became ready, and no fault, stop, restart or long gap came since.
+- The twist was sent by the connection that holds its source, and it is fresh.
+- After a gap in the control cycle, zero was commanded (or nothing for the time-out) before.
+- No stop lock with a higher priority is set.
+
+The rules are permissive where the outcome depends on the order within a control cycle.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from thorvaldc.model import Robot
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+
+SHORT_GAP = 2.5
+"""Periods between two control cycles above which waiting commands are void."""
+ARM_TIME = 0.1
+"""s in which the driver processes a request to arm."""
+RANK_OF_STOP = "safety_stop"
+
+
+@dataclass
+class _Source:
+    """A twist source with its last accepted twist."""
+
+    priority: int
+    timeout: float
+    client: str = ""
+    twist: Twist = ZERO_TWIST
+    time: float = -math.inf
+
+    def is_fresh(self, now: float) -> bool:
+        return now - self.time <= self.timeout + 1e-6
+
+
+@dataclass
+class Permission:
+    """The permitted motion, from what was sent to the driver and when.
+
+    - ``needs_arming``: the robot file requires the service ``arm``.
+    - ``long_gap``: time (s) between two control cycles from which on the driver must be reset.
+    """
+
+    robot: Robot
+    period: float
+    needs_arming: bool = True
+    long_gap: float = 0.25
+    armed: bool = False
+    must_reset: bool = False
+    zero_first: bool = True
+    sources: dict[str, _Source] = field(default_factory=dict)
+    locks: dict[str, str] = field(default_factory=dict)
+    """Client that set each lock, by name of the lock."""
+    living: set[str] = field(default_factory=set)
+    _arming_until: float = -math.inf
+    _void_at: float = -math.inf
+    _last_motion: float = -math.inf
+    _last_cycle: float = -math.inf
+
+    def __post_init__(self) -> None:
+        self.driver_restarted()
+
+    # -- what happens ----------------------------------------------------------------------------
+
+    def driver_restarted(self) -> None:
+        self.sources = {
+            s.name: _Source(s.priority, s.timeout or math.inf) for s in self.robot.twist_sources
+        }
+        self.locks = {}
+        self.living = set()
+        self._last_cycle = math.nan
+        self.disarm()
+
+    def disarm(self) -> None:
+        self.armed, self.must_reset, self.zero_first = False, True, True
+        self._arming_until = -math.inf
+
+    def cycle_starts(self, now: float) -> None:
+        """Judges the time since the last control cycle."""
+        gap = now - self._last_cycle
+        self._last_cycle = now
+        if gap > SHORT_GAP * self.period + 1e-6:
+            self._void(now)
+        if gap >= self.long_gap:
+            self.disarm()
+
+    def cycle_ends(self, now: float, drives: bool, starts: bool) -> None:
+        """``drives``, ``starts``: the base is ready or drives; it is in its start-up."""
+        if starts:
+            self.must_reset = False
+        if not drives:
+            self.armed, self.zero_first = False, True
+            self._void_at = now
+        elif self._arming_until >= now:
+            self._arming_until = -math.inf
+            self.armed, self.must_reset = True, False
+            if self._is_moving(now):
+                self.zero_first = True
+                self._void_at = now
+
+    def _is_moving(self, now: float) -> bool:
+        return any(s.is_fresh(now) and s.twist != ZERO_TWIST for s in self.sources.values())
+
+    def _void(self, now: float) -> None:
+        self.zero_first, self._void_at = True, now
+        for source in self.sources.values():
+            source.time = -math.inf
+
+    def sends_twist(self, client: str, source: str, twist: Twist, now: float) -> None:
+        entry = self.sources.get(source)
+        if entry is None or not all(map(math.isfinite, twist)):
+            return
+        other = entry.client not in ("", client) and entry.client in self.living
+        if other and entry.is_fresh(now):
+            return
+        entry.client, entry.twist, entry.time = client, twist, now
+        if twist != ZERO_TWIST:
+            self._last_motion = now
+        elif self._selected(now) is entry:
+            self.zero_first = False
+
+    def calls(self, client: str, service: str, arguments: dict[str, object], now: float) -> None:
+        if service == "arm":
+            self._arming_until = now + ARM_TIME
+        elif service == "disarm":
+            self.armed = False
+        elif service in ("safety_stop", "lock"):
+            name = str(arguments.get("name", RANK_OF_STOP))
+            if service == "safety_stop":
+                self.disarm()
+            if arguments.get("locked", True):
+                self.locks.setdefault(name, client)
+            elif self.locks.get(name) == client or arguments.get("force"):
+                self.locks.pop(name, None)
+        elif service == "release_safety_stop":
+            if self.locks.get(RANK_OF_STOP) == client or arguments.get("force"):
+                self.locks.pop(RANK_OF_STOP, None)
+
+    def connects(self, client: str) -> None:
+        self.living.add(client)
+
+    def disconnects(self, client: str) -> None:
+        self.living.discard(client)
+
+    # -- what is permitted -------------------------------------------------------------------------
+
+    def _selected(self, now: float) -> _Source | None:
+        priorities = {lock.name: lock.priority for lock in self.robot.twist_locks}
+        barrier = max((priorities.get(name, 255) for name in self.locks), default=-1)
+        fresh = [s for s in self.sources.values() if s.is_fresh(now)]
+        best = max(fresh, key=lambda s: s.priority, default=None)
+        if best is None or best.priority < barrier or RANK_OF_STOP in self.locks:
+            return None
+        return best
+
+    def twist(self, now: float) -> Twist:
+        """Returns the permitted twist at the time ``now`` (s)."""
+        timeout = self.robot.driver.command_timeout
+        if self.zero_first and now - max(self._void_at, self._last_motion) > timeout:
+            self.zero_first = False
+        if (self.needs_arming and not self.armed) or self.must_reset or self.zero_first:
+            return ZERO_TWIST
+        source = self._selected(now)
+        return ZERO_TWIST if source is None else source.twist
+
+
+def wheel_speed(robot: Robot, twist: Twist, linear: float, angular: float) -> float:
+    """Returns the speed (m/s) of the fastest wheel for a twist within the driver's limits.
+
+    ``linear``, ``angular``: limits of the driver in m/s and rad/s.
+    """
+    scale = 1.0
+    if twist.speed > linear:
+        scale = linear / twist.speed
+    if abs(twist.wz) * scale > angular:
+        scale = angular / abs(twist.wz)
+    vx, vy, wz = (scale * part for part in twist)
+    fastest = 0.0
+    for wheel in robot.wheels:
+        if not wheel.driven:
+            continue
+        forward, sideways = vx - wz * wheel.y, vy + wz * wheel.x
+        steered = wheel.steering_joint is not None
+        fastest = max(fastest, math.hypot(forward, sideways) if steered else abs(forward))
+    return fastest
