@@ -67,7 +67,9 @@ def _run(seeds: range, options: argparse.Namespace) -> int:
         if outcome.holds:
             continue
         violations[schedule.robot, outcome.invariant] += 1
-        print(f"seed {seed} ({schedule.robot}, from {schedule.start}): {_text(outcome)}", flush=True)
+        print(
+            f"seed {seed} ({schedule.robot}, from {schedule.start}): {_text(outcome)}", flush=True
+        )
         if options.shrink:
             _shrink(schedule, outcome, options.folder)
         if options.stop and violations.total() >= options.stop:

@@ -9,6 +9,7 @@ from dataclasses import replace
 from tests.runtime.can_base.fault_matrix import cia402 as steered_cia402
 from tests.simulation.bus.robots import compiled
 from thorvaldc.model import Robot
+from thorvaldc.model.bus import ObjectValue
 
 _STEERED_SCRIPT = """
 thorvaldc: 1
@@ -85,7 +86,7 @@ ROBOTS: dict[str, Callable[[], Robot]] = {
     "differential_cia402": differential_cia402,
     "differential_script": differential_script,
 }
-"""Robots by name.  The steered CiA 402 robot has a battery and homes ten times faster than usual."""
+"""Robots by name.  The steered CiA 402 robot has a battery, and homes faster than usual."""
 
 
 @functools.cache
@@ -99,13 +100,15 @@ def wrong_file(robot: Robot) -> Robot:
         replace(actuator, encoder_ppr=2 * actuator.encoder_ppr) for actuator in robot.actuators
     )
     buses = tuple(
-        replace(bus, nodes=tuple(replace(n, objects=tuple(map(_other, n.objects))) for n in bus.nodes))
+        replace(
+            bus, nodes=tuple(replace(n, objects=tuple(map(_other, n.objects))) for n in bus.nodes)
+        )
         for bus in robot.buses
     )
     return replace(robot, actuators=actuators, buses=buses)
 
 
-def _other(entry):  # type: ignore[no-untyped-def]
+def _other(entry: ObjectValue) -> ObjectValue:
     """Doubles the encoder pulses in an object of a CiA 402 drive."""
     is_encoder = entry.index & 0x7FF == 0x08F and entry.subindex == 1 and entry.value is not None
-    return replace(entry, value=2 * entry.value) if is_encoder else entry
+    return replace(entry, value=2 * (entry.value or 0)) if is_encoder else entry

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from tests.chaos.chaos_client import ChaosClient
+from tests.chaos.chaos_interface import ChaosInterface
 from tests.chaos.chaos_robots import chaos_robot, wrong_file
-from tests.chaos.control_streams import MemoryControlServer, MemoryListener, MemoryStream
+from tests.chaos.control_streams import MemoryControlServer, MemoryListener
 from tests.chaos.invariants import (
     CHECK_PERIOD,
     MotionInvariant,
@@ -23,19 +24,20 @@ from tests.chaos.permission import Permission
 from tests.chaos.schedule import POWER_ON, ChaosEvent, Schedule
 from tests.robots import SPAN
 from thorvaldc.can.canopen import HEARTBEAT, NMT, RPDO, SYNC, TPDO
-from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.nanoseconds import to_ns
-from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.bus_faults import BusFault, BusFaults
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.control.runner_services import RunnerControl
 from thorvaldc.runtime.driver import BaseDriver, DriverState
 from thorvaldc.runtime.runner import BaseRunner
-from thorvaldc.runtime.se2 import Twist
+from thorvaldc.runtime.se2 import Pose2, Twist
+from thorvaldc.simulation.bus.cia402_device import Cia402Drive
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
+from thorvaldc.simulation.bus.roboteq_device import RoboteqController
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
-from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 
+CONTROL_PERIOD = 0.01
+"""Period (s) of the control loops of the drives, longer than usual to save computing time."""
 READY_TIME = 40.0
 """Longest time (s) of a start-up."""
 CALL_TIME = 0.1
@@ -83,109 +85,6 @@ class Problem:
     noticed: bool = False
 
 
-class ChaosInterface(VirtualTimeInterface):
-    """The CAN interface of the driver, in whose ``send`` the driver may stall."""
-
-    world: ChaosWorld
-
-    def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
-        self.world.stall_while_sending()
-        return super().send(frame, timeout)
-
-    def jump(self, seconds: float) -> None:
-        """Shifts the times of waiting frames, as a wall clock that is set.
-
-        The interfaces of python-can limit the age of a frame to 1 s.
-        """
-        now = self.timeline.now
-        lowest = now - to_ns(1.0)
-        moved = [
-            received._replace(time=min(max(received.time - to_ns(seconds), lowest), now))
-            for received in self.received
-        ]
-        self.received.clear()
-        self.received.extend(moved)
-
-
-class ChaosClient:
-    """A program that is connected to the control channel of the driver."""
-
-    def __init__(self, world: ChaosWorld, name: str) -> None:
-        self.world = world
-        self.name = name
-        self.stream: MemoryStream | None = None
-        self.connection = ""
-        self.reads = True
-        self._connections = 0
-        self._driving = 0
-
-    def connect(self) -> None:
-        self.close()
-        world = self.world
-        if world.listener is None:
-            return
-        self._connections += 1
-        self.connection = f"{self.name}#{self._connections}"
-        self.stream = MemoryStream()
-        world.listener.waiting.append(self.stream)
-        world.permission.connects(self.connection)
-
-    def close(self) -> None:
-        """Ends, as a program that is killed."""
-        self._driving += 1
-        if self.stream is not None:
-            self.stream.client_gone = True
-            self.stream = None
-            self.world.permission.disconnects(self.connection)
-
-    def hang(self) -> None:
-        """Sends nothing more, but keeps the connection."""
-        self._driving += 1
-        self.reads = False
-
-    def send(self, data: bytes) -> bool:
-        """Sends bytes; returns ``False`` if the connection is closed or full."""
-        if self.stream is None or self.stream.closed:
-            self.connect()
-        if self.stream is None:
-            return False
-        before = len(self.stream.to_driver)
-        self.stream.client_send(data)
-        if self.reads:
-            self.stream.client_read()
-        return len(self.stream.to_driver) - before == len(data)
-
-    def call(self, service: str, arguments: dict[str, Any]) -> None:
-        line = json.dumps({"call": service, "arguments": arguments}).encode() + b"\n"
-        if not self.send(line):
-            return
-        permission, now = self.world.permission, self.world.now
-        if service == "twist":
-            parts = [arguments.get(name, 0.0) for name in ("vx", "vy", "wz")]
-            if all(isinstance(part, int | float) for part in parts):
-                source = str(arguments.get("source"))
-                permission.sends_twist(self.connection, source, Twist(*parts), now)
-        else:
-            permission.calls(self.connection, service, arguments, now)
-
-    def drive(self, source: str, twist: list[float], seconds: float, rate: float) -> None:
-        """Sends a twist periodically, and zero at the end."""
-        self._driving += 1
-        number, end = self._driving, self.world.now + seconds
-        vx, vy, wz = twist
-
-        def send() -> None:
-            if self._driving != number:
-                return
-            if self.world.now >= end:
-                self.call("twist", {"source": source})
-                return
-            self.call("twist", {"source": source, "vx": vx, "vy": vy, "wz": wz})
-            self.world.after(1.0 / rate, send)
-
-        send()
-
-
 class ChaosWorld:
     """The simulated robot, the process of the driver, the clients and the judge.
 
@@ -196,6 +95,11 @@ class ChaosWorld:
         self.robot = chaos_robot(robot_name)
         self.simulated = SimulatedRobot(self.robot, seed=seed)
         self.timeline = self.simulated.timeline
+        for device in self.simulated.devices.values():
+            if isinstance(device, Cia402Drive):
+                device.control_period = CONTROL_PERIOD
+            elif isinstance(device, RoboteqController):
+                device.loop_period = CONTROL_PERIOD
         period = min(bus.sync_period for bus in self.robot.buses)
         arming = getattr(self.robot.driver, "arming", "automatic")
         self.permission = Permission(self.robot, period, needs_arming=arming == "required")
@@ -206,7 +110,11 @@ class ChaosWorld:
         self.interfaces: dict[str, ChaosInterface] = {}
         self.clients: dict[str, ChaosClient] = {}
         self.problems: dict[int, Problem] = {}
-        self.limits = (self.robot.driver.max_linear_velocity, self.robot.driver.max_angular_velocity)
+        settings = self.robot.driver
+        self.limits: tuple[float, ...] = (
+            settings.max_linear_velocity,
+            settings.max_angular_velocity,
+        )
         self.driver_hangs = False
         self.hung_until = -math.inf
         self.cycles = 0
@@ -320,11 +228,23 @@ class ChaosWorld:
         self.listener = MemoryListener()
         self.control._server = MemoryControlServer(self.control.services, self.listener)
         self.runner.feed = self._feed
+        self._note_resets(self.runner.driver)
+        self.odometry.invalidate()
         self.permission.driver_restarted()
         self.alive, self.driver_hangs = True, False
         self.hung_until = self.now
         for client in self.clients.values():
             client.stream = None
+
+    def _note_resets(self, driver: BaseDriver) -> None:
+        """Lets the true pose begin at the origin whenever the driver sets its pose."""
+        reset_pose = driver.reset_pose
+
+        def reset(*pose: Pose2) -> None:
+            reset_pose(*pose)
+            self.odometry.restart(self.now)
+
+        driver.reset_pose = reset  # type: ignore[method-assign]
 
     def _feed(self, driver: BaseDriver, now: float) -> None:
         assert self.control is not None
@@ -349,10 +269,16 @@ class ChaosWorld:
 
     def _watch(self, runner: BaseRunner, state: DriverState) -> None:
         now = self.now
-        base_state = runner.state
+        base_state, base_period = runner.state, runner.period
         self.cycles += 1
         settings = runner.driver.settings
-        self.limits = (settings.max_linear_velocity, settings.max_angular_velocity)
+        # After a limit was lowered, the robot ramps down to it.
+        ramps = (settings.max_linear_acceleration, settings.max_angular_acceleration)
+        new = (settings.max_linear_velocity, settings.max_angular_velocity)
+        self.limits = tuple(
+            max(limit, previous - 0.5 * ramp * base_period)
+            for limit, previous, ramp in zip(new, self.limits, ramps, strict=True)
+        )
         self.permission.cycle_ends(now, base_state.drives, base_state.starts)
         for number, problem in list(self.problems.items()):
             problem.noticed = problem.noticed or not base_state.drives
@@ -391,7 +317,7 @@ class ChaosWorld:
         self.hung_until = self.now
         self.permission.driver_restarted()
 
-    # -- the mission --------------------------------------------------------------------------------
+    # -- the mission -------------------------------------------------------------------------------
 
     def prepare(self) -> None:
         """Runs the start-up until the robot is ready."""
@@ -435,7 +361,7 @@ class ChaosWorld:
     def client(self, name: str) -> ChaosClient:
         return self.clients.setdefault(name, ChaosClient(self, name))
 
-    # -- acts ----------------------------------------------------------------------------------------
+    # -- acts --------------------------------------------------------------------------------------
 
     def act_call(self, client: str, service: str, arguments: dict[str, Any] | None = None) -> None:
         self.client(client).call(service, arguments or {})
@@ -482,7 +408,12 @@ class ChaosWorld:
             self._open_problem(MASTER_BUS_OFF)
 
     def act_inject(
-        self, kind: str, bus: str, node: str | None = None, seconds: float | None = None, **more: Any
+        self,
+        kind: str,
+        bus: str,
+        node: str | None = None,
+        seconds: float | None = None,
+        **more: Any,
     ) -> None:
         if "data" in more:
             more["data"] = bytes.fromhex(more["data"])
@@ -513,12 +444,13 @@ class ChaosWorld:
 
     def _kind_of(self, fault: BusFault) -> str:
         nodes = {n.name: n for b in self.robot.buses for n in b.nodes}
+        base = (fault.cob_id or 0) & 0x780
         if fault.kind == "forged_frames":
-            base = (fault.cob_id or 0) & 0x780
             master = (NMT, SYNC, HEARTBEAT + 0x7F)
             if fault.cob_id in master or base in RPDO:
                 return "second_master"
-            return "false_reports" if base in TPDO else "forged_frames"
+        if fault.kind in ("babble", "forged_frames") and base in TPDO:
+            return "false_reports"
         if fault.node is not None and not nodes[fault.node].channels:
             return f"{fault.kind} of a device"
         return fault.kind
@@ -561,9 +493,10 @@ class ChaosWorld:
     def _drives_again(self) -> bool:
         person = self.client("person")
         person.connect()
-        self._call(person, "release_safety_stop", force=True)
-        for lock in self.robot.twist_locks:
-            self._call(person, "lock", name=lock.name, locked=False, force=True)
+        for force in ({}, {"force": True}):
+            person.call("release_safety_stop", force)
+            for lock in self.robot.twist_locks:
+                person.call("lock", {"name": lock.name, "locked": False, **force})
         if self.runner.robot is not self.robot:
             self._end = "end"
             return False
@@ -574,6 +507,7 @@ class ChaosWorld:
                 self.now + READY_TIME,
                 lambda: self.runner.ready or self.runner.state.value in ("fault", "estop"),
             )
+        self._call(person, "twist", source="teleop_joy")
         self._call(person, "arm")
         person.drive("teleop_joy", list(RECOVERY_TWIST), 2.0, 20.0)
         end = self.now + 2.0
@@ -587,6 +521,3 @@ class ChaosWorld:
 
 def _never() -> bool:
     return False
-
-
-__all__ = ["ChaosWorld", "DiagnosticError", "Violation"]

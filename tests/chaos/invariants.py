@@ -1,4 +1,4 @@
-"""What must hold at every instant, judged by the true motors and not by what the driver believes."""
+"""What must hold at every instant, judged by the true motors, not by what the driver believes."""
 
 from __future__ import annotations
 
@@ -17,14 +17,16 @@ CHECK_PERIOD = 0.02
 REACTION = 0.2
 """s from the end of a permission until the wheels brake: cycles, a tolerated gap, the drives."""
 WATCHDOG = 0.72
-"""s until the drives brake by themselves: their watchdog of 0.5 s, a heartbeat, and ``REACTION``."""
+"""s until the drives brake by themselves: their watchdog of 0.5 s, and ``REACTION``."""
 AFTER_IMPEDIMENT = 0.2
 """s after which the driver controls the drives again, when a hindrance has ended."""
 SPEED_TOLERANCE, SPEED_SHARE = 0.04, 1.06
 """Wheel speeds (m/s) that count as standing, and the tolerance of the permitted speed."""
 SIGMAS = 5.0
-POSE_TOLERANCE = 0.08
-"""m and rad: time between the report of a motor and the control cycle, at top speed."""
+POSE_TOLERANCE = 0.03
+"""m and rad."""
+LATENCY = 0.06
+"""s between the report of a motor and the control cycle."""
 NOTICE = {
     "power_cut": 0.12,
     "mute": 0.12,
@@ -165,7 +167,6 @@ class OdometryInvariant:
     pose: Pose2 = ORIGIN
     valid: bool = False
     _time: float = -math.inf
-    _was_origin: bool = False
 
     def advance(self, now: float) -> None:
         """Integrates the true pose to the time ``now`` (s)."""
@@ -178,30 +179,32 @@ class OdometryInvariant:
             c, s = math.cos(heading), math.sin(heading)
             self.pose = Pose2(x + (c * vx - s * vy) * dt, y + (s * vx + c * vy) * dt, yaw + wz * dt)
 
+    def restart(self, now: float) -> None:
+        """The driver has set its pose to the origin."""
+        self.pose, self.valid, self._time = ORIGIN, not self.world.encoders_lie, now
+
     def invalidate(self) -> None:
         self.valid = False
 
     def check(self, now: float) -> None:
         """Compares with the odometry after a control cycle."""
-        state = self.world.runner.driver.state
-        pose, covariance = state.pose, state.pose_covariance
-        x, y, yaw = pose
-        if x == y == yaw == 0.0 and not any(covariance[i][i] for i in range(3)):
-            self.pose, self.valid = ORIGIN, not self.world.encoders_lie
-            self._time = now
-            return
         if self.world.encoders_lie:
             self.valid = False
         if not self.valid:
             return
+        state = self.world.runner.driver.state
+        covariance = state.pose_covariance
+        x, y, yaw = state.pose
         true_x, true_y, true_yaw = self.pose
         dx, dy = true_x - x, true_y - y
         c, s = math.cos(yaw), math.sin(yaw)
         turn = math.remainder(true_yaw - yaw, math.tau)
         errors = (c * dx + s * dy, c * dy - s * dx, turn)
-        for i, error in enumerate(errors):
+        settings = self.world.robot.driver
+        linear, angular = settings.max_linear_velocity, settings.max_angular_velocity
+        for i, (error, speed) in enumerate(zip(errors, (linear, linear, angular), strict=True)):
             variance = covariance[i][i]
-            allowed = SIGMAS * math.sqrt(max(variance, 0.0)) + POSE_TOLERANCE * (1 + abs(turn))
+            allowed = SIGMAS * math.sqrt(max(variance, 0.0)) + POSE_TOLERANCE + LATENCY * speed
             if not abs(error) <= allowed:
                 raise Violation(
                     "odometry",

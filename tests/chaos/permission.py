@@ -58,6 +58,7 @@ class Permission:
     locks: dict[str, str] = field(default_factory=dict)
     """Client that set each lock, by name of the lock."""
     living: set[str] = field(default_factory=set)
+    _after_gap: bool = False
     _arming_until: float = -math.inf
     _void_at: float = -math.inf
     _last_motion: float = -math.inf
@@ -95,20 +96,20 @@ class Permission:
         if starts:
             self.must_reset = False
         if not drives:
-            self.armed, self.zero_first = False, True
+            self.armed, self.zero_first, self._after_gap = False, True, False
             self._void_at = now
         elif self._arming_until >= now:
             self._arming_until = -math.inf
             self.armed, self.must_reset = True, False
-            if self._is_moving(now):
-                self.zero_first = True
-                self._void_at = now
+            self.zero_first, self._after_gap, self._void_at = True, False, now
+        if drives and not self._after_gap and not self._is_moving(now):
+            self.zero_first = False
 
     def _is_moving(self, now: float) -> bool:
         return any(s.is_fresh(now) and s.twist != ZERO_TWIST for s in self.sources.values())
 
     def _void(self, now: float) -> None:
-        self.zero_first, self._void_at = True, now
+        self.zero_first, self._after_gap, self._void_at = True, True, now
         for source in self.sources.values():
             source.time = -math.inf
 
@@ -138,9 +139,10 @@ class Permission:
                 self.locks.setdefault(name, client)
             elif self.locks.get(name) == client or arguments.get("force"):
                 self.locks.pop(name, None)
-        elif service == "release_safety_stop":
-            if self.locks.get(RANK_OF_STOP) == client or arguments.get("force"):
-                self.locks.pop(RANK_OF_STOP, None)
+        elif service == "release_safety_stop" and (
+            self.locks.get(RANK_OF_STOP) == client or arguments.get("force")
+        ):
+            self.locks.pop(RANK_OF_STOP, None)
 
     def connects(self, client: str) -> None:
         self.living.add(client)

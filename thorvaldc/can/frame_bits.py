@@ -10,10 +10,13 @@ each field in bits:
                '---------------- stuffed ----------------------------------'
 
 The function ``frame_bits`` processes whole bytes with lookup tables, because a simulated bus calls
-the function for every CAN frame.
+the function for every CAN frame.  Many CAN frames of a simulated bus are equal, so the last results
+are kept.
 """
 
 from __future__ import annotations
+
+import functools
 
 from thorvaldc.can.frame import CanFrame
 
@@ -35,6 +38,7 @@ def worst_case_bits(length: int, extended: bool = False) -> int:
     return stuffed + (stuffed - 1) // 4 + TAIL_BITS + INTERFRAME_BITS
 
 
+@functools.lru_cache(maxsize=4096)
 def frame_bits(frame: CanFrame) -> int:
     """Returns the exact number of bits of a CAN frame, including stuff bits and interframe space.
 

@@ -116,7 +116,7 @@ class CanController:
         self.lost = 0
         self.powered = False
         self.bus_off = False
-        self._queue: list[QueuedFrame] = []
+        self.queue: list[QueuedFrame] = []
         self._queued = 0
         self._ready_at = 0
         self._online_since = 0
@@ -139,19 +139,19 @@ class CanController:
     @property
     def pending(self) -> int:
         """Number of CAN frames in the send queue."""
-        return len(self._queue)
+        return len(self.queue)
 
     def send(self, frame: CanFrame) -> bool:
         """Adds a CAN frame to the send queue.
 
         Returns ``False`` if the send queue is full or the CAN controller cannot send.
         """
-        if not self.online or self.listen_only or len(self._queue) >= self.queue_limit:
+        if not self.online or self.listen_only or len(self.queue) >= self.queue_limit:
             self.refused += 1
             return False
         self._queued += 1
         priority = 0 if self.fifo else frame.arbitration
-        bisect.insort(self._queue, QueuedFrame(priority, self._queued, frame))
+        bisect.insort(self.queue, QueuedFrame(priority, self._queued, frame))
         self.wire.wake()
         return True
 
@@ -200,7 +200,7 @@ class CanController:
 
     def head(self) -> QueuedFrame | None:
         """Returns the next CAN frame to send, or ``None`` if no CAN frame can be sent."""
-        return self._queue[0] if self._queue and not self.listen_only else None
+        return self.queue[0] if self.queue and not self.listen_only else None
 
     def ready_at(self) -> int:
         """Returns the earliest time (ns) at which the CAN controller may send a CAN frame."""
@@ -212,16 +212,23 @@ class CanController:
 
     def frame_sent(self, queued: QueuedFrame) -> None:
         """Removes a CAN frame from the send queue after the successful transmission."""
-        previous = self.state
-        index = bisect.bisect_left(self._queue, queued)
-        if index < len(self._queue) and self._queue[index] is queued:
-            del self._queue[index]
-        self.transmit_errors = max(self.transmit_errors - 1, 0)
+        queue = self.queue
+        if queue and queue[0] is queued:
+            del queue[0]
+        else:
+            index = bisect.bisect_left(queue, queued)
+            if index < len(queue) and queue[index] is queued:
+                del queue[index]
         self.sent += 1
+        errors = self.transmit_errors
+        previous = self.state
+        if errors:
+            self.transmit_errors = errors - 1
         self.suspend()
         if self.on_sent is not None:
             self.on_sent(queued.frame)
-        self._report_change(previous)
+        if errors:
+            self._report_change(previous)
 
     def suspend(self) -> None:
         """Delays the next CAN frame of an error-passive CAN controller (suspend transmission)."""
@@ -236,14 +243,15 @@ class CanController:
         If ``lost`` is true, the CAN controller treats the CAN frame as ``accepts`` would do with a
         CAN frame that the filter drops.
         """
-        previous = self.state
         errors = self.receive_errors
-        self.receive_errors = 127 if errors > 127 else max(errors - 1, 0)
+        if errors:
+            previous = self.state
+            self.receive_errors = 127 if errors > 127 else errors - 1
+            self._report_change(previous)
         if lost or (self.accepts is not None and not self.accepts(frame)):
             self.lost += 1
         else:
             self.deliver(frame)
-        self._report_change(previous)
 
     def deliver(self, frame: CanFrame) -> None:
         """Passes a CAN frame to the device or program that owns the CAN controller."""
@@ -269,7 +277,7 @@ class CanController:
         self._ready_at = self._online_since + self.time_of(JOIN_BITS)
 
     def _leave(self) -> None:
-        self._queue.clear()
+        self.queue.clear()
         if self._recovery is not None:
             self._recovery.cancel()
             self._recovery = None

@@ -44,7 +44,12 @@ class Cia402Drive(CanopenDevice):
     connection to the master is lost in three cases: a heartbeat that object 0x1016 defines is
     missing, the CAN controller is in bus-off, or the NMT state leaves OPERATIONAL while a motor is
     powered.
+
+    ``control_period`` is the period of the control loop (s).  A longer period saves computing time
+    in simulations of many hours.
     """
+
+    control_period = CONTROL_PERIOD
 
     def __init__(
         self,
@@ -111,7 +116,7 @@ class Cia402Drive(CanopenDevice):
         for axis in self.axes:
             if axis.states.state is DriveState.NOT_READY:
                 axis.start(self.now)
-        self.every(lambda: CONTROL_PERIOD, self._tick, first=CONTROL_PERIOD)
+        self.every(lambda: self.control_period, self._tick, first=self.control_period)
 
     def stop(self) -> None:
         super().stop()
@@ -136,7 +141,7 @@ class Cia402Drive(CanopenDevice):
     def _tick(self) -> None:
         now = self.now
         for axis in self.axes:
-            axis.tick(now, CONTROL_PERIOD)
+            axis.tick(now, self.control_period)
         if self.pdos is not None and self.state is NmtState.OPERATIONAL:
             self.pdos.tick(now)
 

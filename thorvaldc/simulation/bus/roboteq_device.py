@@ -85,7 +85,11 @@ class RoboteqController(CanopenDevice):
     * ``home_angle``: true steering angle (rad) at the edge of the home switch.
     * ``home_count``: setting with the encoder count at the home switch.  If the home angle is set
       correctly, the encoder count is 0 when the wheel points straight ahead.
+    * ``loop_period``: period (s) of the loop of the script.  A longer period saves computing time
+      in simulations of many hours.
     """
+
+    loop_period = LOOP_PERIOD
 
     def __init__(
         self,
@@ -194,7 +198,7 @@ class RoboteqController(CanopenDevice):
             for channel in self.channels:
                 channel.start(self.now)
             self._running = True
-        self.every(lambda: LOOP_PERIOD, self._loop, first=LOOP_PERIOD)
+        self.every(lambda: self.loop_period, self._loop, first=self.loop_period)
         for index in range(4):
             # The cycles of the TPDOs have random phases, because the script does not synchronise
             # the TPDOs.
@@ -351,7 +355,7 @@ class RoboteqController(CanopenDevice):
             else:
                 share = 0 if timed_out else self._speeds[index] / 1000.0
                 sign = -1.0 if index == 0 and self.nonvolatile["direction"] == 1 else 1.0
-                channel.turn(sign * share * channel.settings.max_rpm, now, LOOP_PERIOD)
+                channel.turn(sign * share * channel.settings.max_rpm, now, self.loop_period)
         self._check_stalls(now)
 
     def _steer(self, channel: Channel, now: float) -> None:
@@ -364,7 +368,7 @@ class RoboteqController(CanopenDevice):
         goal = self._position / 1000.0 * channel.settings.limit
         top = min(self._steering_rpm or channel.max_rpm, channel.max_rpm)
         distance = goal - channel.position
-        reach = top * channel.radians_per_rpm * LOOP_PERIOD
+        reach = top * channel.radians_per_rpm * self.loop_period
         if abs(distance) <= reach:
             channel.setpoint = 0.0
             channel.motor.hold(channel.encoder.joint_position(goal), now)
@@ -372,7 +376,7 @@ class RoboteqController(CanopenDevice):
             # Near the target angle, the steering speed is proportional to the remaining angle, so
             # that the steering motor does not overshoot.
             speed = min(top, APPROACH_GAIN * abs(distance) / channel.radians_per_rpm)
-            channel.turn(math.copysign(speed, distance), now, LOOP_PERIOD)
+            channel.turn(math.copysign(speed, distance), now, self.loop_period)
 
     def _home(self, channel: Channel, now: float) -> None:
         """Turns the steering motor until the reading of the home switch changes.
@@ -396,8 +400,8 @@ class RoboteqController(CanopenDevice):
             channel.motor.hold(channel.state.position, now)
             return
         direction = -1.0 if reading else 1.0
-        channel.turn(direction * speed, now, LOOP_PERIOD)
-        self._home_distance += abs(speed) * channel.radians_per_rpm * LOOP_PERIOD
+        channel.turn(direction * speed, now, self.loop_period)
+        self._home_distance += abs(speed) * channel.radians_per_rpm * self.loop_period
 
     def _check_stalls(self, now: float) -> None:
         """Reports a motor that is stalled or has an encoder that does not count."""

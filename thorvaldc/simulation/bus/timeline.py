@@ -90,9 +90,15 @@ class Timeline:
         if self._running:
             raise RuntimeError("an event of the simulation cannot wait for the simulation")
         self._running = True
+        queue, pop = self._queue, heapq.heappop
         try:
-            while self.next_time <= time:
-                self.step()
+            while queue and queue[0][0] <= time:
+                event = pop(queue)[3]
+                action, event.action = event.action, None
+                if action is None:
+                    continue
+                self.now = event.time
+                action()
                 if stop is not None and stop():
                     return True
             self.now = max(self.now, time)

@@ -159,7 +159,7 @@ class Wire:
         contenders: list[tuple[int, CanController, QueuedFrame]] = []
         next_ready = 0
         for controller in self.controllers:
-            head = controller.head()
+            head = controller.head() if controller.queue else None
             if head is None:
                 continue
             ready_at = controller.ready_at()
@@ -179,7 +179,9 @@ class Wire:
             # The bit 0 is dominant, so that the frame with the lowest length and data remains among
             # frames with equal identifiers.
             frame = min((head.frame for head in queued), key=lambda f: (f.length, f.data))
-        listeners = [c for c in self.controllers if c.online and c not in senders]
+        listeners = [
+            c for c in self.controllers if c.powered and not c.bus_off and c not in senders
+        ]
         current = _Transmission(frame, senders, queued, listeners, now)
         self._current = current
         for action in self._at_frame.pop(self.frames + 1, ()):
@@ -259,6 +261,7 @@ class Wire:
         for receiver in receivers:
             lost = bool(filters) and not all(accepts(receiver, frame) for accepts in filters)
             receiver.frame_received(frame, lost)
+        self._plan_next()
 
     def _end_unacknowledged(self, current: _Transmission) -> None:
         """Handles the end of a CAN frame that no CAN controller acknowledged.
@@ -274,6 +277,7 @@ class Wire:
         self._release_wire(current, FLAG_BITS + DELIMITER_BITS + INTERFRAME_BITS)
         for sender in current.senders:
             sender.suspend()
+        self._plan_next()
 
     def _destroy(self, detectors: Iterable[CanController]) -> None:
         """Destroys the current CAN frame with an error flag.
@@ -294,6 +298,7 @@ class Wire:
         for listener in current.listeners:
             if listener.online and not listener.listen_only:
                 listener.count_errors(receive=9 if listener in first else 1)
+        self._plan_next()
 
     def dropped(self, controller: CanController) -> None:
         """Handles a CAN controller that stops sending and receiving.
@@ -318,10 +323,20 @@ class Wire:
         for listener in current.listeners:
             if listener.online and not listener.listen_only:
                 listener.count_errors(receive=1)
+        self._plan_next()
 
     def _release_wire(self, current: _Transmission, more_bits: int) -> None:
-        """Frees the bus line after ``more_bits`` bits and schedules the next arbitration."""
+        """Frees the bus line after ``more_bits`` bits."""
         rest = more_bits * NANOSECONDS // current.senders[0].bitrate
         self._free_at = self.timeline.now + rest
         self.busy += self._free_at - current.start
-        self._plan_arbitration(self._free_at)
+
+    def _plan_next(self) -> None:
+        """Schedules the next arbitration if any CAN controller has a CAN frame to send.
+
+        Otherwise, the next CAN frame that is queued schedules the arbitration (``wake``).
+        """
+        for controller in self.controllers:
+            if controller.queue:
+                self.wake()
+                return
