@@ -359,7 +359,10 @@ def test_distance_of_a_turning_path_is_refused(log: JointLog) -> None:
 def test_table_and_json(log: JointLog) -> None:
     _, result, _ = calibrated(log)
     lines = table(result).splitlines()
-    assert lines[0].split() == ["wheel", "steering", "offset", "radius", "ratio", "radius"]
+    errors = ["+-", "random", "+-", "systematic"]
+    assert lines[0].split() == [
+        *("wheel", "steering", "offset", *errors, "radius", "ratio", *errors, "radius")
+    ]
     assert "+1.000 +- 0.0" in lines[1]
     value = json.loads(json.dumps(as_json(result), allow_nan=False))
     assert value["wheels"][1]["steering_offset"]["value"] == pytest.approx(math.radians(-0.5))

@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from thorvaldc.model import Robot
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.se2 import ORIGIN, Twist
+from thorvaldc.tools.calibration.error_correlation import estimate_correlation, random_spread
 from thorvaldc.tools.calibration.log_intervals import MIN_SPEED, Array, Ticks
 
 MAX_OFFSET, MAX_RATIO = math.radians(45.0), 0.2
@@ -20,9 +20,9 @@ MAX_OFFSET, MAX_RATIO = math.radians(45.0), 0.2
 The solver rejects a fit with a larger error.
 """
 MAX_OFFSET_ERROR = math.radians(0.2)
-"""A steering offset counts as determined up to this standard error (rad)."""
+"""A steering offset counts as settled up to this standard error (rad)."""
 MAX_RATIO_ERROR = 0.002
-"""A wheel radius counts as determined up to this relative standard error."""
+"""A wheel radius counts as settled up to this relative standard error."""
 
 # Default standard deviations of the rolling speed (relative to the speed), of the wheel direction
 # (rad), and of the speed at rest (m/s).
@@ -33,10 +33,21 @@ _PRIOR_OFFSET, _PRIOR_RATIO = math.radians(3.0), 0.02
 # simulations with an offset error of one degree at each wheel, only about half of the side slip
 # varied and was visible in the residuals.
 _HIDDEN_SLIP = 2.0
+# Least systematic errors (rad, relative).  Below them, a wheel is not a rigid disc with a contact
+# point: its rolling radius depends on load and torque, and its direction on the side force.
+_LEAST_OFFSET, _LEAST_RATIO = math.radians(0.005), 5e-5
 _ITERATIONS = 60
 _AGREES = math.radians(0.05)
 _HARDLY = 30.0
 """Factor of the standard deviation of a measurement that should not influence the fit."""
+
+
+@dataclass(frozen=True, slots=True)
+class StandardErrors:
+    """Standard errors of all wheels: of the offsets (rad), and of the logarithms of the ratios."""
+
+    offsets: Array
+    ratios: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +56,10 @@ class Solution:
 
     - ``offsets``: steering offsets, rad.
     - ``ratios``: logarithms of the ratios of the estimated to the present wheel radii.
-    - ``offset_errors``, ``ratio_errors``: standard errors of the offsets and of the logarithms of
-      the radius ratios.
+    - ``random``: standard errors from random measurement errors.  A longer log reduces them.
+    - ``systematic``: standard errors from errors that last over the whole log, such as side slip.
+    - ``covariance``: covariance of the parameters from random measurement errors.
+    - ``sample_times``: time (s) per independent error of the rolling speeds and of the directions.
     - ``rolling``: standard deviation of the rolling speed residuals in a tick, relative to the
       speed.
     - ``pointing``: standard deviation of the direction residuals in a tick, rad.
@@ -58,8 +71,10 @@ class Solution:
 
     offsets: Array
     ratios: Array
-    offset_errors: Array
-    ratio_errors: Array
+    random: StandardErrors
+    systematic: StandardErrors
+    covariance: Array
+    sample_times: tuple[float, float]
     rolling: float
     pointing: float
     slip: float
@@ -101,6 +116,8 @@ class _Fit:
     - ``slope``: derivatives of the residuals with respect to the parameters, without the part that
       a change of the twist explains.
     - ``residuals``: weighted measurement residuals of each tick, at the twists ``twists``.
+    - ``redundancy``: mean redundancy of each measurement.  The redundancy is the share of its
+      variance that remains in the residual.
     """
 
     parameters: Array
@@ -112,6 +129,7 @@ class _Fit:
     weights: Array
     slope: Array
     residuals: Array
+    redundancy: Array
 
 
 class Solver:
@@ -170,7 +188,7 @@ class Solver:
         fit = self._fit((1.0, 10.0), update_factors=True)
         if fit is None:
             return None
-        s, m = len(self.turns[0]), len(self.roll)
+        m = len(self.roll)
         offsets, ratios = self._per_wheel(fit.parameters)
         present, _ = self._per_wheel(self.start)
         rolling = fit.factors[0] * _ROLLING
@@ -179,29 +197,35 @@ class Solver:
             or max(np.max(np.abs(ratios), initial=0.0), rolling) > MAX_RATIO
         ):
             return None
-        # The part of the residuals that lasts over many ticks counts as an unknown radius ratio and
-        # steering offset of each wheel.
-        shares, per_share = self._shares(fit)
-        lasting = _lasting(shares, fit.weights, self._blocks())
-        pulled = np.einsum(
-            "t,trp,tr->pr", fit.weights, fit.slope[:, : len(lasting)], per_share, optimize=True
-        )
-        covariance = self._covariance(fit, pulled * (_HIDDEN_SLIP * lasting))
-        if not np.all(np.isfinite(covariance)):
+        random, systematic, lasting, sample_times = self._covariances(fit)
+        if not (np.all(np.isfinite(random)) and np.all(np.isfinite(systematic))):
             return None
-        ratio_errors = np.zeros(self.n)
-        ratio_errors[self.roll] = np.sqrt(np.diag(self.basis @ covariance[s:, s:] @ self.basis.T))
         return Solution(
             offsets,
             ratios,
-            self.turns @ np.sqrt(np.diag(covariance)[:s]),
-            ratio_errors,
+            self._standard_errors(random),
+            self._standard_errors(systematic, _LEAST_OFFSET, _LEAST_RATIO),
+            random,
+            sample_times,
             rolling,
             fit.factors[1] * _ANGLE,
             float(np.max(lasting[m:], initial=0.0)),
             self._consistent(),
             fit.iterations,
         )
+
+    def _standard_errors(
+        self, covariance: Array, least_offset: float = 0.0, least_ratio: float = 0.0
+    ) -> StandardErrors:
+        """Returns the standard errors of all wheels from a covariance of the parameters.
+
+        ``least_offset`` and ``least_ratio`` are independent further errors.
+        """
+        s = self.turns.shape[1]
+        ratios = np.zeros(self.n)
+        ratios[self.roll] = np.sqrt(np.diag(self.basis @ covariance[s:, s:] @ self.basis.T))
+        offsets = self.turns @ np.sqrt(np.diag(covariance)[:s])
+        return StandardErrors(np.hypot(offsets, least_offset), np.hypot(ratios, least_ratio))
 
     def _consistent(self) -> bool:
         """Checks whether the steering angles alone agree with the present steering offsets.
@@ -212,7 +236,7 @@ class Solver:
         fit = self._fit((_HARDLY, 1.0), update_factors=False)
         if fit is None or not count:
             return False
-        errors = np.sqrt(np.diag(self._covariance(fit)))[:count]
+        errors = np.sqrt(np.diag(self._covariances(fit)[0]))[:count]
         changes = np.abs(fit.parameters - self.start)[:count]
         determined = bool(np.all(errors < MAX_OFFSET_ERROR))
         return determined and bool(np.all(changes < np.maximum(3.0 * errors, _AGREES)))
@@ -282,8 +306,7 @@ class Solver:
             offsets, ratios = self._per_wheel(parameters)
             sigmas = self.sigmas(twists, factors)
             twists, matrix, inverse, residuals = self.twists(self.rows(offsets, ratios), sigmas)
-            slope = self._slope(twists, offsets, ratios) / sigmas[..., None]
-            slope -= matrix @ (inverse @ (np.swapaxes(matrix, 1, 2) @ slope))
+            slope = self._projected_slope(twists, offsets, ratios, sigmas, matrix, inverse)
             weights = _weights(residuals)
             information = np.einsum("t,trp,trq->pq", weights, slope, slope, optimize=True)
             information += np.diag(self.prior)
@@ -294,10 +317,8 @@ class Solver:
             if not np.all(np.isfinite(parameters)):
                 return None
             previous = factors
+            redundancy = 1.0 - np.einsum("tri,tij,trj->tr", matrix, inverse, matrix, optimize=True)
             if update_factors:
-                redundancy = 1.0 - np.einsum(
-                    "tri,tij,trj->tr", matrix, inverse, matrix, optimize=True
-                )
                 factors = (
                     _factor(factors[0], weights, residuals[:, :m], redundancy[:, :m]),
                     _factor(factors[1], weights, residuals[:, m:], redundancy[:, m:]),
@@ -306,36 +327,92 @@ class Solver:
             if np.max(np.abs(step), initial=0.0) < 1e-7 and settled:
                 break
         return _Fit(
-            parameters, information, factors, iterations, twists, sigmas, weights, slope, residuals
+            parameters,
+            information,
+            factors,
+            iterations,
+            twists,
+            sigmas,
+            weights,
+            slope,
+            residuals,
+            np.mean(redundancy, axis=0),
         )
 
-    def _covariance(self, fit: _Fit, systematic: Array | None = None) -> Array:
-        """Returns the covariance of the parameters by the sandwich formula M^-1 G M^-1.
+    def _covariances(self, fit: _Fit) -> tuple[Array, Array, Array, tuple[float, float]]:
+        """Returns the random and the systematic covariance of the parameters.
 
-        In the sandwich formula, M is the information matrix of the parameters, and G is the sum of
-        the outer products of the gradients of all 1 s blocks.  The array ``systematic`` adds the
-        errors that last over many ticks to G.
+        Both follow from the sandwich formula M^-1 G M^-1.  M is the information matrix of the
+        parameters.  G is the covariance of the gradient: of random errors with the correlation of
+        the residuals, or of an unknown radius ratio and steering offset of each wheel.  The third
+        array contains the standard deviations of these unknown errors, from the lasting part of the
+        residuals (rolling speeds: relative, wheel directions: rad).  The last result is the time
+        (s) per independent error of the rolling speeds and of the wheel directions.
         """
-        gradients = np.einsum("t,trp,tr->tp", fit.weights, fit.slope, fit.residuals, optimize=True)
-        block = self._blocks()
-        scores = np.zeros((block[-1] + 1, len(fit.parameters)))
-        np.add.at(scores, block, gradients)
-        spread = scores.T @ scores + np.diag(self.prior)
-        if systematic is not None:
-            spread += systematic @ systematic.T
+        m = len(self.roll)
+        times = self.ticks.times
+        gradients = fit.weights[:, None, None] * fit.slope
+        spread = np.diag(self.prior)
+        lasting: list[float] = []
+        sample_times: list[float] = []
+        dt = float(np.median(np.diff(times)))
+        for group in (slice(None, m), slice(m, None)):
+            residuals = fit.residuals[:, group]
+            redundancy = float(np.sum(fit.redundancy[group]))
+            correlation = estimate_correlation(times, residuals, fit.weights, redundancy)
+            variance = 1.0
+            if redundancy > 1e-6:
+                squares = float(np.sum(fit.weights[:, None] * residuals**2))
+                variance = squares / (float(np.sum(fit.weights)) * redundancy)
+            spread = spread + variance * random_spread(times, gradients[:, group], correlation)
+            sample_times.append(max(variance * correlation.time_per_sample(dt), 1e-3))
+            lasting += [correlation.lasting] * residuals.shape[1]
+        shares, per_share = self._shares(fit)
+        total = float(np.sum(fit.weights))
+        mean_square = np.einsum("t,tr->r", fit.weights, shares**2) / max(total, 1e-300)
+        sizes = np.sqrt(np.array(lasting[: shares.shape[1]]) * mean_square)
+        pulled = np.einsum(
+            "t,trp,tr->pr", fit.weights, fit.slope[:, : len(sizes)], per_share, optimize=True
+        )
+        pulled *= _HIDDEN_SLIP * sizes
         inverse = np.linalg.inv(fit.information)
-        covariance: Array = inverse @ spread @ inverse
-        return covariance
+        random: Array = inverse @ spread @ inverse
+        systematic: Array = inverse @ (pulled @ pulled.T) @ inverse
+        return random, systematic, sizes, (sample_times[0], sample_times[1])
 
-    def _blocks(self) -> NDArray[np.intp]:
-        """Returns the number of the 1 s block that contains each tick.
+    def information_per_second(
+        self, factors: tuple[float, float], sample_times: tuple[float, float]
+    ) -> Array:
+        """Returns the mean information of the ticks about the parameters, per second.
 
-        The 1 s blocks are numbered consecutively, without the blocks that contain no tick.
+        - ``factors``: factors of the standard deviations, as ``Solution.factors``.
+        - ``sample_times``: time (s) per independent error, as ``Solution.sample_times``.
         """
-        _, numbers = np.unique(
-            np.floor(self.ticks.times - self.ticks.times[0]), return_inverse=True
-        )
-        return np.asarray(numbers, dtype=np.intp)
+        present, zero = np.zeros(self.n), np.zeros(self.n)
+        rows = self.rows(present, zero)
+        twists = self.twists(rows, np.ones(rows.measured.shape))[0]
+        sigmas = self.sigmas(twists, factors)
+        twists, matrix, inverse, _ = self.twists(rows, sigmas)
+        slope = self._projected_slope(twists, present, zero, sigmas, matrix, inverse)
+        m = len(self.roll)
+        per_second = np.full(slope.shape[1], 1.0 / sample_times[1])
+        per_second[:m] = 1.0 / sample_times[0]
+        total: Array = np.einsum("r,trp,trq->pq", per_second, slope, slope, optimize=True)
+        return total / len(slope)
+
+    def _projected_slope(
+        self,
+        twists: Array,
+        offsets: Array,
+        ratios: Array,
+        sigmas: Array,
+        matrix: Array,
+        inverse: Array,
+    ) -> Array:
+        """Returns the slope of the weighted residuals that no change of the twists explains."""
+        slope = self._slope(twists, offsets, ratios) / sigmas[..., None]
+        projected: Array = slope - matrix @ (inverse @ (np.swapaxes(matrix, 1, 2) @ slope))
+        return projected
 
     def _shares(self, fit: _Fit) -> tuple[Array, Array]:
         """Returns the residuals of all wheels in physical units, and the conversion factors.
@@ -440,30 +517,3 @@ def _factor(factor: float, weights: Array, residuals: Array, redundancy: Array) 
         return factor
     updated = factor * math.sqrt(float(np.sum(weights[:, None] * residuals**2)) / expected)
     return min(max(updated, 1e-3), 100.0)
-
-
-def _lasting(shares: Array, weights: Array, block: NDArray[np.intp]) -> Array:
-    """Returns the standard deviation of the lasting part of the residuals of each measurement.
-
-    The lasting part of a residual is the part that is equal in all ticks of a 1 s block.  The
-    variance of the lasting part is the variance of the block means, minus the variance that
-    independent errors would cause.  The result is 0 if the variance of the block means is not
-    significantly larger (4 sigma) than with independent errors.
-    """
-    count = block[-1] + 1
-    total = np.bincount(block, weights, count)
-    ticks = np.bincount(block, minlength=count)
-    filled = (ticks > 5) & (total > 0.1 * ticks)
-    sizes = np.zeros(shares.shape[1])
-    if np.count_nonzero(filled) < 3:
-        return sizes
-    for i in range(shares.shape[1]):
-        mean = np.bincount(block, weights * shares[:, i], count)[filled] / total[filled]
-        square = np.bincount(block, weights * shares[:, i] ** 2, count)[filled] / total[filled]
-        expected = float(
-            np.average((square - mean**2) / (ticks[filled] - 1), weights=total[filled])
-        )
-        measured = float(np.average(mean**2, weights=total[filled]))
-        if measured > expected * (1.0 + 4.0 * math.sqrt(2.0 / np.count_nonzero(filled))):
-            sizes[i] = math.sqrt(measured - expected)
-    return sizes

@@ -9,6 +9,7 @@ from typing import Any
 from thorvaldc.tools.calibration.self_calibration import (
     CalibrationResult,
     Estimate,
+    MotionPlan,
     WheelCalibration,
 )
 
@@ -24,8 +25,16 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         return {
             "value": estimate.value,
             "standard_error": estimate.error,
+            "random_error": estimate.random,
+            "systematic_error": estimate.systematic,
             "determined": estimate.determined,
+            "settled": estimate.settled,
         }
+
+    def motions(plan: MotionPlan) -> list[dict[str, Any]] | None:
+        if plan is None:
+            return None
+        return [{"motion": motion.description, "seconds": motion.seconds} for motion in plan]
 
     return {
         "robot": result.robot,
@@ -36,6 +45,8 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "pointing_residual": result.pointing,
         "side_slip": result.slip,
         "iterations": result.iterations,
+        "steering_offset_plan": motions(result.offset_plan),
+        "radius_ratio_plan": motions(result.ratio_plan),
         "wheels": [
             {
                 "name": wheel.name,
@@ -51,9 +62,11 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
 def table(result: CalibrationResult) -> str:
     """Returns the calibration result as a text table with one line per wheel.
 
-    Radii and steering offsets that the joint log does not determine are marked.
+    Each value has a random and a systematic standard error.  Radii and steering offsets that the
+    robot does not take over are marked.
     """
-    lines = [("wheel", "steering offset", "radius ratio", "radius")]
+    errors = "+- random +- systematic"
+    lines = [("wheel", f"steering offset {errors}", f"radius ratio {errors}", "radius")]
     for wheel in result.wheels:
         offset, ratio = wheel.offset, wheel.ratio
         lines.append(
@@ -77,11 +90,12 @@ def table(result: CalibrationResult) -> str:
 def _cell(estimate: Estimate | None, format_value: Any, unit: str, convert: Any) -> str:
     if estimate is None:
         return ""
-    error = convert(estimate.error)
-    if not estimate.determined:
-        return f"not determined (+-{error:.2g}{unit})"
+    if not (estimate.determined or estimate.coarse):
+        return f"not determined (+-{convert(estimate.error):.2g}{unit})"
     digits = 3 if unit else 5
-    return f"{format_value(estimate.value)} +- {error:.{digits}f}{unit}"
+    errors = [convert(error) for error in (estimate.random, estimate.systematic)]
+    text = " +- ".join([format_value(estimate.value), *(f"{e:.{digits}f}" for e in errors)]) + unit
+    return text if estimate.determined else f"({text}) {_UNCHANGED}"
 
 
 Values = Mapping[str, Any]
@@ -115,7 +129,8 @@ def _radii(wheel: WheelCalibration, old: Values, *, scaled: bool) -> Iterator[st
         determined = wheel.ratio.determined
         if determined or scaled:
             values[wheel.named] = wheel.radius
-            error = f"+- {wheel.radius * wheel.ratio.error * 1000:.3f} mm"
+            scale = wheel.radius * 1000
+            error = _errors(scale * wheel.ratio.random, scale * wheel.ratio.systematic, "mm")
             notes[wheel.named] = error if determined else "by the common scale alone"
     if "" in values:
         yield f"radius: {values.pop('') * 1000:.4f} mm  # {notes['']}"
@@ -125,10 +140,14 @@ def _radii(wheel: WheelCalibration, old: Values, *, scaled: bool) -> Iterator[st
         yield f"  {name}: {value * 1000:.4f} mm  # {notes[name]}"
 
 
+def _errors(random: float, systematic: float, unit: str) -> str:
+    return f"+- {random:.3f} {unit} random, +- {systematic:.3f} {unit} systematic"
+
+
 def _offset(wheel: WheelCalibration, old: Values) -> Iterator[str]:
     offset = wheel.offset
     if offset is not None and offset.determined:
-        error = math.degrees(offset.error)
-        yield f"steering_offset: {math.degrees(offset.value):.4f} deg  # +- {error:.3f} deg"
+        errors = _errors(math.degrees(offset.random), math.degrees(offset.systematic), "deg")
+        yield f"steering_offset: {math.degrees(offset.value):.4f} deg  # {errors}"
     elif "steering_offset" in old:
         yield f"steering_offset: {math.degrees(old['steering_offset']):.6g} deg  # {_UNCHANGED}"

@@ -62,6 +62,17 @@ class Ticks:
             np.sqrt(np.mean((self.speeds * radii) ** 2, axis=1)) > MIN_SPEED
         )
 
+    @classmethod
+    def steady(cls, speeds: Array, angles: Array) -> Ticks:
+        """Returns one tick of 1 s for each row of constant wheel speeds and steering angles."""
+        ticks = object.__new__(cls)
+        ticks.times = np.arange(float(len(speeds)))
+        ticks.dt = np.ones(len(speeds))
+        ticks.speeds, ticks.angles, ticks.turning = speeds, angles, np.zeros_like(angles)
+        ticks.valid = ticks.moving = np.ones(len(speeds), dtype=bool)
+        ticks.wheel_of = {}
+        return ticks
+
     def select(self, mask: NDArray[np.bool_] | NDArray[np.intp]) -> Ticks:
         """Returns only the ticks that a boolean mask or an array of indices selects."""
         selected = object.__new__(Ticks)

@@ -23,8 +23,10 @@ agree with the steering offsets in the robot file, the offsets are not determine
 steering motors may hold the wheels at wrong angles.
 
 Ticks without motion of the robot are left out.  Ticks with wheel slip get a small weight (Geman and
-McClure).  Measurement errors in successive ticks are correlated.  The standard errors of the
-parameters are therefore computed from blocks of 1 s (sandwich estimator).
+McClure).  Measurement errors in successive ticks are correlated.  The random standard errors of the
+parameters follow from the autocorrelation of the residuals (see ``error_correlation``).  The
+systematic standard errors follow from the lasting part of the residuals.  For values that are not
+settled, ``settling_log`` plans the motions of a better log.
 
 This module imports numpy.  To avoid a slow import of numpy, other modules import
 ``self_calibration`` only inside functions.
@@ -33,7 +35,7 @@ This module imports numpy.  To avoid a slow import of numpy, other modules impor
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,7 +53,15 @@ from thorvaldc.tools.calibration.calibration_solver import (
     Solver,
     encoder_offset,
 )
-from thorvaldc.tools.calibration.log_intervals import Ticks
+from thorvaldc.tools.calibration.log_intervals import Array, Ticks
+from thorvaldc.tools.calibration.settling_log import (
+    PlannedMotion,
+    plan_motions,
+    plan_text,
+    steady_motions,
+)
+
+MotionPlan = tuple[PlannedMotion, ...] | None
 
 MIN_MOVING_TIME = 5.0
 """The robot must move for at least this time (s) in a joint log."""
@@ -61,6 +71,10 @@ _FORCED = 3e-3
 
 If the median difference is smaller, speed controllers force the wheel speeds.
 """
+_COARSE = 2.5
+"""An estimate with more than this multiple of the standard error of a settled value is useless."""
+_CONTRADICTION = 2.0
+"""A coarse estimate contradicts the present value if they differ by this many standard errors."""
 _LAGS = np.arange(0.0, 0.5, 0.005)
 """Candidates for the delay (s) between a command and the motion of the joint."""
 _MIN_GROWTH = 0.5
@@ -71,14 +85,29 @@ _SLIP = math.radians(0.1)
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """An estimated steering offset, radius ratio or radius, with its standard error.
+    """An estimated steering offset (rad) or radius ratio, with its standard errors.
 
-    ``determined`` is ``True`` if the joint log determines the estimate accurately enough.
+    - ``random``: standard error from random errors.  A longer log reduces it.
+    - ``systematic``: standard error from lasting errors, such as side slip.  A longer log does not
+      reduce it.
+    - ``determined``: ``True`` if the calibrated robot uses the estimate instead of its present
+      value.
+    - ``settled``: ``True`` if the standard error is small enough for odometry without visible
+      drift.  An estimate that is not settled is determined if it contradicts the present value.
+    - ``coarse``: ``True`` if the estimate is neither settled nor useless.
     """
 
     value: float
-    error: float
+    random: float
+    systematic: float
     determined: bool
+    settled: bool
+    coarse: bool
+
+    @property
+    def error(self) -> float:
+        """Standard error from random and systematic errors together."""
+        return math.hypot(self.random, self.systematic)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +150,9 @@ class CalibrationResult:
     - ``forced``: ``True`` if speed controllers kept the wheels at their commands.  With forced
       wheel speeds, the wheel radii are not changed.
     - ``iterations``: number of Gauss-Newton iterations.
+    - ``offset_plan``, ``ratio_plan``: motions that settle the open steering offsets and radius
+      ratios, in addition to the log.  Empty without open values that a longer log can settle, and
+      ``None`` if no motions of the robot settle them.
     """
 
     robot: str
@@ -134,6 +166,8 @@ class CalibrationResult:
     offsets_kept: bool
     forced: bool
     iterations: int
+    offset_plan: MotionPlan
+    ratio_plan: MotionPlan
 
     @property
     def determines_anything(self) -> bool:
@@ -192,7 +226,8 @@ def _calibrate(
             hint="drive for a minute, with turns to both sides",
         )
         return None
-    solution = Solver(robot, ticks.thinned()).solve()
+    solver = Solver(robot, ticks.thinned())
+    solution = solver.solve()
     if solution is None:
         report.add(
             "calibration-fit",
@@ -224,6 +259,7 @@ def _calibrate(
         solution.consistent,
         forced,
         solution.iterations,
+        *_plans(robot, solver, solution, wheels, forced=forced),
     )
     _report_open_values(result, span, report)
     return result
@@ -265,16 +301,89 @@ def _wheel_calibrations(
         offset = ratio = radius = None
         present = encoder_offset(robot, i)
         if wheel.steered:
-            error = float(solution.offset_errors[i])
-            determined = error <= MAX_OFFSET_ERROR and not solution.consistent
-            offset = Estimate(float(solution.offsets[i]), error, determined)
+            offset = _estimate(
+                float(solution.offsets[i]),
+                present,
+                (float(solution.random.offsets[i]), float(solution.systematic.offsets[i])),
+                MAX_OFFSET_ERROR,
+                usable=not solution.consistent,
+            )
         if wheel.encoder and not wheel.swivel:
             value = math.exp(float(solution.ratios[i]))
-            error = float(solution.ratio_errors[i])
-            ratio = Estimate(value, error, error <= MAX_RATIO_ERROR and not forced)
+            ratio = _estimate(
+                value,
+                1.0,
+                (float(solution.random.ratios[i]), float(solution.systematic.ratios[i])),
+                MAX_RATIO_ERROR,
+                usable=not forced,
+            )
             radius = wheel.radius * (value if ratio.determined else 1.0)
         wheels.append(WheelCalibration(wheel.name, offset, ratio, radius, names[i], present))
     return tuple(wheels)
+
+
+def _estimate(
+    value: float, present: float, errors: tuple[float, float], limit: float, *, usable: bool
+) -> Estimate:
+    """Returns an estimate with its random and systematic standard errors.
+
+    ``limit`` is the largest standard error of a settled value.  With ``usable`` = ``False`` the log
+    repeats the commands of the driver, so that the estimate is not used.
+    """
+    error = math.hypot(*errors)
+    settled = usable and error <= limit
+    coarse = usable and limit < error <= _COARSE * limit
+    contradicts = abs(value - present) > _CONTRADICTION * error
+    return Estimate(value, *errors, settled or (coarse and contradicts), settled, coarse)
+
+
+def _plans(
+    robot: Robot,
+    solver: Solver,
+    solution: Solution,
+    wheels: Sequence[WheelCalibration],
+    *,
+    forced: bool,
+) -> tuple[MotionPlan, MotionPlan]:
+    """Returns the motions that settle the open offsets and ratios (see ``CalibrationResult``).
+
+    Values that the log repeats from the commands have no plan, because no motions reveal them.
+    """
+    s = solver.turns.shape[1]
+    parameters = len(solver.start)
+    offset_rows = np.hstack([solver.turns, np.zeros((solver.n, parameters - s))])
+    ratio_rows = np.zeros((solver.n, parameters))
+    ratio_rows[solver.roll, s:] = solver.basis
+    candidates: list[tuple[str, Array]] | None = None
+    plans: list[MotionPlan] = []
+    offsets = [None if solution.consistent else wheel.offset for wheel in wheels]
+    ratios = [None if forced else wheel.ratio for wheel in wheels]
+    for rows, estimates, systematic, limit in (
+        (offset_rows, offsets, solution.systematic.offsets, MAX_OFFSET_ERROR),
+        (ratio_rows, ratios, solution.systematic.ratios, MAX_RATIO_ERROR),
+    ):
+        open_wheels = [
+            i
+            for i, estimate in enumerate(estimates)
+            if estimate is not None and not estimate.settled and systematic[i] < limit
+        ]
+        if not open_wheels:
+            plans.append(())
+            continue
+        if candidates is None:
+            candidates = [
+                (motion.description, information)
+                for motion in steady_motions(robot, solver.lever)
+                for information in [
+                    Solver(
+                        robot, Ticks.steady(motion.speeds, motion.angles)
+                    ).information_per_second(solution.factors, solution.sample_times)
+                ]
+                if np.all(np.isfinite(information))
+            ]
+        limits = limit**2 - np.square(systematic[open_wheels])
+        plans.append(plan_motions(solution.covariance, rows[open_wheels], limits, candidates))
+    return plans[0], plans[1]
 
 
 def _scale(
@@ -350,13 +459,9 @@ def _offset_in_use(wheel: WheelCalibration) -> float:
 
 
 def _report_open_values(result: CalibrationResult, span: Span | None, report: Report) -> None:
-    def undetermined(estimates: Iterable[tuple[str, Estimate | None]]) -> str:
-        return ", ".join(name for name, e in estimates if e is not None and not e.determined)
-
     slips = ""
     if result.slip > _SLIP:
         slips = f", while wheels slip sideways by {math.degrees(result.slip):.2g} deg"
-    offsets = undetermined((w.name, w.offset) for w in result.wheels)
     if result.offsets_kept:
         report.add(
             "calibration-steering",
@@ -365,14 +470,13 @@ def _report_open_values(result: CalibrationResult, span: Span | None, report: Re
             span,
             hint="the offsets stay as they are",
         )
-    elif offsets:
-        report.add(
-            "calibration-undetermined",
-            f"the log does not determine the steering offset of {offsets}{slips}",
-            span,
-            hint="it stays as it is; drive turns about points near the robot, and sideways",
+    else:
+        offsets = [(w.name, w.offset) for w in result.wheels]
+        limit = (math.degrees(MAX_OFFSET_ERROR), "deg")
+        scaled = {name: math.degrees(e.error) for name, e in offsets if e is not None}
+        _report_unsettled(
+            "steering offset", offsets, scaled, limit, slips, span, report, result.offset_plan
         )
-    ratios = undetermined((w.name, w.ratio) for w in result.wheels)
     if result.forced:
         report.add(
             "calibration-forced",
@@ -382,10 +486,52 @@ def _report_open_values(result: CalibrationResult, span: Span | None, report: Re
             hint="the radii stay as they are; record with the drives' speed control off "
             "(`thorvaldc sim --open-loop`)",
         )
-    elif ratios:
-        report.add(
-            "calibration-undetermined",
-            f"the log does not determine the radius of {ratios}",
-            span,
-            hint="it stays as it is; it is determined if the other wheels determine the motion",
+    else:
+        ratios = [(w.name, w.ratio) for w in result.wheels]
+        limit = (100.0 * MAX_RATIO_ERROR, "%")
+        scaled = {name: 100.0 * e.error for name, e in ratios if e is not None}
+        _report_unsettled("radius", ratios, scaled, limit, "", span, report, result.ratio_plan)
+
+
+def _report_unsettled(
+    quantity: str,
+    estimates: Iterable[tuple[str, Estimate | None]],
+    errors: Mapping[str, float],
+    limit: tuple[float, str],
+    slips: str,
+    span: Span | None,
+    report: Report,
+    plan: MotionPlan,
+) -> None:
+    """Reports the values of a quantity that are not settled, and the log that would settle them.
+
+    ``errors`` are the standard errors of all values, in the unit of ``limit``.
+    """
+    unsettled = {name: e for name, e in estimates if e is not None and not e.settled}
+    if not unsettled:
+        return
+    largest, unit = limit
+    useless = [name for name, e in unsettled.items() if not e.coarse]
+    coarse = [name for name, e in unsettled.items() if e.coarse]
+    hints = []
+    parts = []
+    if useless:
+        parts.append(f"does not determine the {quantity} of {', '.join(useless)}")
+        hints.append("it stays as it is")
+    if coarse:
+        worst = max(errors[name] for name in coarse)
+        parts.append(
+            f"determines the {quantity} of {', '.join(coarse)} to +-{worst:.2g} {unit} only"
         )
+    if plan is None:
+        hints.append("no motions of this robot settle it without an external measurement")
+    elif plan:
+        hints.append(f"a log with a further {plan_text(plan)} settles it (+-{largest:g} {unit})")
+    else:
+        hints.append("a longer log does not settle it: the errors last; use level, firm ground")
+    report.add(
+        "calibration-undetermined",
+        f"the log {' and '.join(parts)}{slips}",
+        span,
+        hint="; ".join(hints),
+    )
