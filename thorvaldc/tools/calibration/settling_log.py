@@ -65,8 +65,8 @@ def steady_motions(robot: Robot, length: float) -> Iterator[SteadyMotion]:
     ):
         feasible = [calculator.feasible(Twist(*twist)) for twist in twists]
         states = [
-            _joints(calculator, twist) if _similar(twist, Twist(*wanted)) else None
-            for twist, wanted in zip(feasible, twists, strict=True)
+            _joints(calculator, twist) if _similar(twist, Twist(*commanded)) else None
+            for twist, commanded in zip(feasible, twists, strict=True)
         ]
         reachable = [state for state in states if state is not None]
         if len(reachable) == len(twists):
@@ -78,11 +78,11 @@ def steady_motions(robot: Robot, length: float) -> Iterator[SteadyMotion]:
             )
 
 
-def _similar(twist: Twist, wanted: Twist) -> bool:
-    """Returns whether a feasible twist keeps most of the wanted velocity and yaw rate."""
-    along = twist.vx * wanted.vx + twist.vy * wanted.vy
-    turning = twist.wz * wanted.wz
-    return along >= 0.5 * wanted.speed**2 and turning >= 0.5 * wanted.wz**2
+def _similar(twist: Twist, commanded: Twist) -> bool:
+    """Returns whether a feasible twist keeps most of the commanded velocity and yaw rate."""
+    along = twist.vx * commanded.vx + twist.vy * commanded.vy
+    turning = twist.wz * commanded.wz
+    return along >= 0.5 * commanded.speed**2 and turning >= 0.5 * commanded.wz**2
 
 
 def _joints(
