@@ -159,6 +159,7 @@ _TABLE: tuple[Code, ...] = (
     _warning("TV429", "part-below-ground", "a part of the robot is below the ground"),
     _warning("TV430", "fleet-overlap", "two robots of a fleet overlap at the start"),
     _error("TV431", "driver-cycle", "the cycle or time-out of the base driver is not possible"),
+    _error("TV432", "battery-threshold", "the thresholds of the battery contradict each other"),
     _error("TV440", "calibration-value", "a calibration contains an impossible value"),
     # 5xx: CAN bus
     _error("TV501", "can-id-duplicate", "two devices of one id space use the same id on a bus"),
@@ -193,6 +194,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV534", "can-heartbeat-consumer", "a CiA 402 drive does not monitor the heartbeat"),
     _error("TV535", "can-heartbeat-time", "a heartbeat time-out is less than twice the period"),
     _note("TV536", "can-bitrate-chosen", "the compiler selected a bitrate above the default"),
+    _error("TV537", "stopping-distance", "a stop takes longer than the stated stopping distance"),
     _error("TV540", "channel-unknown", "a controller has no channel with this name"),
     _error("TV542", "motor-conflict", "one motor is connected to two channels"),
     _error("TV543", "channel-role", "a channel is for another kind of motor"),

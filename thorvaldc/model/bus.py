@@ -139,6 +139,8 @@ class Node(Element):
     - ``heartbeat_consumer_time``: time in s without a heartbeat of the master after which the node
       considers the master lost (object 0x1016), or ``None`` if the node does not supervise the
       master.
+    - ``command_watchdog``: time in s without commands after which the program of the node stops the
+      motors, or ``None``. The time cannot be changed over the bus.
     - ``bitrates``: the supported bit rates in bit/s. An empty list of bit rates means that the node
       supports any bit rate.
     - ``objects``: required values of the object dictionary, sorted by index and subindex.
@@ -163,6 +165,7 @@ class Node(Element):
     heartbeat_consumer_time: float | None = None
     bitrates: tuple[int, ...] = ()
     objects: tuple[ObjectValue, ...] = ()
+    command_watchdog: float | None = None
 
     @property
     def is_cia402(self) -> bool:

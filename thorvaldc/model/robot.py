@@ -363,6 +363,28 @@ class CalculatorChoice(Element):
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
+class BatterySettings(Element):
+    """Reaction of the base driver to the state of charge of the batteries on the buses.
+
+    All shares are 0 to 1. The battery with the lowest charge determines the reaction.
+
+    - ``warn``, ``limit``, ``stop``: states of charge below which the driver warns, limits the
+      speed, and stops the robot.
+    - ``arm``: state of charge below which the driver refuses to arm.
+    - ``speed``: share of the limits of the twist below ``limit``.
+    - ``silence``: time in s after which the driver stops the robot if a battery sends no state of
+      charge.
+    """
+
+    warn: float = 0.2
+    limit: float = 0.1
+    stop: float = 0.05
+    arm: float = 0.15
+    speed: float = 0.5
+    silence: float = 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class DriverSettings(Element):
     """Settings of the base driver of a robot.
 
@@ -376,6 +398,9 @@ class DriverSettings(Element):
       in m/s^2 and rad/s^2.
     - ``noise``: standard deviations for the odometry that the robot file sets, in SI units. The
       names of the standard deviations are the fields of the class ``Noise`` of the runtime.
+    - ``stopping_distance``: longest distance in m in which every stop must end, or ``None``. The
+      module ``stopping`` computes the distance of each kind of stop.
+    - ``battery``: reaction to the state of charge of the batteries.
     """
 
     rate: float
@@ -385,6 +410,8 @@ class DriverSettings(Element):
     max_linear_acceleration: float
     max_angular_acceleration: float
     noise: tuple[tuple[str, float], ...] = ()
+    stopping_distance: float | None = None
+    battery: BatterySettings = BatterySettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

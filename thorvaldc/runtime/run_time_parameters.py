@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.suggest import did_you_mean
@@ -96,11 +97,8 @@ class Parameters:
             if not (name == "correlation" and value == 0):
                 _check_positive(f"the noise {name}", value, "", math.inf)
             new_noise[name] = float(value)
-        settings = replace(
-            self.settings,
-            noise=tuple(new_noise.items()),
-            **{name: float(value) for name, value in (limits or {}).items()},
-        )
+        changes: dict[str, Any] = {name: float(value) for name, value in (limits or {}).items()}
+        settings = replace(self.settings, noise=tuple(new_noise.items()), **changes)
         return Parameters(tuple(new_radii), settings)
 
 

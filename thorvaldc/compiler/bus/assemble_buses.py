@@ -8,6 +8,7 @@ can use the node id of the device and the parameters of the connected motors.  T
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -28,6 +29,7 @@ from thorvaldc.compiler.bus.foreign_devices import foreign_devices
 from thorvaldc.compiler.bus.id_checks import check_serials
 from thorvaldc.compiler.bus.lock_file import Lock
 from thorvaldc.compiler.bus.node_ids import assign_ids
+from thorvaldc.compiler.bus.stopping_distance import master_heartbeat_period
 from thorvaldc.compiler.bus.wiring_checks import check_wiring
 from thorvaldc.compiler.source import node as source
 from thorvaldc.diagnostics import Report
@@ -52,6 +54,7 @@ def build_buses(
     *,
     foreign: source.Node | None = None,
     lock: Lock | None = None,
+    watchdog: float = math.inf,
 ) -> tuple[Bus, ...]:
     """Builds and checks the CAN buses of a robot with their nodes, CAN frames and signals.
 
@@ -62,6 +65,7 @@ def build_buses(
     - ``sync_period``: control cycle in s.
     - ``foreign``: section `foreign_devices` of the robot file.
     - ``lock``: node ids of the last build, from the lock file.
+    - ``watchdog``: longest heartbeat consumer time of a drive in s.
 
     Returns an empty tuple if the robot has no CAN devices, or if the bitrate of a bus is not
     positive.
@@ -79,12 +83,15 @@ def build_buses(
     present = [device for device in devices if _is_present(device, report)]
     check_wiring(present, actuators, report)
     others = foreign_devices(foreign, specs, report)
-    placed = assign_ids(present, others, specs, sync_period, lock or {}, report) + others
+    placed = (
+        assign_ids(present, others, specs, sync_period, lock or {}, report, watchdog=watchdog)
+        + others
+    )
     if not placed:
         return ()
     check_serials(placed, report)
     return tuple(
-        _build_bus(spec, [p for p in placed if p.bus == spec.name], sync_period, report)
+        _build_bus(spec, [p for p in placed if p.bus == spec.name], sync_period, watchdog, report)
         for spec in specs
     )
 
@@ -128,8 +135,19 @@ def _is_present(device: Device, report: Report) -> bool:
 # -- the bus ------------------------------------------------------------------------
 
 
-def _build_bus(spec: BusSpec, placed: Sequence[Placed], sync_period: float, report: Report) -> Bus:
-    frames = list(_master_frames(spec, placed, sync_period))
+def _build_bus(
+    spec: BusSpec,
+    placed: Sequence[Placed],
+    sync_period: float,
+    watchdog: float,
+    report: Report,
+) -> Bus:
+    heartbeat_period = MASTER_HEARTBEAT_PERIOD
+    if math.isfinite(watchdog):
+        times = [device.node.heartbeat_consumer_time for device in placed]
+        shortest = min((time for time in times if time is not None), default=math.inf)
+        heartbeat_period = master_heartbeat_period(shortest, sync_period)
+    frames = list(_master_frames(spec, placed, sync_period, heartbeat_period))
     for device in placed:
         frames.extend(device.frames)
     bus = _timed(
@@ -188,7 +206,7 @@ def _fast_enough(bus: Bus, report: Report) -> Bus:
 
 
 def _master_frames(
-    spec: BusSpec, placed: Sequence[Placed], sync_period: float
+    spec: BusSpec, placed: Sequence[Placed], sync_period: float, heartbeat_period: float
 ) -> Iterator[FrameDefinition]:
     """Yields the CAN frames NMT, SYNC and heartbeat, which the master sends to all CANopen nodes.
 
@@ -223,6 +241,4 @@ def _master_frames(
         spec.span,
         "The control cycle's beat, after its commands.",
     )
-    yield heartbeat(
-        MASTER, HEARTBEAT + MASTER_ID, MASTER, nodes, MASTER_HEARTBEAT_PERIOD, spec.span
-    )
+    yield heartbeat(MASTER, HEARTBEAT + MASTER_ID, MASTER, nodes, heartbeat_period, spec.span)

@@ -8,10 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from thorvaldc.compiler.bus.device_sections import (
-    MASTER_HEARTBEAT_PERIOD,
-    Placed,
-)
+from thorvaldc.compiler.bus.device_sections import MASTER, Placed
 from thorvaldc.compiler.bus.id_checks import (
     check_cob_ids,
     check_ids,
@@ -126,6 +123,8 @@ def _check_heartbeats(bus: Bus, placed: Sequence[Placed], report: Report) -> Non
     A heartbeat time-out must be at least two heartbeat periods.  A CiA 402 drive must monitor the
     heartbeat of the CANopen master, so that the drive stops if the master stops.
     """
+    periods = [f.period for f in bus.frames if f.kind == "heartbeat" and f.producer == MASTER]
+    master_period = periods[0] if periods else None
     for device in placed:
         node = device.node
         if node.is_cia402 and node.heartbeat_consumer_time is None:
@@ -140,7 +139,7 @@ def _check_heartbeats(bus: Bus, placed: Sequence[Placed], report: Report) -> Non
         beats = [f.period for f in device.frames if f.kind == "heartbeat" and f.period is not None]
         watched = (
             (node.heartbeat_timeout, beats[0] if beats else None, f"`{device.path}`"),
-            (node.heartbeat_consumer_time, MASTER_HEARTBEAT_PERIOD, "the master"),
+            (node.heartbeat_consumer_time, master_period, "the master"),
         )
         for timeout, period, producer in watched:
             if timeout is None or period is None or timeout >= 2 * period:

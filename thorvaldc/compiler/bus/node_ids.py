@@ -6,6 +6,7 @@ node id in the robot file and the lock file gets the lowest free node id of its 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -63,6 +64,8 @@ def assign_ids(
     sync_period: float,
     lock: Lock,
     report: Report,
+    *,
+    watchdog: float = math.inf,
 ) -> list[Placed]:
     """Assigns a node id to each CAN device, and creates the CAN frames of the device.
 
@@ -71,6 +74,7 @@ def assign_ids(
     - ``specs``: buses of the robot.
     - ``sync_period``: control cycle in s.
     - ``lock``: node ids of the last build.
+    - ``watchdog``: longest heartbeat consumer time of a drive in s.
 
     Reports an error for a CAN device that cannot get a node id, and leaves the device out of the
     result.
@@ -94,6 +98,9 @@ def assign_ids(
         named = device._replace(scope=device.scope.with_names(names))
         frames = tuple(frames_of(named, node_id, sync_period, report))
         node = _node(named, node_id, request, frames)
+        if node.heartbeat_consumer_time is not None:
+            consumer_time = min(node.heartbeat_consumer_time, watchdog)
+            node = replace(node, heartbeat_consumer_time=consumer_time)
         node = replace(node, objects=objects_of(named, node, frames, report))
         placed.append(
             Placed(
@@ -316,6 +323,7 @@ def _node(
         if beats
         else None,
         heartbeat_consumer_time=time("heartbeat_consumer_time"),
+        command_watchdog=time("command_watchdog"),
         bitrates=tuple(
             round(scope.quantity(node, "bitrate")) for node in items(can.get("bitrates"))
         ),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from thorvaldc.compiler.bus.assemble_buses import BusSpec, Device, Wire, build_buses
@@ -36,11 +37,12 @@ class Wiring(NamedTuple):
     lock: Lock
     report: Report
 
-    def buses(self, robot: Instance, period: float) -> tuple[Bus, ...]:
+    def buses(self, robot: Instance, period: float, watchdog: float = math.inf) -> tuple[Bus, ...]:
         """Returns the CAN buses of a robot.
 
         - ``robot``: root of the tree of module instances.
         - ``period``: control cycle of the base driver in s.
+        - ``watchdog``: longest heartbeat consumer time of a drive in s.
         """
         devices: list[Device] = []
         for leaf in robot.leaves():
@@ -56,6 +58,7 @@ class Wiring(NamedTuple):
             self.report,
             foreign=self.document.get("foreign_devices"),
             lock=self.lock,
+            watchdog=watchdog,
         )
 
     def _specs(self) -> list[BusSpec]:

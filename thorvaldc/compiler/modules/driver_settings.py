@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from thorvaldc.compiler.geometry.wheel_geometry import contact_point
 from thorvaldc.compiler.modules.value_reader import ValueReader, entries
@@ -20,7 +21,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model.robot import Actuator, DriverSettings, ParameterSet, Wheel
+from thorvaldc.model.robot import Actuator, BatterySettings, DriverSettings, ParameterSet, Wheel
 from thorvaldc.model.spatial import clean
 
 # Least and greatest cycle rate of the base driver in Hz.  A CAN bus is too slow for control cycles
@@ -42,6 +43,14 @@ LIMITS = {
     "max_angular_velocity": "angular_velocity",
     "max_linear_acceleration": "acceleration",
     "max_angular_acceleration": "angular_acceleration",
+}
+BATTERY = {
+    "warn": "ratio",
+    "limit": "ratio",
+    "stop": "ratio",
+    "arm": "ratio",
+    "speed": "ratio",
+    "silence": "time",
 }
 NOISE = {
     "speed_ratio": "ratio",
@@ -105,8 +114,52 @@ class DriverSettingsReader:
             rate=rate if rate > 0 else DEFAULT_RATE,
             command_timeout=timeout,
             noise=self._noise(node.get("noise"), ()),
+            stopping_distance=self._stopping_distance(node.get("stopping_distance")),
+            battery=self._battery(node.get("battery")),
             **limits,
         )
+
+    def _stopping_distance(self, node: Node | None) -> float | None:
+        if node is None:
+            return None
+        distance = self._reader.quantity(node, "length")
+        if distance <= 0.0:
+            self._report_not_positive("stopping_distance", distance, node)
+            return None
+        return distance
+
+    def _battery(self, node: Node | None) -> BatterySettings:
+        """Reads the thresholds of the batteries, which must be in the order stop, limit, warn."""
+        values = {}
+        defaults = BatterySettings()
+        for key, quantity in BATTERY.items():
+            entry = node.get(key) if node is not None else None
+            values[key] = self._reader.quantity(entry, quantity, getattr(defaults, key))
+            longest = math.inf if quantity == "time" else 1.0
+            if entry is not None and not 0.0 <= values[key] <= longest:
+                self._report.add(
+                    "battery-threshold",
+                    f"`{key}` is {values[key]:g}; a share is 0 % to 100 %, a time is 0 s or more",
+                    entry.span,
+                )
+        settings = BatterySettings(**values)
+        if node is not None and not settings.stop <= settings.limit <= settings.warn:
+            self._report.add(
+                "battery-threshold",
+                f"the thresholds are stop {settings.stop:.3g}, limit {settings.limit:.3g} and warn "
+                f"{settings.warn:.3g}; they must not fall in this order",
+                node.where,
+                hint="a battery that runs down reaches `warn`, then `limit`, then `stop`",
+            )
+        elif node is not None and settings.arm < settings.stop:
+            self._report.add(
+                "battery-threshold",
+                f"`arm` is {settings.arm:.3g}, below `stop` with {settings.stop:.3g}: an armed "
+                "robot would stop at once",
+                node.where,
+                hint="use an `arm` above `stop`",
+            )
+        return settings
 
     def _check_cycle(self, rate: float, timeout: float, node: Node) -> None:
         """Checks the rate and the command time-out of the base driver.
@@ -153,7 +206,7 @@ class DriverSettingsReader:
                     f"there are {', '.join(known)}" if known else "every wheel has one radius",
                 ),
             )
-        limits = {}
+        limits: dict[str, Any] = {}
         for key, motor_limit in self._motor_limits(radii).items():
             stated = node.get(key)
             limits[key] = (

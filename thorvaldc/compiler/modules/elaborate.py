@@ -11,6 +11,11 @@ from pathlib import Path
 
 from thorvaldc.compiler.bus.assemble_buses import connect_actuators
 from thorvaldc.compiler.bus.lock_file import Lock
+from thorvaldc.compiler.bus.stopping_distance import (
+    check_stopping_distance,
+    longest_watchdog,
+    with_command_timeout,
+)
 from thorvaldc.compiler.bus.wiring import Wiring
 from thorvaldc.compiler.geometry.static_loads import free_pivots, spring_reference, static_loads
 from thorvaldc.compiler.geometry.wheel_geometry import (
@@ -42,6 +47,7 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model.robot import Joint, Link, Robot, Wheel
 from thorvaldc.model.spatial import Inertial, clean
 from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.stopping import driven_wheels
 
 
 def elaborate(
@@ -202,13 +208,19 @@ class _Elaborator:
         )
         driver = settings_reader.driver()
         parameter_sets = settings_reader.parameter_sets(driver)
+        driven = driven_wheels(wheels, parts.actuators)
+        stated = self.document.get("driver") or Node({}, self.document.span)
+        driver, parameter_sets = with_command_timeout(
+            driver, parameter_sets, stated.get("command_timeout"), driven
+        )
+        watchdog = longest_watchdog(driver, parameter_sets, driven)
         twist_inputs = TwistInputReader(self.document, self.scope, self.report)
         twist_sources = twist_inputs.sources(driver.command_timeout)
         twist_locks = twist_inputs.locks(twist_sources)
-        buses = self._wiring(parts, self.report).buses(robot, 1.0 / driver.rate)
+        buses = self._wiring(parts, self.report).buses(robot, 1.0 / driver.rate, watchdog)
         if not geometry_is_valid:
             return None
-        return Robot(
+        model = Robot(
             name=self.scope.text(self.document.get("name")),
             namespace=self.scope.text(self.document.get("namespace")),
             description=self.scope.text(self.document.get("description")),
@@ -229,6 +241,8 @@ class _Elaborator:
             twist_sources=twist_sources,
             twist_locks=twist_locks,
         )
+        check_stopping_distance(model, stated.get("stopping_distance"), self.report)
+        return model
 
     def _wiring(self, parts: RobotParts, report: Report) -> Wiring:
         """Returns the reader of the CAN buses of the robot."""

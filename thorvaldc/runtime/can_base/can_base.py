@@ -35,12 +35,12 @@ from thorvaldc.can.interface import CanInterface
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.require_bus import require_bus
 from thorvaldc.model.robot import Robot
+from thorvaldc.model.stopping import REPORT_TIMEOUT
 from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointStates
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.base_state_machine import BaseStateMachine, Times
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.motor_controller import Intent
-from thorvaldc.runtime.can_base.node_watchdog import REPORT_TIMEOUT
 
 SEND_TIME = 0.25
 """Longest waiting time of one frame for room in the send queue, as a share of the cycle."""

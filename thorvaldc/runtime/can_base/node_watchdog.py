@@ -28,14 +28,11 @@ from typing import NamedTuple
 
 from thorvaldc.can.canopen import NmtState, heartbeat_state, nmt_state_text
 from thorvaldc.model.bus import Bus, FrameDefinition
+from thorvaldc.model.stopping import HEARTBEAT_TIMEOUT, LATE_CYCLES, REPORT_TIMEOUT
 from thorvaldc.runtime.can_base.frame_rates import second_device
 from thorvaldc.runtime.can_base.frame_receiver import LatestFrame
 from thorvaldc.runtime.can_base.motor_controller import MotorController
 
-REPORT_TIMEOUT = 2.5
-"""Time-out of a report in periods: two reports in a row are missing."""
-HEARTBEAT_TIMEOUT = 3.0
-"""Time-out of a heartbeat in periods, unless ``Node.heartbeat_timeout`` is shorter."""
 BOOT_TIME = 0.05
 """Time (s) in which no node can boot twice.
 
@@ -43,8 +40,6 @@ A boot-up message that is repeated within this time was repeated by an error on 
 from a second device, whose heartbeats are counted."""
 LATE_CYCLE = 1.5
 """Time between two control cycles, in periods, above which the second cycle is late."""
-LATE_CYCLES = 2
-"""Largest number of late cycles in a row in which the watchdog does not check for silence."""
 
 
 class Heartbeat(NamedTuple):

@@ -1,0 +1,186 @@
+"""Stopping distances: the formula, the derived watchdog times, and simulated stops."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from tests.runtime.can_base.simulated_rig import Rig
+from tests.simulation.bus.robots import compiled
+from thorvaldc.model import Robot
+from thorvaldc.model.stopping import (
+    DRIVER_DEAD,
+    KINDS,
+    reachable_speed,
+    shortest_watchdog,
+    stop_bound,
+    stop_bounds,
+)
+from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.se2 import Twist
+
+SLOW_TURNS = "max_linear_velocity: 0.8 m/s, max_angular_velocity: 0.1 rad/s"
+_CIA402 = ", params: {controller: controller/cia402_propulsion_steering}"
+
+
+def robot(driver: str = "", controller: str = "") -> Robot:
+    return compiled(f"""
+thorvaldc: 1
+name: two_drives
+driver: {{{driver}}}
+modules:
+  frame: {{type: frame/tube_rectangular,
+    params: {{length: 1.2 m, width: 800 mm, cross_members: [-100 mm]}}}}
+  fl: {{type: assembly/steered_drive, mount: frame.front_left{controller}, can: 1}}
+  fr: {{type: assembly/steered_drive, mount: frame.front_right{controller}, can: 2}}
+  rl: {{type: caster/swivel, mount: frame.rear_left}}
+  rr: {{type: caster/swivel, mount: frame.rear_right}}
+""")
+
+
+def cia402(driver: str = "") -> Robot:
+    return robot(driver, _CIA402)
+
+
+def consumer_times(model: Robot) -> list[float | None]:
+    return [node.heartbeat_consumer_time for node in model.buses[0].nodes]
+
+
+def heartbeat_period(model: Robot) -> float:
+    frame = next(f for f in model.buses[0].frames if f.name == "master_heartbeat")
+    assert frame.period is not None
+    return frame.period
+
+
+# -- the formula -------------------------------------------------------------------------------
+
+
+def test_the_distance_is_that_of_the_reaction_and_the_ramp() -> None:
+    model = robot(SLOW_TURNS)
+    a = model.driver.max_linear_acceleration
+    bounds = {bound.kind: bound for bound in stop_bounds(model)}
+    assert tuple(bounds) == KINDS
+    for bound in bounds.values():
+        assert bound.distance == pytest.approx(0.8 * bound.reaction + 0.8**2 / (2.0 * a))
+    assert 0.54 < bounds["command_timeout"].reaction < 0.56
+    assert 0.52 < bounds["driver_dead"].reaction < 0.54
+    assert 0.12 < bounds["drive_dead"].reaction < 0.16
+    assert shortest_watchdog(model) == 0.5
+
+
+def test_a_slow_turn_lengthens_the_ramp() -> None:
+    """The ramp changes both velocities in the same share, so that the slower one determines it."""
+    fast = robot("max_linear_velocity: 0.8 m/s")
+    slow = robot("max_linear_velocity: 0.8 m/s, max_angular_acceleration: 0.2 rad/s^2")
+    assert stop_bound(slow, "stop_lock").distance > 2.0 * stop_bound(fast, "stop_lock").distance
+    assert stop_bound(slow, DRIVER_DEAD) == stop_bound(fast, DRIVER_DEAD)
+
+
+def test_a_drive_without_watchdog_never_stops() -> None:
+    model = robot()
+    bus = model.buses[0]
+    nodes = tuple(replace(node, command_watchdog=None) for node in bus.nodes)
+    model = replace(model, buses=(replace(bus, nodes=nodes),))
+    assert math.isinf(stop_bound(model, DRIVER_DEAD).distance)
+    assert shortest_watchdog(model) is None
+
+
+def test_reachable_speed() -> None:
+    for reaction in (0.0, 0.1, 0.5):
+        speed = reachable_speed(0.6, reaction, 1.5)
+        assert speed * reaction + speed**2 / 3.0 == pytest.approx(0.6)
+    assert reachable_speed(0.6, math.inf, 1.5) == 0.0
+
+
+# -- derived times -----------------------------------------------------------------------------
+
+
+def test_without_a_distance_nothing_changes() -> None:
+    model = cia402()
+    assert model.driver.stopping_distance is None
+    assert model.driver.command_timeout == 0.5
+    assert consumer_times(model) == [0.5, 0.5]
+    assert heartbeat_period(model) == 0.1
+
+
+@pytest.mark.parametrize("distance", [0.35, 0.4, 0.5, 0.6, 1.0])
+def test_derived_times_keep_the_distance(distance: float) -> None:
+    model = cia402(f"{SLOW_TURNS}, stopping_distance: {distance} m")
+    assert max(bound.distance for bound in stop_bounds(model)) <= distance
+    (consumer_time,) = set(consumer_times(model))
+    assert consumer_time is not None
+    longest_response = max(f.response_time or 0.0 for f in model.buses[0].frames)
+    assert consumer_time >= 2.0 * heartbeat_period(model) + longest_response
+    objects = {entry.name: entry.value for entry in model.buses[0].nodes[0].objects}
+    watched = objects["heartbeat_consumer_time"]
+    assert watched is not None
+    assert watched & 0xFFFF == round(1000.0 * consumer_time)
+    assert model.driver.command_timeout <= 0.5
+    if distance < 0.6:
+        assert model.driver.command_timeout < 0.45
+        assert consumer_time < 0.45
+
+
+def test_sources_get_the_derived_time_out() -> None:
+    model = cia402("max_linear_velocity: 0.8 m/s, stopping_distance: 0.5 m")
+    assert {s.timeout for s in model.twist_sources} == {model.driver.command_timeout}
+
+
+# -- simulated stops ---------------------------------------------------------------------------
+
+
+def travelled(rig: Rig, start: float = 0.0) -> float:
+    """Returns the mean true distance (m) of the driven wheels; runs until they stand."""
+    wheels = [w for w in rig.robot.wheels if w.driven]
+    motors = [
+        (rig.simulated.motors[actuator.name], wheel.radius)
+        for wheel in wheels
+        if (actuator := rig.robot.actuator_of(wheel.spin_joint)) is not None
+    ]
+    before = [motor.read(rig.now).position for motor, _ in motors]
+    limit = rig.now + 5.0
+    while rig.speed() > 0.0 and rig.now < limit:
+        rig.simulated.run(0.01)
+    assert rig.speed() == 0.0
+    after = [motor.read(rig.now).position for motor, _ in motors]
+    ways = [abs(b - a) * radius for a, b, (_, radius) in zip(before, after, motors, strict=True)]
+    return sum(ways) / len(ways)
+
+
+@pytest.mark.parametrize("make", [robot, cia402], ids=["Thorvald script", "CiA 402"])
+def test_a_dead_driver(make: Callable[[str], Robot]) -> None:
+    """The bound is kept, and it is not more than a tenth too long."""
+    model = make(SLOW_TURNS)
+    rig = Rig(model)
+    rig.drive(Twist(0.8, 0.0, 0.0), 3.0)
+    bound = stop_bound(model, DRIVER_DEAD)
+    distance = travelled(rig)
+    assert 0.8 * bound.distance < distance <= bound.distance
+
+
+def test_a_dead_driver_with_a_stated_distance() -> None:
+    model = cia402(f"{SLOW_TURNS}, stopping_distance: 0.4 m")
+    rig = Rig(model)
+    rig.drive(Twist(0.8, 0.0, 0.0), 3.0)
+    assert travelled(rig) <= 0.4
+
+
+@pytest.mark.parametrize("make", [robot, cia402], ids=["Thorvald script", "CiA 402"])
+def test_commands_that_stop(make: Callable[[str], Robot]) -> None:
+    model = make("max_linear_velocity: 0.8 m/s, stopping_distance: 0.7 m")
+    rig = Rig(model)
+    rig.drive(Twist(0.8, 0.0, 0.0), 3.0)
+    rig.twist = None
+    start = rig.runner.driver.state.pose.x
+    rig.until(lambda: rig.state is BaseState.READY and rig.speed() == 0.0, 5.0)
+    assert rig.runner.driver.state.pose.x - start <= 0.7
+
+
+def test_derived_watchdogs_cause_no_fault() -> None:
+    model = cia402(f"{SLOW_TURNS}, stopping_distance: 0.35 m")
+    rig = Rig(model)
+    rig.drive(Twist(0.8, 0.0, 0.0), 20.0)
+    assert rig.state is BaseState.ACTIVE

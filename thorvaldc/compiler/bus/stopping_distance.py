@@ -1,0 +1,155 @@
+"""Derives watchdog times from the stated stopping distance, and checks the resulting distances.
+
+A robot with the top speed v and the deceleration a stops within the distance s if the reaction time
+is at most t = (s - v^2 / (2 a)) / v.  From the reaction time follow, with the control cycle T:
+
+    command_timeout                      t - 3 T    (ramp of the base driver)
+    heartbeat consumer time of a drive   t - 2 T    (object 0x1016; quick stop of the drive)
+    heartbeat period of the master       (heartbeat consumer time - 2 T) / 2
+
+The terms with T contain the worst-case response time R of the bus, for which R <= T is assumed.
+The check of the finished robot uses the response time that was computed for its buses
+(``model.stopping``).  Derived times are never longer than the times without a stopping distance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from thorvaldc.compiler.bus.device_sections import MASTER_HEARTBEAT_PERIOD
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.diagnostics import Report
+from thorvaldc.model.robot import DriverSettings, ParameterSet, Robot
+from thorvaldc.model.stopping import (
+    COMMAND_TIMEOUT,
+    DETECTED_FAULT,
+    DRIVE_DEAD,
+    DRIVER_DEAD,
+    STOP_LOCK,
+    DrivenWheels,
+    Ramp,
+    StopBound,
+    driven_wheels,
+    driver_ramp,
+    motor_nodes,
+    quick_stop_ramp,
+    reachable_speed,
+    stop_bounds,
+)
+
+SHORTEST_TIMEOUT = 0.1
+"""Shortest derived command time-out (s), so that sources with 20 Hz may lose a command."""
+SHORTEST_WATCHDOG_CYCLES = 4
+"""Shortest derived heartbeat consumer time in control cycles: two heartbeats and their delays."""
+_ROUNDING = 1e-9
+
+_CAUSES = {
+    COMMAND_TIMEOUT: "when commands stop",
+    STOP_LOCK: "after a stop command",
+    DETECTED_FAULT: "after a detected fault",
+    DRIVER_DEAD: "when the base driver dies",
+    DRIVE_DEAD: "when a drive dies",
+}
+
+
+def with_command_timeout(
+    driver: DriverSettings,
+    sets: Sequence[ParameterSet],
+    stated: Node | None,
+    driven: DrivenWheels,
+) -> tuple[DriverSettings, tuple[ParameterSet, ...]]:
+    """Returns the settings with a command time-out that meets the stopping distance.
+
+    ``stated``: command time-out in the robot file, which is not changed.
+    """
+    distance = driver.stopping_distance
+    if distance is None or stated is not None:
+        return driver, tuple(sets)
+    timeout = driver.command_timeout
+    for settings in (driver, *(parameter_set.driver for parameter_set in sets)):
+        allowed = _reaction(distance, driver_ramp(driven, settings))
+        timeout = min(timeout, _whole_milliseconds(allowed - 3.0 / driver.rate))
+    timeout = max(timeout, SHORTEST_TIMEOUT, 3.0 / driver.rate)
+    timeout = min(timeout, driver.command_timeout)
+    return replace(driver, command_timeout=timeout), tuple(
+        replace(s, driver=replace(s.driver, command_timeout=timeout)) for s in sets
+    )
+
+
+def longest_watchdog(
+    driver: DriverSettings, sets: Sequence[ParameterSet], driven: DrivenWheels
+) -> float:
+    """Returns the longest heartbeat consumer time (s) of a drive, infinite without a stopping
+    distance."""
+    if driver.stopping_distance is None:
+        return math.inf
+    cycle = 1.0 / driver.rate
+    ramps = [quick_stop_ramp(driven, s) for s in (driver, *(p.driver for p in sets))]
+    allowed = min(_reaction(driver.stopping_distance, ramp) for ramp in ramps)
+    return max(_whole_milliseconds(allowed - 2.0 * cycle), SHORTEST_WATCHDOG_CYCLES * cycle)
+
+
+def master_heartbeat_period(consumer_time: float, cycle: float) -> float:
+    """Returns the heartbeat period (s) of the master for the shortest consumer time of a drive.
+
+    ``cycle``: control cycle (s).  The master sends a heartbeat only in a control cycle, so that the
+    period is a whole number of cycles.
+    """
+    if math.isinf(consumer_time):
+        return MASTER_HEARTBEAT_PERIOD
+    cycles = math.floor((consumer_time - 2.0 * cycle) / (2.0 * cycle) + _ROUNDING)
+    return min(MASTER_HEARTBEAT_PERIOD, max(cycles, 1) * cycle)
+
+
+def check_stopping_distance(robot: Robot, node: Node | None, report: Report) -> None:
+    """Reports an error if a kind of stop is longer than the stated stopping distance.
+
+    ``node``: value of ``stopping_distance`` in the robot file.
+    """
+    distance = robot.driver.stopping_distance
+    if distance is None or node is None:
+        return
+    bounds = stop_bounds(robot)
+    worst = max(bounds, key=lambda bound: bound.distance)
+    if worst.distance <= distance + _ROUNDING:
+        return
+    speed = math.floor(100.0 * min(_speed(robot, bound, distance) for bound in bounds)) / 100.0
+    reached = "any distance" if math.isinf(worst.distance) else f"up to {worst.distance:.3g} m"
+    fixed = _fixed_watchdog(robot) if worst.kind == DRIVER_DEAD else ""
+    remedy = f"`max_linear_velocity: {speed:g} m/s`" if speed > 0.0 else "faster brakes"
+    report.add(
+        "stopping-distance",
+        f"the robot needs {reached} to stop {_CAUSES[worst.kind]}{fixed}; "
+        f"the stopping distance is {distance:g} m",
+        node.span,
+        hint=f"use {remedy}, or a stopping distance that all stops can keep",
+    )
+
+
+def _fixed_watchdog(robot: Robot) -> str:
+    times = [n.command_watchdog for _, n in motor_nodes(robot) if n.command_watchdog is not None]
+    if not times:
+        return ""
+    return f" (the watchdog of its drives is {max(times):g} s and cannot be changed)"
+
+
+def _speed(robot: Robot, bound: StopBound, distance: float) -> float:
+    """Returns the speed (m/s) from which a kind of stop keeps the stopping distance."""
+    by_driver = bound.kind in (COMMAND_TIMEOUT, STOP_LOCK)
+    driven = driven_wheels(robot.wheels, robot.actuators)
+    ramp = (driver_ramp if by_driver else quick_stop_ramp)(driven, robot.driver)
+    return reachable_speed(distance, bound.reaction, ramp.deceleration)
+
+
+def _reaction(distance: float, ramp: Ramp) -> float:
+    """Returns the longest reaction time (s) for a stopping distance; see this module's docstring.
+
+    The time is negative if the deceleration alone needs more than the stopping distance.
+    """
+    return (distance - ramp.distance) / ramp.speed if ramp.speed > 0.0 else math.inf
+
+
+def _whole_milliseconds(time: float) -> float:
+    return math.floor(1000.0 * time + 1e-6) / 1000.0 if math.isfinite(time) else time
