@@ -16,6 +16,7 @@ from thorvaldc.model.scenario import Scenario
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.control_loop import ControlLoop
 from thorvaldc.simulation.manoeuvre import Segment
+from thorvaldc.simulation.physics.drive_servos import DriveServos
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
 from thorvaldc.simulation.simulation_run import Simulation
 
@@ -47,9 +48,11 @@ def figures() -> Iterator[Figure]:
         scene.reset()
         model, data, step = scene.model, scene.data, mujoco.mj_step
         ctrl = data.ctrl
+        servos = DriveServos(model, data)
         for control in controls[:-1]:
             ctrl[:] = control
             step(model, data, steps)
+            servos.limit()
 
     floor()
     if not np.array_equal(scene.data.qpos, end):

@@ -62,9 +62,7 @@ def test_rollouts_equal_single_steps(robot: Robot, files: dict[str, bytes]) -> N
             assert trajectories.uprightness[run, k] == pytest.approx(base.uprightness(), abs=1e-6)
 
 
-def test_threads_and_parts_do_not_change_the_result(
-    robot: Robot, files: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_threads_and_parts_do_not_change_the_result(robot: Robot, files: dict[str, bytes]) -> None:
     speeds, angles = commands(7, 6, 4)
     one = Rollouts(robot, files).run(speeds, angles)
     two = Rollouts(robot, files, threads=2).run(speeds, angles)
@@ -74,9 +72,6 @@ def test_threads_and_parts_do_not_change_the_result(
     first = rollouts.run(speeds[:, :3], angles[:, :3])
     then = rollouts.run(speeds[:, 3:], angles[:, 3:], states=first.states)
     assert then.poses == pytest.approx(one.poses[:, 3:], abs=1e-6)
-    monkeypatch.setattr("thorvaldc.simulation.vectorised.rollouts._MAX_STATE_NUMBERS", 1)
-    parts = Rollouts(robot, files).run(speeds, angles)
-    assert parts.poses == pytest.approx(one.poses, abs=1e-6)
 
 
 def test_diverging_run_is_nan_and_the_others_are_finite(

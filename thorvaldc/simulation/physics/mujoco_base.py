@@ -8,6 +8,7 @@ from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import Pose2, Twist
+from thorvaldc.simulation.physics.drive_servos import DriveServos
 from thorvaldc.simulation.physics.ground_truth_base import GroundTruthBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.physics.wheel_errors import WheelErrors
@@ -103,6 +104,7 @@ class MujocoBase(GroundTruthBase):
         self._voltages: list[tuple[int, int, float]] = []
         if open_loop:
             self._open_speed_loops()
+        self.servos = DriveServos(model, data, (motor for _, motor in self._drive_motors))
         # (wheel, actuator, lag of the servo in s) of each motor; see `write`.
         self._drives = tuple((i, m, self._lag(m)) for i, m in self._drive_motors)
         self._steerings = tuple((i, m, self._lag(m)) for i, m in self._steering_motors)
@@ -111,6 +113,7 @@ class MujocoBase(GroundTruthBase):
 
     def read(self, now: float) -> JointStates:
         self.scene.advance(now)
+        self.servos.limit()
         ratios, offsets = self._ratios, self._offsets
         # Reading a single number from a list is several times faster than from a numpy array.
         qpos, qvel = self._qpos.tolist(), self._qvel.tolist()

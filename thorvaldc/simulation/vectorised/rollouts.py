@@ -17,12 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
+from thorvaldc.simulation.physics.drive_servos import ServoMemory
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 Array = NDArray[np.float64]
-_MAX_STATE_NUMBERS = 1 << 23
-"""Largest number of floating-point numbers of MuJoCo states in memory at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,14 +140,20 @@ class Rollouts:
         if current.shape != (n, len(self.start)):
             raise ValueError(f"states are {current.shape}; they must be {(n, len(self.start))}")
         samples = np.empty((n, ticks, len(self.start)))
-        ticks_per_part = max(1, _MAX_STATE_NUMBERS // (n * steps * len(self.start)))
-        for first in range(0, ticks, ticks_per_part):
-            part = control[:, first : first + ticks_per_part]
+        memories = [self._joints.servos.memory(float(state[0])) for state in current]
+        # One call of MuJoCo per command, because MuJoCo itself cannot limit the set points of the
+        # drive servos.
+        for tick in range(ticks):
             state, _ = self._rollout.rollout(
-                self.scene.model, self._data, current, np.repeat(part, steps, axis=1)
+                self.scene.model,
+                self._data,
+                current,
+                np.repeat(control[:, tick : tick + 1], steps, axis=1),
             )
-            samples[:, first : first + ticks_per_part] = state[:, steps - 1 :: steps]
             current = np.ascontiguousarray(state[:, -1])
+            samples[:, tick] = current
+            for run, memory in enumerate(memories):
+                self._joints.limit(memory, current[run], control[run, tick])
         diverged = ~np.isfinite(samples).all(axis=2)
         samples[np.maximum.accumulate(diverged, axis=1)] = np.nan
         return self._joints.trajectories(samples, period * np.arange(1, ticks + 1), current)
@@ -166,6 +171,18 @@ class _Joints(MujocoBase):
         if scene.model.nmocap or scene.model.nplugin:
             raise DiagnosticError("simulation-scene", "a scene with plugins has no rollouts")
         self.base = self._base
+
+    def limit(self, memory: ServoMemory, state: Array, control: Array) -> None:
+        """Limits the set points of the drive servos in one MuJoCo state."""
+        nq, nv = self.scene.model.nq, self.scene.model.nv
+        # A MuJoCo state contains the time, positions (qpos), velocities (qvel) and activations.
+        values = state.tolist()
+        act = values[1 + nq + nv :]
+        positions, speeds = values[1 : 1 + nq], values[1 + nq : 1 + nq + nv]
+        if self.servos.limit_activations(
+            memory, values[0], control.tolist(), act, positions, speeds
+        ):
+            state[1 + nq + nv :] = act
 
     def control(self, home: Array, speeds: Array, angles: Array) -> Array:
         control = np.repeat(np.repeat(home[None, None], speeds.shape[1], 1), len(speeds), 0)
