@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import pytest
 
@@ -52,7 +53,7 @@ def run(driver: BaseDriver, twist: Twist | None, start: float, end: float) -> li
     return states
 
 
-def make_driver(**settings: float) -> BaseDriver:
+def make_driver(**settings: Any) -> BaseDriver:
     chosen = replace(ROBOT.driver, **settings)
     return BaseDriver(ROBOT, SimBase(ROBOT), settings=chosen)
 
@@ -174,7 +175,67 @@ def test_a_gap_keeps_the_pose_and_grows_its_covariance() -> None:
     after = driver.tick(last.time + 3.0)
     assert after.pose == last.pose
     assert after.pose_covariance[0][0] >= last.pose_covariance[0][0] + 1.0
-    assert after.mode is DriveMode.TIMED_OUT
+    assert after.mode is DriveMode.FAULT
+    assert after.fault == "no control cycle for 3000 ms"
+
+
+class Braked(Faulty):
+    """A base whose wheels lose half of their speed from the time ``since`` (s) on."""
+
+    since = math.inf
+
+    def read(self, now: float) -> JointStates:
+        states = super().read(now)
+        share = 0.5 if now >= self.since else 1.0
+        return replace(states, speeds=[share * speed for speed in states.speeds])
+
+
+def test_after_a_gap_the_ramp_restarts_from_the_measured_twist() -> None:
+    base = Braked()
+    driver = BaseDriver(ROBOT, base)
+    last = run(driver, Twist(0.8, 0.0, 0.0), 0.0, 2.0)[-1]
+    assert last.ramped.vx == pytest.approx(0.8)
+    base.since = last.time + 0.01
+    driver.command(Twist(0.8, 0.0, 0.0), last.time + 0.2)
+    state = driver.tick(last.time + 0.2)
+    assert state.mode is DriveMode.WAITING
+    step = ROBOT.driver.max_linear_acceleration * DT
+    assert state.ramped.vx == pytest.approx(0.4 - step, abs=1e-6)
+    assert max(base.written[-1].speeds) * ROBOT.wheels[0].radius < 0.4
+
+
+def test_after_a_short_gap_zero_comes_first() -> None:
+    driver = make_driver()
+    run(driver, Twist(0.5, 0.0, 0.0), 0.0, 1.0)
+    states = run(driver, Twist(0.5, 0.0, 0.0), 1.2, 2.0)
+    assert {state.mode for state in states} == {DriveMode.WAITING}
+    assert states[0].hold_reason == "no control cycle for 220 ms; command zero first"
+    assert states[-1].ramped == ZERO_TWIST
+    run(driver, ZERO_TWIST, 2.0, 2.04)
+    assert run(driver, Twist(0.5, 0.0, 0.0), 2.04, 3.0)[-1].ramped.vx == pytest.approx(0.5)
+
+
+def test_a_zero_that_waited_in_a_gap_does_not_count() -> None:
+    driver = make_driver()
+    run(driver, Twist(0.5, 0.0, 0.0), 0.0, 1.0)
+    driver.command(ZERO_TWIST, 1.2)
+    driver.tick(1.2)
+    states = run(driver, Twist(0.5, 0.0, 0.0), 1.22, 2.0)
+    assert {state.mode for state in states} == {DriveMode.WAITING}
+
+
+def test_after_a_long_gap_a_reset_and_zero_come_first() -> None:
+    driver = make_driver()
+    run(driver, Twist(0.5, 0.0, 0.0), 0.0, 1.0)
+    run(driver, Twist(0.5, 0.0, 0.0), 1.4, 2.0)
+    states = run(driver, ZERO_TWIST, 2.0, 2.2)
+    assert {state.mode for state in states} == {DriveMode.FAULT}
+    assert states[-1].fault == "no control cycle for 420 ms"
+    driver.reset()
+    states = run(driver, Twist(0.5, 0.0, 0.0), 2.2, 2.4)
+    assert {state.mode for state in states} == {DriveMode.WAITING}
+    run(driver, ZERO_TWIST, 2.4, 2.44)
+    assert run(driver, Twist(0.5, 0.0, 0.0), 2.44, 3.4)[-1].ramped.vx == pytest.approx(0.5)
 
 
 def test_the_pose_can_be_set() -> None:

@@ -50,6 +50,8 @@ __all__ = [
 
 SAFETY_STOP = "safety_stop"
 """Name of the stop lock that every robot has."""
+REQUIRED, AUTOMATIC = "required", "automatic"
+"""Values of ``DriverSettings.arming``."""
 STOP_PRIORITY = 255
 """Priority of a twist lock from which on the lock is a stop lock, see ``TwistInput``."""
 
@@ -396,6 +398,8 @@ class DriverSettings(Element):
     - ``max_linear_velocity``, ``max_angular_velocity``: limits of the twist in m/s and rad/s.
     - ``max_linear_acceleration``, ``max_angular_acceleration``: limits of the change of the twist
       in m/s^2 and rad/s^2.
+    - ``arming``: ``required`` if the service ``arm`` must be called before a robot on a bus accepts
+      motion, or ``automatic`` if it accepts motion after a zero twist.
     - ``noise``: standard deviations for the odometry that the robot file sets, in SI units. The
       names of the standard deviations are the fields of the class ``Noise`` of the runtime.
     - ``stopping_distance``: longest distance in m in which every stop must end, or ``None``. The
@@ -412,6 +416,7 @@ class DriverSettings(Element):
     noise: tuple[tuple[str, float], ...] = ()
     stopping_distance: float | None = None
     battery: BatterySettings = BatterySettings()
+    arming: str = REQUIRED
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -61,6 +61,15 @@ class BaseHandle(abc.ABC):
         """
         return ""
 
+    @property
+    def waiting_reason(self) -> str:
+        """Reason why the base accepts no motion now although it follows joint commands.
+
+        The reason is an empty text if the base accepts motion.  A base that needs no arming always
+        accepts motion.
+        """
+        return ""
+
     @abc.abstractmethod
     def read(self, now: float) -> JointStates:
         """Returns the joint states at ``now``.  Unknown speeds, angles and positions are NaN."""

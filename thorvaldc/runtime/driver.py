@@ -17,6 +17,7 @@ from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, TwistEsti
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL, Odometry
 from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Cov3, Pose2, Twist
+from thorvaldc.runtime.time_gap import Gap, TimeGapRule, gap_text
 from thorvaldc.runtime.twist_ramp import Ramp
 
 MAX_TWIST = 1e9
@@ -32,13 +33,17 @@ class DriveMode(enum.Enum):
     - ``DRIVING``: the robot follows the commanded twist.
     - ``TIMED_OUT``: the last command is older than the command timeout.  The robot ramps its twist
       down to zero and stands.
-    - ``FAULT``: the joint states are missing or invalid.  The robot ramps its twist down to zero.
+    - ``WAITING``: no motion is accepted, because the base is disarmed, or because no zero twist
+      was commanded since a gap in time.  The robot ramps its twist down to zero and stands.
+    - ``FAULT``: the joint states are missing or invalid, or a gap in time was long.  The robot
+      ramps its twist down to zero.
     - ``HELD``: the base does not follow joint commands and stops the robot itself.
     """
 
     IDLE = "idle"
     DRIVING = "driving"
     TIMED_OUT = "timed out"
+    WAITING = "waiting"
     FAULT = "fault"
     HELD = "held"
 
@@ -58,7 +63,7 @@ class DriverState:
     - ``pose``: pose of ``base_link`` in the odometry frame.
     - ``pose_covariance``: covariance of ``pose``, expressed as a small motion in ``base_link``.
     - ``fault``: reason of the mode ``FAULT``, or empty in other modes.
-    - ``hold_reason``: reason of the mode ``HELD``, or empty in other modes.
+    - ``hold_reason``: reason of the modes ``HELD`` and ``WAITING``, or empty in other modes.
     """
 
     time: float
@@ -80,6 +85,10 @@ class BaseDriver:
 
     The caller calls ``tick(now)`` at ``rate`` Hz with a monotonic time.  The driver reads no other
     clock, so a simulation is repeatable.
+
+    A gap in time between two control cycles voids the last command, see ``time_gap``.  After a
+    short gap, a zero twist must be commanded before the robot moves.  After a long gap, ``reset``
+    must be called too.
     """
 
     def __init__(
@@ -107,6 +116,11 @@ class BaseDriver:
         self._staged: tuple[Parameters, BaseCalculator] | None = None
         self._commanded_twist = ZERO_TWIST
         self._command_time = -math.inf
+        self.time_gaps = TimeGapRule.of(robot, self.settings)
+        self._gap_time = -math.inf
+        self._gap_reason = ""
+        self._gap_fault = ""
+        self._restarts_ramp = False
         geometry = self.calculator.geometry
         self._ramp = Ramp(self.settings, geometry.length, geometry.steering_time)
         self._stopping = False
@@ -143,6 +157,39 @@ class BaseDriver:
         """
         timed_out = now - self._command_time > self.settings.command_timeout + _TIME_TOLERANCE
         return ZERO_TWIST if timed_out else self._commanded_twist
+
+    def gap_at(self, now: float) -> Gap:
+        """Judges the time from the last control cycle until ``now`` (s).
+
+        Before the first control cycle there is no gap.
+        """
+        last = self.state.time
+        return self.time_gaps.judge(now - last) if math.isfinite(last) else Gap.NONE
+
+    def void_commands(self, reason: str) -> None:
+        """Voids the last command, and accepts no motion before a zero twist is commanded.
+
+        ``reason``: reason that the operator sees, such as ``no control cycle for 120 ms``.
+        """
+        self._command_time = -math.inf
+        self._gap_time = self.state.time
+        self._gap_reason = reason
+
+    def reset(self) -> None:
+        """Resets the fault of a long gap in time.
+
+        The robot moves again after a zero twist was commanded.
+        """
+        if self._gap_fault:
+            self.void_commands(self._gap_fault)
+            self._gap_fault = ""
+
+    def accept_motion(self) -> None:
+        """Accepts motion again without a zero twist after a gap in time.
+
+        The caller must have checked that no motion is commanded.
+        """
+        self._gap_reason = ""
 
     @property
     def settings(self) -> DriverSettings:
@@ -210,6 +257,8 @@ class BaseDriver:
         Returns the previous state if ``now`` has not advanced.  ``joints`` contains the joint
         states at ``now`` if the caller has already read them.
 
+        A gap in time since the previous cycle stops the robot, see the class.
+
         The motion of the robot is unknown while joint states are unusable, and during an interval
         of more than ``LONGEST_INTERVAL`` without joint states.  While the motion is unknown, the
         pose does not change, and its covariance grows by the largest possible motion.
@@ -221,29 +270,44 @@ class BaseDriver:
             return state
         if joints is None:
             joints = self.base.read(now)
+        gap = self.gap_at(now)
         odometry = self.odometry
-        fault = ""
+        unusable = ""
         first_joints = odometry.joints is None
         try:
             odometry.update(joints, now)
         except ValueError as error:
-            fault = str(error)
+            unusable = str(error)
             odometry.mark_missing(now)
         self._apply_staged_parameters()
         hold_reason = self.base.hold_reason
-        mode, commanded_twist = self._mode(now, fault, hold_reason)
-        period = dt if 0.0 < dt <= LONGEST_INTERVAL else 1.0 / self.settings.rate
+        if gap is not Gap.NONE:
+            self._note_gap(gap, now, hold_reason)
+        fault = unusable or self._gap_fault
+        mode, commanded_twist, hold_reason = self._mode(now, fault, hold_reason)
+        held = mode is DriveMode.HELD
+        normal = 0.0 < dt <= LONGEST_INTERVAL and gap is Gap.NONE
+        period = dt if normal else 1.0 / self.settings.rate
         infeasible = ZERO_TWIST
-        if hold_reason:
+        restarts = held or (self._restarts_ramp and not unusable)
+        if held:
             # A base that does not follow joint commands stops the robot itself.  When the base
             # follows joint commands again, the twist ramp starts from rest.
             self._ramp.restart(ZERO_TWIST)
-        if fault:
+        elif restarts:
+            # During a gap in time the drives may have braked.  A ramp from the remembered twist
+            # would accelerate the robot, and so would the mean twist of the gap.
+            self._ramp.restart(self._limited(self.calculator.odometry(joints).twist))
+        last = None if restarts else state.command
+        if restarts:
+            self._restarts_ramp = self._stopping = False
+        if unusable:
             # Without joint states the motion of the wheels is unknown, and the twist ramps down to
             # zero.
-            command = self.calculator.command(self._ramped(ZERO_TWIST, period), None, period)
+            command = self.calculator.command(self._ramped(ZERO_TWIST, period, last), None, period)
         else:
-            if first_joints or hold_reason:
+            if first_joints or restarts or state.mode is DriveMode.HELD:
+                # Steering joints may have moved since the last tick in which they were held.
                 self.calculator.reset(joints)
             feasible = self.calculator.feasible(commanded_twist)
             if feasible is not commanded_twist:
@@ -252,7 +316,7 @@ class BaseDriver:
                     commanded_twist.vy - feasible.vy,
                     commanded_twist.wz - feasible.wz,
                 )
-            ramped = self._ramped(self._limited(feasible), period)
+            ramped = self._ramped(self._limited(feasible), period, last)
             command = self.calculator.command(ramped, joints, period)
         self.base.write(command.joints, now)
         self.state = DriverState(
@@ -273,19 +337,45 @@ class BaseDriver:
 
     # -- parts of a tick ----------------------------------------------------------
 
-    def _mode(self, now: float, fault: str, hold_reason: str) -> tuple[DriveMode, Twist]:
-        """Returns the mode of the driver in this tick, and the commanded twist in this mode."""
+    def _note_gap(self, gap: Gap, now: float, hold_reason: str) -> None:
+        """Voids all commands after a gap in time; a long gap is a fault.
+
+        A base that does not follow joint commands stands or stops the robot itself, so that a long
+        gap is no fault of the driver.
+        """
+        reason = gap_text(now - self.state.time)
+        self.void_commands(reason)
+        self._gap_time = now
+        self._restarts_ramp = True
+        if gap is Gap.LONG and not hold_reason:
+            self._gap_fault = reason
+
+    def _mode(self, now: float, fault: str, hold_reason: str) -> tuple[DriveMode, Twist, str]:
+        """Returns the mode of the driver in this tick, the commanded twist in this mode, and the
+        reason of the modes HELD and WAITING."""
         if hold_reason:
-            return DriveMode.HELD, ZERO_TWIST
+            return DriveMode.HELD, ZERO_TWIST, hold_reason
         if fault:
-            return DriveMode.FAULT, ZERO_TWIST
+            return DriveMode.FAULT, ZERO_TWIST, ""
+        reason = self.base.waiting_reason or self._awaited_zero()
+        if reason:
+            return DriveMode.WAITING, ZERO_TWIST, reason
         if now - self._command_time > self.settings.command_timeout + _TIME_TOLERANCE:
             if self._command_time == -math.inf:
-                return DriveMode.IDLE, ZERO_TWIST
-            return DriveMode.TIMED_OUT, ZERO_TWIST
+                return DriveMode.IDLE, ZERO_TWIST, ""
+            return DriveMode.TIMED_OUT, ZERO_TWIST, ""
         if self._commanded_twist == ZERO_TWIST and self._ramp.twist == ZERO_TWIST:
-            return DriveMode.IDLE, ZERO_TWIST
-        return DriveMode.DRIVING, self._commanded_twist
+            return DriveMode.IDLE, ZERO_TWIST, ""
+        return DriveMode.DRIVING, self._commanded_twist, ""
+
+    def _awaited_zero(self) -> str:
+        """Returns the reason why a zero twist must be commanded first, or an empty text."""
+        if not self._gap_reason:
+            return ""
+        if self._command_time > self._gap_time and self._commanded_twist == ZERO_TWIST:
+            self._gap_reason = ""
+            return ""
+        return f"{self._gap_reason}; command zero first"
 
     def _limited(self, twist: Twist) -> Twist:
         """Scales the twist so that it does not exceed the robot's speed limits."""
@@ -297,12 +387,13 @@ class BaseDriver:
             scale = settings.max_angular_velocity / abs(twist.wz)
         return twist.scaled(scale) if scale < 1.0 else twist
 
-    def _ramped(self, goal: Twist, dt: float) -> Twist:
+    def _ramped(self, goal: Twist, dt: float, last: BaseCommand | None) -> Twist:
         """Moves the twist ramp one step of ``dt`` s towards the twist ``goal``.
 
-        If a steered wheel must turn around, the twist ramp moves towards zero instead.
+        If a steered wheel must turn around, the twist ramp moves towards zero instead.  ``last``:
+        previous command that the wheels follow, or ``None`` after a restart of the ramp.
         """
-        last, ramp = self.state.command, self._ramp
+        ramp = self._ramp
         if last is not None:
             if last.must_stop != self._stopping:
                 self._stopping = last.must_stop

@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TypeVar
 
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model.robot import TwistInput
 from thorvaldc.runtime.driver import MAX_TWIST, BaseDriver
 from thorvaldc.runtime.errors import ParameterError
+from thorvaldc.runtime.owned_stop import THIS_PROGRAM, OwnedStop
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.runtime.time_gap import Gap, gap_text
 
 _TIME_TOLERANCE = 1e-9
 """Tolerance (s) for rounding errors in the check of a time-out."""
@@ -38,8 +41,6 @@ class _Input:
 
     def __init__(self, settings: TwistInput) -> None:
         self.settings = settings
-        self.twist = ZERO_TWIST
-        self.locked = False
         self.time = -math.inf
 
     def is_silent(self, now: float) -> bool:
@@ -49,6 +50,41 @@ class _Input:
         """
         timeout = self.settings.timeout
         return timeout > 0.0 and now - self.time > timeout + _TIME_TOLERANCE
+
+
+class _Lock(_Input):
+    """A lock with the programs that have locked it."""
+
+    def __init__(self, settings: TwistInput) -> None:
+        super().__init__(settings)
+        self.stop = OwnedStop()
+
+
+class _Source(_Input):
+    """A twist source.
+
+    - ``twist``: last accepted twist, published at ``time``;
+    - ``owner``: program that publishes the source;
+    - ``attempt``: last twist that the owner has published, also if it was refused;
+    - ``attempt_time``: time (s) of the last attempt of the owner, from which the time-out counts;
+    - ``awaits_zero``: reason why a zero twist must come first, or an empty text.
+    """
+
+    def __init__(self, settings: TwistInput) -> None:
+        super().__init__(settings)
+        self.twist = ZERO_TWIST
+        self.owner = ""
+        self.attempt = ZERO_TWIST
+        self.attempt_time = -math.inf
+        self.awaits_zero = ""
+
+    def holder(self, now: float) -> str:
+        """Returns the program to which the source is bound, or an empty text."""
+        silent = now - self.attempt_time > self.settings.timeout + _TIME_TOLERANCE
+        return "" if silent else self.owner
+
+
+_AnyInput = TypeVar("_AnyInput", bound=_Input)
 
 
 class Multiplexer:
@@ -66,13 +102,18 @@ class Multiplexer:
     driver's time-out.  A lock of twist_mux does not block a source of its own priority; the
     compiler accepts no such source.
 
+    A source is bound to the program that publishes it, until the source times out or ``release`` is
+    called.  A lock is released only by the program that has locked it.  After a gap in time (module
+    ``time_gap``), all published twists are void, and each source must publish a zero twist before
+    it can move the robot.
+
     All times are monotonic times in s from the caller, because the multiplexer does not read a
-    clock.
+    clock.  ``owner`` is the name of the program that publishes.
     """
 
     def __init__(self, sources: Iterable[TwistInput], locks: Iterable[TwistInput]) -> None:
-        self._sources = {s.name: _Input(s) for s in sources}
-        self._locks = {lock.name: _Input(lock) for lock in locks}
+        self._sources = {s.name: _Source(s) for s in sources}
+        self._locks = {lock.name: _Lock(lock) for lock in locks}
         # Highest priority of a source that the lock blocks while the lock is active.
         self._barriers = {
             name: math.inf if lock.settings.is_stop_lock else float(lock.settings.priority)
@@ -82,6 +123,8 @@ class Multiplexer:
         # the first source in the robot file wins, as in twist_mux.
         self._ranked = sorted(self._sources.values(), key=lambda i: -i.settings.priority)
         self._last_time: float | None = None
+        self._stops_now = False
+        self._gap_time = -math.inf
 
     @classmethod
     def from_robot(cls, robot: Robot) -> Multiplexer:
@@ -96,33 +139,123 @@ class Multiplexer:
     def locks(self) -> tuple[str, ...]:
         return tuple(self._locks)
 
-    def publish(self, source: str, twist: Twist, now: float) -> bool:
+    def publish(self, source: str, twist: Twist, now: float, owner: str = THIS_PROGRAM) -> bool:
         """Publishes a commanded twist of a source at the time ``now`` (s).
 
         The published twist is valid until the time-out of the source.
 
-        Returns ``False`` if the twist or the time is not finite or too large.  If a twist is
-        rejected, the previous twist of the source stays valid until its time-out.  Raises
-        ``ParameterError`` if the robot has no twist source with this name.
+        Returns ``False`` if the twist is refused, see ``offer``.  If a twist is refused, the
+        previous twist of the source stays valid until its time-out.  Raises ``ParameterError`` if
+        the robot has no twist source with this name.
+        """
+        return not self.offer(source, twist, now, owner)
+
+    def offer(self, source: str, twist: Twist, now: float, owner: str = THIS_PROGRAM) -> str:
+        """Publishes a commanded twist as ``publish``, and returns the reason of a refusal.
+
+        A twist is refused if it is not finite or too large, if another program publishes the
+        source, or if a zero twist must come first.  An empty text means that the twist is accepted.
         """
         publisher = self._find("source of twists", source, self._sources)
         if not (sum(map(abs, twist)) < MAX_TWIST and math.isfinite(now)):
-            return False
+            return "the twist is too large"
+        holder = publisher.holder(now)
+        if holder not in ("", owner):
+            return f"`{source}` is published by {holder}"
+        publisher.owner, publisher.attempt, publisher.attempt_time = owner, twist, now
+        if twist == ZERO_TWIST:
+            publisher.awaits_zero = ""
+        elif publisher.awaits_zero:
+            return f"{publisher.awaits_zero}; command zero first"
         publisher.twist, publisher.time = twist, now
-        return True
+        return ""
 
-    def lock(self, name: str, locked: bool, now: float) -> None:
+    def release(self, owner: str) -> None:
+        """Voids the twists of a program that has ended, and releases its sources.
+
+        The robot ramps to rest at once if the program has driven it.  The locks of the program stay
+        active.
+        """
+        for source in self._sources.values():
+            if source.owner == owner:
+                source.owner, source.time, source.attempt_time = "", -math.inf, -math.inf
+                self._stops_now = True
+
+    def notice_gap(self, driver: BaseDriver, now: float) -> None:
+        """Voids all published twists if the time since the last control cycle is a gap.
+
+        Must be called before requests are read that have waited during the gap.
+        """
+        if driver.gap_at(now) is Gap.NONE or now == self._gap_time:
+            return
+        self._gap_time = now
+        self.void(gap_text(now - driver.state.time))
+
+    def void(self, reason: str) -> None:
+        """Voids all published twists; each source must publish a zero twist before it moves the
+        robot again.
+
+        ``reason``: reason that the operator sees, such as ``no control cycle for 120 ms``.
+        """
+        for source in self._sources.values():
+            source.time, source.awaits_zero = -math.inf, reason
+
+    def accept_motion(self) -> None:
+        """Accepts motion of all sources again without a zero twist after a gap in time.
+
+        The caller must have checked that no source requests motion, see ``requests``.
+        """
+        for source in self._sources.values():
+            source.awaits_zero = ""
+
+    def requests(self, now: float) -> list[str]:
+        """Returns the names of the sources that request motion, also where it is refused."""
+        return [
+            name
+            for name, source in self._sources.items()
+            if source.holder(now) and source.attempt != ZERO_TWIST
+        ]
+
+    def holders(self, now: float) -> dict[str, str]:
+        """Returns the program to which each source is bound, without the free sources."""
+        holders = {name: source.holder(now) for name, source in self._sources.items()}
+        return {name: holder for name, holder in holders.items() if holder}
+
+    def lock(
+        self,
+        name: str,
+        locked: bool,
+        now: float,
+        owner: str = THIS_PROGRAM,
+        *,
+        force: bool = False,
+    ) -> None:
         """Publishes the state of a lock at the time ``now`` (s).
 
-        Raises ``ParameterError`` if the robot has no lock with this name.
+        ``force`` also releases the lock of other programs.  Raises ``ParameterError`` if the robot
+        has no lock with this name, or if another program has locked it.
         """
         publisher = self._find("lock", name, self._locks)
-        publisher.locked, publisher.time = locked, now
+        publisher.time = now
+        if locked:
+            publisher.stop.engage(owner)
+        elif reason := publisher.stop.release(owner, force):
+            raise ParameterError(f"`{name}` stays locked: {reason}")
+
+    def lock_owners(self, name: str) -> tuple[str, ...]:
+        """Returns the programs that have locked a lock."""
+        return self._find("lock", name, self._locks).stop.owners
 
     def active_locks(self, now: float) -> tuple[str, ...]:
         """Returns the names of the locks that are active at the time ``now`` (s)."""
         return tuple(
-            name for name, lock in self._locks.items() if lock.locked or lock.is_silent(now)
+            name for name, lock in self._locks.items() if lock.stop.engaged or lock.is_silent(now)
+        )
+
+    def active_stop_locks(self, now: float) -> tuple[str, ...]:
+        """Returns the names of the stop locks that are active at the time ``now`` (s)."""
+        return tuple(
+            name for name in self.active_locks(now) if self._locks[name].settings.is_stop_lock
         )
 
     def select(self, now: float) -> Selection:
@@ -141,19 +274,22 @@ class Multiplexer:
 
         The command time-out and the limits of the driver still apply.  If no source is selected
         after a source has driven the robot, the robot stops.  With an active lock, the driver
-        immediately ramps the twist down to zero.  Without an active lock, the robot stops when the
-        last command times out.
+        immediately ramps the twist down to zero, and also after the program has ended that drove
+        the robot.  Else the robot stops when the last command times out.
         """
+        self.notice_gap(driver, now)
         selection = self.select(now)
         if selection.source:
+            self._stops_now = False
             self._last_time = selection.time
             driver.command(selection.twist, selection.time)
         elif self._last_time is not None:
-            driver.command(ZERO_TWIST, now if selection.locks else self._last_time)
+            at_once = selection.locks or self._stops_now
+            driver.command(ZERO_TWIST, now if at_once else self._last_time)
         return selection
 
     @staticmethod
-    def _find(kind: str, name: str, known: dict[str, _Input]) -> _Input:
+    def _find(kind: str, name: str, known: dict[str, _AnyInput]) -> _AnyInput:
         publisher = known.get(name)
         if publisher is None:
             hint = did_you_mean(name, list(known), f"known: {', '.join(known)}")

@@ -27,21 +27,24 @@ from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.control.runner_services import RunnerControl
 from thorvaldc.runtime.driver import BaseDriver
-from thorvaldc.runtime.runner import BaseRunner, Watch
-from thorvaldc.runtime.se2 import Twist
+from thorvaldc.runtime.runner import BaseRunner, RequestRefused, Watch
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.runtime.time_gap import Gap
 
 UNTESTED = (
     "thorvaldc's driver was never tried on physical hardware. Lift the wheels off the ground first,"
     " keep the emergency stop in reach, and do not rely on any stop in software."
 )
 """Safety warning that a program shows before it drives a real robot."""
+ARM_TIME = 5.0
+"""Longest time (s) from the state READY until a session with a twist has armed the robot."""
 
 
 class RunSession:
     """A run of a robot, with its runner and its control channel.
 
     - ``twist``: twist that the session commands while no twist source of the control channel is
-      active.
+      active.  The session arms the robot once for this twist.
     - ``duration``: duration of the run in s, from the time when the robot is ready.
     - ``channel``: name of the control channel, or empty for a run without a control channel.
     """
@@ -74,6 +77,10 @@ class RunSession:
         self.twist = twist
         self.duration = duration
         self.stop_requested = False
+        self.refusal = ""
+        """Reasons why the robot cannot be armed for ``twist``; empty: it is armed, or not ready."""
+        self._unarmed = True
+        self._rests = False
         clock = interfaces[robot.buses[0].name]
         try:
             base = CanBase(robot, interfaces, threaded=threaded)
@@ -148,16 +155,36 @@ class RunSession:
 
         If no twist source of the control channel is active, the twist of the session is commanded.
         """
+        runner = self.runner
+        # After a gap in time the robot comes to rest before it follows the twist again.
+        if driver.gap_at(now) is not Gap.NONE:
+            self._rests = True
         selection = self.control.feed(driver, now)
+        if self.twist is None or not runner.ready:
+            return
+        if self._unarmed:
+            self._arm()
         is_free = not selection.source and not selection.locks
-        if self.twist is not None and is_free and self.runner.ready and self.runner.base.armed:
-            driver.command(self.twist, now)
+        if is_free and runner.base.armed:
+            self._rests = self._rests and not runner.base.standing
+            driver.command(ZERO_TWIST if self._rests else self.twist, now)
+
+    def _arm(self) -> None:
+        """Arms the robot once, because the person has commanded the twist of the session."""
+        try:
+            self.runner.arm()
+            self._unarmed = False
+            self.refusal = ""
+        except RequestRefused as error:
+            self.refusal = str(error)
 
     def _is_over(self) -> bool:
         runner, now = self.runner, self.runner.clock.now
         if runner.ready and math.isnan(self.ready_time):
             self.ready_time = now
         if self.stop_requested:
+            return True
+        if self.refusal and now - self.ready_time > ARM_TIME:
             return True
         if runner.state in (BaseState.FAULT, BaseState.ESTOP):
             # With a control channel, an operator can reset a fault, so the run continues after the
@@ -171,7 +198,10 @@ class RunSession:
     def _verdict(self) -> Diagnostic | None:
         state_machine = self.runner.base.state_machine
         if state_machine.state not in (BaseState.FAULT, BaseState.ESTOP):
-            return None
+            if not self.refusal:
+                return None
+            message = f"the robot cannot be armed: {self.refusal}"
+            return Diagnostic(CODES["bus-start"], message, self.robot.span)
         code, hint = "bus-stopped", None
         if state_machine.mismatch:
             code = "bus-mismatch"
@@ -187,6 +217,7 @@ class RunSession:
         twist, pose = state.odometry.twist, state.pose
         parts = [
             f"{runner.state.value:8}",
+            *([] if runner.base.armed or not runner.ready else ["disarmed"]),
             f"{twist.vx:+.2f} {twist.vy:+.2f} m/s {twist.wz:+.2f} rad/s",
             f"at {pose.x:.2f} {pose.y:.2f} m {math.degrees(pose.yaw):.0f} deg",
         ]
@@ -214,6 +245,7 @@ class RunSession:
             "state": runner.state.value,
             "reason": state_machine.reason,
             "was_ready": state_machine.was_ready,
+            "armed": runner.base.armed,
             "seconds": self.elapsed,
             "pose": {"x": pose.x, "y": pose.y, "yaw": pose.yaw},
             "timing": {
@@ -222,6 +254,7 @@ class RunSession:
                 "skipped": timing.skipped,
                 "latest": timing.latest,
                 "longest": timing.longest,
+                "gaps": timing.gaps,
             },
             "buses": {
                 connection.bus.name: {
@@ -239,6 +272,10 @@ class RunSession:
                     "reason": change.reason,
                 }
                 for change in runner.changes
+            ],
+            "events": [
+                {"time": event.time - self.start_time, "text": event.text}
+                for event in runner.events
             ],
             "batteries": {
                 name: {

@@ -22,7 +22,7 @@ from thorvaldc.can.canopen import NmtCommand
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.interface import CanInterface
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model.robot import Robot
+from thorvaldc.model.robot import AUTOMATIC, Robot
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryState, IoBoardDriver
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
@@ -31,7 +31,10 @@ from thorvaldc.runtime.can_base.foreign_frame_relay import RelayedFrame
 from thorvaldc.runtime.can_base.motor_controller import MotorController
 from thorvaldc.runtime.driver import BaseDriver, DriveMode, DriverState
 from thorvaldc.runtime.errors import ParameterError
+from thorvaldc.runtime.owned_stop import THIS_PROGRAM, OwnedStop
+from thorvaldc.runtime.pre_arm_checks import PRE_ARM_CHECKS, PreArmCheck
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST
+from thorvaldc.runtime.time_gap import Gap, gap_text
 
 Feed = Callable[[BaseDriver, float], object]
 """Function that is called at the start of each control cycle with the driver and the time (s).
@@ -63,6 +66,13 @@ class StateChange(NamedTuple):
     reason: str
 
 
+class RunEvent(NamedTuple):
+    """An event of a run at the time ``time`` (s), such as ``armed``."""
+
+    time: float
+    text: str
+
+
 @dataclass(slots=True)
 class Timing:
     """Statistics of the timing of the control loop.
@@ -72,6 +82,7 @@ class Timing:
     - ``skipped``: number of deadlines that the loop skipped because of overruns.
     - ``latest``: longest delay (s) between a deadline and the start of its cycle.
     - ``longest``: longest duration (s) of a cycle.
+    - ``gaps``: number of gaps in time between two cycles, see ``time_gap``.
     """
 
     cycles: int = 0
@@ -79,6 +90,9 @@ class Timing:
     skipped: int = 0
     latest: float = 0.0
     longest: float = 0.0
+    gaps: int = 0
+    latest_gap: tuple[float, float] | None = None
+    """End (s) and duration (s) of the latest gap."""
     starts: list[float] = field(default_factory=list)
     """Start times (s) of the cycles.  Recorded only with ``keep_starts``."""
 
@@ -129,6 +143,10 @@ class BaseRunner:
         self._keep_starts = keep_starts
         self._deadline: float | None = None
         self._was_ready = False
+        self._stop = OwnedStop()
+        self._arms_automatically = self.driver.settings.arming == AUTOMATIC
+        self.events: list[RunEvent] = []
+        self.pre_arm_checks: list[PreArmCheck] = list(PRE_ARM_CHECKS)
         base.state_machine.changed = self._note_change
 
     # -- the loop ----------------------------------------------------------------------------------
@@ -147,12 +165,18 @@ class BaseRunner:
 
         A control cycle executes the requested services, selects the commanded twist, reads the
         joints, sends the joint commands, and updates the state of the base.
+
+        A gap in time since the last control cycle voids all commands.  A long gap is a fault if the
+        motors may have torque.
         """
+        if self.driver.gap_at(now) is not Gap.NONE:
+            self._note_gap(now)
         self._run_requests()
         if self.feed is not None:
             self.feed(self.driver, now)
-        commanded = self.driver.commanded_twist(now) != ZERO_TWIST
-        self.base.arm(commanded)
+        if self._arms_automatically and self.ready and not self.base.armed:
+            # A joystick that is deflected during the start-up cannot move the robot.
+            self._arm_at_zero(now)
         state = self.driver.tick(now)
         stale = state.mode is not DriveMode.DRIVING
         self.base.state_machine.note_motion(now, not self.base.standing, stale)
@@ -227,6 +251,28 @@ class BaseRunner:
         finally:
             self.base.close()
 
+    def _note_gap(self, now: float) -> None:
+        elapsed = now - self.driver.state.time
+        self.timing.gaps += 1
+        self.timing.latest_gap = (now, elapsed)
+        state_machine = self.base.state_machine
+        powered = self.state.drives or self.state is BaseState.HOMING
+        is_long = self.driver.gap_at(now) is Gap.LONG
+        if is_long and powered and not state_machine.ending:
+            state_machine.fail(gap_text(elapsed))
+
+    def _arm_at_zero(self, now: float) -> None:
+        waiting = self.driver.commanded_twist(now) != ZERO_TWIST
+        text = "a motion was commanded before the base was ready"
+        if waiting:
+            self.base.disarm(text)
+        else:
+            self.base.arm()
+
+    def note(self, text: str) -> None:
+        """Records an event for the summary of the run, such as ``armed``."""
+        self.events.append(RunEvent(self.clock.now, text))
+
     def _note_change(self, now: float, state: BaseState, reason: str) -> None:
         self.changes.append(StateChange(now, state, reason))
 
@@ -255,24 +301,68 @@ class BaseRunner:
             except Exception as error:  # the future raises the exception when its result is read
                 future.set_exception(error)
 
-    def safety_stop(self, engaged: bool = True) -> None:
+    def safety_stop(
+        self, engaged: bool = True, *, owner: str = THIS_PROGRAM, force: bool = False
+    ) -> None:
         """Stops all motors of the base and switches the motors off.
 
-        With ``engaged=False``, releases the safety stop.
+        With ``engaged=False``, releases the safety stop of the program ``owner``, or with ``force``
+        of all programs.  Raises ``RequestRefused`` if another program has engaged it.
 
-        After the release, the service ``reset`` must be called before the robot can drive again.  A
-        stop in software is not a safety function.
+        After the release, the services ``reset`` and ``arm`` must be called before the robot can
+        drive again.  A stop in software is not a safety function.
         """
-        self.base.state_machine.safety_stop(engaged)
+        stop = self._stop
+        others = [name for name in stop.owners if name != owner]
+        refusal = ""
+        if engaged:
+            stop.engage(owner)
+        else:
+            refusal = stop.release(owner, force)
+            if force and others:
+                self.note(f"{owner} released the safety stop of {' and '.join(others)} by force")
+        self.base.state_machine.safety_stop(stop.engaged)
+        _raise_if(refusal)
 
-    def reset(self) -> None:
-        """Resets the base from the state FAULT or ESTOP.
+    @property
+    def stop_owners(self) -> tuple[str, ...]:
+        """Names of the programs that have engaged the safety stop."""
+        return self._stop.owners
 
-        Raises ``RequestRefused`` unless the safety stop is released and no motion is commanded.
+    def reset(self, *, commanded: bool = False) -> None:
+        """Resets the base from the state FAULT or ESTOP.  After the reset, the base is disarmed.
+
+        ``commanded``: ``True`` if a motion is commanded that the driver has not taken over.  Raises
+        ``RequestRefused`` unless the safety stop is released and no motion is commanded.
         """
         now = self.clock.now
-        commanded = self.driver.commanded_twist(now) != ZERO_TWIST
+        commanded = commanded or self.driver.commanded_twist(now) != ZERO_TWIST
         _raise_if(self.base.state_machine.reset(now, commanded))
+        self.driver.reset()
+
+    def arm(self) -> None:
+        """Accepts motion of the robot, if all pre-arm checks pass.
+
+        The base is disarmed before it is ready, after each fault, stop and homing, and after
+        ``disarm``.  Raises ``RequestRefused`` with the reasons of all checks that do not pass.
+        """
+        if self.base.armed:
+            return
+        now = self.clock.now
+        reasons = [reason for check in self.pre_arm_checks for reason in check(self, now)]
+        # Two checks can have the same reason, such as a motion that is commanded by a source.
+        _raise_if("; ".join(dict.fromkeys(reasons)))
+        self.base.arm()
+        self.driver.accept_motion()
+        self.note("armed")
+        self._arms_automatically = self.driver.settings.arming == AUTOMATIC
+
+    def disarm(self) -> None:
+        """Accepts no motion until ``arm`` is called.  A moving robot ramps to rest."""
+        if self.base.armed:
+            self.note("disarmed")
+        self.base.disarm()
+        self._arms_automatically = False
 
     def home_steering(self) -> None:
         """Starts the homing of all steering joints again.

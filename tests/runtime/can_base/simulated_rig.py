@@ -80,10 +80,29 @@ class Rig:
         self.until(lambda: self.state is BaseState.READY)
         self.run(0.1)
 
+    def arm(self) -> None:
+        """Arms the robot as an operator does, while zero is commanded."""
+        self.twist = ZERO_TWIST
+        self.run(0.1)
+        self.runner.arm()
+
+    def stall(self, seconds: float, step: float = 0.01) -> list[float]:
+        """Lets virtual time pass without a control cycle, as if the driver's process was stopped.
+
+        Returns the true speeds (m/s), see ``speed``, after each ``step`` s.
+        """
+        speeds, end = [], self.now + seconds
+        while self.now < end - 1e-9:
+            self.interface.sleep_until(min(self.now + step, end))
+            speeds.append(self.speed())
+        return speeds
+
     def drive(self, twist: Twist = FORWARD, seconds: float = 2.0) -> None:
-        """Waits until the robot is ready, then drives."""
+        """Waits until the robot is ready, arms it, and drives."""
         if not self.runner.ready:
             self.ready()
+        if not self.base.armed:
+            self.arm()
         self.twist = twist
         self.run(seconds)
         assert self.state is BaseState.ACTIVE, f"{self.state} {self.reason}"

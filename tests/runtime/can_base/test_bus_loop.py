@@ -210,13 +210,14 @@ def test_after_a_stale_command_the_robot_ramps_to_rest_and_holds_its_steering() 
 
 def test_a_command_from_before_the_start_does_not_move_it() -> None:
     """A joystick that is deflected during the start: the robot stands until it was centred."""
-    rig = Rig(four_wheels())
+    robot = four_wheels()
+    rig = Rig(replace(robot, driver=replace(robot.driver, arming="automatic")))
     rig.twist = FORWARD
     rig.until(lambda: rig.state is BaseState.READY)
     rig.run(1.0)
     assert rig.state is BaseState.READY
     assert rig.speed() == 0.0
-    assert "before the base was ready" in rig.base.hold_reason
+    assert "before the base was ready" in rig.base.waiting_reason
     rig.twist = ZERO_TWIST
     rig.run(0.1)
     rig.twist = FORWARD
@@ -314,7 +315,7 @@ def test_a_driver_that_was_late_itself_does_not_judge_silence() -> None:
     rig.run(PERIOD)  # the receiving thread has not run yet
     rig.base.connections[0].receiver.drain = drain  # type: ignore[method-assign]
     rig.run(0.5)
-    assert rig.state is BaseState.ACTIVE
+    assert rig.state.drives
     device(rig).power_off()
     rig.simulated.run(0.08)
     rig.until(lambda: rig.state is BaseState.FAULT, 0.1)
@@ -333,7 +334,7 @@ def test_a_bus_off_interface_is_a_fault() -> None:
     rig.interface.controller.go_bus_off()  # type: ignore[attr-defined]
     rig.until(lambda: rig.state is BaseState.FAULT, 1.0)
     assert "bus-off" in rig.reason
-    rig.simulated.run(2.0)
+    rig.run(2.0)
     assert rig.speed() == 0.0
     rig.twist = ZERO_TWIST
     rig.run(0.1)

@@ -44,7 +44,7 @@ class RunningDriver:
         self.driver = BaseDriver(ROBOT, SimBase(ROBOT))
         self.multiplexer = Multiplexer.from_robot(ROBOT)
         self.services = Services(driving_services(self.driver, self.multiplexer))
-        self.server = ControlServer("r", self.services)
+        self.server = ControlServer("r", self.services, closed=self.multiplexer.release)
         self.now = 0.0
 
     def cycles(self, count: int = 1) -> None:
@@ -123,17 +123,135 @@ def test_a_client_drives_and_reads_the_state(running: RunningDriver, client: Raw
     assert state["pose"]["x"] > 0.0
 
 
-def test_the_twist_of_a_client_that_ends_times_out(
+TWIST = b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": 0.4}}'
+
+
+def test_the_twist_of_a_client_that_ends_is_void_at_once(
     running: RunningDriver, client: RawClient
 ) -> None:
-    client.ask(b'{"call": "twist", "arguments": {"source": "auto_nav", "vx": 0.4}}')
+    client.ask(TWIST)
+    running.cycles(15)
+    speed = running.driver.state.ramped.vx
+    assert speed > 0.3
     client.send(b'{"call": "twist", "argum')  # the line is incomplete
     client.stream.close()
-    running.cycles(23)
-    assert running.driver.state.ramped.vx == pytest.approx(0.4)
-    running.cycles(60)
+    running.cycles(1)
     assert running.multiplexer.select(running.now).source == ""
+    assert running.driver.state.ramped.vx < speed
+    running.cycles(23)
     assert running.driver.state.ramped.vx == 0.0
+
+
+# -- requests that are too old -----------------------------------------------------------
+
+
+def test_requests_that_waited_during_a_gap_do_not_count(
+    running: RunningDriver, client: RawClient
+) -> None:
+    running.cycles()
+    client.send(TWIST + b"\n")
+    running.now += 0.1  # the driver is late
+    assert "may have waited for 120 ms" in client.answer()["error"]
+    assert client.ask(TWIST)["ok"] is False  # a zero twist must come first
+    zero = TWIST.replace(b"0.4", b"0.0")
+    assert client.ask(zero)["ok"]
+    assert client.ask(TWIST)["ok"]
+
+
+def test_a_request_tells_when_it_was_sent(running: RunningDriver, client: RawClient) -> None:
+    """A request that a client sends directly after a gap counts."""
+    running.cycles()
+    zero = b'{"call": "twist", "arguments": {"source": "auto_nav"}, "time": %f}\n'
+    running.now += 0.1
+    client.send(zero % running.now)
+    assert client.answer() == {"ok": True, "result": None}
+    client.send(zero % (running.now - 0.2))
+    assert "may have waited for 220 ms" in client.answer()["error"]
+    client.send(zero % (running.now + 9.0))
+    assert "the driver's clock shows" in client.answer()["error"]
+    running.now += 0.1
+    client.send(zero % (running.now - 0.09))
+    assert "may have waited" in client.answer()["error"]
+
+
+def test_a_flood_of_requests_grows_old(running: RunningDriver, client: RawClient) -> None:
+    """The requests of later cycles were sent in the first cycle."""
+    client.send((TWIST + b"\n") * 1000)
+    answers = [client.answer()["ok"] for _ in range(1000)]
+    assert answers[:100] == [True] * 100
+    assert answers[400:] == [False] * 600
+
+
+def test_a_stop_counts_however_old_it_is_and_its_release_does_not(
+    running: RunningDriver, client: RawClient
+) -> None:
+    assert client.ask(b'{"call": "lock", "arguments": {"name": "auto_nav_pause"}}')["ok"]
+    client.send(b'{"call": "safety_stop"}\n{"call": "release_safety_stop"}\n')
+    client.send(b'{"call": "lock", "arguments": {"name": "auto_nav_pause", "locked": false}}\n')
+    running.now += 0.7
+    assert client.answer()["ok"]
+    assert "may have waited" in client.answer()["error"]
+    assert "may have waited" in client.answer()["error"]
+    assert running.multiplexer.active_locks(running.now) == ("safety_stop", "auto_nav_pause")
+
+
+def test_a_stop_of_a_client_that_has_ended_counts_and_its_twist_does_not(
+    running: RunningDriver, client: RawClient
+) -> None:
+    client.send(TWIST + b"\n")
+    client.send(b'{"call": "safety_stop"}\n')
+    client.stream.close()
+    running.cycles(3)
+    assert running.driver.state.commanded_twist.vx == 0.0
+    assert running.multiplexer.active_locks(running.now) == ("safety_stop",)
+
+
+# -- sources and stops belong to their connections ---------------------------------------
+
+
+def test_a_source_is_bound_to_its_connection(running: RunningDriver, client: RawClient) -> None:
+    other = RawClient(running)
+    assert client.ask(TWIST)["ok"]
+    refusal = other.ask(TWIST)["error"]
+    assert refusal.startswith("`auto_nav` is published by connection 1")
+    owners = client.ask(b'{"call": "state"}')["result"]["owners"]
+    assert owners["auto_nav"].startswith("connection 1")
+    running.cycles(30)  # the time-out of the source
+    assert other.ask(TWIST)["ok"]
+    assert not client.ask(TWIST)["ok"]
+    other.stream.close()
+    running.cycles(2)
+    assert client.ask(TWIST)["ok"]
+
+
+@pytest.mark.parametrize(
+    ("stop", "release"),
+    [
+        (b'{"call": "safety_stop"}', b'{"call": "release_safety_stop", "arguments": {%s}}'),
+        (
+            b'{"call": "lock", "arguments": {"name": "safety_stop"}}',
+            b'{"call": "lock", "arguments": {"name": "safety_stop", "locked": false, %s}}',
+        ),
+    ],
+)
+def test_a_stop_is_released_by_its_connection_or_by_force(
+    running: RunningDriver, client: RawClient, stop: bytes, release: bytes
+) -> None:
+    def locks() -> tuple[str, ...]:
+        return running.multiplexer.active_locks(running.now)
+
+    plain, force = release % b'"force": false', release % b'"force": true'
+    other = RawClient(running)
+    assert client.ask(stop)["ok"]
+    assert "connection 1" in other.ask(plain)["error"]
+    assert locks() == ("safety_stop",)
+    assert other.ask(stop)["ok"]
+    assert "connection 2" in client.ask(plain)["error"]  # released here, not there
+    other.stream.close()
+    running.cycles(3)
+    assert locks() == ("safety_stop",)
+    assert client.ask(force)["ok"]
+    assert locks() == ()
 
 
 def test_a_client_that_does_not_read_its_answers(running: RunningDriver, client: RawClient) -> None:

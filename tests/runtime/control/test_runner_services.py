@@ -70,6 +70,7 @@ def test_settings_of_a_motor_controller() -> None:
         rig.runner.setup_motor_controller("fl_controller", "max_speed", 1)
     with pytest.raises(RequestRefused, match="cannot be"):
         rig.runner.setup_motor_controller("fl_controller", "home_count", float("nan"))
+    rig.arm()
     rig.twist = FORWARD
     rig.run(1.0)
     with pytest.raises(RequestRefused, match="stop it first"):

@@ -27,6 +27,7 @@ class DrivenRobot:
         self.speeds: dict[str, float] = {}
         self.rig.runner.feed = self.feed
         self.rig.ready()
+        self.call("arm")
 
     def feed(self, driver: Any, now: float) -> None:
         for source, vx in self.speeds.items():
@@ -141,6 +142,7 @@ def test_an_operator_drives_the_robot_on_its_bus() -> None:
         resting = rig.now + 1.5
         while rig.now < resting:
             yield []
+        yield ["g"]
         ends = rig.now + 3.0
         while rig.now < ends:
             yield ["i"]
@@ -152,7 +154,7 @@ def test_an_operator_drives_the_robot_on_its_bus() -> None:
     assert rig.runner.driver.state.pose.x > 1.0
     assert rig.speed() < 0.1
     assert any("homing  drives: teleop_joy" in lines[1] for lines in shown)
-    hold_line = "ready  drives: teleop_joy  held: a motion was commanded before the base was ready"
+    hold_line = "ready  drives: teleop_joy  disarmed: press g"
     assert any(hold_line in lines[1] for lines in shown)
     assert any("active  drives: teleop_joy" in lines[1] for lines in shown)
     vehicle.close()

@@ -122,6 +122,23 @@ def test_a_machine_that_is_too_slow_falls_behind_the_clock() -> None:
     speed_before = drive.vehicle.now
     drive.clock.now += 5.0
     drive.vehicle.cycle()
-    assert drive.vehicle.now - speed_before == pytest.approx(0.1)
+    assert drive.vehicle.now - speed_before == pytest.approx(0.05)
     drive.vehicle.cycle()
-    assert drive.vehicle.now - speed_before == pytest.approx(0.12)
+    assert drive.vehicle.now - speed_before == pytest.approx(0.07)
+
+
+def test_a_stopped_process_voids_the_key_that_was_held() -> None:
+    """The process was stopped for 3 s with a pressed key, for example by a debugger."""
+    speeds: dict[float, float] = {}
+
+    def stop_process(now: float) -> None:
+        speeds[round(now, 2)] = drive.vehicle.driver.state.ramped.vx
+        if 1.0 <= now < 1.02:
+            drive.clock.now += 3.0
+
+    drive = Drive({**held_state("i", 0.1, 1.0), **held_state("i", 4.0, 8.0), 9.0: "q"})
+    drive.hook = stop_process
+    drive.run()
+    assert max(speed for now, speed in speeds.items() if now < 1.0) > 0.5
+    assert max(speed for now, speed in speeds.items() if now > 5.5) == 0.0
+    assert any("command zero first" in lines[1] for lines in drive.shown)

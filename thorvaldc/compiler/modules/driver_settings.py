@@ -21,7 +21,15 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model.robot import Actuator, BatterySettings, DriverSettings, ParameterSet, Wheel
+from thorvaldc.model.robot import (
+    AUTOMATIC,
+    REQUIRED,
+    Actuator,
+    BatterySettings,
+    DriverSettings,
+    ParameterSet,
+    Wheel,
+)
 from thorvaldc.model.spatial import clean
 
 # Least and greatest cycle rate of the base driver in Hz.  A CAN bus is too slow for control cycles
@@ -106,7 +114,7 @@ class DriverSettingsReader:
             if value <= 0:
                 self._report_not_positive(key, value, node.get(key))
         self._check_cycle(rate, timeout, node)
-        limits = {
+        limits: dict[str, Any] = {
             key: self._limit(node.get(key), key, motor_limit)
             for key, motor_limit in self._motor_limits(None).items()
         }
@@ -116,6 +124,7 @@ class DriverSettingsReader:
             noise=self._noise(node.get("noise"), ()),
             stopping_distance=self._stopping_distance(node.get("stopping_distance")),
             battery=self._battery(node.get("battery")),
+            arming=_arming(node.get("arming")),
             **limits,
         )
 
@@ -282,6 +291,11 @@ class DriverSettingsReader:
             f"`{key}` is {value:g}; it must be positive",
             node.span if node is not None else None,
         )
+
+
+def _arming(node: Node | None) -> str:
+    """Returns whether a robot must be armed; the schema check has reported other values."""
+    return AUTOMATIC if node is not None and node.value == AUTOMATIC else REQUIRED
 
 
 def _finite(value: float) -> float:

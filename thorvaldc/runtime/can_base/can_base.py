@@ -91,7 +91,8 @@ class CanBase(BaseHandle):
             raise
         self.state_machine = BaseStateMachine(self.connections, times)
         self.armed = False
-        """``True`` if the base may follow commands; see ``arm``."""
+        """``True`` if the base accepts motion; see ``arm``."""
+        self._disarmed_by = ""
         self.cycles = 0
         """Number of control cycles whose frames were all sent."""
         self.incomplete = 0
@@ -110,7 +111,11 @@ class CanBase(BaseHandle):
             return "the driver is shutting down"
         if not state_machine.state.drives:
             return str(state_machine.state.value)
-        return "" if self.armed else "a motion was commanded before the base was ready"
+        return ""
+
+    @property
+    def waiting_reason(self) -> str:
+        return "" if self.armed else self._disarmed_by or "disarmed"
 
     @property
     def standing(self) -> bool:
@@ -128,7 +133,7 @@ class CanBase(BaseHandle):
             connection.receive(now)
         self.state_machine.update(now)
         if not self.state_machine.state.drives:
-            self.armed = False
+            self.disarm()
         n = self._wheels
         speeds, angles, rates = [0.0] * n, [0.0] * n, [0.0] * n
         oldest = now - REPORT_TIMEOUT * self.period
@@ -143,14 +148,21 @@ class CanBase(BaseHandle):
                 speeds[axis.wheel] = axis.velocity if valid else math.nan
         return JointStates(total / max(len(self._axes), 1), speeds, angles, rates)
 
-    def arm(self, commanded: bool) -> None:
-        """Allows motion of the robot if the base is ready and if ``commanded`` is ``False`` (no
-        motion is commanded).
+    def arm(self) -> None:
+        """Accepts motion of the robot if the wheels follow commands.
 
-        A joystick that is deflected during the start-up cannot move the robot.
+        The caller must have checked that no motion is commanded.  The base is disarmed whenever the
+        wheels do not follow commands: before it is ready, in a fault, and during homing.
         """
-        if self.state_machine.state.drives and not commanded:
-            self.armed = True
+        self.armed = self.state_machine.state.drives
+
+    def disarm(self, reason: str = "") -> None:
+        """Accepts no motion of the robot until ``arm`` is called.  A moving robot ramps to rest.
+
+        ``reason``: reason that the operator sees, such as ``disarmed: the battery is empty``.
+        """
+        self.armed = False
+        self._disarmed_by = reason
 
     def write(self, commands: JointCommands, now: float) -> None:
         state_machine = self.state_machine

@@ -6,6 +6,17 @@ cycles.
                                                             runs the services,
                                                      <---   {"ok": true, "result": null, "id": 7}
 
+A request counts only if it is fresh.  A client may state in ``time`` when it has sent the request,
+on the clock of the base driver.  Without that time, the server assumes that the request was sent
+directly after the last time when nothing was waiting:
+
+    poll        |         |         |     (a cycle is late)      |         |
+    request          x        x                  x                    x
+    answered              ok        ok                           void      ok
+
+Requests that only read or stop the robot count however old they are, and also if the client has
+closed its connection.
+
 The constants of this module limit the length of lines, the number of requests and the unsent
 answers for each client.  Without the limits, a client could delay a control cycle with long lines,
 too many requests or unread answers.
@@ -15,20 +26,27 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
-import select
 import socket
+import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from thorvaldc.can.local_socket import remove_stale_socket, socket_path
-from thorvaldc.runtime.control.service_table import ServiceError, Services
+from thorvaldc.runtime.control.service_table import Argument, Caller, ServiceError, Services
 
 LONGEST_LINE = 65536
 """Largest length of a request, in bytes."""
 MOST_CLIENTS = 32
 MOST_REQUESTS = 100
 """Largest number of requests of one client in a cycle; more requests wait for the next cycle."""
+LONGEST_WAIT = 0.05
+"""Longest time (s) for which a request may wait and still count, 2.5 cycles at 50 Hz."""
+_ROUNDING = 1e-9
+LARGEST_CLOCK_ERROR = 0.005
+"""Largest time (s) by which a client's request may seem to come from the future."""
 LONGEST_BACKLOG = 1 << 20
 """Size of unread answers (bytes) above which the server closes the connection of a client."""
 
@@ -43,12 +61,20 @@ def control_path(name: str) -> Path:
 
 
 class _Client:
-    """Connection to a client of the control channel, with received bytes and unsent answers."""
+    """Connection to a client of the control channel, with received bytes and unsent answers.
 
-    def __init__(self, stream: socket.socket) -> None:
+    - ``emptied``: time (s) of the last poll at which no request of the client was waiting;
+    - ``closed``: ``True`` if the client has closed its side of the connection;
+    - ``ended``: ``True`` if the server reads nothing more from the client.
+    """
+
+    def __init__(self, stream: socket.socket, name: str, emptied: float) -> None:
         self.stream = stream
+        self.name = name
+        self.emptied = emptied
         self.unread = b""
         self.out = bytearray()
+        self.closed = False
         self.ended = False
 
 
@@ -61,14 +87,28 @@ class ControlServer:
     can connect to the control channel.
     """
 
-    def __init__(self, name: str, services: Services) -> None:
+    def __init__(
+        self,
+        name: str,
+        services: Services,
+        longest_wait: float = LONGEST_WAIT,
+        closed: Callable[[str], None] = lambda name: None,
+    ) -> None:
         """Creates the control socket of the base driver ``name``.
+
+        - ``longest_wait``: longest time (s) for which a request may wait and still count.
+        - ``closed``: function that is called with the name of a connection that has ended.
 
         Raises ``OSError`` if a base driver with the same name already runs.
         """
         self.path = control_path(name)
         self.services = services
+        self._longest_wait = longest_wait
+        self._closed = closed
         self._clients: list[_Client] = []
+        self._connections = 0
+        self._last_poll = -math.inf
+        self._now = 0.0
         remove_stale_socket(self.path, "a driver")
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         mask = os.umask(0o177)
@@ -83,18 +123,22 @@ class ControlServer:
         self._listener.listen()
         self._listener.setblocking(False)
 
-    def poll(self, now: float) -> None:
+    def poll(self, now: float, clock_time: float | None = None) -> None:
         """Accepts new clients and answers all received requests, without waiting.
 
-        ``now``: time (s) on the clock of the base driver.
+        - ``now``: time (s) on the clock of the base driver.
+        - ``clock_time``: time (s) on the clock of the clients, which measures the age of requests.
+          ``None``: the clients have the clock of the base driver.
         """
-        if self._ready(self._listener):
-            self._accept()
+        self._now = now
+        clock_time = now if clock_time is None else clock_time
+        self._accept(clock_time)
         for client in list(self._clients):
             try:
-                self._serve(client, now)
+                self._serve(client, clock_time)
             except OSError:  # the client has ended, perhaps in the middle of a line
                 self._drop(client)
+        self._last_poll = clock_time
 
     def close(self) -> None:
         """Closes all client connections and removes the socket file."""
@@ -109,30 +153,31 @@ class ControlServer:
 
     # -- inside --------------------------------------------------------------------------------
 
-    @staticmethod
-    def _ready(stream: socket.socket) -> bool:
-        return bool(select.select([stream], [], [], 0.0)[0])
-
-    def _accept(self) -> None:
+    def _accept(self, now: float) -> None:
+        """Accepts all new clients, at most ``MOST_CLIENTS`` in a poll."""
+        # A new client has connected after the last poll.  Before the first poll, it may have waited
+        # since the socket was created, when the base driver did nothing yet.
+        since = self._last_poll if math.isfinite(self._last_poll) else now
         with contextlib.suppress(OSError):
-            stream, _ = self._listener.accept()
-            if len(self._clients) >= MOST_CLIENTS:
-                stream.close()
-                return
-            stream.setblocking(False)
-            self._clients.append(_Client(stream))
+            for _ in range(MOST_CLIENTS):
+                stream, _ = self._listener.accept()
+                if len(self._clients) >= MOST_CLIENTS:
+                    stream.close()
+                    continue
+                stream.setblocking(False)
+                self._connections += 1
+                name = f"connection {self._connections}{_process(stream)}"
+                self._clients.append(_Client(stream, name, since))
 
     def _serve(self, client: _Client, now: float) -> None:
-        if not client.ended and len(client.unread) <= LONGEST_LINE:
-            with contextlib.suppress(BlockingIOError):
-                data = client.stream.recv(LONGEST_LINE)
-                client.ended = not data
-                client.unread += data
+        emptied = self._receive(client)
         requests = 0
         while requests < MOST_REQUESTS and b"\n" in client.unread:
             line, _, client.unread = client.unread.partition(b"\n")
-            client.out += _line(self._answer(line, now))
+            client.out += _line(self._answer(line, client, now))
             requests += 1
+        if emptied and b"\n" not in client.unread:
+            client.emptied = now
         if len(client.unread) > LONGEST_LINE and b"\n" not in client.unread:
             client.out += _line(_refusal(f"a request is longer than {LONGEST_LINE} bytes"))
             client.unread, client.ended = b"", True
@@ -143,37 +188,88 @@ class ControlServer:
         if len(client.out) > LONGEST_BACKLOG or (client.ended and b"\n" not in client.unread):
             self._drop(client)
 
-    def _answer(self, line: bytes, now: float) -> dict[str, Any]:
+    @staticmethod
+    def _receive(client: _Client) -> bool:
+        """Receives what the client has sent, and returns ``True`` if nothing more is waiting.
+
+        The end of the connection is noticed before the requests that were sent before it.
+        """
+        while not client.ended and len(client.unread) <= LONGEST_LINE:
+            try:
+                data = client.stream.recv(LONGEST_LINE)
+            except BlockingIOError:
+                return True
+            except OSError:  # the client has ended with unread answers
+                data = b""
+            client.ended = client.closed = not data
+            client.unread += data
+        return client.ended
+
+    def _answer(self, line: bytes, client: _Client, now: float) -> dict[str, Any]:
         try:
             request = json.loads(line)
         except (ValueError, RecursionError):
             return _refusal("the request is not JSON")
         if not isinstance(request, dict):
             return _refusal('the request is not a mapping, such as {"call": "state"}')
-        answer = self._call(request, now)
+        answer = self._call(request, client, now)
         if "id" in request:
             answer["id"] = request["id"]
         return answer
 
-    def _call(self, request: dict[str, Any], now: float) -> dict[str, Any]:
+    def _call(self, request: dict[str, Any], client: _Client, now: float) -> dict[str, Any]:
         name, arguments = request.get("call"), request.get("arguments", {})
         if not isinstance(name, str):
             return _refusal('the request names no service, such as {"call": "state"}')
         if not isinstance(arguments, dict):
             return _refusal("`arguments` is not a mapping")
-        unknown = [key for key in request if key not in ("call", "arguments", "id")]
+        unknown = [key for key in request if key not in ("call", "arguments", "id", "time")]
         if unknown:
             return _refusal(
-                f"a request has no key `{unknown[0]}`; its keys are call, arguments and id"
+                f"a request has no key `{unknown[0]}`; its keys are call, arguments, id and time"
             )
         try:
-            return {"ok": True, "result": self.services.call(name, arguments, now)}
+            caller = self._caller(request.get("time"), client, now)
+            return {"ok": True, "result": self.services.call(name, arguments, self._now, caller)}
         except ServiceError as error:
             return _refusal(str(error))
+
+    def _caller(self, sent: Any, client: _Client, now: float) -> Caller:
+        """Judges the age of a request that was sent at the time ``sent`` (s).
+
+        If ``sent`` is ``None``, the request is as old as it can be.  Raises ``ServiceError`` if
+        ``sent`` is in the future.
+        """
+        if client.closed:
+            return Caller(client.name, void="the connection is closed; nothing is done")
+        age = now - client.emptied
+        if sent is not None:
+            sent = Argument("time", "number").check(sent)
+            age = now - sent
+            if age < -LARGEST_CLOCK_ERROR:
+                raise ServiceError(f"`time` is {sent:.3f} s; the driver's clock shows {now:.3f} s")
+        if age > self._longest_wait + _ROUNDING:
+            return Caller(
+                client.name,
+                age,
+                f"the request may have waited for {age * 1000.0:.0f} ms; nothing is done, send it"
+                " again",
+            )
+        return Caller(client.name, max(age, 0.0) if sent is not None else 0.0)
 
     def _drop(self, client: _Client) -> None:
         self._clients.remove(client)
         client.stream.close()
+        self._closed(client.name)
+
+
+def _process(stream: socket.socket) -> str:
+    """Returns the process of a client as text, where the operating system tells it (Linux)."""
+    option = getattr(socket, "SO_PEERCRED", None)
+    if option is None:
+        return ""
+    credentials = stream.getsockopt(socket.SOL_SOCKET, option, struct.calcsize("3i"))
+    return f" (process {struct.unpack('3i', credentials)[0]})"
 
 
 def _refusal(error: str) -> dict[str, Any]:

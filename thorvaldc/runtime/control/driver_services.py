@@ -2,30 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from thorvaldc.model.robot import SAFETY_STOP
-from thorvaldc.runtime.control.service_table import Argument, Service, ServiceError
+from thorvaldc.runtime.control.service_table import Argument, Caller, Service, ServiceError
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.multiplexer import Multiplexer
 from thorvaldc.runtime.run_time_parameters import LIMITS
 from thorvaldc.runtime.se2 import Twist
 
+FORCE = Argument("force", "flag", False)
+"""Argument that also releases the stops of other programs."""
 
-def driving_services(driver: BaseDriver, multiplexer: Multiplexer) -> list[Service]:
+
+def driving_services(
+    driver: BaseDriver,
+    multiplexer: Multiplexer,
+    note: Callable[[str], None] = lambda text: None,
+) -> list[Service]:
     """Returns the services of a base driver.
 
     The services of the base driver command twists, set stop locks, return the state, reset the
     odometry, change parameters and stop the robot.  The service ``safety_stop`` stops the robot by
     software and is not a safety function.
+
+    ``note``: function that records an event, such as a stop that was released by force.
     """
 
-    def twist(now: float, source: str, vx: float, vy: float, wz: float) -> None:
-        if not multiplexer.publish(source, Twist(vx, vy, wz), now):
-            raise ServiceError("the twist is too large")
+    def twist(now: float, caller: Caller, source: str, vx: float, vy: float, wz: float) -> None:
+        refusal = multiplexer.offer(source, Twist(vx, vy, wz), now - caller.age, caller.name)
+        if refusal:
+            raise ServiceError(refusal)
 
-    def lock(now: float, name: str, locked: bool) -> None:
-        multiplexer.lock(name, locked, now)
+    def lock(now: float, caller: Caller, name: str, locked: bool, force: bool) -> None:
+        if caller.void and not locked:
+            raise ServiceError(caller.void)
+        others = [owner for owner in multiplexer.lock_owners(name) if owner != caller.name]
+        multiplexer.lock(name, locked, now, caller.name, force=force)
+        if force and others and not locked:
+            note(f"{caller.name} released `{name}` of {' and '.join(others)} by force")
 
     def state(now: float) -> dict[str, Any]:
         return driver_state(driver, multiplexer, now)
@@ -46,11 +62,17 @@ def driving_services(driver: BaseDriver, multiplexer: Multiplexer) -> list[Servi
         else:
             driver.update(radii=radii, noise=None, **changes)
 
-    def safety_stop(now: float) -> None:
-        multiplexer.lock(SAFETY_STOP, True, now)
+    def safety_stop(now: float, caller: Caller) -> None:
+        lock(now, caller, SAFETY_STOP, True, False)
 
-    def release_safety_stop(now: float) -> None:
-        multiplexer.lock(SAFETY_STOP, False, now)
+    def release_safety_stop(now: float, caller: Caller, force: bool) -> None:
+        lock(now, caller, SAFETY_STOP, False, force)
+
+    def reset_faults(now: float) -> None:
+        sources = multiplexer.requests(now)
+        if sources:
+            raise ServiceError(f"{', '.join(sources)} commands a motion; command zero first")
+        driver.reset()
 
     return [
         Service(
@@ -63,18 +85,22 @@ def driving_services(driver: BaseDriver, multiplexer: Multiplexer) -> list[Servi
                 Argument("vy", "number", 0.0),
                 Argument("wz", "number", 0.0),
             ),
+            with_caller=True,
         ),
         Service(
             "lock",
             "Set a lock, which blocks sources up to its priority, or release it.",
             lock,
-            (Argument("name", "text"), Argument("locked", "flag", True)),
+            (Argument("name", "text"), Argument("locked", "flag", True), FORCE),
+            with_caller=True,
+            valid_late=True,  # the function refuses a late release
         ),
-        Service("state", "Return the state of the driver.", state),
+        Service("state", "Return the state of the driver.", state, valid_late=True),
         Service(
             "description",
             "Return the robot's constants: names, top speeds, rate.",
             lambda now: driver_description(driver),
+            valid_late=True,
         ),
         Service("reset_odometry", "Set the pose of the odometry to zero.", reset_odometry),
         Service(
@@ -88,8 +114,21 @@ def driving_services(driver: BaseDriver, multiplexer: Multiplexer) -> list[Servi
                 *(Argument(name, "number", None) for name in LIMITS),
             ),
         ),
-        Service("safety_stop", "Stop the robot and keep it stopped.", safety_stop),
-        Service("release_safety_stop", "Release the safety stop.", release_safety_stop),
+        Service(
+            "safety_stop",
+            "Stop the robot and keep it stopped.",
+            safety_stop,
+            with_caller=True,
+            valid_late=True,
+        ),
+        Service(
+            "release_safety_stop",
+            "Release the safety stop of this connection; `force`: of every connection.",
+            release_safety_stop,
+            (FORCE,),
+            with_caller=True,
+        ),
+        Service("reset_faults", "Leave the fault of a gap in time.", reset_faults),
     ]
 
 
@@ -105,6 +144,7 @@ def driver_state(driver: BaseDriver, multiplexer: Multiplexer, now: float) -> di
         "mode": state.mode.value,
         "source": selected.source,
         "locks": list(selected.locks),
+        "owners": multiplexer.holders(now),
         "asked": state.commanded_twist._asdict(),
         "in_force": state.ramped._asdict(),
         "infeasible": state.infeasible._asdict(),

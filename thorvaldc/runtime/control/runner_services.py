@@ -8,9 +8,20 @@ from typing import Any
 
 from thorvaldc.model.robot import SAFETY_STOP
 from thorvaldc.runtime.control.control_server import ControlServer
-from thorvaldc.runtime.control.driver_services import driver_state, driving_services
-from thorvaldc.runtime.control.service_table import Argument, Service, ServiceError, Services
+from thorvaldc.runtime.control.driver_services import (
+    FORCE,
+    driver_state,
+    driving_services,
+)
+from thorvaldc.runtime.control.service_table import (
+    Argument,
+    Caller,
+    Service,
+    ServiceError,
+    Services,
+)
 from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.multiplexer import Multiplexer, Selection
 from thorvaldc.runtime.runner import BaseRunner
 
@@ -28,13 +39,23 @@ class RunnerControl:
         self.runner = runner
         self.multiplexer = Multiplexer.from_robot(runner.robot)
         self.services = Services(
-            [*driving_services(runner.driver, self.multiplexer), *runner_services(self)]
+            [
+                *driving_services(runner.driver, self.multiplexer, runner.note),
+                *runner_services(self),
+            ]
         )
-        self._server = ControlServer(channel, self.services) if channel else None
+        runner.pre_arm_checks.append(self._check_inputs)
+        longest_wait = runner.driver.time_gaps.normal
+        self._server = (
+            ControlServer(channel, self.services, longest_wait, self.multiplexer.release)
+            if channel
+            else None
+        )
 
     def feed(self, driver: BaseDriver, now: float) -> Selection:
         """Answers the requests on the control channel, and commands the twist that the twist
         multiplexer has selected."""
+        self.multiplexer.notice_gap(driver, now)
         if self._server is not None:
             self._server.poll(now)
         return self.multiplexer.feed(driver, now)
@@ -45,6 +66,15 @@ class RunnerControl:
         Raises ``ServiceError`` if the service call is refused.
         """
         return self.services.call(service, arguments, self.runner.clock.now)
+
+    def _check_inputs(self, runner: BaseRunner, now: float) -> list[str]:
+        """Returns the reasons of the twist multiplexer why the base must not be armed."""
+        multiplexer = self.multiplexer
+        reasons = [
+            f"the stop lock `{name}` is active" for name in multiplexer.active_stop_locks(now)
+        ]
+        reasons += [f"`{name}` commands a motion" for name in multiplexer.requests(now)]
+        return reasons
 
     def close(self) -> None:
         if self._server is not None:
@@ -58,13 +88,27 @@ def runner_services(control: RunnerControl) -> list[Service]:
     """
     runner, multiplexer = control.runner, control.multiplexer
 
-    def safety_stop(now: float) -> None:
-        multiplexer.lock(SAFETY_STOP, True, now)
-        runner.safety_stop()
+    def safety_stop(now: float, caller: Caller) -> None:
+        multiplexer.lock(SAFETY_STOP, True, now, caller.name)
+        runner.safety_stop(owner=caller.name)
 
-    def release_safety_stop(now: float) -> None:
-        multiplexer.lock(SAFETY_STOP, False, now)
-        runner.safety_stop(False)
+    def release_safety_stop(now: float, caller: Caller, force: bool) -> None:
+        # Both stops are tried, so that this program's share of both is released.
+        refusal = ""
+        try:
+            multiplexer.lock(SAFETY_STOP, False, now, caller.name, force=force)
+        except ParameterError as error:
+            refusal = str(error)
+        runner.safety_stop(False, owner=caller.name, force=force)
+        if refusal:
+            raise ServiceError(refusal)
+
+    def arm(now: float) -> None:
+        runner.arm()
+        multiplexer.accept_motion()
+
+    def reset_faults(now: float) -> None:
+        runner.reset(commanded=bool(multiplexer.requests(now)))
 
     def send_to_device(now: float, cob_id: int, data: str, bus: str) -> None:
         try:
@@ -89,6 +133,18 @@ def runner_services(control: RunnerControl) -> list[Service]:
             "state",
             "Return the state of the driver and its buses.",
             lambda now: runner_state(runner, multiplexer, now),
+            valid_late=True,
+        ),
+        Service(
+            "arm",
+            "Accept motion, if all pre-arm checks pass; refused with every reason.",
+            arm,
+        ),
+        Service(
+            "disarm",
+            "Accept no motion until `arm`; a moving robot ramps to rest.",
+            without_time(runner.disarm),
+            valid_late=True,
         ),
         Service("home_steering", "Home all steerings again.", without_time(runner.home_steering)),
         Service(
@@ -107,16 +163,21 @@ def runner_services(control: RunnerControl) -> list[Service]:
             "safety_stop",
             "Stop all motors and switch them off, until release and reset.",
             safety_stop,
+            with_caller=True,
+            valid_late=True,
         ),
         Service(
             "release_safety_stop",
-            "Release the safety stop; to drive again, call `reset_faults`.",
+            "Release the safety stop of this connection (`force`: of every connection); to drive"
+            " again, call `reset_faults` and `arm`.",
             release_safety_stop,
+            (FORCE,),
+            with_caller=True,
         ),
         Service(
             "reset_faults",
             "Leave a fault or a stop; the stop must be released, and zero commanded.",
-            without_time(runner.reset),
+            reset_faults,
         ),
         Service(
             "mute_devices",
@@ -155,6 +216,8 @@ def runner_state(runner: BaseRunner, multiplexer: Multiplexer, now: float) -> di
     state = driver_state(runner.driver, multiplexer, now)
     reason = runner.base.state_machine.reason
     state["supervisor"] = runner.state.value
+    state["armed"] = runner.base.armed
+    state["stopped_by"] = list(runner.stop_owners)
     state["fault"] = reason or state["fault"]
     state["batteries"] = {
         name: {

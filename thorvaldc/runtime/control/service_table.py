@@ -9,6 +9,7 @@ from typing import Any
 
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.runtime.owned_stop import THIS_PROGRAM
 
 _KINDS: dict[str, tuple[tuple[type, ...], str]] = {
     "number": ((int, float), "a number"),
@@ -25,6 +26,25 @@ class ServiceError(ValueError):
 
     The message of the exception is the reason in one line.
     """
+
+
+@dataclass(frozen=True, slots=True)
+class Caller:
+    """The program that calls a service.
+
+    - ``name``: name of the program, different for each connection;
+    - ``age``: time (s) since the program has sent the request, as far as it is known;
+    - ``void``: reason why the request does not count, or an empty text.  A request does not count
+      if it may have waited during a gap in time, or if its program has ended.
+    """
+
+    name: str
+    age: float = 0.0
+    void: str = ""
+
+
+LOCAL = Caller(THIS_PROGRAM)
+"""Caller of services in the process of the base driver."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,12 +91,18 @@ class Service:
     The function ``call`` takes the time (s) and the service arguments by name, and returns JSON
     values.  The function ``call`` raises ``ServiceError``, ``ValueError`` or ``DiagnosticError`` to
     refuse a service request.
+
+    - ``with_caller``: ``True`` if ``call`` also takes the ``Caller`` after the time;
+    - ``valid_late``: ``True`` for a service that only reads or stops, so that its requests count
+      also if they have waited or if their program has ended.
     """
 
     name: str
     summary: str
     call: Callable[..., Any]
     arguments: tuple[Argument, ...] = ()
+    with_caller: bool = False
+    valid_late: bool = False
 
 
 class Services:
@@ -87,13 +113,17 @@ class Services:
 
     def __init__(self, services: Iterable[Service]) -> None:
         self._services = {service.name: service for service in services}
-        self._services["services"] = Service("services", "List the services.", self._list)
+        self._services["services"] = Service(
+            "services", "List the services.", self._list, valid_late=True
+        )
 
     @property
     def names(self) -> tuple[str, ...]:
         return tuple(self._services)
 
-    def call(self, name: str, arguments: Mapping[str, Any], now: float) -> Any:
+    def call(
+        self, name: str, arguments: Mapping[str, Any], now: float, caller: Caller = LOCAL
+    ) -> Any:
         """Checks the arguments, calls a service and returns the result.
 
         A hyphen in the service name is read as an underscore.  Raises ``ServiceError`` if the
@@ -116,7 +146,11 @@ class Services:
                 raise ServiceError(f"`{service.name}` needs the argument `{argument.name}`")
             else:
                 checked[argument.name] = argument.default
+        if caller.void and not service.valid_late:
+            raise ServiceError(caller.void)
         try:
+            if service.with_caller:
+                return service.call(now, caller, **checked)
             return service.call(now, **checked)
         except DiagnosticError as error:
             raise ServiceError(_one_line(error)) from None

@@ -29,14 +29,14 @@ MOST_EVENTS = 500
 HELP = """\
 Joystick: hold the left shoulder button (or the trigger) and move the left stick; the
 right one turns.  The right shoulder button (or the thumb's) drives at full speed.
-East button: safety stop; start: its release."""
+North button: arm.  East button: safety stop; start: its release."""
 
 # Codes of linux/input-event-codes.h.
 EV_SYN, EV_KEY, EV_ABS = 0, 1, 3
 SYN_DROPPED = 3
 ABS_X, ABS_Y, ABS_Z, ABS_RX, ABS_RY, ABS_RZ = range(6)
 BTN_TRIGGER, BTN_THUMB, BTN_THUMB2, BTN_TOP, BTN_TOP2, BTN_PINKIE = range(0x120, 0x126)
-BTN_SOUTH, BTN_EAST = 0x130, 0x131
+BTN_SOUTH, BTN_EAST, BTN_NORTH = 0x130, 0x131, 0x133
 BTN_TL, BTN_TR, BTN_SELECT, BTN_START = 0x136, 0x137, 0x13A, 0x13B
 
 
@@ -87,6 +87,7 @@ class Layout:
     - ``stop``: button that requests the safety stop.
     - ``release``: button that requests the release of the safety stop.
     - ``reset``: button that requests a reset of faults.
+    - ``arm``: button that requests to arm the robot.
     """
 
     forward: int = ABS_Y
@@ -97,6 +98,7 @@ class Layout:
     stop: int = BTN_EAST
     release: int = BTN_START
     reset: int = BTN_SELECT
+    arm: int = BTN_NORTH
 
     @staticmethod
     def of(device: Device) -> Layout | None:
@@ -116,7 +118,12 @@ class Layout:
         if BTN_TRIGGER not in buttons:
             return None
         stick = Layout(
-            enable=BTN_TRIGGER, turbo=BTN_THUMB, stop=BTN_THUMB2, release=BTN_TOP, reset=BTN_TOP2
+            enable=BTN_TRIGGER,
+            turbo=BTN_THUMB,
+            stop=BTN_THUMB2,
+            release=BTN_TOP,
+            reset=BTN_TOP2,
+            arm=BTN_PINKIE,
         )
         if ABS_RZ in axes:
             return replace(stick, turn=ABS_RZ)
@@ -241,6 +248,8 @@ class Joystick:
             requests.append(Request("release_safety_stop", {}))
         elif button == layout.reset:
             requests.append(Request("reset_faults", {}))
+        elif button == layout.arm:
+            requests.append(Request("arm", {}))
 
     def _release_all(self) -> None:
         """Sets all axes of the joystick to zero and all buttons to released.

@@ -64,7 +64,8 @@ HELP = """\
   j   l    turn on the spot                                with Shift: sideways
   m , .    backward                                        space or k: stop
   + -      faster, slower      1..9 0   10..90, 100 % of the top speed
-  x        safety stop: all sources; X releases it         r   reset odometry
+  g        arm: the robot may move; G disarms              r   reset odometry
+  x        safety stop: all sources; X releases it, F also those of other programs
   h        home steering       f   reset faults            p   next parameter set
   q        quit
 A key drives while it is held; the robot stops when it is not repeated."""
@@ -72,6 +73,9 @@ A key drives while it is held; the robot stops when it is not repeated."""
 _SERVICES: dict[str, Request] = {
     "x": Request("safety_stop", {}),
     "X": Request("release_safety_stop", {}),
+    "F": Request("release_safety_stop", {"force": True}),
+    "g": Request("arm", {}),
+    "G": Request("disarm", {}),
     "r": Request("reset_odometry", {}),
     "h": Request("home_steering", {}),
     "f": Request("reset_faults", {}),

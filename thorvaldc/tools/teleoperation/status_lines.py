@@ -29,6 +29,8 @@ def status_lines(
         parts.append(f"locked: {', '.join(state['locks'])}")
     if state["fault"]:
         parts.append(f"FAULT {state['fault']}")
+    elif state["held"] == "disarmed":
+        parts.append("disarmed: press g")
     elif state["held"] and state["held"] != parts[0]:
         parts.append(f"held: {state['held']}")
     if message:

@@ -51,7 +51,10 @@ def operate(
                 message_time = now
             commanded = operator.twist(now)
             if commanded is not None:
-                publish(vehicle, source, commanded)
+                try:
+                    publish(vehicle, source, commanded)
+                except ServiceError as error:  # such as a source that another program publishes
+                    message, message_time = str(error), now
             vehicle.cycle()
             if now - last_draw >= DRAW_PERIOD:
                 last_draw = now

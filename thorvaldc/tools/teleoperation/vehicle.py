@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -12,9 +13,8 @@ from thorvaldc.runtime.control.driver_services import driver_description, drivin
 from thorvaldc.runtime.control.service_table import Services
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.multiplexer import Multiplexer
+from thorvaldc.runtime.time_gap import Gap, gap_text
 
-LONGEST_STEP = 0.1
-"""Longest step of the simulated time in a cycle, in s. A slow machine falls behind the clock."""
 REMOTE_PERIOD = 0.05
 """Time in s between two commands to a driver in another process."""
 
@@ -58,7 +58,12 @@ class SimulatedVehicle:
         self.multiplexer = Multiplexer.from_robot(driver.robot)
         self.services = Services(driving_services(driver, self.multiplexer))
         self.description = driver_description(driver)
-        self._server = ControlServer(channel, self.services) if channel else None
+        longest_wait = driver.time_gaps.longest_short
+        self._server = (
+            ControlServer(channel, self.services, longest_wait, self.multiplexer.release)
+            if channel
+            else None
+        )
         self._clock, self._sleep = clock, sleep
         self._period = 1.0 / driver.settings.rate
         self._next_cycle = clock()
@@ -78,12 +83,20 @@ class SimulatedVehicle:
         if self._next_cycle <= clock_time:  # missed cycles are not caught up
             self._next_cycle = clock_time + self._period
         now = clock_time - self._offset
-        if now - self.now > LONGEST_STEP:
-            self._offset += now - self.now - LONGEST_STEP
+        gaps = self.driver.time_gaps
+        elapsed = now - self.now
+        if elapsed > gaps.normal:
+            # The simulated time falls behind the clock, as the simulated robot stands still
+            # meanwhile.
+            self._offset += elapsed - gaps.normal
             now = clock_time - self._offset
         self.now = now
+        if gaps.judge(elapsed) is Gap.LONG and math.isfinite(self.driver.state.time):
+            # A slow machine is no danger to a simulated robot, but commands that waited are void.
+            self.multiplexer.void(gap_text(elapsed))
+            self.driver.void_commands(gap_text(elapsed))
         if self._server is not None:
-            self._server.poll(now)
+            self._server.poll(now, clock_time)
         self.multiplexer.feed(self.driver, now)
         self.driver.tick(now)
 

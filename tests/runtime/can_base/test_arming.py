@@ -1,0 +1,210 @@
+"""A robot on its bus moves only after it was armed, and each reason against it is named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from tests.runtime.can_base.fault_matrix import ROBOTS, roboteq
+from tests.runtime.can_base.simulated_rig import FORWARD, Rig
+from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.control.runner_services import RunnerControl
+from thorvaldc.runtime.control.service_table import Caller, ServiceError
+from thorvaldc.runtime.runner import RequestRefused
+from thorvaldc.runtime.se2 import ZERO_TWIST
+
+both = pytest.mark.parametrize("kind", ROBOTS)
+
+
+def ready(kind: str = "Thorvald script") -> Rig:
+    rig = Rig(ROBOTS[kind]())
+    rig.ready()
+    return rig
+
+
+@both
+def test_a_robot_that_is_not_armed_stands(kind: str) -> None:
+    rig = ready(kind)
+    rig.run(0.5)  # zero is commanded
+    rig.twist = FORWARD
+    rig.run(1.0)
+    assert rig.speed() == 0.0
+    assert rig.runner.driver.state.hold_reason == "disarmed"
+    rig.arm()
+    rig.twist = FORWARD
+    rig.run(1.0)
+    assert rig.speed() > 0.4
+
+
+@both
+def test_a_disarmed_robot_ramps_to_rest(kind: str) -> None:
+    rig = ready(kind)
+    rig.drive()
+    rig.runner.disarm()
+    speeds = []
+    for _ in range(100):
+        rig.run(rig.base.period)
+        speeds.append(rig.speed())
+    assert speeds[-1] == 0.0
+    assert speeds[2] > 0.3  # ramped, not dropped
+    assert rig.state is BaseState.READY
+
+
+def test_faults_stops_and_homing_disarm() -> None:
+    rig = ready()
+    for stop in (
+        lambda: rig.base.state_machine.fail("injected fault"),
+        lambda: rig.runner.safety_stop(),
+        lambda: rig.runner.home_steering(),
+    ):
+        rig.arm()
+        assert rig.base.armed
+        stop()
+        rig.run(0.1)
+        assert not rig.base.armed
+        rig.runner.safety_stop(False)
+        if rig.state in (BaseState.FAULT, BaseState.ESTOP):
+            rig.runner.reset()
+        rig.until(lambda: rig.state is BaseState.READY)
+        assert not rig.base.armed
+
+
+def test_automatic_arming_waits_for_zero() -> None:
+    robot = roboteq()
+    rig = Rig(replace(robot, driver=replace(robot.driver, arming="automatic")))
+    rig.twist = FORWARD
+    rig.until(lambda: rig.state is BaseState.READY)
+    rig.run(1.0)
+    assert rig.speed() == 0.0
+    rig.twist = ZERO_TWIST
+    rig.run(0.1)
+    rig.twist = FORWARD
+    rig.run(1.0)
+    assert rig.speed() > 0.4
+    rig.runner.disarm()
+    rig.twist = ZERO_TWIST
+    rig.run(2.0)
+    assert not rig.base.armed
+
+
+# -- pre-arm checks --------------------------------------------------------------------
+
+
+def test_all_reasons_are_reported_together() -> None:
+    rig = ready()
+    rig.twist = FORWARD
+    rig.run(0.1)
+    rig.stall(0.1)
+    rig.run(0.1)
+    rig.runner.safety_stop()
+    battery = next(d for n, d in rig.simulated.devices.items() if n.startswith("battery"))
+    battery.power_off()
+    rig.run(1.1)
+    with pytest.raises(RequestRefused) as refusal:
+        rig.runner.arm()
+    reasons = str(refusal.value).split("; ")
+    for part in (
+        "the base is estop, not ready",
+        "the safety stop is engaged",
+        "a motion is commanded",
+        "there was no control cycle for 120 ms, 1.2 s ago",
+        "battery: no reports",
+    ):
+        assert any(part in reason for reason in reasons), (part, reasons)
+
+
+def test_a_battery_that_allows_no_discharge_refuses() -> None:
+    rig = ready()
+    battery = next(d for n, d in rig.simulated.devices.items() if n.startswith("battery"))
+    battery.discharge_enabled = False  # type: ignore[attr-defined]
+    rig.run(1.0)
+    with pytest.raises(RequestRefused, match="battery: discharge is not enabled"):
+        rig.runner.arm()
+
+
+def test_a_source_that_commands_motion_and_a_stop_lock_refuse() -> None:
+    rig = ready()
+    control = RunnerControl(rig.runner)
+    rig.runner.feed = control.feed
+    # A source of a low priority counts too: it would drive as soon as the other one is silent.
+    control.call("twist", source="auto_nav", vx=0.3)
+    control.call("twist", source="teleop_joy", vx=0.0)
+    control.call("lock", name="safety_stop")
+    control.call("lock", name="auto_nav_pause")
+    rig.run(0.1)
+    with pytest.raises(ServiceError) as refusal:
+        control.call("arm")
+    assert (
+        str(refusal.value) == "the stop lock `safety_stop` is active; `auto_nav` commands a motion"
+    )
+
+
+# -- stops belong to the program that engaged them -----------------------------------------
+
+
+def test_the_safety_stop_is_released_by_who_engaged_it_or_by_force() -> None:
+    rig = ready()
+    control = RunnerControl(rig.runner)
+    rig.runner.feed = control.feed
+    rig.runner.safety_stop()  # by the program of the driver, without the control channel
+    rig.run(0.1)
+    other = Caller("connection 1")
+    with pytest.raises(ServiceError, match="this program set the stop"):
+        control.services.call("release_safety_stop", {}, rig.now, other)
+    with pytest.raises(ServiceError, match="the safety stop is engaged"):
+        control.call("reset_faults")
+    control.services.call("release_safety_stop", {"force": True}, rig.now, other)
+    control.call("reset_faults")
+    texts = [event.text for event in rig.runner.events]
+    assert "connection 1 released the safety stop of this program by force" in texts
+
+
+# -- gaps in time and the control channel -------------------------------------------------
+
+
+@both
+def test_a_source_that_moves_through_a_gap_must_send_zero(kind: str) -> None:
+    rig = ready(kind)
+    control = RunnerControl(rig.runner)
+    vx = 0.8
+    refusals: list[str] = []
+
+    def feed(driver: object, now: float) -> None:
+        try:
+            control.call("twist", source="teleop_joy", vx=vx)
+        except ServiceError as error:
+            refusals.append(str(error))
+        # A source of a lower priority sends zero all the time; this releases only itself.
+        control.call("twist", source="auto_nav")
+        control.feed(rig.runner.driver, now)
+
+    control.call("arm")
+    rig.runner.feed = feed
+    rig.run(2.0)
+    assert rig.speed() == pytest.approx(0.8, abs=0.02)
+    rig.stall(0.15)
+    rig.run(2.0)
+    assert rig.speed() == 0.0
+    assert refusals[-1] == "no control cycle for 170 ms; command zero first"
+    vx = 0.0
+    rig.run(0.1)
+    vx = 0.8
+    rig.run(2.0)
+    assert rig.speed() == pytest.approx(0.8, abs=0.02)
+
+
+def test_arming_with_a_held_joystick_is_refused_after_a_gap() -> None:
+    """The twist of the joystick is refused, so that nothing seems to be commanded."""
+    rig = ready()
+    control = RunnerControl(rig.runner)
+
+    def feed(driver: object, now: float) -> None:
+        control.multiplexer.publish("teleop_joy", FORWARD, now)
+        control.feed(rig.runner.driver, now)
+
+    rig.runner.feed = feed
+    rig.stall(0.15)
+    rig.run(3.0)
+    with pytest.raises(ServiceError, match="`teleop_joy` commands a motion"):
+        control.call("arm")

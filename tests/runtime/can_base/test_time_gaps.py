@@ -1,0 +1,131 @@
+"""The process of the base driver is stopped while the robot drives, with both kinds of drives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from tests.robots import FOUR_STEERED, make_robot
+from tests.runtime.can_base.fault_matrix import ROBOTS
+from tests.runtime.can_base.simulated_rig import Rig
+from thorvaldc.model.drive_watchdog import shortest_watchdog
+from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.runner import RequestRefused
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.runtime.time_gap import Gap, TimeGapRule
+
+SPEED = 0.8
+FAST = Twist(SPEED, 0.0, 0.0)
+NOISE = 0.01
+"""Largest rise (m/s) of a wheel speed that is no acceleration: whole revolutions per minute."""
+
+both = pytest.mark.parametrize("kind", ROBOTS)
+
+
+def driving(kind: str) -> Rig:
+    rig = Rig(ROBOTS[kind]())
+    rig.drive(FAST, 2.0)
+    return rig
+
+
+def sampled(rig: Rig, seconds: float) -> list[float]:
+    """Runs the driver and returns the true speed after each cycle."""
+    speeds = []
+    for _ in range(round(seconds / rig.base.period)):
+        rig.run(rig.base.period)
+        speeds.append(rig.speed())
+    return speeds
+
+
+def largest_rise(speeds: list[float]) -> float:
+    lowest, rise = speeds[0], 0.0
+    for speed in speeds:
+        lowest = min(lowest, speed)
+        rise = max(rise, speed - lowest)
+    return rise
+
+
+@both
+@pytest.mark.parametrize("stall", [0.05, 0.1, 0.2, 0.25, 0.3, 0.55, 0.7, 1.0, 5.0])
+def test_the_robot_comes_to_rest_and_stays(kind: str, stall: float) -> None:
+    """The command is repeated all the time, as by a joystick that is held."""
+    rig = driving(kind)
+    speeds = rig.stall(stall)
+    speeds += sampled(rig, 2.0)
+    assert largest_rise(speeds) < NOISE
+    assert speeds[-1] == 0.0
+    is_long = stall + rig.base.period >= 0.25
+    assert rig.state is (BaseState.FAULT if is_long else BaseState.READY)
+    assert rig.reason.startswith("no control cycle for") is is_long
+
+
+@both
+def test_a_missing_cycle_is_no_gap(kind: str) -> None:
+    rig = driving(kind)
+    rig.stall(0.03)  # 0.05 s from cycle to cycle
+    speeds = sampled(rig, 1.0)
+    assert rig.state is BaseState.ACTIVE
+    assert min(speeds) > SPEED - 0.05
+
+
+@both
+def test_after_a_short_gap_a_zero_twist_releases_the_robot(kind: str) -> None:
+    rig = driving(kind)
+    rig.stall(0.15)
+    sampled(rig, 1.5)
+    state = rig.runner.driver.state
+    assert state.hold_reason == "no control cycle for 170 ms; command zero first"
+    rig.twist = ZERO_TWIST
+    rig.run(0.1)
+    rig.twist = FAST
+    assert sampled(rig, 2.0)[-1] == pytest.approx(SPEED, abs=0.02)
+
+
+@both
+def test_after_a_long_gap_a_reset_and_arming_release_the_robot(kind: str) -> None:
+    rig = driving(kind)
+    rig.stall(0.7)
+    sampled(rig, 1.0)
+    with pytest.raises(RequestRefused, match="a motion is commanded|command zero"):
+        rig.runner.reset(commanded=True)
+    rig.twist = ZERO_TWIST
+    rig.run(0.1)
+    rig.runner.reset()
+    rig.until(lambda: rig.state is BaseState.READY)
+    rig.twist = FAST
+    assert max(sampled(rig, 1.0)) == 0.0
+    rig.run(2.0)
+    rig.drive(FAST, 2.0)
+    assert rig.speed() == pytest.approx(SPEED, abs=0.02)
+
+
+def test_limits_come_from_the_shortest_watchdog() -> None:
+    robot = ROBOTS["CiA 402"]()
+    assert shortest_watchdog(robot) == 0.5
+    assert shortest_watchdog(ROBOTS["Thorvald script"]()) == 0.5
+    bus = robot.buses[0]
+    first, *others = bus.nodes
+    quick = replace(first, heartbeat_consumer_time=0.2)
+    changed = replace(robot, buses=(replace(bus, nodes=(quick, *others)),))
+    rule = TimeGapRule.of(changed, changed.driver)
+    assert [rule.judge(t) for t in (0.05, 0.06, 0.1)] == [Gap.NONE, Gap.SHORT, Gap.LONG]
+
+
+def test_without_drives_on_a_bus_the_command_timeout_decides() -> None:
+    robot = make_robot(FOUR_STEERED)
+    settings = replace(robot.driver, command_timeout=1.0)
+    rule = TimeGapRule.of(robot, settings)
+    assert [rule.judge(t) for t in (0.05, 0.06, 0.49, 0.5)] == [
+        Gap.NONE,
+        Gap.SHORT,
+        Gap.SHORT,
+        Gap.LONG,
+    ]
+
+
+def test_a_slow_control_cycle_has_no_short_gap() -> None:
+    """2.5 periods are longer than half the watchdog: each gap is long."""
+    robot = make_robot(FOUR_STEERED)
+    rule = TimeGapRule.of(robot, replace(robot.driver, rate=5.0))
+    assert [rule.judge(t) for t in (0.5, 0.51)] == [Gap.NONE, Gap.LONG]

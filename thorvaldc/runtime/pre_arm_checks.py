@@ -1,0 +1,103 @@
+"""Checks that a robot on its buses must pass before it is armed.
+
+Each check is a function that returns its reasons against arming.  All reasons of all checks are
+reported together, so that the operator can remove them in one go.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING
+
+from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryDriver
+from thorvaldc.runtime.can_base.bus_connection import DEVICE_TIMEOUT
+from thorvaldc.runtime.can_base.motor_controller import MotorController
+from thorvaldc.runtime.se2 import ZERO_TWIST
+
+if TYPE_CHECKING:
+    from thorvaldc.runtime.runner import BaseRunner
+
+PreArmCheck = Callable[["BaseRunner", float], Iterable[str]]
+"""Function that returns the reasons against arming, from the runner and the time (s)."""
+GAP_MEMORY = 2.0
+"""Time (s) after a gap in time in which the base is not armed."""
+
+
+def check_state(runner: BaseRunner, now: float) -> Iterator[str]:
+    """Requires the state READY: the robot stands, and all start-up checks have passed."""
+    if runner.base.state_machine.ending:
+        yield "the driver is shutting down"
+    elif runner.state is not BaseState.READY:
+        yield f"the base is {runner.state.value}, not ready"
+
+
+def check_stop(runner: BaseRunner, now: float) -> Iterator[str]:
+    if runner.base.state_machine.stop_engaged:
+        yield "the safety stop is engaged"
+
+
+def check_command(runner: BaseRunner, now: float) -> Iterator[str]:
+    """Refuses to arm while a motion is commanded, which would start at once."""
+    if runner.driver.commanded_twist(now) != ZERO_TWIST:
+        yield "a motion is commanded; command zero first"
+
+
+def check_time_gaps(runner: BaseRunner, now: float) -> Iterator[str]:
+    gap = runner.timing.latest_gap
+    if gap is not None and now - gap[0] < GAP_MEMORY:
+        yield (
+            f"there was no control cycle for {gap[1] * 1000.0:.0f} ms, {now - gap[0]:.1f} s ago;"
+            " is the computer too busy?"
+        )
+
+
+def check_controllers(runner: BaseRunner, now: float) -> Iterator[str]:
+    for connection in runner.base.connections:
+        problem = connection.problem(now)
+        if problem:
+            yield problem
+        for controller in connection.controllers:
+            reason = _controller_reason(controller)
+            if reason and not problem.startswith(controller.node.name):
+                yield f"{controller.node.name}: {reason}"
+
+
+def _controller_reason(controller: MotorController) -> str:
+    if controller.problem or controller.power_loss:
+        return controller.problem or controller.power_loss
+    if controller.error_code:
+        return f"emergency {controller.error_code:#06x}"
+    if not controller.homed:
+        return "it is not homed"
+    return "" if controller.follows else "its motors are not enabled"
+
+
+def check_batteries(runner: BaseRunner, now: float) -> Iterator[str]:
+    """Requires that each battery reports, knows its charge, and allows a discharge current."""
+    for connection in runner.base.connections:
+        for battery in connection.batteries:
+            reason = _battery_reason(battery, now)
+            if reason:
+                yield f"{battery.node.name}: {reason}"
+
+
+def _battery_reason(battery: BatteryDriver, now: float) -> str:
+    state = battery.state
+    if now - state.time > DEVICE_TIMEOUT:
+        return "no reports"
+    if math.isnan(state.charge):
+        return "its charge is unknown"
+    reports = any("discharge_enabled" in codec.indices for codec in battery.codecs.values())
+    return "discharge is not enabled" if reports and not state.discharge_enabled else ""
+
+
+PRE_ARM_CHECKS: tuple[PreArmCheck, ...] = (
+    check_state,
+    check_stop,
+    check_command,
+    check_time_gaps,
+    check_controllers,
+    check_batteries,
+)
