@@ -55,9 +55,10 @@ def check_time_gaps(runner: BaseRunner, now: float) -> Iterator[str]:
 
 def check_controllers(runner: BaseRunner, now: float) -> Iterator[str]:
     for connection in runner.base.connections:
-        problem = connection.problem(now)
+        problem = connection.impostor() or connection.problem(now)
         if problem:
             yield problem
+        yield from connection.suspicious_devices()
         for controller in connection.controllers:
             reason = _controller_reason(controller)
             if reason and not problem.startswith(controller.node.name):
