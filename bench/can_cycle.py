@@ -12,6 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 
 from bench.figure import ROOT, Figure
@@ -21,9 +22,9 @@ from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
-from thorvaldc.runtime.driver import BaseDriver, DriverState
+from thorvaldc.runtime.driver import BaseDriver, DriveMode, DriverState
 from thorvaldc.runtime.runner import BaseRunner, Timing
-from thorvaldc.runtime.se2 import Twist
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 SECONDS = float(os.environ.get("CAN_CYCLE_SECONDS", "60"))
 TWIST = Twist(0.3, 0.0, 0.2)
@@ -86,13 +87,16 @@ def _run(robot: Robot, channel: str) -> tuple[BaseRunner, list[float], list[str]
     """Drives for ``SECONDS``; returns runner, cycle times, and reset faults."""
     interfaces = open_interfaces(f"sim:{channel}", robot)
     clock = next(iter(interfaces.values()))
+    robot = replace(robot, driver=replace(robot.driver, arming="automatic"))
     base = CanBase(robot, interfaces)
     runner = BaseRunner(robot, base, clock, keep_starts=True)
     work: list[float] = []
 
     def feed(driver: BaseDriver, now: float) -> None:
-        if runner.ready and base.armed:
-            driver.command(TWIST, now)
+        # The robot is armed automatically after zero, and after a gap in time it needs zero too.
+        if runner.ready:
+            waiting = not base.armed or driver.state.mode is DriveMode.WAITING
+            driver.command(ZERO_TWIST if waiting else TWIST, now)
 
     def watch(_: BaseRunner, state: DriverState) -> None:
         work.append(clock.now - state.time)
