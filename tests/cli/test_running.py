@@ -180,8 +180,9 @@ ATTEMPTS = 3
 
 
 def held_up(status: int, err: str) -> bool:
-    """Whether a busy machine delayed the simulated bus, so that nodes were silent."""
-    return status != 0 and any(word in err for word in ("no tpdo", "no heartbeat", "no sign"))
+    """Whether a busy machine delayed the driver, or the simulated bus so that nodes were silent."""
+    words = ("no tpdo", "no heartbeat", "no sign", "no control cycle")
+    return status != 0 and any(word in err for word in words)
 
 
 def over_slcan(

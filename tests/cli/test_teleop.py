@@ -177,7 +177,8 @@ def test_teleop_drives_the_robot_of_run(folder: Path, thorvaldc: Command) -> Non
         assert ready
         person = at_teleop(folder, "--to", "good")
         try:
-            person.until("ready  drives: nobody")
+            person.until("ready  drives: nobody  disarmed: press g")
+            person.until("ready  drives: nobody  arm", typing="g")
             person.until("active  drives: teleop_joy", typing="i")
             again = thorvaldc("run", "good.yaml", "--bus", "virtual")
             assert again.status == 3
@@ -213,7 +214,8 @@ def test_a_robot_on_a_virtual_bus(folder: Path) -> None:
     running = at_teleop(folder, "good.yaml", "--on", "virtual", "--speed", "20")
     try:
         running.until("homing")
-        running.until("ready")
+        running.until("disarmed: press g")
+        running.until("ready  drives: nobody  arm", typing="g")
         running.until("active  drives: teleop_joy", typing="l")
         running.type("\x03")
         assert running.end() == 0

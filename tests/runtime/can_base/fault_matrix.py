@@ -156,6 +156,7 @@ def react(robot: Robot, phase: str, fault: BusFault) -> Reaction:
     """Drives a robot into the phase, injects the fault, and observes the reaction."""
     rig = Rig(robot)
     rig.ready()
+    rig.arm()
     if phase != "idle":
         _drive(rig, 2 * WEAVE)
     if phase == "stopping":
