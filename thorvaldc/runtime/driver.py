@@ -285,12 +285,12 @@ class BaseDriver:
             self._note_gap(gap, now, hold_reason)
         fault = unusable or self._gap_fault
         mode, commanded_twist, hold_reason = self._mode(now, fault, hold_reason)
-        held = mode is DriveMode.HELD
+        stops_itself = mode is DriveMode.HELD
         normal = 0.0 < dt <= LONGEST_INTERVAL and gap is Gap.NONE
         period = dt if normal else 1.0 / self.settings.rate
         infeasible = ZERO_TWIST
-        restarts = held or (self._restarts_ramp and not unusable)
-        if held:
+        restarts = stops_itself or (self._restarts_ramp and not unusable)
+        if stops_itself:
             # A base that does not follow joint commands stops the robot itself.  When the base
             # follows joint commands again, the twist ramp starts from rest.
             self._ramp.restart(ZERO_TWIST)

@@ -35,14 +35,6 @@ def driving_services(
         if refusal:
             raise ServiceError(refusal)
 
-    def lock(now: float, caller: Caller, name: str, locked: bool, force: bool) -> None:
-        if caller.void and not locked:
-            raise ServiceError(caller.void)
-        others = [owner for owner in multiplexer.lock_owners(name) if owner != caller.name]
-        multiplexer.lock(name, locked, now, caller.name, force=force)
-        if force and others and not locked:
-            note(f"{caller.name} released `{name}` of {' and '.join(others)} by force")
-
     def state(now: float) -> dict[str, Any]:
         return driver_state(driver, multiplexer, now)
 
@@ -61,12 +53,6 @@ def driving_services(
             driver.use(set or None)
         else:
             driver.update(radii=radii, noise=None, **changes)
-
-    def safety_stop(now: float, caller: Caller) -> None:
-        lock(now, caller, SAFETY_STOP, True, False)
-
-    def release_safety_stop(now: float, caller: Caller, force: bool) -> None:
-        lock(now, caller, SAFETY_STOP, False, force)
 
     def reset_faults(now: float) -> None:
         sources = multiplexer.requests(now)
@@ -87,14 +73,6 @@ def driving_services(
             ),
             with_caller=True,
         ),
-        Service(
-            "lock",
-            "Set a lock, which blocks sources up to its priority, or release it.",
-            lock,
-            (Argument("name", "text"), Argument("locked", "flag", True), FORCE),
-            with_caller=True,
-            valid_late=True,  # the function refuses a late release
-        ),
         Service("state", "Return the state of the driver.", state, valid_late=True),
         Service(
             "description",
@@ -114,6 +92,37 @@ def driving_services(
                 *(Argument(name, "number", None) for name in LIMITS),
             ),
         ),
+        Service("reset_faults", "Leave the fault of a gap in time.", reset_faults),
+        *_stop_services(multiplexer, note),
+    ]
+
+
+def _stop_services(multiplexer: Multiplexer, note: Callable[[str], None]) -> list[Service]:
+    """Returns the services that set and release locks."""
+
+    def lock(now: float, caller: Caller, name: str, locked: bool, force: bool) -> None:
+        if caller.void and not locked:
+            raise ServiceError(caller.void)
+        others = [owner for owner in multiplexer.lock_owners(name) if owner != caller.name]
+        multiplexer.lock(name, locked, now, caller.name, force=force)
+        if force and others and not locked:
+            note(f"{caller.name} released `{name}` of {' and '.join(others)} by force")
+
+    def safety_stop(now: float, caller: Caller) -> None:
+        lock(now, caller, SAFETY_STOP, True, False)
+
+    def release_safety_stop(now: float, caller: Caller, force: bool) -> None:
+        lock(now, caller, SAFETY_STOP, False, force)
+
+    return [
+        Service(
+            "lock",
+            "Set a lock, which blocks sources up to its priority, or release it.",
+            lock,
+            (Argument("name", "text"), Argument("locked", "flag", True), FORCE),
+            with_caller=True,
+            valid_late=True,  # the function refuses a late release
+        ),
         Service(
             "safety_stop",
             "Stop the robot and keep it stopped.",
@@ -128,7 +137,6 @@ def driving_services(
             (FORCE,),
             with_caller=True,
         ),
-        Service("reset_faults", "Leave the fault of a gap in time.", reset_faults),
     ]
 
 

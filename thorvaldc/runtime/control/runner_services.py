@@ -110,21 +110,6 @@ def runner_services(control: RunnerControl) -> list[Service]:
     def reset_faults(now: float) -> None:
         runner.reset(commanded=bool(multiplexer.requests(now)))
 
-    def send_to_device(now: float, cob_id: int, data: str, bus: str) -> None:
-        try:
-            content = bytes.fromhex(data)
-        except ValueError:
-            raise ServiceError(f"`data` is {data!r}; it must be bytes in hexadecimal") from None
-        if len(content) > 8 or not 0 <= cob_id <= 0x7FF:
-            raise ServiceError("a frame has an identifier of 11 bits and at most 8 bytes")
-        runner.send_to_device(cob_id, content, bus)
-
-    def from_devices(now: float, bus: str) -> list[dict[str, Any]]:
-        return [
-            {"time": frame.time, "cob_id": frame.cob_id, "data": frame.data.hex()}
-            for frame in runner.from_devices(bus)
-        ]
-
     def without_time(method: Callable[..., Any]) -> Callable[..., Any]:
         return lambda now, **arguments: method(**arguments)
 
@@ -191,6 +176,29 @@ def runner_services(control: RunnerControl) -> list[Service]:
             without_time(runner.set_output),
             (Argument("board", "text"), Argument("output", "text"), Argument("on", "flag", True)),
         ),
+        *_relay_services(runner),
+    ]
+
+
+def _relay_services(runner: BaseRunner) -> list[Service]:
+    """Returns the services that exchange CAN frames with foreign devices."""
+
+    def send_to_device(now: float, cob_id: int, data: str, bus: str) -> None:
+        try:
+            content = bytes.fromhex(data)
+        except ValueError:
+            raise ServiceError(f"`data` is {data!r}; it must be bytes in hexadecimal") from None
+        if len(content) > 8 or not 0 <= cob_id <= 0x7FF:
+            raise ServiceError("a frame has an identifier of 11 bits and at most 8 bytes")
+        runner.send_to_device(cob_id, content, bus)
+
+    def from_devices(now: float, bus: str) -> list[dict[str, Any]]:
+        return [
+            {"time": frame.time, "cob_id": frame.cob_id, "data": frame.data.hex()}
+            for frame in runner.from_devices(bus)
+        ]
+
+    return [
         Service(
             "send_to_device",
             "Relay a frame to a foreign device, `data` in hexadecimal.",
