@@ -24,7 +24,7 @@ import enum
 from dataclasses import dataclass
 
 from thorvaldc.model import DriverSettings, Robot
-from thorvaldc.model.drive_watchdog import shortest_watchdog
+from thorvaldc.model.stopping import shortest_watchdog
 
 NORMAL_PERIODS = 2.5
 """Longest normal time between two control cycles, in periods: one cycle is missing."""

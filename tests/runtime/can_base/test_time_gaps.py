@@ -9,7 +9,7 @@ import pytest
 from tests.robots import FOUR_STEERED, make_robot
 from tests.runtime.can_base.fault_matrix import ROBOTS
 from tests.runtime.can_base.simulated_rig import Rig
-from thorvaldc.model.drive_watchdog import shortest_watchdog
+from thorvaldc.model.stopping import shortest_watchdog
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.runner import RequestRefused
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
