@@ -44,6 +44,27 @@ def test_a_calibration_is_estimated_and_included(thorvaldc: Command, calibrated:
     assert value["wheels"][1]["radius_ratio"]["value"] == pytest.approx(1.0, abs=1e-5)
 
 
+def test_scenario_without_speed_control(thorvaldc: Command, calibrated: str) -> None:
+    """Wheels of wrong sizes turn at different speeds only without speed control."""
+    pytest.importorskip("mujoco")
+    scenario = (
+        f"thorvaldc: 1\nscenario: straight\nrobots: {{r: {{robot: {calibrated}}}}}\n"
+        "duration: 8 s\nscript: [{at: 0, vx: 0.5 m/s}]\n"
+        "faults: [{type: radius_error, wheel: rl_wheel, error: 2 %, at: 0}]\n"
+    )
+    Path("plain.yaml").write_text(scenario, encoding="utf-8")
+    Path("open.yaml").write_text(scenario + "open_loop: true\n", encoding="utf-8")
+    texts = []
+    for arguments in (("plain.yaml",), ("plain.yaml", "--open-loop"), ("open.yaml",)):
+        driven = thorvaldc("sim", *arguments, "--log", "joints.csv")
+        assert driven.status == 0, driven.err
+        texts.append(Path("joints.csv").read_text(encoding="utf-8"))
+    assert texts[1] == texts[2]
+    assert texts[0] != texts[1]
+    result = thorvaldc("calibrate", "joints.csv", "good.yaml")
+    assert "calibration-forced" not in result.err
+
+
 def test_only_a_calibration_file_is_overwritten(thorvaldc: Command, calibrated: str) -> None:
     thorvaldc("sim", calibrated, "--ideal", "--open-loop", "--log", "joints.csv")
     for path in ("true.yaml", "new.yaml"):

@@ -101,6 +101,7 @@ class Scenario:
     - ``commands``: the name of each robot with the commands of the robot, in order of time.
     - ``record``: names of the groups of columns in the record of the run.
     - ``every``: time between two rows of the record in s, or 0 to record every control tick.
+    - ``open_loop``: ``True`` if the drive motors apply a voltage without speed control.
     """
 
     name: str
@@ -114,3 +115,4 @@ class Scenario:
     span: Span
     record: tuple[str, ...] = field(default=GROUPS)
     every: float = 0.0
+    open_loop: bool = False

@@ -123,6 +123,13 @@ class ScenarioSimulation(Simulation):
         if self.scene is None:
             return super()._base(name, robot)
         faults = [fault for fault in self.scenario.faults if fault.robot == name]
-        base = ScenarioBase(robot, self.scene, faults, self.scenario.noise, self._zones)
+        base = ScenarioBase(
+            robot,
+            self.scene,
+            faults,
+            self.scenario.noise,
+            self._zones,
+            open_loop=self.scenario.open_loop,
+        )
         self._bases.append(base)
         return base

@@ -8,6 +8,7 @@ which were parts of ``sim`` in the past. ``thorvaldc sim --help`` does not show 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated
 
 import typer
@@ -80,8 +81,8 @@ def sim(
 ) -> int:
     seconds = parse_duration(duration, "--duration") if duration else 0.0
     drive_options = {"--duration": duration, "--twist": twist, "--ideal": ideal}
-    drive_options["--open-loop"] = open_loop
     run_options = {"--parameters": parameters, "--junit": junit, "--log": log}
+    run_options["--open-loop"] = open_loop
     name, robot = scenario or file, file if scenario else None
     changes: Sequence[Change] = ()
     if settings or variations:
@@ -108,9 +109,12 @@ def sim(
         return replay_run(compilation, compilation.model, replay, pictures, record, json)
     if compilation.scenario is not None:
         refuse_options(drive_options, "the scenario defines this")
+        scenario_model = compilation.scenario
+        if open_loop:
+            scenario_model = replace(scenario_model, open_loop=True)
         return run_scenario(
             compilation,
-            compilation.scenario,
+            scenario_model,
             pictures,
             parameters=parameters,
             record=record,

@@ -91,6 +91,7 @@ def _read(document: Node, fleet: Fleet, report: Report) -> Scenario:
     check_starts(fleet, document, report)
     sections = _SectionReader(fleet, quantities, report)
     record = document.get("record")
+    open_loop = document.get("open_loop")
     return Scenario(
         name=name,
         description=description,
@@ -105,6 +106,7 @@ def _read(document: Node, fleet: Fleet, report: Report) -> Scenario:
         span=document.span,
         record=_record_groups(record),
         every=quantities(record, "every", "time", least=0.0) if record is not None else 0.0,
+        open_loop=open_loop is not None and open_loop.value is True,
     )
 
 

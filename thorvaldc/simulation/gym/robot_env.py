@@ -288,7 +288,9 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             faults = [fault for fault in scenario.faults if fault.robot == name]
             noise = replace(scenario.noise, seed=noise_seed)
             zones = scenario.fleet.world.zones if scenario.fleet.world is not None else ()
-            base = ScenarioBase(robot, self.scene, faults, noise, zones)
+            base = ScenarioBase(
+                robot, self.scene, faults, noise, zones, open_loop=scenario.open_loop
+            )
             self._bases.append(base)
             for commanded_robot, commands in scenario.commands:
                 if commanded_robot == name:

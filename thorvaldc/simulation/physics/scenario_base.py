@@ -47,8 +47,10 @@ class ScenarioBase(MujocoBase):
         faults: Sequence[WheelFault] = (),
         noise: Noise | None = None,
         zones: Sequence[Zone] = (),
+        *,
+        open_loop: bool = False,
     ) -> None:
-        super().__init__(robot, scene)
+        super().__init__(robot, scene, open_loop=open_loop)
         self._faults = faults
         self._noise = noise if noise is not None and _is_noisy(noise) else None
         self._has_gyro = any(sensor.type == "imu" for sensor in robot.sensors)
