@@ -81,8 +81,12 @@ def sim(
 ) -> int:
     seconds = parse_duration(duration, "--duration") if duration else 0.0
     drive_options = {"--duration": duration, "--twist": twist, "--ideal": ideal}
-    run_options = {"--parameters": parameters, "--junit": junit, "--log": log}
-    run_options["--open-loop"] = open_loop
+    run_options: dict[str, str | bool] = {
+        "--open-loop": open_loop,
+        "--parameters": parameters,
+        "--junit": junit,
+        "--log": log,
+    }
     name, robot = scenario or file, file if scenario else None
     changes: Sequence[Change] = ()
     if settings or variations:
