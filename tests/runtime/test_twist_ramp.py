@@ -40,14 +40,31 @@ def test_ramps_from_rest_and_to_rest_keep_the_centre_of_rotation() -> None:
     assert ramp.twist == ZERO_TWIST
 
 
+def test_direction_of_the_ramp_does_not_follow_turning_wheels() -> None:
+    """Wheels with trail push the robot sideways while they turn; the ramp does not."""
+    ramp, goal = Ramp(SETTINGS, 2.0, 0.2), Twist(0.0, 0.8, 0.0)
+    steps(ramp, goal, 2.0)
+    ramp.limit_lead(goal, Twist(-0.2, 0.4, 0.1))
+    assert ramp.twist == pytest.approx((0.0, 0.4 + LEAD, 0.0))
+    ramp.limit_lead(goal, Twist(0.3, -0.4, 0.1))
+    assert ramp.twist == pytest.approx((0.0, LEAD - 0.4, 0.0))
+
+
+def test_ramp_does_not_wait_for_what_the_wheels_cannot_make() -> None:
+    ramp, goal = Ramp(SETTINGS, 2.0, 0.2), Twist(0.8, 0.0, 0.4)
+    steps(ramp, goal, 2.0)
+    ramp.limit_lead(Twist(0.1, 0.0, 0.4), Twist(0.1, 0.0, 0.4), True, Twist(0.7, 0.0, 0.0))
+    assert ramp.twist == pytest.approx(goal)
+
+
 def test_ramp_waits_for_the_wheels() -> None:
     ramp = Ramp(SETTINGS, 2.0, 0.2)
     steps(ramp, Twist(1.0, 0.0, 0.4), 2.0)
-    ramp.limit_lead(Twist(0.2, 0.0, 0.0))
+    ramp.limit_lead(Twist(0.2, 0.0, 0.0), Twist(0.2, 0.0, 0.0))
     ahead = math.hypot(ramp.twist.vx - 0.2, 2.0 * ramp.twist.wz)
     assert ahead == pytest.approx(LEAD)
     steps(ramp, Twist(1.0, 0.0, 0.4), 2.0)
-    ramp.limit_lead(Twist(0.2, 0.0, 0.0), aligned=False)
+    ramp.limit_lead(Twist(1.0, 0.0, 0.4), Twist(0.2, 0.0, 0.0), aligned=False)
     size = math.hypot(ramp.twist.vx, 2.0 * ramp.twist.wz)
     assert size == pytest.approx(0.2 * ramp.twist.vx / size + LEAD)
     assert ramp.twist.wz / ramp.twist.vx == pytest.approx(0.4)

@@ -397,6 +397,6 @@ class BaseDriver:
         if last is not None:
             if last.must_stop != self._stopping:
                 self._stopping = last.must_stop
-                ramp.restart(last.twist)
-            ramp.limit_lead(last.twist, last.aligned)
+                ramp.restart(last.twist if last.must_stop else ZERO_TWIST)
+            ramp.limit_lead(last.target, last.twist, last.aligned, last.infeasible)
         return ramp.step(ZERO_TWIST if self._stopping else goal, dt)

@@ -71,41 +71,66 @@ class Ramp:
             share = settings.max_angular_acceleration * dt / dw
         return goal if share >= 1.0 else _interpolate(start, goal, share)
 
-    def limit_lead(self, actual: Twist, aligned: bool = True) -> None:
-        """Limits the lead of the twist ramp over ``actual``, the twist of the wheels, to ``LEAD``.
+    def limit_lead(
+        self,
+        target: Twist,
+        actual: Twist,
+        aligned: bool = True,
+        unreachable: Twist = ZERO_TWIST,
+    ) -> None:
+        """Limits the lead of the twist ramp over the motion of the wheels to ``LEAD``.
 
         While wheels steer or are at their limits, the robot is slower than the ramp.  Without a
         limit of the lead, the robot would accelerate abruptly when the wheels are ready.
 
-        ``aligned`` is ``False`` if steered wheels have to turn far.  While steered wheels turn far,
-        the ramp slows down but keeps the direction of its twist.  If the direction of the twist
-        changed, wheels that turn the long way because of a steering limit would turn back and never
-        reach their target angles.
+        - ``target``: twist that the wheels point along, or turn to.
+        - ``actual``: twist of the wheels.
+        - ``aligned``: ``False`` if steered wheels have to turn far.
+        - ``unreachable``: part of the ramp's twist that the wheels cannot make.  The ramp does not
+          wait for this part, because it may pass through unreachable twists to reachable ones.
+
+        Only the size of ``actual`` along ``target`` counts.  While wheels turn, ``actual`` also has
+        other components, for example because contact points with trail move.  If the ramp
+        followed them, the steering angles would follow their own motion, and wheels could turn to
+        and fro forever.  While wheels have to turn far, the ramp slows down but keeps the
+        direction of its twist.
         """
-        vx, vy, wz = self.twist
         if not aligned:
-            self._slow_down(actual)
+            self._scale(self._lead_share(self.twist, actual))
             return
-        dx, dy, dw = vx - actual.vx, vy - actual.vy, self._length * (wz - actual.wz)
+        share = self._share_made(target, actual)
+        reference = Twist(
+            share * target.vx + unreachable.vx,
+            share * target.vy + unreachable.vy,
+            share * target.wz + unreachable.wz,
+        )
+        dx, dy = self.twist.vx - reference.vx, self.twist.vy - reference.vy
+        dw = self._length * (self.twist.wz - reference.wz)
         ahead = dx * dx + dy * dy + dw * dw
         if ahead <= LEAD * LEAD:
             return
         share = LEAD / math.sqrt(ahead)
-        self.twist = _interpolate(actual, self.twist, share)
-        self._history = [_interpolate(actual, twist, share) for twist in self._history]
+        self.twist = _interpolate(reference, self.twist, share)
+        self._history = [_interpolate(reference, twist, share) for twist in self._history]
 
-    def _slow_down(self, actual: Twist) -> None:
-        """Scales the twist ramp down so that it leads the twist ``actual`` by at most ``LEAD``.
+    def _product(self, a: Twist, b: Twist) -> float:
+        return a.vx * b.vx + a.vy * b.vy + self._length * self._length * a.wz * b.wz
 
-        The lead is measured along the direction of the ramp's twist.
-        """
-        vx, vy, wz = self.twist
-        lever = self._length * self._length
-        size = math.sqrt(vx * vx + vy * vy + lever * wz * wz)
+    def _share_made(self, target: Twist, actual: Twist) -> float:
+        """Returns the share of ``target`` that the wheels make, negative for the reverse motion."""
+        square = self._product(target, target)
+        if target == actual or square == 0.0:
+            return 1.0
+        return self._product(target, actual) / square
+
+    def _lead_share(self, twist: Twist, actual: Twist) -> float:
+        """Returns the factor, at most 1, by which ``twist`` leads ``actual`` by ``LEAD``."""
+        size = math.sqrt(self._product(twist, twist))
         if size <= LEAD:
-            return
-        along = (vx * actual.vx + vy * actual.vy + lever * wz * actual.wz) / size
-        share = (max(along, 0.0) + LEAD) / size
+            return 1.0
+        return (max(self._product(twist, actual) / size, 0.0) + LEAD) / size
+
+    def _scale(self, share: float) -> None:
         if share < 1.0:
             self.twist = self.twist.scaled(share)
             self._history = [twist.scaled(share) for twist in self._history]

@@ -129,10 +129,11 @@ class ControlLoop:
             largest_component(infeasible) > largest_component(self.infeasible)
         ):
             self.infeasible, self.infeasible_twist = state.infeasible, state.commanded_twist
-        for i in command.unreachable:
-            if i not in self.unreachable and largest_component(state.ramped) > NEGLIGIBLE_TWIST:
-                self.unreachable += (i,)
-                self.unreachable_twist = state.commanded_twist
+        if largest_component(infeasible) > NEGLIGIBLE_TWIST:
+            for i in self.driver.calculator.limiting_wheels(state.commanded_twist):
+                if i not in self.unreachable:
+                    self.unreachable += (i,)
+                    self.unreachable_twist = state.commanded_twist
 
     def _measure_truth(self) -> None:
         base = self._truth

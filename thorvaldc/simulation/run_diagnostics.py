@@ -44,14 +44,21 @@ def report_run(
             )
         if loop.unreachable:
             wheels = ", ".join(loop.robot.wheels[i].name for i in loop.unreachable)
+            reachable = loop.driver.calculator.feasible(loop.unreachable_twist)
             report.add(
                 "steering-unreachable",
                 f"{loop.name} cannot steer {wheels} for the twist "
-                f"{_twist_text(loop.unreachable_twist)} within the joint limits",
+                f"{_twist_text(loop.unreachable_twist)} within the joint limits; "
+                f"it moves with {_twist_text(reachable)} instead",
                 loop.robot.span,
                 hint="command another twist, or widen the steering limits",
             )
-        if largest_component(loop.infeasible) > NEGLIGIBLE_TWIST and not _is_axle_swing(loop):
+        limited = loop.driver.calculator.limiting_wheels(loop.infeasible_twist)
+        if (
+            largest_component(loop.infeasible) > NEGLIGIBLE_TWIST
+            and not limited
+            and not _is_axle_swing(loop)
+        ):
             report.add(
                 "twist-infeasible",
                 f"the commanded twist of {loop.name} is {_twist_text(loop.infeasible_twist)}; "

@@ -26,7 +26,7 @@ class RobotResult:
     * ``yaw_error``: difference between the true and the estimated yaw at the end of the run.
     * ``largest_tilt``: largest tilt angle of the robot during the run.
     * ``infeasible``: largest part of a commanded twist that the wheels did not allow.
-    * ``unreachable``: names of the wheels that could not be steered to a commanded angle.
+    * ``unreachable``: names of the wheels whose steering limits excluded a commanded twist.
     * ``tipped``: true if the robot fell over.
     """
 

@@ -27,12 +27,16 @@ class BaseCommand:
     - ``joints``: commands of the spin and steering joints of each wheel.
     - ``target``: feasible twist nearest to the commanded twist, scaled to the wheels' speed limits.
     - ``twist``: twist of the robot under the joint commands.  ``twist`` differs from ``target``
-      while wheels steer or accelerate.
-    - ``infeasible``: part of the commanded twist that the fixed wheels do not allow.
+      while wheels steer or accelerate.  When all wheels have reached their steering angles, the
+      wheels roll at ``twist`` without slip.  While wheels steer, they also slip sideways, and
+      ``twist`` is the twist whose rolling speeds at the present steering angles are the commanded
+      wheel speeds.
+    - ``infeasible``: part of the commanded twist that fixed wheels and steering limits do not
+      allow.
     - ``scale``: factor by which the speed limits reduce the twist, or 1 if no wheel reaches its
       speed limit.
-    - ``unreachable``: indices of the wheels that stand still because no angle within their steering
-      limits points along the commanded motion.
+    - ``unreachable``: indices of the wheels whose steering limits exclude the commanded twist.
+      These wheels roll at an angle within their limits, at which the robot moves with ``target``.
     - ``required_rates``: for each wheel, the steering rate (rad/s) that would reach the target
       angle within the tick.  A wheel whose steering rate limit is lower than the required rate
       reaches its target angle late.  All required rates are 0 if ``command`` is called without
@@ -110,8 +114,13 @@ class BaseCalculator(abc.ABC):
     def feasible(self, twist: Twist) -> Twist:
         """Returns the feasible twist nearest to ``twist``, without regard to speed limits.
 
-        A twist is feasible if it causes no side slip on the fixed wheels.
+        A twist is feasible if it causes no side slip on the fixed wheels, and on the steered wheels
+        at steering angles within their limits.
         """
+
+    def limiting_wheels(self, twist: Twist) -> tuple[int, ...]:
+        """Returns the indices of the wheels whose steering limits exclude ``twist``."""
+        return ()
 
     @abc.abstractmethod
     def command(

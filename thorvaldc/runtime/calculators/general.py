@@ -31,6 +31,7 @@ from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, Noise
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.linear_algebra import solve3
 from thorvaldc.runtime.calculators.motor_limits import DriveMotors
+from thorvaldc.runtime.calculators.reachable_twists import ReachableTwists
 from thorvaldc.runtime.calculators.skid_steering import SkidSteering
 from thorvaldc.runtime.calculators.steering_branch import SteeringJoint
 from thorvaldc.runtime.calculators.twist_estimator import EstimatorOptions, TwistEstimator
@@ -128,7 +129,8 @@ class General(BaseCalculator):
         self.estimator = TwistEstimator(geometry, noise, estimation)
         wheels = geometry.wheels
         self._fixed = FixedWheels(wheels)
-        self._unconstrained = self._fixed.unconstrained
+        self._reachable = ReachableTwists(geometry, self._fixed)
+        self._unconstrained = self._fixed.unconstrained and self._reachable.unlimited
         self._skid = SkidSteering.from_geometry(geometry, self._fixed)
         self._length2 = geometry.length**2
         self._motors = DriveMotors(geometry)
@@ -187,6 +189,7 @@ class General(BaseCalculator):
         self._last_target = ZERO_TWIST
         self._stopping = False
         self._aligned = True
+        self._reachable.reset()
         for joint in self._steering:
             joint.reset(states.angles[joint.wheels[0]] if states else 0.0)
         self._store_angles()
@@ -201,18 +204,23 @@ class General(BaseCalculator):
         self._angles = previous._angles
         self._last_target = previous._last_target
         self._stopping, self._aligned = previous._stopping, previous._aligned
+        self._reachable.resume(previous._reachable)
         self._motors.resume(previous._motors)
 
     def feasible(self, twist: Twist) -> Twist:
-        return self._fixed.feasible(twist)
+        return self._reachable.feasible(twist)
+
+    def limiting_wheels(self, twist: Twist) -> tuple[int, ...]:
+        return self._reachable.project(twist).limiting
 
     def command(
         self, twist: Twist, states: JointStates | None = None, dt: float | None = None
     ) -> BaseCommand:
         self._check(twist, states, dt)
         target, infeasible = twist, ZERO_TWIST
+        unreachable: tuple[int, ...] = ()
         if not self._unconstrained:
-            target = self._fixed.feasible(twist)
+            target, unreachable = self._reachable.project(twist)
             infeasible = Twist(twist.vx - target.vx, twist.vy - target.vy, twist.wz - target.wz)
         angles: Sequence[float] = self._angles
         speeds: Sequence[float] = self._zeros
@@ -221,14 +229,14 @@ class General(BaseCalculator):
         last_twist = self._motors.twist
         must_stop = self._stopping and self._square(last_twist) > _STANDING
         rates: Sequence[float] = self._zeros
-        unreachable: tuple[int, ...] = ()
         if not must_stop:
-            unreachable = self._choose_angles(target, angles, speeds)
+            self._choose_angles(target, angles, speeds)
             rates, ticks, self._aligned = self._steering_delay(dt)
             if ticks > 1.0:
-                target, unreachable, must_stop = self._slow_down(target, ticks, angles, speeds, dt)
+                target, must_stop = self._slow_down(target, ticks, angles, speeds, dt)
             if not must_stop:
                 self._last_target = target
+                self._reachable.keep(target)
         self._stopping = must_stop
         self._move_steering(dt)
         target_speeds, scale = self._target_speeds(target)
@@ -270,19 +278,11 @@ class General(BaseCalculator):
 
     def _choose_angles(
         self, twist: Twist, angles: Sequence[float], speeds: Sequence[float]
-    ) -> tuple[int, ...]:
-        """Chooses the target angle of every steering joint.
-
-        Returns the indices of the wheels whose steering limits exclude every suitable steering
-        angle.
-        """
+    ) -> None:
+        """Chooses the target angle of every steering joint for a reachable twist."""
         vx, vy, wz = twist
-        unreachable: tuple[int, ...] = ()
         for joint, i, x, y, radius in self._joints:
             joint.choose(vx - wz * y, vy + wz * x, wz, angles[i], speeds[i] * radius)
-            if joint.unreachable:
-                unreachable += joint.wheels
-        return unreachable
 
     def _steering_delay(self, dt: float | None) -> tuple[Sequence[float], float, bool]:
         """Computes how much time the steering joints need to reach their target angles.
@@ -324,24 +324,23 @@ class General(BaseCalculator):
         angles: Sequence[float],
         speeds: Sequence[float],
         dt: float | None,
-    ) -> tuple[Twist, tuple[int, ...], bool]:
+    ) -> tuple[Twist, bool]:
         """Reduces the change of the twist so that all rolling wheels can follow within one tick.
 
         ``ticks`` is the number of ticks in which the wheels reach their steering angles for the
-        twist ``target``.  Returns three values:
+        twist ``target``.  Returns two values:
 
-        - A twist between the target twist of the last tick and ``target``.
-        - The indices of the wheels whose steering limits exclude every suitable steering angle.
+        - A reachable twist between the target twist of the last tick and ``target``.
         - ``True`` if a wheel at a steering limit must turn to the opposite direction.
         """
         start, share = self._last_target, 1.0
         ratio = self._square(target) / max(self._square(start), 1e-12)
         if ratio < 1.0:  # a slower command slows the robot down even while wheels still steer
             start = start.scaled(math.sqrt(ratio))
-        unreachable = self._choose_angles(start, angles, speeds)
+        self._choose_angles(start, angles, speeds)
         _, start_ticks, _ = self._steering_delay(dt)
         if start_ticks >= 1.0:
-            return start, unreachable, False
+            return start, False
         slower = target
         while ticks > 1.0:
             # If a steered wheel would turn too far, the loop halves the change of the twist.
@@ -349,17 +348,22 @@ class General(BaseCalculator):
             # follow within exactly one tick.
             share *= 0.5 if ticks == math.inf else (1.0 - start_ticks) / (ticks - start_ticks)
             if ticks == math.inf and share < _MIN_SHARE:
-                return start, self._choose_angles(start, angles, speeds), True
+                self._choose_angles(start, angles, speeds)
+                return start, True
             slower = Twist(
                 start.vx + share * (target.vx - start.vx),
                 start.vy + share * (target.vy - start.vy),
                 start.wz + share * (target.wz - start.wz),
             )
-            unreachable = self._choose_angles(slower, angles, speeds)
+            if not self._unconstrained:
+                slower, limiting = self._reachable.project(slower)
+                if limiting and ticks == math.inf:
+                    continue  # unreachable twists separate the two motions
+            self._choose_angles(slower, angles, speeds)
             if ticks < math.inf:
                 break
             _, ticks, _ = self._steering_delay(dt)
-        return slower, unreachable, False
+        return slower, False
 
     def _move_steering(self, dt: float | None) -> None:
         """Moves the steering joints towards their target angles for ``dt`` s.

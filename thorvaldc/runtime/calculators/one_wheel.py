@@ -21,6 +21,7 @@ from thorvaldc.runtime.calculators.base_calculator import finite_result
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.general import SteeringOptions
 from thorvaldc.runtime.calculators.motor_limits import DriveMotors
+from thorvaldc.runtime.calculators.reachable_twists import ReachableTwists
 from thorvaldc.runtime.calculators.steering_branch import SteeringJoint
 from thorvaldc.runtime.calculators.twist_estimator import Noise, TwistEstimate
 from thorvaldc.runtime.se2 import Twist
@@ -49,6 +50,7 @@ class OneWheel(BaseCalculator):
     ) -> None:
         super().__init__(geometry, options, noise)
         self._fixed = FixedWheels(geometry.wheels)
+        self._reachable = ReachableTwists(geometry, self._fixed)
         self._nx, self._ny, self._d = self._fixed.rows[0]
         nx, ny = self._nx, self._ny
         self._axle_positions = tuple(nx * w.x + ny * w.y for w in geometry.wheels if w.fixed)
@@ -83,22 +85,28 @@ class OneWheel(BaseCalculator):
         return None
 
     def reset(self, states: JointStates | None = None) -> None:
+        self._reachable.reset()
         self._steering.reset(states.angles[self._index] if states else 0.0)
         self._motors.reset(states)
 
     def resume(self, previous: Self) -> None:
+        self._reachable.resume(previous._reachable)
         self._steering.resume(previous._steering)
         self._motors.resume(previous._motors)
 
     def feasible(self, twist: Twist) -> Twist:
-        return self._fixed.feasible(twist)
+        return self._reachable.feasible(twist)
+
+    def limiting_wheels(self, twist: Twist) -> tuple[int, ...]:
+        return self._reachable.project(twist).limiting
 
     def command(
         self, twist: Twist, states: JointStates | None = None, dt: float | None = None
     ) -> BaseCommand:
         self._check(twist, states, dt)
         i, wheel, steering = self._index, self._wheel, self._steering
-        feasible = self._fixed.feasible(twist)
+        feasible, unreachable = self._reachable.project(twist)
+        self._reachable.keep(feasible)
         vx, vy, wz = feasible
         angle = states.angles[i] if states else steering.angle
         speed = states.speeds[i] * wheel.radius if states else 0.0
@@ -132,7 +140,6 @@ class OneWheel(BaseCalculator):
         current = self._motion(angle, v + wheel.lateral * turning, -wheel.trail * turning)
         infeasible = Twist(twist.vx - vx, twist.vy - vy, twist.wz - wz)
         target = feasible.scaled(scale) if scale < 1.0 else feasible
-        unreachable = (i,) if steering.unreachable else ()
         joints = JointCommands(limited_speeds, angles)
         return BaseCommand(joints, target, current, infeasible, scale, unreachable, rates)
 

@@ -43,6 +43,8 @@ RESUME_ABOVE = 2e-3
 LIMIT_TOLERANCE = 1e-4
 """A steering angle beyond a limit by at most this angle (rad) is clamped to the limit."""
 _HOLD2 = HOLD_BELOW**2
+_TOUCH = 1e-9
+"""Share by which the motion of a contact point may miss the circle around the steering axis."""
 _TIE = 1e-9
 """Two costs of steering angles count as equal up to this difference (s)."""
 
@@ -176,7 +178,7 @@ class SteeringJoint:
         v = math.hypot(ux, uy)
         self.unreachable = False
         bend = wz * self.wheel.trail
-        if v < (RESUME_ABOVE if self.holding else HOLD_BELOW) or abs(bend) >= v:
+        if v < (RESUME_ABOVE if self.holding else HOLD_BELOW) or abs(bend) > v * (1.0 + _TOUCH):
             self.holding = True
             self.rolling = 0.0
             return
@@ -185,7 +187,7 @@ class SteeringJoint:
         # One solution is theta = phi + asin(wz trail / v).  With the other solution, theta = phi +
         # pi - asin(wz trail / v), the wheel rolls backwards.
         phi = math.atan2(uy, ux) - self.wheel.heading
-        lead = math.asin(bend / v) if bend else 0.0
+        lead = math.asin(max(-1.0, min(1.0, bend / v))) if bend else 0.0
         sign = self.wheel.sign
         lower, upper = self._lower, self._upper
         # For a steering joint without limits, the best steering angle is at most one full turn

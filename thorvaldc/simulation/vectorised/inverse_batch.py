@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thorvaldc.runtime.calculators import BaseCalculator
-from thorvaldc.runtime.calculators.base_geometry import WheelGeometry
+from thorvaldc.runtime.calculators.base_geometry import FixedWheels, WheelGeometry
 from thorvaldc.runtime.calculators.general import SteeringOptions
+from thorvaldc.runtime.calculators.reachable_twists import ReachableTwists
 from thorvaldc.runtime.calculators.steering_branch import RESUME_ABOVE, SteeringJoint
 from thorvaldc.runtime.se2 import Twist
 
@@ -108,7 +110,12 @@ class InverseBatch:
                 f"wheels with their contact ahead of or behind their axis ({', '.join(trailing)}) "
                 "have no inverse over arrays"
             )
-        reset_calculator = type(calculator)(geometry, calculator.options)
+        # Without steering limits, joint speeds are a linear function of small twists.
+        unlimited = replace(
+            geometry, wheels=tuple(replace(w, lower=None, upper=None) for w in geometry.wheels)
+        )
+        reset_calculator = type(calculator)(unlimited, calculator.options)
+        self._reachable = ReachableTwists(geometry, FixedWheels(geometry.wheels))
         hysteresis = 0.0
         if isinstance(calculator.options, SteeringOptions):
             hysteresis = calculator.options.hysteresis
@@ -144,7 +151,10 @@ class InverseBatch:
 
     def solve(self, twists: Array, speeds: Array, angles: Array) -> None:
         """Writes the wheel speeds (rad/s) and steering angles (rad) for ``twists`` (3, n)."""
-        vx, vy, wz = twists if self._unconstrained else self._feasible @ twists
+        feasible = twists if self._unconstrained else self._feasible @ twists
+        if not self._reachable.unlimited:
+            feasible = self._reachable_twists(feasible)
+        vx, vy, wz = feasible
         speeds[self._without_drive, :] = 0.0
         angles[self._not_steered, :] = 0.0
         excess = np.ones_like(wz)
@@ -152,14 +162,28 @@ class InverseBatch:
             self._solve_joint(joint, vx, vy, wz, speeds, angles, excess)
         for i, l1, l2, l3, limit in self._driven_fixed:
             speed = speeds[i]
-            np.multiply(twists[0], l1, out=speed)
-            speed += twists[1] * l2
-            speed += twists[2] * l3
+            np.multiply(vx, l1, out=speed)
+            speed += vy * l2
+            speed += wz * l3
             np.maximum(excess, np.abs(speed) / limit, out=excess)
         if excess.max() > 1.0:
             speeds /= excess
         for group in self._shared:
             speeds[group, :] = speeds[group, :].mean(axis=0)
+
+    def _reachable_twists(self, twists: Array) -> Array:
+        """Returns the reachable twists for twists that the fixed wheels allow.
+
+        The scalar method ``ReachableTwists.project`` computes the columns in which a wheel is at or
+        beyond a steering limit.
+        """
+        beyond = np.zeros(twists.shape[1], bool)
+        for lower, upper in self._reachable.limit_rows:
+            beyond |= (np.array(lower) @ twists) * (np.array(upper) @ twists) > -1e-18
+        reachable = twists.copy()
+        for k in np.flatnonzero(beyond):
+            reachable[:, k] = self._reachable.project(Twist(*twists[:, k].tolist())).twist
+        return reachable
 
     @staticmethod
     def _solve_joint(

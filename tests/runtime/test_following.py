@@ -1,0 +1,34 @@
+"""Random robots follow random twists, or report what they cannot make."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from bench.following import Conduct, follow, random_twists, study
+from bench.random_robots import FAMILIES, random_robot
+from thorvaldc.runtime.se2 import Twist
+
+
+def blameless(result: Conduct) -> None:
+    assert result.notes == []
+    assert result.scrub < 1e-9
+    assert result.wrong_twist < 1e-9
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_robots_follow_the_reachable_part_of_every_twist(family: str) -> None:
+    """``python -m bench.following`` drives 60 robots of each family."""
+    result = study(1, family)
+    assert result.limited or FAMILIES[family].limit is None or FAMILIES[family].limit >= 1.5
+    blameless(result)
+
+
+@pytest.mark.parametrize("seed", [12, 20, 43])
+def test_rectangle_with_limits_of_90_degrees_moves_sideways(seed: int) -> None:
+    """Wheels at +90 and -90 deg are equally good: they must not change between both."""
+    rng = random.Random(seed)
+    robot = random_robot(FAMILIES["rectangle, +-90 deg"], rng)
+    start = random_twists(rng)[0]
+    blameless(follow(robot, [start, Twist(0.0, 0.5, 0.0), Twist(0.0, -0.5, 0.0)]))
