@@ -31,6 +31,7 @@ class Look(NamedTuple):
 LOOKS = {
     "4wd4ws_wide": Look(twist=Twist(1.0, 0.0, 0.45)),
     "4wd2ws_tall": Look(View(150.0, -12.0), Twist(1.0, 0.0, 0.25)),
+    "car": Look(twist=Twist(0.8, 0.0, 0.4)),
     "6wd6ws": Look(twist=Twist(1.0, 0.0, 0.4)),
     "1wd1ws_rear": Look(View(azimuth=40.0), Twist(1.0, 0.0, 0.4)),
     "1wd1ws_front": Look(twist=Twist(1.0, 0.0, 0.4)),

@@ -51,14 +51,15 @@ def default_manoeuvre(robot: Robot) -> tuple[list[Segment], float]:
     """Returns the default manoeuvre of a robot and the duration of the manoeuvre (s).
 
     The default manoeuvre has four parts: straight ahead, an arc, sideways, and a turn on the spot.
-    A part of the default manoeuvre is omitted if the arrangement of the wheels or a steering limit
-    does not allow the motion.  At the end the robot stands still for ``STOP`` s.
+    The arc is as tight as the steering limits allow.  A part of the default manoeuvre is omitted if
+    the arrangement of the wheels or a steering limit does not allow the motion.  At the end the
+    robot stands still for ``STOP`` s.
     """
     segments: list[Segment] = []
     time = 0.0
     for duration, name in PARTS:
-        twist = _part_twist(name, robot.driver)
-        if _is_possible(robot, twist):
+        twist = _possible_part(robot, _part_twist(name, robot.driver))
+        if twist != ZERO_TWIST:
             segments.append(Segment(time, twist))
             time += duration
     segments.append(Segment(time, ZERO_TWIST))
@@ -97,8 +98,7 @@ def fleet_manoeuvres(
             if part != "turn":
                 twist = twist.scaled(speed_factor)
             for name, robot, _ in robots:
-                possible = twist if _is_possible(robot, twist) else ZERO_TWIST
-                manoeuvres[name].append(Segment(time, possible))
+                manoeuvres[name].append(Segment(time, _possible_part(robot, twist)))
             time += part_duration
         for manoeuvre in manoeuvres.values():
             manoeuvre.append(Segment(time, ZERO_TWIST))
@@ -119,21 +119,21 @@ def _part_twist(name: str, settings: DriverSettings) -> Twist:
     }[name]
 
 
-def _is_possible(robot: Robot, twist: Twist) -> bool:
-    """Returns true if the wheels allow all nonzero components of the twist.
+def _possible_part(robot: Robot, twist: Twist) -> Twist:
+    """Returns ``twist`` with a yaw rate that the steering limits allow, or zero.
 
+    The result is zero if the wheels do not allow a nonzero component of the velocity, or no turn.
     The feasible twist may contain components that are zero in ``twist``.  For example, a robot
     whose axle lies behind ``base_link`` moves ``base_link`` sideways in a turn.
     """
-    calculator = for_robot(robot)
-    allowed = calculator.feasible(twist)
-    if abs(allowed.wz - twist.wz) > 1e-6:
-        return False
+    allowed = for_robot(robot).feasible(twist)
     if twist.vx and abs(allowed.vx - twist.vx) > 1e-6:
-        return False
+        return ZERO_TWIST
     if twist.vy and abs(allowed.vy - twist.vy) > 1e-6:
-        return False
-    return not calculator.command(twist).unreachable
+        return ZERO_TWIST
+    if twist.wz and abs(allowed.wz) < 1e-6:
+        return ZERO_TWIST
+    return Twist(twist.vx, twist.vy, allowed.wz)
 
 
 def _keep_apart(
