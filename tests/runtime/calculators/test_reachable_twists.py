@@ -88,10 +88,10 @@ def test_four_limited_wheels_keep_their_speed_in_a_tight_turn() -> None:
 @pytest.mark.parametrize(("direction", "deviation"), [(50, 10), (84, 44), (86, 45), (90, 45)])
 def test_sideways_motion_turns_by_less_than_45_degrees(direction: int, deviation: int) -> None:
     """From 45 deg beside the nearest reachable direction on, the robot stands."""
-    asked, share = math.radians(direction), math.cos(2.0 * math.radians(deviation))
+    commanded, share = math.radians(direction), math.cos(2.0 * math.radians(deviation))
     limit = math.radians(40.0)
     for sign in (1.0, -1.0):
-        twist = Twist(sign * 0.5 * math.cos(asked), 0.5 * math.sin(asked), 0.0)
+        twist = Twist(sign * 0.5 * math.cos(commanded), 0.5 * math.sin(commanded), 0.0)
         target = reachable(steered(40.0)).feasible(twist)
         expected = (sign * 0.5 * share * math.cos(limit), 0.5 * share * math.sin(limit), 0.0)
         assert target == pytest.approx(expected, abs=1e-12)
@@ -118,9 +118,9 @@ def test_of_two_nearly_equal_twists_the_present_one_stays() -> None:
 
 def test_unlimited_wheels_return_the_same_twist() -> None:
     twists = reachable(steered(90.0))
-    asked = Twist(0.1, 0.5, -0.7)
+    commanded = Twist(0.1, 0.5, -0.7)
     assert twists.unlimited
-    assert twists.feasible(asked) is asked
+    assert twists.feasible(commanded) is commanded
 
 
 def test_centre_of_rotation_within_the_circle_of_a_contact_point() -> None:
@@ -163,10 +163,10 @@ def test_random_twists_become_reachable_ones() -> None:
         wheels = random_wheels(rng)
         fixed = FixedWheels(wheels)
         for _ in range(5):
-            asked = Twist(*(rng.uniform(-1.0, 1.0) for _ in range(3)))
+            commanded = Twist(*(rng.uniform(-1.0, 1.0) for _ in range(3)))
             twists = reachable(wheels)
-            target, limiting = twists.project(asked)
-            start = fixed.feasible(asked)
+            target, limiting = twists.project(commanded)
+            start = fixed.feasible(commanded)
             assert fixed.feasible(target) == pytest.approx(target, abs=1e-12)
             for w in wheels:
                 assert not w.steered or exists(w, target)
@@ -174,7 +174,7 @@ def test_random_twists_become_reachable_ones() -> None:
             assert target.speed <= start.speed * (1.0 + 1e-9) + 1e-12
             assert -1e-12 <= target.wz * math.copysign(1.0, start.wz) <= abs(start.wz) + 1e-12
             assert target.vx * start.vx + target.vy * start.vy >= -1e-12
-            doubled = reachable(wheels).feasible(asked.scaled(2.0))
+            doubled = reachable(wheels).feasible(commanded.scaled(2.0))
             assert doubled == pytest.approx(target.scaled(2.0), abs=1e-9)
             if limiting:
                 limited += 1
@@ -191,13 +191,13 @@ def test_no_reachable_turn_is_nearer() -> None:
     compared = 0
     for _ in range(60):
         wheels = [replace(w, trail=0.0) for w in random_wheels(rng)]
-        asked = FixedWheels(wheels).feasible(Twist(*(rng.uniform(-1.0, 1.0) for _ in range(3))))
-        target, limiting = reachable(wheels).project(asked)
-        turn = FixedWheels(wheels).feasible(Twist(0.0, 0.0, asked.wz))
-        along = Twist(asked.vx - turn.vx, asked.vy - turn.vy, 0.0)
+        commanded = FixedWheels(wheels).feasible(Twist(*(rng.uniform(-1.0, 1.0) for _ in range(3))))
+        target, limiting = reachable(wheels).project(commanded)
+        turn = FixedWheels(wheels).feasible(Twist(0.0, 0.0, commanded.wz))
+        along = Twist(commanded.vx - turn.vx, commanded.vy - turn.vy, 0.0)
         if not limiting or target.wz == 0.0 or along.speed == 0.0:
             continue
-        kept = target.wz / asked.wz
+        kept = target.wz / commanded.wz
         if kept > 1.0 - 1e-9:  # a slower turn
             continue
         if abs(target.vx - along.vx - kept * turn.vx) > 1e-9:  # another direction

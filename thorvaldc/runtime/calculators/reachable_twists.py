@@ -277,16 +277,16 @@ class ReachableTwists:
                     break
         return results
 
-    def _distance(self, twist: Twist, asked: Twist) -> float:
+    def _distance(self, twist: Twist, commanded: Twist) -> float:
         """Returns the distance (m/s) of two twists, longer if wheels must turn around."""
-        dx, dy = twist.vx - asked.vx, twist.vy - asked.vy
-        dw = self._length * (twist.wz - asked.wz)
+        dx, dy = twist.vx - commanded.vx, twist.vy - commanded.vy
+        dw = self._length * (twist.wz - commanded.wz)
         distance = math.sqrt(dx * dx + dy * dy + dw * dw)
         last = self._last
         for _, wheel in self._wheels:
             row = wheel.middle
             if row is not None and _product(row, twist) * _product(row, last) < 0.0:
-                size = math.hypot(asked.vx, asked.vy, self._length * asked.wz)
+                size = math.hypot(commanded.vx, commanded.vy, self._length * commanded.wz)
                 return distance + _KEEP * size
         return distance
 
