@@ -89,9 +89,16 @@ ROBOTS: dict[str, Callable[[], Robot]] = {
 """Robots by name.  The steered CiA 402 robot has a battery, and homes faster than usual."""
 
 
+LOUD_SOURCE = "loud"
+"""Twist source with the priority of the safety stop; the compiler refuses such a source."""
+
+
 @functools.cache
 def chaos_robot(name: str) -> Robot:
-    return ROBOTS[name]()
+    """Returns a robot, with an additional twist source that must not reach a stop lock either."""
+    robot = ROBOTS[name]()
+    loud = replace(robot.twist_sources[0], name=LOUD_SOURCE, priority=255)
+    return replace(robot, twist_sources=(*robot.twist_sources, loud))
 
 
 def wrong_file(robot: Robot) -> Robot:

@@ -56,6 +56,10 @@ class MemoryStream:
         self.to_client += data[:size]
         return size
 
+    def getsockopt(self, level: int, option: int, size: int) -> bytes:
+        """Returns the process of the client, as the option ``SO_PEERCRED``."""
+        return bytes(size)
+
     def close(self) -> None:
         self.closed = True
 

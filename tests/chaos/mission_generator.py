@@ -10,7 +10,7 @@ import random
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from tests.chaos.chaos_robots import ROBOTS, chaos_robot
+from tests.chaos.chaos_robots import LOUD_SOURCE, ROBOTS, chaos_robot
 from tests.chaos.schedule import POWER_ON, READY, ChaosEvent, Schedule
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import Bus, Node
@@ -33,6 +33,12 @@ GARBAGE = (
     '{"call": "send_to_device", "arguments": {"cob_id": 513, "data": "ffffffffffffff"}}\n',
     '{"call": "state", "arguments": {"x": 1}, "id": [[[]]]}\n',
 )
+DRIVERS = (
+    *[("pilot", "teleop_joy")] * 6,
+    *[("nav", "auto_nav")] * 2,
+    ("nav", LOUD_SOURCE),
+)
+"""Client and twist source of the drives of a mission."""
 Maker = Callable[["MissionGenerator", float], Iterator[ChaosEvent]]
 
 
@@ -96,7 +102,7 @@ class MissionGenerator:
         while at < end:
             seconds = draw.uniform(0.3, 2.5)
             rate = draw.choice((10.0, 20.0, 50.0))
-            client, source = draw.choice((("pilot", "teleop_joy"),) * 3 + (("nav", "auto_nav"),))
+            client, source = draw.choice(DRIVERS)
             yield ChaosEvent(
                 at,
                 "drive",
@@ -182,7 +188,7 @@ class MissionGenerator:
             text, times = draw.choice(GARBAGE), draw.choice((1, 5, 300))
             yield ChaosEvent(at, "raw", {"client": "hostile", "text": text, "times": times})
         elif kind == 1:
-            source = draw.choice(("teleop_joy", "teleop_joy", "auto_nav"))
+            source = draw.choice(("teleop_joy", "teleop_joy", "auto_nav", LOUD_SOURCE))
             values = {"source": source, "twist": self.twist(), "seconds": 1.0, "rate": 50.0}
             yield ChaosEvent(at, "drive", {"client": "hostile", **values})
         elif kind == 2:

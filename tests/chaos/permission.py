@@ -34,6 +34,11 @@ class _Source:
     client: str = ""
     twist: Twist = ZERO_TWIST
     time: float = -math.inf
+    attempt: float = -math.inf
+    """Time (s) of the last twist of the holder, also if it was void."""
+
+    def is_held(self, now: float) -> bool:
+        return now - self.attempt <= self.timeout + 1e-6
 
     def is_fresh(self, now: float) -> bool:
         return now - self.time <= self.timeout + 1e-6
@@ -55,8 +60,8 @@ class Permission:
     must_reset: bool = False
     zero_first: bool = True
     sources: dict[str, _Source] = field(default_factory=dict)
-    locks: dict[str, str] = field(default_factory=dict)
-    """Client that set each lock, by name of the lock."""
+    locks: dict[str, set[str]] = field(default_factory=dict)
+    """Connections that have set each active lock, by name of the lock."""
     living: set[str] = field(default_factory=set)
     _after_gap: bool = False
     _arming_until: float = -math.inf
@@ -118,9 +123,9 @@ class Permission:
         if entry is None or not all(map(math.isfinite, twist)):
             return
         other = entry.client not in ("", client) and entry.client in self.living
-        if other and entry.is_fresh(now):
+        if other and entry.is_held(now):
             return
-        entry.client, entry.twist, entry.time = client, twist, now
+        entry.client, entry.twist, entry.time, entry.attempt = client, twist, now, now
         if twist != ZERO_TWIST:
             self._last_motion = now
         elif self._selected(now) is entry:
@@ -128,7 +133,7 @@ class Permission:
 
     def calls(self, client: str, service: str, arguments: dict[str, object], now: float) -> None:
         if service == "arm":
-            self._arming_until = now + ARM_TIME
+            self._arming_until = now + ARM_TIME if self.needs_arming else -math.inf
         elif service == "disarm":
             self.armed = False
         elif service in ("safety_stop", "lock"):
@@ -136,19 +141,27 @@ class Permission:
             if service == "safety_stop":
                 self.disarm()
             if arguments.get("locked", True):
-                self.locks.setdefault(name, client)
-            elif self.locks.get(name) == client or arguments.get("force"):
-                self.locks.pop(name, None)
-        elif service == "release_safety_stop" and (
-            self.locks.get(RANK_OF_STOP) == client or arguments.get("force")
-        ):
-            self.locks.pop(RANK_OF_STOP, None)
+                self.locks.setdefault(name, set()).add(client)
+            else:
+                self._release(name, client, bool(arguments.get("force")))
+        elif service == "release_safety_stop":
+            self._release(RANK_OF_STOP, client, bool(arguments.get("force")))
+
+    def _release(self, name: str, client: str, force: bool) -> None:
+        owners = self.locks.get(name, set())
+        owners.clear() if force else owners.discard(client)
+        if not owners:
+            self.locks.pop(name, None)
 
     def connects(self, client: str) -> None:
         self.living.add(client)
 
     def disconnects(self, client: str) -> None:
+        """Voids the twists of a connection that was closed."""
         self.living.discard(client)
+        for source in self.sources.values():
+            if source.client == client:
+                source.time = source.attempt = -math.inf
 
     # -- what is permitted -------------------------------------------------------------------------
 
