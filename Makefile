@@ -8,11 +8,12 @@ READY  ?= .venv/.ready
 JOBS   ?= auto
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test lint types bench golden pictures clean distclean
+.PHONY: help setup demo test lint types chaos bench golden pictures clean distclean
 
 help:
 	@echo "make demo      compile every example and drive it in simulation"
 	@echo "make test      lint, types, layer rules and tests"
+	@echo "make chaos     random missions with faults: make chaos SEEDS=0:1000 JOBS=2 (docs/chaos.md)"
 	@echo "make bench     measure; prints a table and writes bench.json"
 	@echo "make golden    rewrite the tests' golden files and tables (review the diff)"
 	@echo "make pictures  render the examples' pictures"
@@ -49,6 +50,10 @@ types: $(READY)
 
 test: lint types
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup $(TESTS)
+
+SEEDS ?= 0:200
+chaos: $(READY)
+	$(BIN)/python -m tests.chaos --seeds $(SEEDS) --jobs $(JOBS:auto=1) $(CHAOS)
 
 # The library to compare with comes into the environment of the first bench, not of every test.
 bench: $(READY)

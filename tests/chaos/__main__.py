@@ -14,6 +14,7 @@ from tests.chaos.mission_generator import MissionGenerator
 from tests.chaos.schedule import Schedule
 from tests.chaos.seed_runner import Outcome, run_schedule
 from tests.chaos.shrinker import Shrinker
+from tests.chaos.taken_out import TAKEN_OUT
 
 
 def main() -> int:
@@ -21,12 +22,19 @@ def main() -> int:
     parser.add_argument("--seeds", default="0:100", help="first:end, or one seed")
     parser.add_argument("--jobs", type=int, default=1, help="number of processes")
     parser.add_argument("--robot", choices=list(ROBOTS), help="only this robot")
+    parser.add_argument(
+        "--without", metavar="NAME", help="take a fix out: all, or a name in taken_out.py"
+    )
     parser.add_argument("--shrink", action="store_true", help="shrink each violation to a script")
     parser.add_argument("--stop", type=int, default=0, metavar="N", help="end after N violations")
     parser.add_argument("--print", action="store_true", help="print the schedule of each seed")
     parser.add_argument("--folder", type=Path, help="write shrunk scripts into this folder")
     parser.add_argument("scripts", nargs="*", type=Path, help="scripts to replay")
     options = parser.parse_args()
+    if options.without == "all":
+        return _without_each(options)
+    if options.without:
+        TAKEN_OUT[options.without]()
     if options.scripts:
         return _replay(options.scripts)
     first, _, end = options.seeds.partition(":")
@@ -39,6 +47,21 @@ def main() -> int:
         children.append(child)
     status = _run(seeds[0 :: options.jobs], options)
     for child in children:
+        status |= os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    return status
+
+
+def _without_each(options: argparse.Namespace) -> int:
+    """Takes out each fix in turn, and counts the seeds until its absence is noticed."""
+    status = 0
+    for name in TAKEN_OUT:
+        print(f"without {name}:", flush=True)
+        child = os.fork()
+        if child == 0:
+            TAKEN_OUT[name]()
+            options.stop = 1
+            first, _, end = options.seeds.partition(":")
+            os._exit(0 if _run(range(int(first), int(end)), options) else 1)
         status |= os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     return status
 

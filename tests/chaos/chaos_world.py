@@ -120,6 +120,7 @@ class ChaosWorld:
         self.cycles = 0
         self.violation: Violation | None = None
         self._ends: dict[int, Callable[[], None]] = {}
+        self._targets: dict[int, tuple[object, ...]] = {}
         self._stall, self._stall_in_sending = 0.0, 0.0
         self._end = ""
         self._start_wrong = False
@@ -417,10 +418,13 @@ class ChaosWorld:
     ) -> None:
         if "data" in more:
             more["data"] = bytes.fromhex(more["data"])
+        target = (kind, bus, node, more.get("channel"))
+        if target in self._targets.values():
+            return  # the end of the first of two equal faults would end both
         fault = BusFault(kind, bus, node, 0.0, None, SPAN, **more)
-        self._injector.active.append(fault)
         remove = self._injector._start(fault)
         number = self._open_problem(self._kind_of(fault))
+        self._targets[number] = target
         device = self.simulated.devices.get(node or "")
         original = device.nonvolatile.get("node_id") if device is not None else None
         if kind == "duplicate_id" and device is not None:
@@ -432,6 +436,7 @@ class ChaosWorld:
             if self._ends.pop(number, None) is None:
                 return
             remove()
+            del self._targets[number]
             if kind == "duplicate_id" and device is not None and original is not None:
                 device.change_node_id(original)
             self._close_problem(number)

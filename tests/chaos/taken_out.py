@@ -1,0 +1,93 @@
+"""Takes fixes of the driver out again, to show that the tester finds the faults that they prevent.
+
+``python -m tests.chaos --without NAME`` replaces methods of the driver in this process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from thorvaldc.runtime.owned_stop import OwnedStop
+from thorvaldc.runtime.time_gap import Gap, TimeGapRule
+
+from thorvaldc.runtime.can_base.bus_connection import BusConnection
+from thorvaldc.runtime.can_base.can_base import CanBase
+from thorvaldc.runtime.control.control_server import ControlServer
+from thorvaldc.runtime.control.service_table import Caller
+from thorvaldc.runtime.multiplexer import Multiplexer, _Source
+from thorvaldc.runtime.runner import BaseRunner
+
+
+def _time_gaps() -> None:
+    """A gap in time is no fault, and commands stay valid."""
+    _replace(TimeGapRule, "judge", lambda self, elapsed: Gap.NONE)
+
+
+def _stale_commands() -> None:
+    """Requests that have waited in the control channel count."""
+    _replace(ControlServer, "_caller", lambda self, sent, client, now: Caller(client.name))
+    _time_gaps()
+
+
+def _closed_connections() -> None:
+    """The twists of a closed connection count until their time-out."""
+    _replace(Multiplexer, "release", lambda self, owner: None)
+
+
+def _second_devices() -> None:
+    """Neither second devices nor second masters nor false reports are noticed."""
+    _replace(BusConnection, "impostor", lambda self: "")
+
+
+def _stop_locks() -> None:
+    """A source with the priority of a stop lock drives through it."""
+    initialise = Multiplexer.__init__
+
+    def initialise_below(self: Multiplexer, *inputs: Any) -> None:
+        initialise(self, *inputs)
+        self._barriers = {name: barrier - 0.5 for name, barrier in self._barriers.items()}
+
+    _replace(Multiplexer, "__init__", initialise_below)
+
+
+def _arming() -> None:
+    """The robot accepts motion as soon as it is ready."""
+    cycle = BaseRunner.cycle
+
+    def cycle_armed(self: BaseRunner, now: float) -> Any:
+        if self.ready:
+            self.base.armed = True
+        return cycle(self, now)
+
+    _replace(BaseRunner, "cycle", cycle_armed)
+    _replace(CanBase, "disarm", lambda self, reason="": None)
+
+
+def _owned_sources() -> None:
+    """Every connection can publish every source."""
+    _replace(_Source, "holder", lambda self, now: "")
+
+
+def _owned_stops() -> None:
+    """Every connection can release every stop."""
+    release = OwnedStop.release
+    _replace(OwnedStop, "release", lambda self, owner, force=False: release(self, owner, True))
+
+
+def _replace(owner: type, name: str, replacement: Callable[..., Any]) -> None:
+    assert hasattr(owner, name), f"{owner.__name__} has no {name}"
+    setattr(owner, name, replacement)
+
+
+TAKEN_OUT: dict[str, Callable[[], None]] = {
+    "time_gaps": _time_gaps,
+    "stale_commands": _stale_commands,
+    "closed_connections": _closed_connections,
+    "second_devices": _second_devices,
+    "stop_locks": _stop_locks,
+    "arming": _arming,
+    "owned_sources": _owned_sources,
+    "owned_stops": _owned_stops,
+}
+"""Fixes that can be taken out, by name."""

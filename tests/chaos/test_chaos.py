@@ -1,0 +1,55 @@
+"""A fixed sample of random missions, all scripts of earlier violations, and the tester itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.chaos.mission_generator import MissionGenerator
+from tests.chaos.schedule import ChaosEvent, Schedule
+from tests.chaos.seed_runner import run_here, run_schedule
+from tests.chaos.shrinker import Shrinker
+
+SCRIPTS = sorted((Path(__file__).parent / "scripts").glob("*.json"))
+GROUPS, SEEDS = 4, 15
+"""The sample has ``SEEDS`` missions in each group, one robot per group."""
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_no_script_violates_an_invariant(script: Path) -> None:
+    outcome = run_schedule(Schedule.from_json(script.read_text(encoding="utf-8")))
+    assert outcome.holds, f"{outcome.invariant} at {outcome.time:.2f} s: {outcome.text}"
+
+
+@pytest.mark.parametrize("group", range(GROUPS))
+def test_no_mission_of_the_sample_violates_an_invariant(group: int) -> None:
+    violations = {}
+    for seed in range(group, GROUPS * SEEDS, GROUPS):
+        outcome = run_schedule(MissionGenerator(seed).schedule())
+        if not outcome.holds:
+            violations[seed] = f"{outcome.invariant} at {outcome.time:.2f} s: {outcome.text}"
+    assert violations == {}
+
+
+def test_a_schedule_runs_the_same_in_a_copy_and_in_this_process() -> None:
+    schedule = MissionGenerator(2).schedule()
+    assert run_here(schedule) == run_schedule(schedule)
+
+
+def test_a_schedule_reads_back_equal() -> None:
+    schedule = MissionGenerator(3).schedule()
+    assert Schedule.from_json(schedule.to_json()) == schedule
+
+
+def test_the_shrinker_keeps_only_what_violates_the_invariant() -> None:
+    schedule = MissionGenerator(1).schedule()
+    cause = ChaosEvent(1.234, "stall", {"seconds": 0.7, "sending": True})
+    schedule = schedule.with_events((*schedule.events, cause))
+
+    def fails(candidate: Schedule) -> bool:
+        return any(e.act == "stall" and e.values["seconds"] > 0.3 for e in candidate.events)
+
+    script = Shrinker(fails).shrink(schedule)
+    assert len(script.events) == 1
+    assert script.events[0].values == {"seconds": 0.4, "sending": False}
