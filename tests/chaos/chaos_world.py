@@ -26,6 +26,7 @@ from tests.robots import SPAN
 from thorvaldc.can.canopen import HEARTBEAT, NMT, RPDO, SYNC, TPDO
 from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.model.bus_faults import BusFault, BusFaults
+from thorvaldc.model.robot import AUTOMATIC
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.control.runner_services import RunnerControl
 from thorvaldc.runtime.driver import BaseDriver, DriverState
@@ -101,8 +102,8 @@ class ChaosWorld:
             elif isinstance(device, RoboteqController):
                 device.loop_period = CONTROL_PERIOD
         period = min(bus.sync_period for bus in self.robot.buses)
-        arming = getattr(self.robot.driver, "arming", "automatic")
-        self.permission = Permission(self.robot, period, needs_arming=arming == "required")
+        needs_arming = self.robot.driver.arming != AUTOMATIC
+        self.permission = Permission(self.robot, period, needs_arming)
         self.runner: BaseRunner = None  # type: ignore[assignment]
         self.alive = False
         self.listener: MemoryListener | None = None
@@ -227,7 +228,12 @@ class ChaosWorld:
         self.runner.pace = self._before_cycle
         self.control = RunnerControl(self.runner)
         self.listener = MemoryListener()
-        self.control._server = MemoryControlServer(self.control.services, self.listener)
+        self.control._server = MemoryControlServer(
+            self.control.services,
+            self.listener,
+            self.runner.driver.time_gaps.normal,
+            self.control.multiplexer.release,
+        )
         self.runner.feed = self._feed
         self._note_resets(self.runner.driver)
         self.odometry.invalidate()

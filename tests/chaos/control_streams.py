@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 from thorvaldc.runtime.control.control_server import ControlServer
@@ -82,14 +84,22 @@ class MemoryListener:
 class MemoryControlServer(ControlServer):
     """The control server of the driver, with connections in memory."""
 
-    def __init__(self, services: Services, listener: MemoryListener) -> None:
+    def __init__(
+        self,
+        services: Services,
+        listener: MemoryListener,
+        longest_wait: float,
+        closed: Callable[[str], None],
+    ) -> None:
+        """Creates the server without a socket; the arguments are those of ``ControlServer``."""
         self.services = services
         self._clients: list[Any] = []
         self._listener = listener  # type: ignore[assignment]
-
-    @staticmethod
-    def _ready(stream: Any) -> bool:
-        return bool(stream.waiting)
+        self._longest_wait = longest_wait
+        self._closed = closed
+        self._connections = 0
+        self._last_poll = -math.inf
+        self._now = 0.0
 
     def close(self) -> None:
         for client in list(self._clients):

@@ -8,15 +8,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from thorvaldc.runtime.owned_stop import OwnedStop
-from thorvaldc.runtime.time_gap import Gap, TimeGapRule
-
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.control.control_server import ControlServer
 from thorvaldc.runtime.control.service_table import Caller
 from thorvaldc.runtime.multiplexer import Multiplexer, _Source
+from thorvaldc.runtime.owned_stop import OwnedStop
 from thorvaldc.runtime.runner import BaseRunner
+from thorvaldc.runtime.time_gap import Gap, TimeGapRule
 
 
 def _time_gaps() -> None:
