@@ -45,7 +45,7 @@ def _stop_locks() -> None:
 
     def initialise_below(self: Multiplexer, *inputs: Any) -> None:
         initialise(self, *inputs)
-        self._barriers = {name: barrier - 0.5 for name, barrier in self._barriers.items()}
+        self._barriers = {name: lock.settings.priority - 0.5 for name, lock in self._locks.items()}
 
     _replace(Multiplexer, "__init__", initialise_below)
 
