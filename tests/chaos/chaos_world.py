@@ -41,8 +41,10 @@ CONTROL_PERIOD = 0.01
 """Period (s) of the control loops of the drives, longer than usual to save computing time."""
 READY_TIME = 40.0
 """Longest time (s) of a start-up."""
-CALL_TIME = 0.1
+CALL_TIME = 0.045
 """s that a person waits for the effect of a call."""
+REST_TIME = 0.3
+"""s between the end of all faults and the first act of the person; devices boot in this time."""
 RECOVERIES = 4
 RECOVERY_TWIST = Twist(0.3, 0.0, 0.0)
 RECOVERED_SPEED = 0.15
@@ -486,7 +488,7 @@ class ChaosWorld:
         """Ends all injected faults; a person resets and arms; the robot must drive again."""
         self.act_end_faults()
         self._end = ""
-        self.run_until(self.now + 1.2)
+        self.run_until(self.now + REST_TIME)
         for _ in range(RECOVERIES):
             if not self.alive:
                 self._end, self._start_wrong = "start", False

@@ -7,17 +7,19 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from thorvaldc.model.stopping import DRIVE_DEAD, DRIVER_DEAD, STOP_LOCK, stop_bounds
+
 from tests.chaos.permission import wheel_speed
-from thorvaldc.runtime.se2 import ORIGIN, Pose2
+from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
 
 if TYPE_CHECKING:
     from tests.chaos.chaos_world import ChaosWorld
 
 CHECK_PERIOD = 0.02
-REACTION = 0.2
-"""s from the end of a permission until the wheels brake: cycles, a tolerated gap, the drives."""
-WATCHDOG = 0.72
-"""s until the drives brake by themselves: their watchdog of 0.5 s, and ``REACTION``."""
+TOLERATED = 0.07 + CHECK_PERIOD
+"""s by which a stop may begin later than stated: a tolerated gap of 2.5 cycles, and the check."""
+RAMP_SHARE = 0.9
+"""Share of the stated deceleration that a stop must reach."""
 AFTER_IMPEDIMENT = 0.2
 """s after which the driver controls the drives again, when a hindrance has ended."""
 SPEED_TOLERANCE, SPEED_SHARE = 0.04, 1.06
@@ -57,7 +59,8 @@ class MotionInvariant:
 
     The envelope of the wheel speed is the highest permitted speed in the last reaction time.  Then
     it falls with the slowest ramp of the robot.  The reaction time is that of the driver, or that
-    of the drives' own watchdogs where the driver cannot act.
+    of the drives' own watchdogs where the driver cannot act.  Both come from the stopping distances
+    that the model states (``thorvaldc.model.stopping``).
     """
 
     world: ChaosWorld
@@ -67,10 +70,16 @@ class MotionInvariant:
 
     def __post_init__(self) -> None:
         robot = self.world.robot
-        settings = robot.driver
-        levers = [math.hypot(w.x, w.y) for w in robot.wheels if w.driven]
-        turning = settings.max_angular_acceleration * min(levers)
-        self.deceleration = 0.5 * min(settings.max_linear_acceleration, turning)
+        limits = linear, angular = self.world.limits
+        stops = {bound.kind: bound for bound in stop_bounds(robot)}
+        by_driver = stops[STOP_LOCK]
+        self.reaction = by_driver.reaction + TOLERATED
+        self.watchdog = max(stops[DRIVER_DEAD].reaction, stops[DRIVE_DEAD].reaction) + TOLERATED
+        slowest = min(
+            wheel_speed(robot, Twist(linear, 0.0, 0.0), *limits),
+            wheel_speed(robot, Twist(0.0, 0.0, angular), *limits),
+        )
+        self.deceleration = RAMP_SHARE * slowest / (by_driver.time - by_driver.reaction)
 
     def check(self, now: float) -> None:
         world = self.world
@@ -84,8 +93,8 @@ class MotionInvariant:
         recent.append((now, level))
         if world.impeded:
             self._impeded_until = now + AFTER_IMPEDIMENT
-        reaction = WATCHDOG if now < self._impeded_until else REACTION
-        while recent and recent[0][0] < now - WATCHDOG:
+        reaction = self.watchdog if now < self._impeded_until else self.reaction
+        while recent and recent[0][0] < now - self.watchdog:
             recent.popleft()
         highest = max(level for time, level in recent if time >= now - reaction)
         self.envelope = max(highest, self.envelope - self.deceleration * CHECK_PERIOD)
