@@ -16,6 +16,9 @@ from tests.chaos.seed_runner import Outcome, run_schedule
 from tests.chaos.shrinker import Shrinker
 from tests.chaos.taken_out import TAKEN_OUT
 
+PROGRESS = 100
+"""Missions between two lines of progress."""
+
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.chaos", description=__doc__)
@@ -87,6 +90,8 @@ def _run(seeds: range, options: argparse.Namespace) -> int:
         outcome = run_schedule(schedule)
         runs[schedule.robot] += 1
         simulated[schedule.robot] += outcome.seconds  # type: ignore[assignment]
+        if runs.total() % PROGRESS == 0:
+            print(f"{runs.total()} missions, seed {seed}", file=sys.stderr, flush=True)
         if outcome.holds:
             continue
         violations[schedule.robot, outcome.invariant] += 1

@@ -7,9 +7,8 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from thorvaldc.model.stopping import DRIVE_DEAD, DRIVER_DEAD, STOP_LOCK, stop_bounds
-
 from tests.chaos.permission import wheel_speed
+from thorvaldc.model.stopping import DRIVE_DEAD, DRIVER_DEAD, STOP_LOCK, stop_bounds
 from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from tests.chaos.seed_runner import run_here, run_schedule
 from tests.chaos.shrinker import Shrinker
 
 SCRIPTS = sorted((Path(__file__).parent / "scripts").glob("*.json"))
-GROUPS, SEEDS = 4, 15
+GROUPS, SEEDS = 4, 12
 """The sample has ``SEEDS`` missions in each group, one robot per group."""
 
 
@@ -44,7 +44,7 @@ def test_a_schedule_reads_back_equal() -> None:
 
 def test_the_shrinker_keeps_only_what_violates_the_invariant() -> None:
     schedule = MissionGenerator(1).schedule()
-    cause = ChaosEvent(1.234, "stall", {"seconds": 0.7, "sending": True})
+    cause = ChaosEvent(1.234, "stall", {"seconds": 0.8, "sending": True})
     schedule = schedule.with_events((*schedule.events, cause))
 
     def fails(candidate: Schedule) -> bool:
