@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, TwistEstimate
+from thorvaldc.runtime.lasting_errors import LastingErrors
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, ZERO_TWIST, Cov3, Pose2
 
 LONGEST_INTERVAL = 0.5
@@ -40,11 +41,13 @@ class Odometry:
         self.joints: JointStates | None = None
         self.covariance_at_joints = ZERO_COV
         self._time = -math.inf
+        self._lasting_errors = LastingErrors(calculator.estimator)
 
     def reset(self, pose: Pose2 = ORIGIN) -> None:
         """Sets the pose of the odometry and resets its covariance to zero."""
         self.pose = pose
         self.covariance = self.covariance_at_joints = ZERO_COV
+        self._lasting_errors.restart(pose)
 
     def update(self, joints: JointStates, now: float) -> None:
         """Updates the pose with the joint states that were read at ``now`` (s, monotonic).
@@ -99,7 +102,16 @@ class Odometry:
         pose: Pose2,
         covariance: Cov3,
     ) -> None:
-        """Stores the pose and the estimate for the joint states that were read at ``now`` (s)."""
+        """Stores the pose and the estimate for the joint states that were read at ``now`` (s).
+
+        ``covariance`` is the covariance of the pose without the growth by lasting errors since the
+        last update.  Raises ``NotFiniteError`` if this growth is not finite.
+        """
+        lasting = self._lasting_errors
+        if lasting.is_due(joints.time):
+            covariance = lasting.end_block(
+                self.calculator.estimator, joints, estimate, pose, covariance
+            )
         self.joints = joints
         self.estimate = estimate
         self.pose = pose

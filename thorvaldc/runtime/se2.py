@@ -129,6 +129,25 @@ def _planar(c: float, s: float, a: float, b: float, p: Cov3) -> Cov3:
     )
 
 
+def seen_from(pose: Pose2, covariance: Cov3) -> Cov3:
+    """Converts the covariance of a small motion of the odometry frame about its origin.
+
+    The result is the covariance of the same small motion, expressed in ``base_link`` at ``pose``.
+    The conversion is the adjoint of the inverse of ``pose``.
+    """
+    x, y, yaw = pose
+    c, s = math.cos(yaw), math.sin(yaw)
+    return _planar(c, s, s * x - c * y, s * y + c * x, covariance)
+
+
+def add(p: Cov3, q: Cov3) -> Cov3:
+    """Returns the sum of two symmetric matrices."""
+    (p11, p12, p13), (_, p22, p23), (_, _, p33) = p
+    (q11, q12, q13), (_, q22, q23), (_, _, q33) = q
+    k12, k13, k23 = p12 + q12, p13 + q13, p23 + q23
+    return ((p11 + q11, k12, k13), (k12, p22 + q22, k23), (k13, k23, p33 + q33))
+
+
 def propagate(
     covariance: Cov3,
     twist: Twist,

@@ -124,13 +124,13 @@ class Differential(BaseCalculator):
         along, turn = self._fit_line([(a, s * r * speeds[i], 1.0) for i, s, a, r in self._across])[
             :2
         ]
-        ratio2, floor2 = noise.speed_ratio**2, noise.speed_floor**2
+        ratio2, floor2 = noise.rolling**2, noise.speed_floor**2
         weighted = [
             (a, s * r * speeds[i], 1.0 / (ratio2 * (along - a * turn) ** 2 + floor2))
             for i, s, a, r in self._across
         ]
         along, turn, p11, p13, p33 = self._fit_line(weighted)
-        angle2, slip2 = noise.angle**2, noise.slip_floor**2
+        angle2, slip2 = noise.direction**2, noise.slip_floor**2
         p22 = 1.0 / sum(
             1.0 / (angle2 * (along - a * turn) ** 2 + slip2) for a in self._axle_positions
         )

@@ -157,13 +157,13 @@ class OneWheel(BaseCalculator):
         # the twist is therefore sum sigma_k^2 J_k J_k', where J_k is the twist per unit of speed k,
         # and sigma_k is the standard deviation of speed k.
         a2 = rolls * rolls + slips * slips
-        angle2, slip2 = noise.angle**2, noise.slip_floor**2
+        angle2, slip2 = noise.direction**2, noise.slip_floor**2
         along = self._ny * twist.vx - self._nx * twist.vy
         axle_information = sum(
             1.0 / (angle2 * (along - a * twist.wz) ** 2 + slip2) for a in self._axle_positions
         )
         columns = (
-            (self._motion(angle, 1.0, 0.0), noise.speed_ratio**2 * a2 + noise.speed_floor**2),
+            (self._motion(angle, 1.0, 0.0), noise.rolling**2 * a2 + noise.speed_floor**2),
             (self._motion(angle, 0.0, 1.0), angle2 * a2 + slip2),
             (self._motion(angle, 0.0, 0.0, 1.0), 1.0 / axle_information),
         )

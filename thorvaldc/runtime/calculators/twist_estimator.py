@@ -49,7 +49,7 @@ from thorvaldc.runtime.calculators.twist_fit import (
 )
 from thorvaldc.runtime.calculators.wheel_rejection import HypothesisSearch, mixture
 from thorvaldc.runtime.errors import NotFiniteError
-from thorvaldc.runtime.se2 import Cov3, Twist
+from thorvaldc.runtime.se2 import Cov3, Row3, Twist
 
 __all__ = ["EstimatorOptions", "Noise", "TwistEstimate", "TwistEstimator"]
 
@@ -241,6 +241,56 @@ class TwistEstimator:
         (vx, vy, wz), _ = self._unweighted_fit(*self._measurements(states), states.yaw_rate)
         xm, ym = self._centre
         return Twist(vx + ym * wz, vy - xm * wz, wz)
+
+    def lasting_errors(
+        self, states: JointStates, estimate: TwistEstimate, twist: Twist
+    ) -> list[Row3]:
+        """Returns the errors of ``twist`` that lasting errors of the wheels cause.
+
+        The returned list has one entry for each wheel radius and each steering zero that influences
+        the estimate.  The entry is the error of the twist (vx, vy, wz) if this radius or this zero
+        is wrong by one standard deviation (``Noise.lasting_errors``).
+
+        An estimate is xi = P sum H' W m (see the module ``twist_fit``).  A relative radius error r
+        changes the rolling measurement by r v, where v is the rolling speed of the wheel.  An error
+        e of the steering zero rotates the measured direction and changes the side slip by e v.
+        Errors of the twist:
+
+            P L' w_L r v   and   P T' w_T e v
+
+        - ``states``: joint states; only the steering angles and rates have an influence.
+        - ``estimate``: an estimate with the same joint states, for the rank and the faulty wheels.
+        """
+        radius_error, offset = self.noise.lasting_errors
+        dropped = estimate.dropped
+        measurements = self._measurements(states)[0]
+        if dropped:
+            measurements = [
+                (0, *m[1:]) if w.number in dropped else m
+                for w, m in zip(self.wheels, measurements, strict=True)
+            ]
+        xm, ym = self._centre
+        vx, vy, wz = twist.vx - ym * twist.wz, twist.vy + xm * twist.wz, twist.wz
+        prior = (0.0, 0.0) if estimate.rank == 3 else self.prior
+        fit = fit_twist(measurements, vx, vy, wz, self.squares, prior, states.yaw_rate)
+        _, _, _, p11, p12, p13, p22, p23, p33, weighted = fit
+        errors: list[Row3] = []
+        for wheel, (flags, c, s, x, y, _, _, v_l, v_t) in zip(self.wheels, weighted, strict=True):
+            turn = s * x - c * y
+            roll = c * vx + s * vy + turn * wz
+            if wheel.flags & USE_ROLL and radius_error:
+                k = radius_error * roll / v_l if flags else 0.0
+                g1, g2, g3 = k * c, k * s, k * turn
+                ew = p13 * g1 + p23 * g2 + p33 * g3
+                ex = p11 * g1 + p12 * g2 + p13 * g3 + ym * ew
+                errors.append((ex, p12 * g1 + p22 * g2 + p23 * g3 - xm * ew, ew))
+            if wheel.steered and offset:
+                k = offset * roll / v_t if flags else 0.0
+                g1, g2, g3 = -k * s, k * c, k * (c * x + s * y)
+                ew = p13 * g1 + p23 * g2 + p33 * g3
+                ex = p11 * g1 + p12 * g2 + p13 * g3 + ym * ew
+                errors.append((ex, p12 * g1 + p22 * g2 + p23 * g3 - xm * ew, ew))
+        return errors
 
     def slips(self, states: JointStates, twist: Twist) -> tuple[tuple[float, float], ...]:
         """Returns the slip velocity of each wheel's contact over the ground, for a given twist.

@@ -15,8 +15,11 @@ Two measurements of the velocity u by a wheel with the rolling direction d = (c,
 The two measurements of a wheel have independent errors, which grow with the speed a = |u| of the
 contact point.  Variances of the measurement errors:
 
-    sigma_L^2 = (speed_ratio a)^2 + speed_floor^2
-    sigma_T^2 = (angle a)^2 + slip_floor^2
+    sigma_L^2 = (rolling a)^2 + speed_floor^2
+    sigma_T^2 = (direction a)^2 + slip_floor^2
+
+The relative error ``rolling`` of a speed and the error ``direction`` of a direction include lasting
+errors (see ``Noise``).
 
 The speed a of the contact point is predicted by a first estimate of the twist.  If the measured
 speed were used, a stalled encoder would report 0 m/s with a very small variance and dominate the
@@ -73,12 +76,18 @@ UNTESTABLE = 1e-6
 """A measurement is tested only if its residual keeps at least this share of its variance."""
 
 
+MAY_BE_ZERO = ("correlation", "radius_error", "steering_offset")
+"""Names of the fields of ``Noise`` that may be 0."""
+
+
 @dataclass(frozen=True, slots=True)
 class Noise:
     """Standard deviations of the wheels' measurement errors.
 
-    - ``speed_ratio``: standard deviation of the wheel speed, relative to the speed.
-    - ``angle``: standard deviation of the wheel's direction, rad.
+    - ``speed_ratio``: standard deviation of the wheel speed, relative to the speed.  The standard
+      deviation includes lasting errors.
+    - ``angle``: standard deviation of the wheel's direction, rad.  The standard deviation includes
+      lasting errors.
     - ``speed_floor``: standard deviation of the speed along a wheel at rest, m/s.
     - ``slip_floor``: standard deviation of the speed across a wheel at rest, m/s.
     - ``skid_ratio``: standard deviation of the speed of wheels that skid in turns, relative to the
@@ -88,6 +97,11 @@ class Noise:
       errors of two ticks are independent.  Measurement errors from ground and tyres last longer
       than a tick.  The time constant affects the covariances of poses, but not the covariances of
       twists.
+    - ``radius_error``: standard deviation of the wheel radius, relative to the radius.  The radius
+      errors of two wheels are independent, and last for the whole drive.  ``None`` stands for
+      ``speed_ratio``: the whole error of the wheel speed may last.
+    - ``steering_offset``: standard deviation of the zero of a steering angle, rad.  The errors of
+      two wheels are independent, and last for the whole drive.  ``None`` stands for ``angle``.
     """
 
     speed_ratio: float = 0.01
@@ -97,20 +111,47 @@ class Noise:
     skid_ratio: float = 0.1
     gyro: float = 0.005
     correlation: float = 0.0
+    radius_error: float | None = None
+    steering_offset: float | None = None
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            in_range = value >= 0.0 if field.name == "correlation" else value > 0.0
+            if value is None and field.name in ("radius_error", "steering_offset"):
+                continue
+            in_range = value >= 0.0 if field.name in MAY_BE_ZERO else value > 0.0
             if not (in_range and math.isfinite(value)):
                 raise ValueError(f"the noise {field.name} is {value:g}; it must be positive")
 
     @property
-    def squares(self) -> NoiseSquares:
-        """Squared standard deviations in the order of the fields, without ``correlation``."""
+    def lasting_errors(self) -> tuple[float, float]:
+        """Standard deviations of the relative wheel radius and of the steering zero (rad)."""
+        radius, offset = self.radius_error, self.steering_offset
         return (
-            _bounded_square(self.speed_ratio),
-            _bounded_square(self.angle),
+            self.speed_ratio if radius is None else radius,
+            self.angle if offset is None else offset,
+        )
+
+    @property
+    def rolling(self) -> float:
+        """Standard deviation of the wheel speed, relative to the speed, with lasting errors."""
+        return max(self.speed_ratio, self.lasting_errors[0])
+
+    @property
+    def direction(self) -> float:
+        """Standard deviation (rad) of the wheel's direction, with lasting errors."""
+        return max(self.angle, self.lasting_errors[1])
+
+    @property
+    def squares(self) -> NoiseSquares:
+        """Variances of one measurement.
+
+        The order is: rolling speed (relative), direction (rad^2), speed floor, slip floor, skid
+        ratio, and gyro.
+        """
+        return (
+            _bounded_square(self.rolling),
+            _bounded_square(self.direction),
             _bounded_square(self.speed_floor),
             _bounded_square(self.slip_floor),
             _bounded_square(self.skid_ratio),
