@@ -154,7 +154,7 @@ def test_unmeasured_rotation_does_not_average_out() -> None:
 def test_pose_errors_agree_with_the_covariance(correlation: float) -> None:
     """NEES / 3 of the pose is near 1, for independent and for correlated errors."""
     rng = random.Random(8)
-    noise = Noise(correlation=correlation)
+    noise = Noise(correlation=correlation, radius_error=0.0, steering_offset_error=0.0)
     dt, steps, runs = 0.02, 300, 25
     left = math.exp(-dt / correlation) if correlation else 0.0
     total = 0.0

@@ -34,6 +34,12 @@ class JointStates:
     yaw_rate: float | None = None
 
 
+class CheckedJointStates(JointStates):
+    """Joint states that are known to be complete and finite, so nobody checks them again."""
+
+    __slots__ = ()
+
+
 @dataclass(slots=True)
 class JointCommands:
     """Joint commands, with one entry per wheel in the order of ``Robot.wheels``.

@@ -1,9 +1,9 @@
 """Covariance of the pose from errors that last: wrong wheel radii and wrong steering zeros.
 
 A wrong wheel radius or steering zero causes an error of the twist in the same direction in every
-tick.  The errors of the ticks do not average out.  The pose error therefore grows with the travelled
-distance, and not with its square root.  Such an error b with the standard deviation 1 causes the
-twist error k(t) b, where the sensitivity k(t) depends on the motion
+tick.  The errors of the ticks do not average out.  The pose error therefore grows with the distance
+that the robot travels, and not with the square root of the distance.  Such an error b with the
+standard deviation 1 causes the twist error k(t) b, where the sensitivity k(t) depends on the motion
 (``TwistEstimator.lasting_errors``).  Sensitivity of the pose error to b, and covariance of the pose
 error from independent errors b_1, b_2, ...:
 
@@ -17,7 +17,8 @@ or Schmidt-Kalman filter (Schmidt, "Application of state-space methods to naviga
 
 The sensitivities change slowly, because the motion of the robot changes slowly.  They are therefore
 computed once per block of several ticks, with the mean twist in the block.  At the end of a block,
-the covariance of the pose grows by the difference between the new and the old matrix C.
+the covariance of the pose grows by the difference between the new and the old matrix C.  Over long
+drives, yaw errors of many degrees occur, and the matrix C also contains their second-order effect.
 """
 
 from __future__ import annotations
@@ -28,13 +29,10 @@ from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators.twist_estimator import TwistEstimate, TwistEstimator
 from thorvaldc.runtime.errors import NotFiniteError
-from thorvaldc.runtime.se2 import ORIGIN, Cov3, Pose2, Row3, Twist
+from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, Cov3, Pose2, Row3, Twist
 
-BLOCK_TIME = 0.25
+BLOCK_TIME = 0.4
 """Shortest time (s) over which the sensitivities of the twist count as constant."""
-
-_Upper = tuple[float, float, float, float, float, float]
-_NO_COVARIANCE: _Upper = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class LastingErrors:
@@ -56,7 +54,7 @@ class LastingErrors:
 
     def _forget(self) -> None:
         self._sensitivities: list[Row3] = []
-        self._upper = _NO_COVARIANCE
+        self._share = ZERO_COV
 
     def is_due(self, time: float) -> bool:
         """Returns ``True`` if a block ends with the joint states of ``time`` (s)."""
@@ -84,7 +82,11 @@ class LastingErrors:
                 # The errors of the new parameters are independent of the errors of the old ones.
                 self._forget()
             self._estimator = estimator
-        if 0.0 < elapsed < math.inf and pose != previous:
+        if not 0.0 < elapsed < math.inf:
+            # The first block starts, or the time of the joint states has decreased.
+            self.start_time = joints.time
+            return covariance
+        if pose != previous:
             try:
                 covariance = self._grown(covariance, joints, estimate, pose, elapsed)
             except (ZeroDivisionError, OverflowError):
@@ -127,15 +129,31 @@ class LastingErrors:
             c22 += sy * sy
             c23 += sy * sw
             c33 += sw * sw
-        o11, o12, o13, o22, o23, o33 = self._upper
-        d12, d13, d23 = c12 - o12, c13 - o13, c23 - o23
-        growth = ((c11 - o11, d12, d13), (d12, c22 - o22, d23), (d13, d23, c33 - o33))
         local = Pose2(pose.x - self._anchor.x, pose.y - self._anchor.y, pose.yaw)
-        grown = se2.add(covariance, se2.seen_from(local, growth))
+        first_order = se2.seen_from(local, ((c11, c12, c13), (c12, c22, c23), (c13, c23, c33)))
+        share = _with_second_order(first_order)
+        previous_share = se2.seen_from(pose.relative_to(previous), self._share)
+        grown = se2.combine(se2.combine(covariance, previous_share, -1.0), share)
         if not math.isfinite(grown[0][0] + grown[1][1] + grown[2][2]):
             raise NotFiniteError("the joint states are out of all bounds")
-        self._sensitivities, self._upper = sensitivities, (c11, c12, c13, c22, c23, c33)
+        self._sensitivities, self._share = sensitivities, share
         return grown
+
+
+def _with_second_order(p: Cov3) -> Cov3:
+    """Adds the covariance of the second-order pose error to the covariance ``p``.
+
+    A yaw error w rotates a position error v and changes it by w (-v_y, v_x).  Such errors matter if
+    the yaw error exceeds some degrees.  For normally distributed errors, E[w^2 v v'] = E[w^2]
+    E[v v'] + 2 E[w v] E[w v'].
+    """
+    (p11, p12, p13), (_, p22, p23), (_, _, p33) = p
+    k12 = p12 - (p33 * p12 + 2.0 * p13 * p23)
+    return (
+        (p11 + p33 * p22 + 2.0 * p23 * p23, k12, p13),
+        (k12, p22 + p33 * p11 + 2.0 * p13 * p13, p23),
+        (p13, p23, p33),
+    )
 
 
 def _parameters(estimator: TwistEstimator) -> tuple[object, ...]:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from thorvaldc.runtime import se2
-from thorvaldc.runtime.base_interface import JointStates
+from thorvaldc.runtime.base_interface import CheckedJointStates, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, TwistEstimate
 from thorvaldc.runtime.lasting_errors import LastingErrors
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, ZERO_TWIST, Cov3, Pose2
@@ -104,7 +104,8 @@ class Odometry:
     ) -> None:
         """Stores the pose and the estimate for the joint states that were read at ``now`` (s).
 
-        ``covariance`` is the covariance of the pose without the growth by lasting errors since the
+        The caller has checked the joint states with ``TwistEstimator.check``.  ``covariance`` is
+        the covariance of the pose without the growth by lasting errors since the
         last update.  Raises ``NotFiniteError`` if this growth is not finite.
         """
         lasting = self._lasting_errors
@@ -112,7 +113,7 @@ class Odometry:
             covariance = lasting.end_block(
                 self.calculator.estimator, joints, estimate, pose, covariance
             )
-        self.joints = joints
+        self.joints = self.calculator.checked_states = joints
         self.estimate = estimate
         self.pose = pose
         self.covariance = self.covariance_at_joints = covariance
@@ -129,8 +130,8 @@ class Odometry:
         return ((a + way, b, c), (b, d + way, e), (c, e, f + turn))
 
 
-def _mean_states(start: JointStates, end: JointStates, dt: float) -> JointStates:
-    """Returns the mean of the joint states at the start and the end of an interval.
+def _mean_states(start: JointStates, end: JointStates, dt: float) -> CheckedJointStates:
+    """Returns the mean of two checked joint states at the start and the end of an interval.
 
     If the base measures positions, the wheel speeds are computed from the differences of the
     positions.
@@ -149,7 +150,7 @@ def _mean_states(start: JointStates, end: JointStates, dt: float) -> JointStates
     if yaw_rate is not None and start.yaw_rate is not None:
         yaw_rate = (start.yaw_rate + yaw_rate) / 2.0
     angles = _means(start.angles, end.angles)
-    return JointStates(end.time, speeds, angles, rates, None, yaw_rate)
+    return CheckedJointStates(end.time, speeds, angles, rates, None, yaw_rate)
 
 
 def _means(start: Sequence[float], end: Sequence[float]) -> list[float]:

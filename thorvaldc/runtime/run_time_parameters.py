@@ -12,6 +12,7 @@ from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import DriverSettings, Robot
 from thorvaldc.runtime.calculators import Noise
+from thorvaldc.runtime.calculators.twist_fit import MAY_BE_ZERO
 from thorvaldc.runtime.errors import ParameterError
 
 LIMITS = (
@@ -94,7 +95,7 @@ class Parameters:
         new_noise = dict(self.settings.noise)
         for name, value in (noise or {}).items():
             _check_name("noise", name, _NOISE)
-            if not (name == "correlation" and value == 0):
+            if not (name in MAY_BE_ZERO and value == 0):
                 _check_positive(f"the noise {name}", value, "", math.inf)
             new_noise[name] = float(value)
         changes: dict[str, Any] = {name: float(value) for name, value in (limits or {}).items()}

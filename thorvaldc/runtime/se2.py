@@ -140,12 +140,16 @@ def seen_from(pose: Pose2, covariance: Cov3) -> Cov3:
     return _planar(c, s, s * x - c * y, s * y + c * x, covariance)
 
 
-def add(p: Cov3, q: Cov3) -> Cov3:
-    """Returns the sum of two symmetric matrices."""
+def combine(p: Cov3, q: Cov3, factor: float = 1.0) -> Cov3:
+    """Returns the sum P + factor Q of two symmetric matrices."""
     (p11, p12, p13), (_, p22, p23), (_, _, p33) = p
     (q11, q12, q13), (_, q22, q23), (_, _, q33) = q
-    k12, k13, k23 = p12 + q12, p13 + q13, p23 + q23
-    return ((p11 + q11, k12, k13), (k12, p22 + q22, k23), (k13, k23, p33 + q33))
+    k12, k13, k23 = p12 + factor * q12, p13 + factor * q13, p23 + factor * q23
+    return (
+        (p11 + factor * q11, k12, k13),
+        (k12, p22 + factor * q22, k23),
+        (k13, k23, p33 + factor * q33),
+    )
 
 
 def propagate(

@@ -55,6 +55,18 @@ def test_parameter_set_is_driver_settings_with_its_changes(tmp_path: Path) -> No
     assert from_json(to_json(model)) == model
 
 
+def test_lasting_errors_may_be_zero(tmp_path: Path) -> None:
+    model = robot(
+        tmp_path,
+        "driver: {noise: {radius_error: 0.2 %, steering_offset_error: 0.1 deg}}\n"
+        "parameter_sets: {exact: {noise: {radius_error: 0, steering_offset_error: 0}}}\n",
+    )
+    noise = dict(model.driver.noise)
+    assert noise == pytest.approx({"radius_error": 0.002, "steering_offset_error": 0.00174533})
+    exact = dict(model.parameter_sets[0].driver.noise)
+    assert exact == {"radius_error": 0.0, "steering_offset_error": 0.0}
+
+
 def test_smaller_radii_lower_the_limits(tmp_path: Path) -> None:
     model = robot(tmp_path, "parameter_sets: {rail: {radii: rail}}\n")
     (rail,) = model.parameter_sets

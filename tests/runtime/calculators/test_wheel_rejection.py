@@ -263,7 +263,7 @@ def test_options_of_general_are_checked(options: dict[str, int]) -> None:
     )
 
 
-@pytest.mark.parametrize("name", ["angle", "speed_floor", "correlation", "gyro"])
+@pytest.mark.parametrize("name", ["angle", "speed_floor", "correlation", "gyro", "radius_error"])
 def test_invalid_noise_is_rejected(name: str) -> None:
     for value in (-0.1, math.nan, math.inf):
         with pytest.raises(ValueError, match=f"noise {name} is"):

@@ -68,7 +68,10 @@ NOISE = {
     "skid_ratio": "ratio",
     "gyro": "angular_velocity",
     "correlation": "time",
+    "radius_error": "ratio",
+    "steering_offset_error": "angle",
 }
+MAY_BE_ZERO = ("correlation", "radius_error", "steering_offset_error")
 
 
 class DriverSettingsReader:
@@ -270,7 +273,7 @@ class DriverSettingsReader:
     def _noise(
         self, node: Node | None, inherited: tuple[tuple[str, float], ...]
     ) -> tuple[tuple[str, float], ...]:
-        """Returns the values of a `noise` section, which describes the noise of simulated sensors.
+        """Returns the values of a `noise` section, which describes the errors in the odometry.
 
         A noise value that the section does not contain is taken from ``inherited``.
         """
@@ -279,7 +282,7 @@ class DriverSettingsReader:
             if key not in NOISE:  # The schema check has already reported the unknown key.
                 continue
             value = self._reader.quantity(entry, NOISE[key])
-            if value > 0 or (value == 0 and key == "correlation"):
+            if value > 0 or (value == 0 and key in MAY_BE_ZERO):
                 noise[key] = clean(value)
             else:
                 self._report_not_positive(key, value, entry)

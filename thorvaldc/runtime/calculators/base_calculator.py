@@ -91,6 +91,9 @@ class BaseCalculator(abc.ABC):
     dataclass of scalars with default values.  The method ``Options.__post_init__`` raises
     ``ValueError`` if an option is out of range.  A subclass also overrides ``unsuited_reason`` to
     reject robots that the calculator cannot drive.
+
+    ``checked_states``: joint states that the odometry has checked in this control cycle.  The
+    method ``command`` does not check them again.
     """
 
     name: ClassVar[str]
@@ -104,6 +107,7 @@ class BaseCalculator(abc.ABC):
         self.options = self.Options() if options is None else options
         self.noise = noise or Noise()
         self.estimator = TwistEstimator(geometry, self.noise)
+        self.checked_states: JointStates | None = None
 
     @classmethod
     def unsuited_reason(cls, geometry: BaseGeometry) -> str | None:
@@ -137,13 +141,21 @@ class BaseCalculator(abc.ABC):
         After an error, the stored last joint command is unchanged.
         """
 
+    @property
+    def commanded_speeds(self) -> Sequence[float] | None:
+        """Last commanded wheel speeds (rad/s), or ``None`` if the calculator does not know them.
+
+        The odometry suspects a wheel that does not turn although it was commanded to turn.
+        """
+        return None
+
     def odometry(self, states: JointStates) -> TwistEstimate:
         """Estimates the twist from the joint states.
 
         Raises ``NotFiniteError`` if a joint state is not a finite number.  Raises ``ValueError`` if
         ``states`` does not have one entry for each wheel.
         """
-        return self.estimator.estimate(states)
+        return self.estimator.estimate(states, self.commanded_speeds)
 
     @abc.abstractmethod
     def reset(self, states: JointStates | None = None) -> None:
@@ -175,5 +187,5 @@ class BaseCalculator(abc.ABC):
             raise NotFiniteError(f"the commanded twist is {tuple(twist)}")
         if dt is not None and not 0.0 < dt < math.inf:
             raise ValueError(f"the time step is {dt} s; it must be positive")
-        if states is not None:
+        if states is not None and states is not self.checked_states:
             self.estimator.check(states)

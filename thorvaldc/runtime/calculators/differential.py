@@ -13,6 +13,7 @@ measured wheel speeds by weighted least squares.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Self
 
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
@@ -85,6 +86,10 @@ class Differential(BaseCalculator):
 
     def resume(self, previous: Self) -> None:
         self._motors.resume(previous._motors)
+
+    @property
+    def commanded_speeds(self) -> Sequence[float]:
+        return self._motors.commanded_speeds
 
     def feasible(self, twist: Twist) -> Twist:
         return self._fixed.feasible(twist)

@@ -207,6 +207,10 @@ class General(BaseCalculator):
         self._reachable.resume(previous._reachable)
         self._motors.resume(previous._motors)
 
+    @property
+    def commanded_speeds(self) -> Sequence[float]:
+        return self._motors.commanded_speeds
+
     def feasible(self, twist: Twist) -> Twist:
         return self._reachable.feasible(twist)
 

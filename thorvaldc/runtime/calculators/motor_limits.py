@@ -42,6 +42,11 @@ class DriveMotors:
         """Copies the last commanded wheel speeds and twist from ``previous``."""
         self._speeds, self.twist = previous._speeds, previous.twist
 
+    @property
+    def commanded_speeds(self) -> Sequence[float]:
+        """Last commanded wheel speeds, rad/s."""
+        return self._speeds
+
     def average_shared(self, speeds: list[float]) -> list[float]:
         """Sets the speeds of wheels that share a drive motor to their mean speed, in place."""
         for group in self._shared:

@@ -27,7 +27,7 @@ from statistics import NormalDist
 from typing import NamedTuple
 
 from thorvaldc.model.spatial import symmetric_eigenvalues
-from thorvaldc.runtime.base_interface import JointStates
+from thorvaldc.runtime.base_interface import CheckedJointStates, JointStates
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.linear_algebra import solve3
 from thorvaldc.runtime.calculators.twist_fit import (
@@ -47,17 +47,17 @@ from thorvaldc.runtime.calculators.twist_fit import (
     misfit,
     unweighted_normal_equations,
 )
-from thorvaldc.runtime.calculators.wheel_rejection import HypothesisSearch, mixture
+from thorvaldc.runtime.calculators.wheel_rejection import (
+    HypothesisSearch,
+    faulty_wheels,
+    mixture,
+    suspect_wheels,
+)
 from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.runtime.se2 import Cov3, Row3, Twist
 
 __all__ = ["EstimatorOptions", "Noise", "TwistEstimate", "TwistEstimator"]
 
-_MIN_PROBABILITY = 0.6
-"""Least probability of a hypothesis whose wheels are reported as faulty.
-
-A hypothesis with this probability is clearly more likely than all other hypotheses.
-"""
 _UNBOUNDED = "the joint states are out of all bounds"
 RANK_TOLERANCE = 1e-8
 """The normal matrix has rank 3 if its scaled determinant is at least this large.
@@ -178,6 +178,8 @@ class TwistEstimator:
         Raises ``ValueError`` if ``states`` does not have one entry for each wheel.  Raises
         ``NotFiniteError`` if a joint state is NaN or infinite.
         """
+        if type(states) is CheckedJointStates:
+            return
         if not len(states.speeds) == len(states.angles) == len(states.angle_rates) == self._n:
             raise ValueError(f"joint states of {len(states.speeds)} wheels for {self._n}")
         # The sum of all joint states is finite only if each joint state is finite.  A single test
@@ -207,19 +209,24 @@ class TwistEstimator:
             raise NotFiniteError(f"the yaw rate is {states.yaw_rate}")
         raise NotFiniteError(_UNBOUNDED)
 
-    def estimate(self, states: JointStates) -> TwistEstimate:
+    def estimate(
+        self, states: JointStates, commanded: Sequence[float] | None = None
+    ) -> TwistEstimate:
         """Estimates the twist that agrees best with the joint states, with its covariance and rank.
+
+        ``commanded``: last commanded speed (rad/s) of each wheel, or ``None`` if the commands are
+        unknown.  The commands only help to find out which wheels are faulty.
 
         Raises ``NotFiniteError`` if a joint state is not a finite number, or so large that the
         result is not finite.
         """
         self.check(states)
         try:
-            return self._estimate(states)
+            return self._estimate(states, commanded)
         except (ZeroDivisionError, OverflowError):
             raise NotFiniteError(_UNBOUNDED) from None
 
-    def _estimate(self, states: JointStates) -> TwistEstimate:
+    def _estimate(self, states: JointStates, commanded: Sequence[float] | None) -> TwistEstimate:
         measurements, right_side = self._measurements(states)
         yaw_rate, noise = states.yaw_rate, self.squares
         (vx, vy, wz), rank = self._unweighted_fit(measurements, right_side, yaw_rate)
@@ -229,7 +236,11 @@ class TwistEstimator:
             fit = fit_twist(measurements, fit.vx, fit.vy, fit.wz, noise, prior, yaw_rate)
         tests = chi_squares(fit)
         if self.options.faulty and any(map(operator.gt, tests, self.gates)):
-            return self._reject_wheels(measurements, fit, tests, prior, yaw_rate, rank)
+            suspects: tuple[int, ...] = ()
+            if commanded is not None:
+                speeds = [commanded[wheel.number] * wheel.radius for wheel in self.wheels]
+                suspects = suspect_wheels(measurements, speeds)
+            return self._reject_wheels(measurements, fit, tests, prior, yaw_rate, rank, suspects)
         return self._result(fit, tests, rank)
 
     def least_squares(self, states: JointStates) -> Twist:
@@ -440,6 +451,7 @@ class TwistEstimator:
         prior: tuple[float, float],
         yaw_rate: float | None,
         rank: int,
+        suspects: tuple[int, ...],
     ) -> TwistEstimate:
         """Returns the estimate without the faulty wheels.
 
@@ -459,7 +471,9 @@ class TwistEstimator:
             first, _ = self._solve(unweighted_normal_equations(some), yaw_rate)
             return refit(some, fit_twist(some, *first, self.squares, prior, yaw_rate))
 
-        search = HypothesisSearch(self.gates, self._price, self.options.faulty, fit_anew, refit)
+        search = HypothesisSearch(
+            self.gates, self._price, self.options.faulty, suspects, fit_anew, refit
+        )
         hypotheses = search.likely_hypotheses(measurements, fit)
         if not hypotheses:
             rows = sum((m[0] & USE_ROLL > 0) + (m[0] & USE_SIDE > 0) for m in measurements)
@@ -470,9 +484,8 @@ class TwistEstimator:
             return self._result(fit, tests, rank, growth)
         best = hypotheses[0]
         mean, probability = mixture(hypotheses)
-        dropped: tuple[int, ...] = ()
-        if probability > _MIN_PROBABILITY:
-            dropped = tuple(sorted(self.wheels[k].number for k in best.rejected))
+        faulty = faulty_wheels(hypotheses, probability)
+        dropped = tuple(sorted(self.wheels[k].number for k in faulty))
         return self._result(mean, chi_squares(best.fit), rank, 1.0, dropped)
 
     def _result(

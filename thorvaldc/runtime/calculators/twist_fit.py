@@ -76,7 +76,7 @@ UNTESTABLE = 1e-6
 """A measurement is tested only if its residual keeps at least this share of its variance."""
 
 
-MAY_BE_ZERO = ("correlation", "radius_error", "steering_offset")
+MAY_BE_ZERO = ("correlation", "radius_error", "steering_offset_error")
 """Names of the fields of ``Noise`` that may be 0."""
 
 
@@ -100,8 +100,9 @@ class Noise:
     - ``radius_error``: standard deviation of the wheel radius, relative to the radius.  The radius
       errors of two wheels are independent, and last for the whole drive.  ``None`` stands for
       ``speed_ratio``: the whole error of the wheel speed may last.
-    - ``steering_offset``: standard deviation of the zero of a steering angle, rad.  The errors of
-      two wheels are independent, and last for the whole drive.  ``None`` stands for ``angle``.
+    - ``steering_offset_error``: standard deviation of the zero of a steering angle, rad.  The
+      errors of two wheels are independent, and last for the whole drive.  ``None`` stands for
+      ``angle``.
     """
 
     speed_ratio: float = 0.01
@@ -112,12 +113,12 @@ class Noise:
     gyro: float = 0.005
     correlation: float = 0.0
     radius_error: float | None = None
-    steering_offset: float | None = None
+    steering_offset_error: float | None = None
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if value is None and field.name in ("radius_error", "steering_offset"):
+            if value is None and field.name in ("radius_error", "steering_offset_error"):
                 continue
             in_range = value >= 0.0 if field.name in MAY_BE_ZERO else value > 0.0
             if not (in_range and math.isfinite(value)):
@@ -126,7 +127,7 @@ class Noise:
     @property
     def lasting_errors(self) -> tuple[float, float]:
         """Standard deviations of the relative wheel radius and of the steering zero (rad)."""
-        radius, offset = self.radius_error, self.steering_offset
+        radius, offset = self.radius_error, self.steering_offset_error
         return (
             self.speed_ratio if radius is None else radius,
             self.angle if offset is None else offset,

@@ -14,6 +14,15 @@ Up to a constant, the cost of a hypothesis is -2 log of its likelihood.  ``price
 that a healthy wheel exceeds with the permitted rate of false rejections.  Because of the factor k,
 the search assumes that two faulty wheels are less likely than one.  Hypotheses of nearly equal cost
 are averaged with the weights exp(-cost / 2).
+
+Two pairs of wheels of a robot with four wheels can each be consistent: two dead encoders show a
+robot that stands, and the other two encoders show a robot that drives.  The search treats such
+pairs in two ways:
+
+*   Consistent pairs are equally likely.  A smaller misfit is no evidence, because two dead encoders
+    have no noise and therefore the misfit 0.
+*   A wheel that was commanded to turn, but does not turn, is suspect.  A hypothesis that trusts the
+    speed of a suspect wheel has a higher cost.
 """
 
 from __future__ import annotations
@@ -40,6 +49,16 @@ The number is the 1 % quantile of the chi-square distribution with 1 degree of f
 """
 _NEGLIGIBLE = 9.2
 """A hypothesis has a weight below 1 % if its cost exceeds the smallest cost by this difference."""
+_SUSPECT_PRICE = 6.0
+"""Cost of a hypothesis that trusts the speed of a suspect wheel: odds of 1 to 20."""
+_SUSPECT_SPEED = 0.05
+"""Commanded speed (m/s) from which a wheel that does not turn is suspect."""
+_SUSPECT_SHARE = 0.2
+"""A wheel does not turn if its speed is below this share of the commanded speed."""
+_MIN_PROBABILITY = 0.6
+"""Least probability at which a single faulty wheel is named: it exceeds all others clearly."""
+_MIN_PAIR_PROBABILITY = 0.97
+"""Least probability at which two faulty wheels are named."""
 _PAIR_SEEDS = 3
 """Number of the most likely single faulty wheels that the search extends to pairs of wheels."""
 
@@ -53,24 +72,27 @@ class Hypothesis(NamedTuple):
     - ``fit``: fitted twist without the rejected measurements.
     - ``cost``: cost of the hypothesis, by the formula in the documentation of the module
       ``wheel_rejection``.
+    - ``misfit``: part of the cost that the used measurements cause.
     - ``worst_ratio``: largest quotient of chi-square and gate of the wheels that are not rejected.
-      A wheel whose chi-square is larger than its gate is suspect.
+      A wheel whose chi-square is larger than its gate disagrees with the other wheels.
     """
 
     rejected: tuple[int, ...]
     measurements: list[Measurement]
     fit: Fit
     cost: float
+    misfit: float
     worst_ratio: float
 
 
 class HypothesisSearch:
     """Searches for the faulty wheels of a robot.
 
-    - ``gates``: for each measured wheel, the chi-square above which the wheel is suspect.
+    - ``gates``: for each measured wheel, the chi-square above which the wheel disagrees.
     - ``price``: cost of a rejected wheel, as explained in the documentation of the module
       ``wheel_rejection``.
     - ``max_rejected``: largest number of faulty wheels, 0 to 2.
+    - ``suspects``: indices of the measured wheels that do not turn although commanded.
     - ``fit_anew``: function that fits the twist, with weights from the unweighted fit of the same
       measurements.  With ``fit_anew``, the weights of the healthy wheels are independent of the
       faulty wheels.
@@ -82,12 +104,14 @@ class HypothesisSearch:
         gates: Sequence[float],
         price: float,
         max_rejected: int,
+        suspects: Sequence[int],
         fit_anew: Callable[[list[Measurement]], Fit],
         refit: Callable[[list[Measurement], Fit], Fit],
     ) -> None:
         self._gates = gates
         self._price = price
         self._max_rejected = max_rejected
+        self._suspects = suspects
         self._fit_anew = fit_anew
         self._refit = refit
 
@@ -103,10 +127,12 @@ class HypothesisSearch:
         singles.sort(key=_cost)
         hypotheses = [all_healthy, *singles]
         if singles and self._max_rejected > 1 and min(hypotheses, key=_cost).worst_ratio > 1.0:
+            pairs: list[Hypothesis] = []
             for rank, single in enumerate(singles[:_PAIR_SEEDS]):
                 # The list already contains all pairs of wheels with a more likely faulty wheel.
                 visited = [s.rejected[0] for s in singles[:rank]]
-                hypotheses += self._reject_one_more(single, visited)
+                pairs += self._reject_one_more(single, visited)
+            hypotheses += _equally_likely(pairs)
         hypotheses.sort(key=_cost)
         best = hypotheses[0]
         if best.worst_ratio > 2.0:  # twice the gate has about the square of the gate's probability
@@ -154,7 +180,8 @@ class HypothesisSearch:
         for k, d in enumerate(chi_squares(fit)):
             if k not in rejected:
                 worst_ratio = max(worst_ratio, d / self._gates[k])
-        cost = misfit(fit)
+        disagreement = misfit(fit)
+        cost = _SUSPECT_PRICE * sum(k not in rejected for k in self._suspects)
         measurements, current = [*measurements], fit
         for order, k in enumerate(rejected, 1):
             cost += order * self._price
@@ -162,13 +189,51 @@ class HypothesisSearch:
                 continue
             comparison = compare_with_others(current, current.measurements[k])
             smaller = min(comparison.roll, comparison.side)
-            cost += min(smaller, _CREDIBLE)
-            if smaller < _CREDIBLE:
+            if smaller >= _CREDIBLE:
+                cost += _CREDIBLE
+            else:
+                disagreement += smaller
                 row = USE_ROLL if comparison.roll == smaller else USE_SIDE
                 measurements[k] = _with_use(measurements[k], row)
                 if order < len(rejected):
                     current = self._refit(measurements, current)
-        return Hypothesis(rejected, measurements, fit, cost, worst_ratio)
+        cost += disagreement
+        return Hypothesis(rejected, measurements, fit, cost, disagreement, worst_ratio)
+
+
+def _equally_likely(pairs: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Gives all pairs whose remaining wheels agree the smallest misfit of any pair."""
+    least = min((h.misfit for h in pairs), default=0.0)
+    return [
+        h._replace(cost=h.cost - h.misfit + least) if h.worst_ratio <= 1.0 else h for h in pairs
+    ]
+
+
+def suspect_wheels(
+    measurements: Sequence[Measurement], commanded: Sequence[float]
+) -> tuple[int, ...]:
+    """Returns the indices of the measured wheels that were commanded to turn, but do not turn.
+
+    ``commanded``: commanded speed of each measured wheel, m/s.
+    """
+    return tuple(
+        k
+        for k, (m, speed) in enumerate(zip(measurements, commanded, strict=True))
+        if m[0] & TEST_ROLL
+        and abs(speed) > _SUSPECT_SPEED
+        and abs(m[5]) < _SUSPECT_SHARE * abs(speed)
+    )
+
+
+def faulty_wheels(hypotheses: Sequence[Hypothesis], probability: float) -> tuple[int, ...]:
+    """Returns the indices of the measurements of wheels that are clearly faulty.
+
+    ``probability``: probability of the first hypothesis.  The result is empty if another hypothesis
+    is too likely.
+    """
+    rejected = hypotheses[0].rejected
+    least = _MIN_PAIR_PROBABILITY if len(rejected) > 1 else _MIN_PROBABILITY
+    return rejected if probability > least else ()
 
 
 def mixture(hypotheses: Sequence[Hypothesis]) -> tuple[Fit, float]:

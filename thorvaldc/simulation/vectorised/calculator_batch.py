@@ -10,7 +10,7 @@ is allocated.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -123,16 +123,26 @@ class CalculatorBatch:
         chi_squares: Array | None = None,
         rates: Array | None = None,
         yaw_rates: Array | None = None,
+        commanded: Callable[[int], Sequence[float] | None] | None = None,
     ) -> dict[int, tuple[int, ...]]:
         """Estimates twists without faulty wheels, as ``TwistEstimator.estimate`` does.
 
-        The parameters are the same as in ``weighted``.  Returns a dictionary with the indices of
-        the faulty wheels, for each column with faulty wheels.  The scalar estimator computes the
+        The parameters are the same as in ``weighted``.  ``commanded`` returns the commanded wheel
+        speeds (rad/s) of an array column, if they are known.  Returns a dictionary with the indices
+        of the faulty wheels, for each column with faulty wheels.  The scalar estimator computes the
         few columns in which a wheel disagrees with the other wheels.  Raises the same errors as
         ``least_squares``.
         """
         return self._estimate(
-            speeds, angles, twists, covariances, chi_squares, rates, yaw_rates, reject=True
+            speeds,
+            angles,
+            twists,
+            covariances,
+            chi_squares,
+            rates,
+            yaw_rates,
+            commanded,
+            reject=True,
         )
 
     def _estimate(
@@ -144,6 +154,7 @@ class CalculatorBatch:
         chi_squares: Array | None,
         rates: Array | None,
         yaw_rates: Array | None,
+        commanded: Callable[[int], Sequence[float] | None] | None = None,
         *,
         reject: bool,
     ) -> dict[int, tuple[int, ...]]:
@@ -181,8 +192,9 @@ class CalculatorBatch:
                 suspect: NDArray[np.bool_] = np.any(tests[:, :size] > gates, axis=0)
                 scalar_mask = suspect if scalar_mask is None else suspect | scalar_mask
             for k in _indices(scalar_mask):
-                estimate = scalar_estimator.estimate(_state(*joints, gyro, k))
                 index = piece.start + k
+                wheel_commands = None if commanded is None else commanded(index)
+                estimate = scalar_estimator.estimate(_state(*joints, gyro, k), wheel_commands)
                 twists[:, index] = estimate.twist
                 if covariances is not None:
                     (a, b, c), (_, d, e), (_, _, f) = estimate.covariance

@@ -111,7 +111,15 @@ class OdometryBatch:
         speeds, rates = (end - start) / dt
         angles = (start[1] + end[1]) / 2.0
         twists, noise, tests = np.empty((3, n)), np.empty((6, n)), np.empty((self._wheels, n))
-        dropped = self._batch.estimate(speeds, angles, twists, noise, tests, rates)
+        dropped = self._batch.estimate(
+            speeds,
+            angles,
+            twists,
+            noise,
+            tests,
+            rates,
+            commanded=lambda i: self._odometries[robots[i]].calculator.commanded_speeds,
+        )
         dx, dy, angle = twists * dt
         turn = _turn(angle)
         poses = _moved(self._poses[:, robots], dx, dy, angle, turn)
