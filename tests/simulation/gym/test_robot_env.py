@@ -101,6 +101,56 @@ def test_joints_follow_their_actions(gymnasium: Any) -> None:
     assert set(env._joints.commands.speeds) == {0.0}
 
 
+def test_steering_stays_within_its_limits(gymnasium: Any) -> None:
+    """The angles jump from one limit to the other, as an untrained policy commands."""
+    env = environment(gymnasium, SLIM, action="joints").unwrapped
+    joint = env.robot.joint(env.robot.wheels[0].steering_joint)
+    env.reset(seed=1)
+    largest = 0.0
+    for step in range(80):
+        side = 1.0 if (step // 20) % 2 else -1.0
+        observation, *_ = env.step(np.array([0.2] * 4 + [side] * 4))
+        largest = max(largest, np.abs(observation[-4:]).max())
+    assert largest == pytest.approx(joint.upper, abs=0.01)
+
+
+def test_bounds_are_those_of_the_robot(gymnasium: Any) -> None:
+    env = environment(gymnasium, SLIM, duration=10.0, spread=(1, 2, 0.5)).unwrapped
+    bounds = dict(zip(env.observation_names, env.observation_space.high, strict=True))
+    assert (env.observation_space.low == -env.observation_space.high).all()
+    wheel = env.robot.wheels[0]
+    motor = env.robot.actuator_of(wheel.spin_joint)
+    assert bounds["fl_wheel_speed"] == pytest.approx(1.5 * motor.max_velocity)
+    assert 1.0 < bounds["vx"] / (wheel.radius * motor.max_velocity) < 2.0
+    assert bounds["x"] == pytest.approx(math.hypot(1, 2) + 10.0 * bounds["vx"])
+    assert bounds["fl_wheel_angle"] < math.pi + 0.1
+    # Joints that work against each other stay within the bounds, and contradictory twists are
+    # clipped.
+    env = environment(gymnasium, SLIM, action="joints", duration=10.0).unwrapped
+    env.reset(seed=1)
+    rng = np.random.default_rng(1)
+    for step in range(100):
+        if step % 10 == 0:
+            action = np.sign(rng.uniform(-1, 1, env.action_space.shape))
+        observation, *_ = env.step(action)
+        assert (np.abs(observation) <= env.observation_space.high).all()
+        assert (np.abs(observation) < env.observation_space.high)[6:].all()
+
+
+def test_the_policy_of_the_page_reaches_its_goal_from_every_start(
+    gymnasium: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (ROOT / "docs/batches.md").read_text(encoding="utf-8")
+    section = page.partition("## Gymnasium environment")[2]
+    program = section.partition("```python\n")[2].partition("```")[0]
+    monkeypatch.chdir(ROOT)
+    for seed in (1, 2, 3):
+        values: dict[str, Any] = {}
+        exec(program.replace("seed=1", f"seed={seed}"), values)
+        goal = [3.0, 1.0]
+        assert values["info"]["true_pose"][:2] == pytest.approx(goal, abs=0.1)
+
+
 def episode(env: Any, seed: int, steps: int = 5) -> list[Any]:
     observation = [env.reset(seed=seed)[0]]
     rng = np.random.default_rng(3)
@@ -115,7 +165,7 @@ def test_random_numbers_depend_only_on_the_seed(gymnasium: Any) -> None:
     for a, b, c in zip(first, second, other, strict=True):
         assert (a == b).all()
         assert (a == c).all()
-    # Another seed changes the start, which the odometry does not see, and the noise, which it does.
+    # Another seed changes the start and the noise.
     assert any((a != b).any() for a, b in zip(first, episode(env, 8), strict=True))
 
 
@@ -123,7 +173,7 @@ def test_an_option_sets_the_start_offset(gymnasium: Any) -> None:
     env = environment(gymnasium, SLIM, spread=(1.0, 1.0, 3.0)).unwrapped
     observation, info = env.reset(seed=1, options={"offset": (0.5, -0.25, 1.0)})
     assert info["true_pose"] == pytest.approx([0.5, -0.25, 1.0], abs=1e-9)
-    assert observation[3:6] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+    assert observation[3:6] == pytest.approx([0.5, -0.25, 1.0], abs=1e-6)
     observation, _, _, _, info = env.step(np.array([0.5, 0.0, 0.0]))
     moved = info["true_pose"] - [0.5, -0.25, 1.0]
     assert math.atan2(moved[1], moved[0]) == pytest.approx(1.0, abs=0.05)
@@ -191,8 +241,8 @@ def test_several_environments(gymnasium: Any, mode: str) -> None:
         assert observation.shape == (2, len(info["true_pose"][0]) + 11)
         assert (info["true_pose"][0] != info["true_pose"][1]).any()
         for _ in range(3):
-            observation, rewards, *_ = envs.step(np.full((2, 3), 0.4, dtype=np.float32))
-        assert (observation[:, 3] > 0.001).all()
+            moved, rewards, *_ = envs.step(np.full((2, 3), 0.4, dtype=np.float32))
+        assert (moved[:, 3] > observation[:, 3] + 0.001).all()
         assert rewards.shape == (2,)
     finally:
         envs.close()

@@ -14,6 +14,9 @@ from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 Array = NDArray[np.float64]
 
+_STOPPING_TIME = 0.15
+"""Time constant (s) with which a commanded steering angle approaches its target."""
+
 
 class JointActions:
     """Converts an action of a Gymnasium environment to joint commands.
@@ -73,6 +76,22 @@ class DirectCommands(BaseCalculator):
         self.estimator = odometer.estimator
         self._odometer = odometer
         self._commands = commands
+        self._angles = list(commands.angles)
+
+    def _steer(self, states: JointStates | None, dt: float | None) -> None:
+        """Moves the commanded steering angles towards the angles of the action.
+
+        The rate of a commanded angle is limited to the largest rate of the steering motor, and near
+        the target to the rate from which the motor can stop.  A step of the commanded angle would
+        make the wheel overshoot its steering limit.
+        """
+        for i, wheel in enumerate(self.geometry.wheels):
+            distance = self._commands.angles[i] - self._angles[i]
+            if dt is None or not wheel.steered:
+                step = abs(distance)
+            else:
+                step = min(wheel.max_rate, abs(distance) / _STOPPING_TIME) * dt
+            self._angles[i] += min(max(distance, -step), step)
 
     def feasible(self, twist: Twist) -> Twist:
         return twist
@@ -80,7 +99,8 @@ class DirectCommands(BaseCalculator):
     def command(
         self, twist: Twist, states: JointStates | None = None, dt: float | None = None
     ) -> BaseCommand:
-        joints = JointCommands(tuple(self._commands.speeds), tuple(self._commands.angles))
+        self._steer(states, dt)
+        joints = JointCommands(tuple(self._commands.speeds), tuple(self._angles))
         return BaseCommand(joints, ZERO_TWIST, ZERO_TWIST, ZERO_TWIST, 1.0, ())
 
     def odometry(self, states: JointStates) -> TwistEstimate:

@@ -23,9 +23,10 @@ from thorvaldc.model.fleet import Fleet
 from thorvaldc.model.scenario import Scenario
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.run_time_parameters import Parameters
-from thorvaldc.runtime.se2 import Pose2, Twist
+from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
 from thorvaldc.simulation.control_loop import ControlLoop, Sample
 from thorvaldc.simulation.gym.joint_actions import DirectCommands, JointActions
+from thorvaldc.simulation.gym.observation_bounds import observation_bounds
 from thorvaldc.simulation.manoeuvre import Manoeuvre, Segment
 from thorvaldc.simulation.physics.collision_counter import CollisionCounter
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
@@ -43,8 +44,6 @@ if TYPE_CHECKING:
     from thorvaldc.simulation.pictures.video import BoundingBoxes
 
 ACTIONS = ("twist", "joints")
-LARGEST = 1e6
-"""Largest observation value in SI units.  Larger values are clipped, and nan is replaced by 0."""
 DURATION = 20.0
 """Default duration of an episode (s)."""
 
@@ -92,8 +91,10 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
 
     Observation: the values are in SI units, in the order of ``observation_names``.  An observation
     contains only values that the robot can measure.  The values are the twist of the odometry, the
-    pose of the odometry relative to the start, the speed of each driven wheel, and the angle of
-    each steered wheel.
+    pose of the odometry in the scene, the speed of each driven wheel, and the angle of each steered
+    wheel.  The odometry starts at the true start pose, as on a robot that is localised once at the
+    start.  The bounds of ``observation_space`` follow from the limits of the robot, and values
+    beyond the bounds are clipped.
 
     Info: the mapping ``info`` contains the true state of the simulation.
 
@@ -189,9 +190,12 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self._joints = JointActions(self.robot)
         self.action_names, self.observation_names = _names(self.robot, action)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(self.action_names),), np.float32)
-        self.observation_space = gymnasium.spaces.Box(
-            -LARGEST, LARGEST, (len(self.observation_names),), np.float64
+        placements = fleet.placements if isinstance(fleet, Fleet) else ()
+        starts = {p.name: Pose2(*p.pose.xyz[:2], p.pose.rpy()[2]) for p in placements}
+        self._bounds = observation_bounds(
+            self.robot, self._joints, starts.get(self.name, ORIGIN), self.spread, self.duration
         )
+        self.observation_space = gymnasium.spaces.Box(-self._bounds, self._bounds, dtype=np.float64)
         self._bases: list[ScenarioBase] = []
         self._loops: list[ControlLoop] = []
         self._steps = 0
@@ -319,14 +323,15 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             self._bases.pop().close()
 
     def _observation(self) -> Array:
-        state = self._controlled.driver.state
-        values: list[float] = [*state.odometry.twist, *state.pose]
+        loop = self._controlled
+        state = loop.driver.state
+        values: list[float] = [*state.odometry.twist, *loop.start.moved(state.pose)]
         if state.joints is not None:
             values += [state.joints.speeds[i] for i, _ in self._joints.driven]
             values += [state.joints.angles[i] for i, _, _, _ in self._joints.steered]
         observation = np.zeros(len(self.observation_names))
         observation[: len(values)] = values
-        return np.clip(np.nan_to_num(observation), -LARGEST, LARGEST)
+        return np.clip(np.nan_to_num(observation), -self._bounds, self._bounds)
 
     def _info(self, cause: str) -> dict[str, Any]:
         loop = self._controlled
