@@ -220,6 +220,7 @@ def test_a_zero_that_waited_in_a_gap_does_not_count() -> None:
     run(driver, Twist(0.5, 0.0, 0.0), 0.0, 1.0)
     driver.command(ZERO_TWIST, 1.2)
     driver.tick(1.2)
+    driver.command(ZERO_TWIST, 1.1)  # published in the gap, and received after it
     states = run(driver, Twist(0.5, 0.0, 0.0), 1.22, 2.0)
     assert {state.mode for state in states} == {DriveMode.WAITING}
 

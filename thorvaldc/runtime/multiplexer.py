@@ -123,7 +123,6 @@ class Multiplexer:
         # the first source in the robot file wins, as in twist_mux.
         self._ranked = sorted(self._sources.values(), key=lambda i: -i.settings.priority)
         self._last_time: float | None = None
-        self._stops_now = False
         self._gap_time = -math.inf
 
     @classmethod
@@ -179,7 +178,6 @@ class Multiplexer:
         for source in self._sources.values():
             if source.owner == owner:
                 source.owner, source.time, source.attempt_time = "", -math.inf, -math.inf
-                self._stops_now = True
 
     def notice_gap(self, driver: BaseDriver, now: float) -> None:
         """Voids all published twists if the time since the last control cycle is a gap.
@@ -275,17 +273,15 @@ class Multiplexer:
         The command time-out and the limits of the driver still apply.  If no source is selected
         after a source has driven the robot, the robot stops.  With an active lock, the driver
         immediately ramps the twist down to zero, and also after the program has ended that drove
-        the robot.  Else the robot stops when the last command times out.
+        the robot.
         """
         self.notice_gap(driver, now)
         selection = self.select(now)
         if selection.source:
-            self._stops_now = False
             self._last_time = selection.time
             driver.command(selection.twist, selection.time)
         elif self._last_time is not None:
-            at_once = selection.locks or self._stops_now
-            driver.command(ZERO_TWIST, now if at_once else self._last_time)
+            driver.command(ZERO_TWIST, now if selection.locks else self._last_time)
         return selection
 
     @staticmethod

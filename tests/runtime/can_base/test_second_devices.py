@@ -186,7 +186,7 @@ def test_the_supervision_sends_at_most_one_request_in_five_cycles(make: Make) ->
 def test_lost_and_late_frames_are_no_second_device(make: Make) -> None:
     rig = Rig(make())
     rig.drive(seconds=1.0)
-    inject(rig, "noise", share=0.1)
+    inject(rig, "noise", share=0.05)
     rig.run(20.0)
     assert rig.state is BaseState.ACTIVE, rig.reason
 

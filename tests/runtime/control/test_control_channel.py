@@ -198,11 +198,14 @@ def test_a_stop_counts_however_old_it_is_and_its_release_does_not(
 def test_a_stop_of_a_client_that_has_ended_counts_and_its_twist_does_not(
     running: RunningDriver, client: RawClient
 ) -> None:
+    limit = running.driver.settings.max_linear_velocity
     client.send(TWIST + b"\n")
     client.send(b'{"call": "safety_stop"}\n')
+    client.send(b'{"call": "set_drive_parameters", "arguments": {"max_linear_velocity": 0.3}}\n')
     client.stream.close()
     running.cycles(3)
     assert running.driver.state.commanded_twist.vx == 0.0
+    assert running.driver.settings.max_linear_velocity == limit
     assert running.multiplexer.active_locks(running.now) == ("safety_stop",)
 
 

@@ -72,7 +72,7 @@ def test_settings_of_a_motor_controller() -> None:
         rig.runner.setup_motor_controller("fl_controller", "home_count", float("nan"))
     rig.arm()
     rig.twist = FORWARD
-    rig.run(1.0)
+    rig.run(0.4)
     with pytest.raises(RequestRefused, match="stop it first"):
         rig.runner.setup_motor_controller("fl_controller", "direction", 1)
 
