@@ -221,7 +221,8 @@ def test_a_zero_that_waited_in_a_gap_does_not_count() -> None:
     driver.command(ZERO_TWIST, 1.2)
     driver.tick(1.2)
     driver.command(ZERO_TWIST, 1.1)  # published in the gap, and received after it
-    states = run(driver, Twist(0.5, 0.0, 0.0), 1.22, 2.0)
+    driver.tick(1.22)
+    states = run(driver, Twist(0.5, 0.0, 0.0), 1.24, 2.0)
     assert {state.mode for state in states} == {DriveMode.WAITING}
 
 
