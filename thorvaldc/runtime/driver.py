@@ -114,6 +114,9 @@ class BaseDriver:
             self.parameters.radii, self.parameters.noise
         )
         self._staged: tuple[Parameters, BaseCalculator] | None = None
+        self.speed_share = 1.0
+        """Share (0 to 1) of the limits of the twist that the robot may use, for example less than 1
+        while a battery is low.  At 0 the robot ramps to rest."""
         self._commanded_twist = ZERO_TWIST
         self._command_time = -math.inf
         self.time_gaps = TimeGapRule.of(robot, self.settings)
@@ -379,12 +382,14 @@ class BaseDriver:
 
     def _limited(self, twist: Twist) -> Twist:
         """Scales the twist so that it does not exceed the robot's speed limits."""
-        settings = self.settings
+        settings, share = self.settings, self.speed_share
+        top_speed = share * settings.max_linear_velocity
+        top_rate = share * settings.max_angular_velocity
         scale, speed = 1.0, twist.speed
-        if speed > settings.max_linear_velocity:
-            scale = settings.max_linear_velocity / speed
-        if abs(twist.wz) * scale > settings.max_angular_velocity:
-            scale = settings.max_angular_velocity / abs(twist.wz)
+        if speed > top_speed:
+            scale = top_speed / speed
+        if abs(twist.wz) * scale > top_rate:
+            scale = top_rate / abs(twist.wz)
         return twist.scaled(scale) if scale < 1.0 else twist
 
     def _ramped(self, goal: Twist, dt: float, last: BaseCommand | None) -> Twist:

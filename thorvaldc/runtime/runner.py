@@ -25,6 +25,7 @@ from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.robot import AUTOMATIC, Robot
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryState, IoBoardDriver
+from thorvaldc.runtime.can_base.battery_supervision import BatterySupervision
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.can_base.foreign_frame_relay import RelayedFrame
@@ -140,6 +141,10 @@ class BaseRunner:
         self._requests: queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]]] = (
             queue.SimpleQueue()
         )
+        self.battery_supervision = BatterySupervision(
+            robot.driver.battery,
+            [battery for connection in base.connections for battery in connection.batteries],
+        )
         self._keep_starts = keep_starts
         self._deadline: float | None = None
         self._was_ready = False
@@ -174,6 +179,9 @@ class BaseRunner:
         self._run_requests()
         if self.feed is not None:
             self.feed(self.driver, now)
+        batteries = self.battery_supervision
+        batteries.update(now)
+        self.driver.speed_share = batteries.speed_share
         if self._arms_automatically and self.ready and not self.base.armed:
             # A joystick that is deflected during the start-up cannot move the robot.
             self._arm_at_zero(now)
@@ -495,12 +503,7 @@ class BaseRunner:
         The warnings do not stop the robot.
         """
         now = self.clock.now
-        warnings = [
-            f"{battery.node.name}: {battery.warning}"
-            for connection in self.base.connections
-            for battery in connection.batteries
-            if battery.warning
-        ]
+        warnings = self.battery_supervision.reasons()
         for connection in self.base.connections:
             warnings += [f"{name}: no reports" for name in connection.silent_devices(now)]
             warnings += connection.suspicious_devices()

@@ -13,8 +13,6 @@ from thorvaldc.model.plugins import PluginTable
 from thorvaldc.runtime.can_base.motor_controller import MASTER, driver_class, node_codecs
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
-LOW_CHARGE = 0.1
-"""State of charge (0 to 1) below which the driver reports a warning for the battery."""
 _KC_TEMPERATURES = 6
 
 
@@ -61,9 +59,17 @@ class BatteryDriver(abc.ABC):
         self.state = BatteryState()
 
     @property
+    def charge_time(self) -> float:
+        """Time (s) of the newest report of the state of charge."""
+        return self.state.time
+
+    @property
     @abc.abstractmethod
     def warning(self) -> str:
-        """Warning about the battery for the operator, or an empty text."""
+        """Problem that the battery reports, such as an alarm, or an empty text.
+
+        The state of charge is judged by ``BatterySupervision``.
+        """
 
 
 class KcBatteryDriver(BatteryDriver):
@@ -72,6 +78,7 @@ class KcBatteryDriver(BatteryDriver):
     def __init__(self, bus: Bus, node: Node) -> None:
         super().__init__(bus, node)
         self._temperatures = [math.nan] * _KC_TEMPERATURES
+        self._charge_time = -math.inf
         for codec in self.codecs.values():
             self._add_handler(codec)
 
@@ -97,16 +104,22 @@ class KcBatteryDriver(BatteryDriver):
         if "current" in values:
             state.current = values["current"]
         if "state_of_charge" in values:
+            self._charge_time = time
             state.charge = values["state_of_charge"] / 100.0
             state.health = values["state_of_health"] / 100.0
             state.cycles = int(values["charge_cycles"])
 
     @property
+    def charge_time(self) -> float:
+        return self._charge_time
+
+    @property
     def warning(self) -> str:
         if self.state.alarms:
             return f"alarms {self.state.alarms:#06x}"
-        if self.state.charge < LOW_CHARGE:
-            return f"{100.0 * self.state.charge:.0f} % left"
+        # The voltage is in the same frame as the state of the switches.
+        if not math.isnan(self.state.voltage) and not self.state.discharge_enabled:
+            return "discharge is not enabled"
         return ""
 
 
