@@ -443,7 +443,7 @@ class BaseRunner:
         self._require_standing()
         for connection, controller in self._controllers(node):
             try:
-                connection.outbox.append(controller.setting_frame(setting, value))
+                connection.queue_setting(controller, setting, value)
             except ValueError as error:
                 known = ", ".join(controller.setting_names())
                 reason = f"{error}; there are {known}" if known else str(error)
@@ -503,7 +503,7 @@ class BaseRunner:
         The warnings do not stop the robot.
         """
         now = self.clock.now
-        warnings = self.battery_supervision.reasons()
+        warnings = self.battery_supervision.warnings()
         for connection in self.base.connections:
             warnings += [f"{name}: no reports" for name in connection.silent_devices(now)]
             warnings += connection.suspicious_devices()

@@ -10,8 +10,8 @@ Level of a battery, from its state of charge and the thresholds of the robot fil
 The battery with the worst level determines the level of the robot, because the model does not tell
 which battery supplies which motor.  A battery that has sent no state of charge for
 ``SILENCE_LIMIT`` seconds has the level LIMIT, and after ``BatterySettings.silence`` the level STOP.
-A battery that does not allow a discharge current, or that reports alarms, has at least the level
-WARN.
+A battery that does not allow a discharge current, or that reports alarms, is a warning and a reason
+not to arm the robot.
 
 A level becomes worse after ``WORSE_TIME`` seconds, so that a single wrong report changes nothing.
 A level becomes better when the charge is by ``HYSTERESIS`` above the threshold.
@@ -89,9 +89,10 @@ class BatterySupervision:
                 self.level, self.reason = judgement.level, f"{name}: {judgement.reason}"
         return self.level
 
-    def reasons(self) -> list[str]:
-        """Returns the reason of each battery whose level is not ``OK``."""
-        return [f"{name}: {j.reason}" for name, j in self._judgements.items() if j.level]
+    def warnings(self) -> list[str]:
+        """Returns the reason of each battery whose level is not ``OK``, and its own warnings."""
+        warnings = [f"{name}: {j.reason}" for name, j in self._judgements.items() if j.level]
+        return warnings + [f"{b.node.name}: {b.warning}" for b in self.batteries if b.warning]
 
     def arming_reasons(self, now: float) -> Iterator[str]:
         """Yields the reasons against arming the robot at the time ``now`` (s)."""
@@ -117,13 +118,11 @@ class BatterySupervision:
             if silence > self.settings.silence:
                 level = BatteryLevel.STOP
             judgement.level, judgement.worse_since = max(level, judgement.level), math.inf
-            judgement.reason = f"no state of charge for {silence:.0f} s"
+            judgement.reason = f"no reports of its charge for {silence:.0f} s"
             return
         if math.isnan(charge):
             return  # the first report is still awaited
-        level, problem = self._level(charge), battery.warning
-        if problem:
-            level = max(level, BatteryLevel.WARN)
+        level = self._level(charge)
         if level > judgement.level:
             judgement.worse_since = min(judgement.worse_since, now)
             if now - judgement.worse_since < WORSE_TIME:
@@ -131,8 +130,7 @@ class BatterySupervision:
         elif level < judgement.level:
             level = max(level, self._level(charge - HYSTERESIS))
         judgement.level, judgement.worse_since = level, math.inf
-        judgement.reason = problem if problem and level is BatteryLevel.WARN else ""
-        judgement.reason = judgement.reason or f"{100.0 * charge:.0f} % left"
+        judgement.reason = f"{100.0 * charge:.0f} % left"
 
     def _level(self, charge: float) -> BatteryLevel:
         settings = self.settings

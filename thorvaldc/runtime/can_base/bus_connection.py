@@ -45,7 +45,7 @@ OCCASIONAL_AT_REST, OCCASIONAL_DRIVING = 8, 1
 RELAYED_PER_CYCLE = 4
 """Largest number of frames in a cycle that are relayed to foreign devices."""
 DEVICE_TIMEOUT = 1.0
-"""Time (s) without a report after which a warning names the battery or IO board."""
+"""Time (s) without a report after which a warning names the IO board."""
 SEND_FAILURES = 3
 """Number of incomplete cycles in a row after which the robot stops."""
 EXTRA_RESPONSES = 2.0
@@ -242,13 +242,12 @@ class BusConnection:
         return ""
 
     def silent_devices(self, now: float) -> list[str]:
-        """Returns the names of batteries and IO boards that have stopped sending reports.
+        """Returns the names of IO boards that have stopped sending reports.
 
-        A silent battery or IO board causes a warning, but does not stop the robot.
+        A silent IO board causes a warning, but does not stop the robot.  Silent batteries are
+        judged by ``BatterySupervision``.
         """
-        times = [(b.node.name, b.state.time) for b in self.batteries]
-        times += [(b.node.name, b.time) for b in self.boards]
-        return [name for name, time in times if now - time > DEVICE_TIMEOUT]
+        return [b.node.name for b in self.boards if now - b.time > DEVICE_TIMEOUT]
 
     # -- sending -----------------------------------------------------------------------------------
 
@@ -264,6 +263,15 @@ class BusConnection:
         """
         for controller in controllers if controllers is not None else self.controllers:
             self.outbox.append(CanFrame(NMT, nmt_message(command, controller.node.id)))
+
+    def queue_setting(self, controller: MotorController, name: str, value: float) -> None:
+        """Queues the frame that changes a setting of a motor controller.
+
+        Raises ``ValueError`` if the motor controller has no setting ``name`` or does not accept the
+        value.
+        """
+        self.outbox.append(controller.setting_frame(name, value))
+        self.rates.change_periods(controller.shortest_periods())
 
     def start_readback(self) -> None:
         """Starts the comparison of the object dictionaries of all motor controllers with the robot

@@ -56,11 +56,12 @@ class _Rate:
     ``period``: shortest allowed period (s) of the frame.
     """
 
-    __slots__ = ("cob_id", "excess", "name", "node", "number", "per_second", "time")
+    __slots__ = ("cob_id", "excess", "frame_name", "name", "node", "number", "per_second", "time")
 
     def __init__(self, frame: FrameDefinition, period: float) -> None:
         self.cob_id = frame.cob_id
         self.node = frame.producer
+        self.frame_name = frame.name
         self.name = frame.name.removeprefix(f"{frame.producer}_")
         self.per_second = (1.0 + TOLERANCE) / period
         self.clear(None)
@@ -111,6 +112,13 @@ class FrameRates:
         self._groups = [rates[i::SAMPLE_CYCLES] for i in range(SAMPLE_CYCLES)]
         self._next_group = 0
         self.excessive: dict[str, str] = {}
+
+    def change_periods(self, periods: Mapping[str, float]) -> None:
+        """Changes the shortest allowed periods (s) of the frames in ``periods``, by frame name."""
+        for group in self._groups:
+            for rate in group:
+                if rate.frame_name in periods:
+                    rate.per_second = (1.0 + TOLERANCE) / periods[rate.frame_name]
 
     def clear(self) -> None:
         """Forgets all frames that were counted before."""

@@ -73,6 +73,8 @@ class RoboteqScriptController(MotorController):
         self._stopped_at: float | None = None
         self._home_count = 0
         self._deviating_since: dict[str, float] = {}
+        self._set_periods: dict[str, float] = {}
+        """Periods (s) of reports that were set by ``setting_frame``, by frame name."""
         self._recent_targets: dict[str, deque[tuple[float, float]]] = {}
         channels: list[Axis | None] = [self.axis_of(channel.name) for channel in node.channels]
         self._first, self._second = (*channels, None, None)[:2]
@@ -208,8 +210,9 @@ class RoboteqScriptController(MotorController):
     def shortest_periods(self) -> Mapping[str, float]:
         frame = self.codecs["tpdo4"].frame if "tpdo4" in self.codecs else None
         if frame is None or frame.period is None:
-            return {}
-        return {frame.name: min(frame.period, FAST_CONSTANTS / 1000.0)}
+            return self._set_periods
+        fast = {frame.name: min(frame.period, FAST_CONSTANTS / 1000.0)}
+        return {**self._set_periods, **fast}
 
     def handle_restart(self) -> None:
         super().handle_restart()
@@ -371,4 +374,7 @@ class RoboteqScriptController(MotorController):
         number = next(raw for raw, known in codec.frame.signals[0].choices if known == name)
         if not math.isfinite(value) or not -(2**31) <= round(value) < 2**31:
             raise ValueError(f"{name} cannot be {value:g}")
+        report = self.codecs.get(name.removesuffix("_cycle_time"))
+        if report is not None and value >= 1.0:
+            self._set_periods[report.frame.name] = value / 1000.0
         return CanFrame(codec.cob_id, codec.encode([float(number), round(value)]))

@@ -1,0 +1,157 @@
+"""Low and silent batteries: the robot warns, slows down, stops, and does not start."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import pytest
+
+from tests.robots import SPAN
+from tests.runtime.can_base.fault_matrix import cia402
+from tests.runtime.can_base.simulated_rig import Rig
+from thorvaldc.model import Robot
+from thorvaldc.model.bus_faults import BusFault, BusFaults
+from thorvaldc.model.robot import BatterySettings
+from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.can_base.battery_supervision import BatteryLevel
+from thorvaldc.runtime.se2 import Twist
+from thorvaldc.simulation.bus.fault_injection import FaultInjector
+
+FAST = Twist(1.2, 0.0, 0.0)
+
+
+def inject(rig: Rig, kind: str, **fields: object) -> None:
+    fault = BusFault(kind, "main", "battery", 0.0, None, SPAN, **fields)  # type: ignore[arg-type]
+    FaultInjector(rig.simulated, BusFaults(())).inject(fault)
+
+
+def with_settings(robot: Robot, settings: BatterySettings) -> Robot:
+    return replace(robot, driver=replace(robot.driver, battery=settings))
+
+
+def driving(settings: BatterySettings | None = None) -> Rig:
+    rig = Rig(with_settings(cia402(), settings or BatterySettings()))
+    rig.drive(FAST, 3.0)
+    assert rig.speed() == pytest.approx(1.2, rel=0.01)
+    return rig
+
+
+def level(rig: Rig) -> BatteryLevel:
+    return rig.runner.battery_supervision.level
+
+
+def test_a_low_battery_is_a_warning() -> None:
+    rig = driving()
+    inject(rig, "battery_charge", charge=0.18)
+    rig.run(2.0)
+    assert level(rig) is BatteryLevel.WARN
+    assert rig.runner.warnings() == ["battery: 18 % left"]
+    assert rig.speed() == pytest.approx(1.2, rel=0.01)
+
+
+def test_a_lower_battery_limits_the_speed() -> None:
+    rig = driving()
+    top_speed = rig.robot.driver.max_linear_velocity
+    inject(rig, "battery_charge", charge=0.08)
+    rig.run(1.0)
+    assert rig.speed() == pytest.approx(1.2, rel=0.01)  # a single wrong report changes nothing
+    rig.run(2.0)
+    assert level(rig) is BatteryLevel.LIMIT
+    assert rig.speed() == pytest.approx(0.5 * top_speed, rel=0.01)
+    assert rig.state is BaseState.ACTIVE
+    rig.twist = Twist(0.3, 0.0, 0.0)
+    rig.run(2.0)
+    assert rig.speed() == pytest.approx(0.3, rel=0.01)
+
+
+def test_an_empty_battery_stops_the_robot_with_a_ramp() -> None:
+    rig = driving()
+    inject(rig, "battery_charge", charge=0.0)
+    speeds = []
+    for _ in range(150):
+        rig.run(rig.base.period)
+        speeds.append(rig.speed())
+    steps = [a - b for a, b in itertools.pairwise(speeds)]
+    deceleration = rig.robot.driver.max_linear_acceleration
+    assert max(steps) < 1.5 * deceleration * rig.base.period
+    assert speeds[-1] == 0.0
+    assert level(rig) is BatteryLevel.STOP
+    assert rig.state is BaseState.READY
+    rig.run(3.0)
+    assert rig.speed() == 0.0
+
+
+def test_a_silent_battery_limits_the_speed_and_then_stops_the_robot() -> None:
+    rig = driving(BatterySettings(silence=4.0))
+    inject(rig, "mute")
+    rig.run(0.9)
+    assert level(rig) is BatteryLevel.OK
+    rig.run(2.5)
+    assert level(rig) is BatteryLevel.LIMIT
+    assert "no reports of its charge" in rig.runner.warnings()[0]
+    rig.run(4.0)
+    assert level(rig) is BatteryLevel.STOP
+    assert rig.speed() == 0.0
+
+
+def test_a_battery_that_never_reported_stops_the_robot() -> None:
+    rig = Rig(with_settings(cia402(), BatterySettings(silence=6.0)))
+    rig.simulated.devices["battery"].power_off()
+    rig.drive(FAST, 0.1)
+    assert level(rig) is BatteryLevel.LIMIT
+    rig.run(6.0)
+    assert level(rig) is BatteryLevel.STOP
+    assert rig.speed() == 0.0
+
+
+def test_the_level_has_a_hysteresis() -> None:
+    rig = driving()
+    for charge, expected in (
+        (0.08, BatteryLevel.LIMIT),
+        (0.11, BatteryLevel.LIMIT),
+        (0.13, BatteryLevel.WARN),
+        (0.21, BatteryLevel.WARN),
+        (0.23, BatteryLevel.OK),
+    ):
+        inject(rig, "battery_charge", charge=charge)
+        rig.run(2.0)
+        assert level(rig) is expected, charge
+
+
+def test_a_robot_without_battery_on_its_buses_drives() -> None:
+    robot = cia402()
+    bus = robot.buses[0]
+    nodes = tuple(node for node in bus.nodes if node.name != "battery")
+    frames = tuple(frame for frame in bus.frames if frame.producer != "battery")
+    rig = Rig(replace(robot, buses=(replace(bus, nodes=nodes, frames=frames),)))
+    rig.drive(FAST, 15.0)
+    assert level(rig) is BatteryLevel.OK
+    assert rig.speed() == pytest.approx(1.2, rel=0.01)
+    assert not rig.runner.warnings()
+
+
+def test_reasons_against_arming() -> None:
+    rig = Rig(cia402())
+    rig.ready()
+    supervision = rig.runner.battery_supervision
+    assert list(supervision.arming_reasons(rig.now)) == []
+    inject(rig, "battery_charge", charge=0.14)
+    rig.run(0.3)
+    assert list(supervision.arming_reasons(rig.now)) == ["battery: 14 % left, less than 15 %"]
+    inject(rig, "mute")
+    rig.run(1.2)
+    (reason,) = supervision.arming_reasons(rig.now)
+    assert "unknown" in reason
+
+
+def test_the_lowest_battery_counts() -> None:
+    rig = driving()
+    (battery,) = rig.runner.battery_supervision.batteries
+    supervision = rig.runner.battery_supervision
+    spare = type(battery)(rig.robot.buses[0], replace(battery.node, name="spare"))
+    supervision.batteries = [spare, battery]
+    spare.state.charge, spare._charge_time = 0.07, rig.now + 10.0  # type: ignore[attr-defined]
+    rig.run(2.0)
+    assert level(rig) is BatteryLevel.LIMIT
+    assert supervision.reason == "spare: 7 % left"
