@@ -6,13 +6,10 @@ reported together, so that the operator can remove them in one go.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from thorvaldc.runtime.can_base.base_state import BaseState
-from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryDriver
-from thorvaldc.runtime.can_base.bus_connection import DEVICE_TIMEOUT
 from thorvaldc.runtime.can_base.motor_controller import MotorController
 from thorvaldc.runtime.se2 import ZERO_TWIST
 
@@ -76,22 +73,8 @@ def _controller_reason(controller: MotorController) -> str:
 
 
 def check_batteries(runner: BaseRunner, now: float) -> Iterator[str]:
-    """Requires that each battery reports, knows its charge, and allows a discharge current."""
-    for connection in runner.base.connections:
-        for battery in connection.batteries:
-            reason = _battery_reason(battery, now)
-            if reason:
-                yield f"{battery.node.name}: {reason}"
-
-
-def _battery_reason(battery: BatteryDriver, now: float) -> str:
-    state = battery.state
-    if now - state.time > DEVICE_TIMEOUT:
-        return "no reports"
-    if math.isnan(state.charge):
-        return "its charge is unknown"
-    reports = any("discharge_enabled" in codec.indices for codec in battery.codecs.values())
-    return "discharge is not enabled" if reports and not state.discharge_enabled else ""
+    """Requires that each battery reports enough charge and no alarm, and allows a discharge."""
+    yield from runner.battery_supervision.arming_reasons(now)
 
 
 PRE_ARM_CHECKS: tuple[PreArmCheck, ...] = (

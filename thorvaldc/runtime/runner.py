@@ -25,7 +25,7 @@ from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.robot import AUTOMATIC, Robot
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryState, IoBoardDriver
-from thorvaldc.runtime.can_base.battery_supervision import BatterySupervision
+from thorvaldc.runtime.can_base.battery_supervision import BatteryLevel, BatterySupervision
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.can_base.foreign_frame_relay import RelayedFrame
@@ -180,8 +180,11 @@ class BaseRunner:
         if self.feed is not None:
             self.feed(self.driver, now)
         batteries = self.battery_supervision
-        batteries.update(now)
+        stops = batteries.update(now) is BatteryLevel.STOP
         self.driver.speed_share = batteries.speed_share
+        if stops and self.base.armed and not self._arms_automatically:
+            self.base.disarm(f"disarmed: {batteries.reason}")
+            self.note(f"disarmed: {batteries.reason}")
         if self._arms_automatically and self.ready and not self.base.armed:
             # A joystick that is deflected during the start-up cannot move the robot.
             self._arm_at_zero(now)

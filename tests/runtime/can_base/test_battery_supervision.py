@@ -12,9 +12,10 @@ from tests.runtime.can_base.fault_matrix import cia402
 from tests.runtime.can_base.simulated_rig import Rig
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault, BusFaults
-from thorvaldc.model.robot import BatterySettings
+from thorvaldc.model.robot import AUTOMATIC, BatterySettings
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.battery_supervision import BatteryLevel
+from thorvaldc.runtime.runner import RequestRefused
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 
@@ -96,7 +97,9 @@ def test_a_silent_battery_limits_the_speed_and_then_stops_the_robot() -> None:
 
 
 def test_a_battery_that_never_reported_stops_the_robot() -> None:
-    rig = Rig(with_settings(cia402(), BatterySettings(silence=6.0)))
+    robot = with_settings(cia402(), BatterySettings(silence=6.0))
+    robot = replace(robot, driver=replace(robot.driver, arming=AUTOMATIC))
+    rig = Rig(robot)
     rig.simulated.devices["battery"].power_off()
     rig.drive(FAST, 0.1)
     assert level(rig) is BatteryLevel.LIMIT
@@ -141,8 +144,31 @@ def test_reasons_against_arming() -> None:
     assert list(supervision.arming_reasons(rig.now)) == ["battery: 14 % left, less than 15 %"]
     inject(rig, "mute")
     rig.run(1.2)
-    (reason,) = supervision.arming_reasons(rig.now)
-    assert "unknown" in reason
+    assert list(supervision.arming_reasons(rig.now)) == ["battery: no reports of its charge"]
+
+
+@pytest.mark.parametrize("charge", [0.0, 0.14])
+def test_the_service_refuses_to_arm(charge: float) -> None:
+    rig = Rig(cia402())
+    rig.ready()
+    inject(rig, "battery_charge", charge=charge)
+    rig.run(0.3)
+    with pytest.raises(RequestRefused, match=r"battery: .* % left, less than 15 %"):
+        rig.runner.arm()
+    inject(rig, "battery_charge", charge=0.9)
+    rig.run(2.0)
+    rig.runner.arm()
+
+
+def test_an_armed_robot_is_disarmed_by_an_empty_battery() -> None:
+    rig = driving()
+    inject(rig, "battery_charge", charge=0.03)
+    rig.run(3.0)
+    assert not rig.base.armed
+    assert rig.base.waiting_reason == "disarmed: battery: 3 % left"
+    inject(rig, "battery_charge", charge=0.9)
+    rig.run(3.0)
+    assert rig.speed() == 0.0  # a person must arm the robot again
 
 
 def test_the_lowest_battery_counts() -> None:

@@ -99,7 +99,7 @@ class BatterySupervision:
         for battery in self.batteries:
             state, name = battery.state, battery.node.name
             if now - battery.charge_time > SILENCE_LIMIT or math.isnan(state.charge):
-                yield f"{name}: its charge is unknown, because it sends no reports"
+                yield f"{name}: no reports of its charge"
             elif state.charge < self.settings.arm:
                 yield (
                     f"{name}: {100.0 * state.charge:.0f} % left, "
