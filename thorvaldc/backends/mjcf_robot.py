@@ -26,7 +26,7 @@ from thorvaldc.model import (
 from thorvaldc.model.spatial import Quat, clean, cross, dot, quat_normalize
 from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.model.statics.standing_pose import Statics
-from thorvaldc.model.statics.wheel_contact import WheelContact
+from thorvaldc.model.statics.wheel_contact import SOLREF, WheelContact
 
 # Torsional friction coefficient (m) of a tyre, divided by the friction coefficient mu times the
 # tyre width. A tyre that turns on the spot has the resisting torque mu N width / 4, with the
@@ -205,6 +205,7 @@ class RobotWriter:
         _place(geom, center)
         mu = wheel.friction
         geom.set(friction=(mu, clean(mu * wheel.width * TORSION), ROLLING_FRICTION))
+        geom.set(solref=_solref(contact))
         for tread in wheel.treads:
             self._add_ring(body, wheel, tread, contact)
 
@@ -219,6 +220,7 @@ class RobotWriter:
         ring = body.add("geom", name=name, class_="wheel", **self.bits)
         ring.set(type="cylinder", size=(clean(radius + contact.penetration / 2), half))
         ring.set(friction=(mu, clean(mu * tread.width * TORSION), ROLLING_FRICTION))
+        ring.set(solref=_solref(contact))
         turned = _z_to(contact.axis)
         _place(ring, Pose(tread.center, turned).clean())
         for side in (1, -1) if tread.flange else ():
@@ -294,6 +296,11 @@ class RobotWriter:
     def _note_damping(self, damping: float, inertia: float) -> None:
         ratio = damping * TIMESTEP / inertia if inertia > 0.0 else math.inf
         self.sections.largest_damping = max(self.sections.largest_damping, ratio)
+
+
+def _solref(contact: WheelContact) -> tuple[float, float] | None:
+    """Return MuJoCo's ``solref`` of a wheel, or ``None`` for the value of the default class."""
+    return None if contact.time_constant == SOLREF[0] else (contact.time_constant, SOLREF[1])
 
 
 def _positive(value: object) -> TypeGuard[float]:

@@ -49,11 +49,13 @@ from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.model.statics.mass_matrix import BranchSparse, inverse_weights
 from thorvaldc.model.statics.wheel_contact import (
+    SOLREF,
     WheelContact,
     contact_ellipsoid,
     contact_stiffness,
     normal_force,
     penetration_under,
+    softened_weights,
 )
 
 _MAX_ITERATIONS = 60
@@ -131,7 +133,7 @@ class _Stance:
     ) -> None:
         """Divide the links of the joint tree into rigid groups.
 
-        ``wheels`` lists each wheel with its spin axis and the inverse weight of its link.
+        ``wheels`` lists each wheel with its spin axis and its effective inverse weight.
         """
         self.joints = compliant
         number = {joint.name: g for g, joint in enumerate(compliant, 1)}
@@ -325,6 +327,10 @@ def solve_statics(robot: Robot) -> Statics:
         tree, robot.inertial.com, [wheel.link for wheel in robot.wheels]
     )
     weights = [max(w, 1e-9) for w in weights]
+    softened = softened_weights(weights, [wheel.load for wheel in robot.wheels])
+    time_constants = [
+        clean(SOLREF[0] * math.sqrt(soft / w)) for soft, w in zip(softened, weights, strict=True)
+    ]
     axes = [_spin_axis(tree, wheel) for wheel in robot.wheels]
     positions = {joint.name: _joint_home(joint) for joint in tree.moving}
     for joint in tree.moving:
@@ -337,12 +343,12 @@ def solve_statics(robot: Robot) -> Statics:
     # their home positions.
     unknown = {joint.name for joint in compliant}
     home = {name: q for name, q in positions.items() if name not in unknown and q != 0.0}
-    wheels = list(zip(robot.wheels, axes, weights, strict=True))
+    wheels = list(zip(robot.wheels, axes, softened, strict=True))
     stance = _Stance(tree.at(home) if home else tree, compliant, wheels)
     equilibrium = None
     if wheels and stance.weight > 0.0:
         n = len(wheels)
-        sink = penetration_under(stance.weight / n, sum(weights) / n) / 2
+        sink = penetration_under(stance.weight / n, sum(softened) / n) / 2
         equilibrium = stance.settle(sink)
     if equilibrium is not None:
         base, compliant_positions, forces = equilibrium
@@ -354,12 +360,15 @@ def solve_statics(robot: Robot) -> Statics:
         tilts = [footing.axis[2] for footing in stance.footings]
         depths = [penetration_under(wheel.load, weight) for wheel, _, weight in wheels]
     contacts = {}
-    for (wheel, axis, weight), depth, tilt in zip(wheels, depths, tilts, strict=True):
+    for (wheel, axis, weight), depth, tilt, time_constant in zip(
+        wheels, depths, tilts, time_constants, strict=True
+    ):
         p = max(depth, 0.0)
         # The base of a standing robot is typically tilted by about 1e-5 rad. A wheel that is tilted
         # by less than 1e-4 rad counts as upright.
         camber = tilt if abs(tilt) > 1e-4 else 0.0
-        contacts[wheel.name] = contact_ellipsoid(wheel, axis, p, normal_force(p, weight), camber)
+        contact = contact_ellipsoid(wheel, axis, p, normal_force(p, weight), camber)
+        contacts[wheel.name] = contact._replace(time_constant=time_constant)
     return Statics(base, positions, inertias, contacts, equilibrium is not None)
 
 

@@ -13,12 +13,26 @@ The symbols are:
 
 - p: penetration in m.
 - d(p): impedance curve of ``solimp``.
-- A: inverse weight of the wheel's body in 1/kg, see ``mass_matrix.inverse_weights``.
+- A: inverse weight of the wheel's body in 1/kg, see ``mass_matrix.inverse_weights``. For wheels
+  with a longer time constant, A is the effective inverse weight, see below.
 
 Normal force f(p) and its derivative f'(p) as functions of the penetration p:
 
     f(p) = k p d^2 / (A (1 - d)),
     f'(p) = k / A * (d^2 / (1 - d) + p d' d (2 - d) / (1 - d)^2).
+
+Equal penetration. With equal ``solref`` of all wheels, the stiffness of a contact is proportional
+to 1 / A. The inverse weight A is larger at the corners of a robot than in its middle. A rigid robot
+with more than four wheels would then stand mainly on its middle wheels. The stiffness of a real
+tyre does not depend on the inverse weight of the robot. ``softened_weights`` therefore chooses an
+effective inverse weight A' of each wheel, such that all wheels sink in equally under the static
+loads N of the model:
+
+    A' = max over wheels (A N) / N.
+
+A time constant of sqrt(A' / A) times the default has the effect of the inverse weight A', because
+the force is proportional to k / A and k to 1 / timeconst^2. The time constant is never smaller than
+the default, because MuJoCo does not accept time constants below two time steps.
 
 Rolling radius. MuJoCo puts the contact point above the lowest point of the wheel's shape, by half
 of the penetration. In MuJoCo, a wheel therefore rolls on a smaller radius than the radius of its
@@ -37,6 +51,7 @@ Penetration p:
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from thorvaldc.model.robot import Wheel
@@ -48,6 +63,7 @@ SOLIMP = (0.02, 0.95, 0.002)
 """MuJoCo's ``solimp`` of a wheel: d at penetration 0, d_max, and the width of the curve in m."""
 
 _STIFFNESS = 1.0 / (SOLIMP[1] * SOLREF[0] * SOLREF[1]) ** 2
+_LARGEST_SOFTENING = 16.0
 _MIN_COS_CAMBER = 0.2  # beyond 78 degrees a wheel lies on its side and does not roll
 _MAX_ITERATIONS = 60
 
@@ -60,6 +76,7 @@ class WheelContact(NamedTuple):
     - ``offset``: position of the centre of the ellipsoid on the spin axis in m.
     - ``penetration``: penetration of the wheel into the ground in m, for a robot at rest.
     - ``force``: vertical contact force in N, for a robot at rest.
+    - ``time_constant``: first value of MuJoCo's ``solref`` in s.
     """
 
     axis: Vec3
@@ -68,6 +85,7 @@ class WheelContact(NamedTuple):
     offset: float
     penetration: float
     force: float
+    time_constant: float = SOLREF[0]
 
 
 def impedance(penetration: float) -> float:
@@ -132,6 +150,20 @@ def penetration_under(force: float, inverse_weight: float) -> float:
             break
         p = better
     return p
+
+
+def softened_weights(weights: Sequence[float], loads: Sequence[float]) -> list[float]:
+    """Return the effective inverse weight in 1/kg of each wheel for equal penetrations.
+
+    ``weights`` are the inverse weights of the wheels' links in 1/kg, ``loads`` the static wheel
+    loads in N. A wheel without load keeps its inverse weight. The effective inverse weight is at
+    most ``_LARGEST_SOFTENING`` times the inverse weight.
+    """
+    largest = max((w * n for w, n in zip(weights, loads, strict=True)), default=0.0)
+    return [
+        min(largest / load, _LARGEST_SOFTENING * weight) if load > 0.0 else weight
+        for weight, load in zip(weights, loads, strict=True)
+    ]
 
 
 def contact_ellipsoid(
