@@ -21,6 +21,8 @@ class ChaosClient:
         self.stream: MemoryStream | None = None
         self.connection = ""
         self.reads = True
+        self.floods = False
+        """``True`` if the connection has sent more requests than the driver reads in a cycle."""
         self._connections = 0
         self._driving = 0
 
@@ -30,6 +32,7 @@ class ChaosClient:
         if world.listener is None:
             return
         self._connections += 1
+        self.floods = False
         self.connection = f"{self.name}#{self._connections}"
         self.stream = MemoryStream()
         world.listener.waiting.append(self.stream)
@@ -40,6 +43,12 @@ class ChaosClient:
         self._driving += 1
         if self.stream is not None:
             self.stream.client_gone = True
+            self.stream = None
+            self.world.permission.disconnects(self.connection)
+
+    def notice_end(self) -> None:
+        """Notices that the driver has closed the connection, for example after a flood."""
+        if self.stream is not None and self.stream.closed:
             self.stream = None
             self.world.permission.disconnects(self.connection)
 
@@ -65,6 +74,8 @@ class ChaosClient:
         if not self.send(line):
             return
         permission, now = self.world.permission, self.world.now
+        if service == "twist" and self.floods and not any(map(arguments.get, ("vx", "vy", "wz"))):
+            return  # the zero waits behind the flood, and the last motion ends with its time-out
         if service == "twist":
             parts = [arguments.get(name, 0.0) for name in ("vx", "vy", "wz")]
             if all(isinstance(part, int | float) for part in parts):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +20,7 @@ from tests.chaos.invariants import (
     StateInvariant,
     Violation,
     check_commands,
+    check_stored,
 )
 from tests.chaos.permission import Permission
 from tests.chaos.schedule import POWER_ON, ChaosEvent, Schedule
@@ -293,6 +295,8 @@ class ChaosWorld:
             problem.noticed = problem.noticed or not base_state.drives
             if problem.ended and (problem.noticed or problem.kind not in LATCHED):
                 del self.problems[number]
+        for client in self.clients.values():
+            client.notice_end()
         self.state_check.check(now)
         check_commands(self, now)
         self.odometry.check(now)
@@ -342,6 +346,7 @@ class ChaosWorld:
             self.simulated.power_on()
             self.start_driver()
         start = self.now
+        stored = {name: deepcopy(d.nonvolatile) for name, d in self.simulated.devices.items()}
         self._injector._random.seed(f"{schedule.seed}:chaos")
         self._monitor()
         for event in schedule.events:
@@ -349,6 +354,7 @@ class ChaosWorld:
         try:
             self.run_until(start + schedule.duration)
             self._recover()
+            check_stored(self, stored)
         except Violation as violation:
             self.violation = self.violation or violation
         if self.violation is not None:
@@ -391,6 +397,7 @@ class ChaosWorld:
         self.client(client).reads = False
         for _ in range(times):
             self.client(client).send(text.encode())
+        self.client(client).floods |= times > 50
 
     def act_stall(self, seconds: float, sending: bool = False) -> None:
         if sending:

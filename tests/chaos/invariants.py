@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from tests.chaos.permission import wheel_speed
 from thorvaldc.model.stopping import DRIVE_DEAD, DRIVER_DEAD, STOP_LOCK, stop_bounds
 from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
+from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 
 if TYPE_CHECKING:
     from tests.chaos.chaos_world import ChaosWorld
@@ -160,6 +162,29 @@ def check_commands(world: ChaosWorld, now: float) -> None:
     twist = state.ramped
     if twist.speed > 1.01 * linear + 0.01 or abs(twist.wz) > 1.01 * angular + 0.01:
         raise Violation("command", now, f"the ramped twist {twist} exceeds {world.limits}")
+
+
+def check_stored(world: ChaosWorld, stored: Mapping[str, Mapping[str, object]]) -> None:
+    """Nothing that a device has stored is lost or changed, and no two devices hold the same id.
+
+    ``stored``: contents of the non-volatile memories at the start of the mission, by device.
+    """
+    holders: dict[tuple[str, object], str] = {}
+    for bus in world.robot.buses:
+        for node in bus.nodes:
+            device = world.simulated.devices[node.name]
+            changes = {
+                key: device.nonvolatile.get(key)
+                for key, value in stored[node.name].items()
+                if device.nonvolatile.get(key) != value
+            }
+            if changes:
+                raise Violation("stored values", world.now, f"{node.name} has stored {changes}")
+            if node.channels and isinstance(device, CanopenDevice):
+                other = holders.setdefault((bus.name, device.node_id), node.name)
+                if other != node.name:
+                    text = f"{node.name} and {other} hold the id {device.node_id}"
+                    raise Violation("node id", world.now, text)
 
 
 @dataclass

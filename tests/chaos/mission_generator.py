@@ -182,9 +182,14 @@ class MissionGenerator:
     def stall(self, at: float) -> Iterator[ChaosEvent]:
         seconds = round(self.draw.choice(STALLS) * self.draw.uniform(0.9, 1.1), 3)
         yield ChaosEvent(at, "stall", {"seconds": seconds, "sending": self.draw.random() < 0.25})
-        if self.draw.random() < 0.3:  # the client may end while the driver stalls
+        kind = self.draw.random()
+        if kind < 0.3:  # the client may end while the driver stalls
             client = self.draw.choice(("pilot", "nav"))
             yield ChaosEvent(at + seconds * self.draw.random(), "close", {"client": client})
+        elif kind < 0.7:  # zero and a new motion may wait in the control channel
+            values = {"source": "teleop_joy", "twist": self.twist(), "seconds": 1.0, "rate": 20.0}
+            yield _call(at + 0.4 * seconds, "pilot", "twist", source="teleop_joy")
+            yield ChaosEvent(at + 0.6 * seconds, "drive", {"client": "pilot", **values})
 
     def dead_client(self, at: float) -> Iterator[ChaosEvent]:
         client = self.draw.choice(("pilot", "pilot", "nav", "guard"))

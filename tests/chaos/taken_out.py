@@ -26,7 +26,6 @@ def _time_gaps() -> None:
 def _stale_commands() -> None:
     """Requests that have waited in the control channel count."""
     _replace(ControlServer, "_caller", lambda self, sent, client, now: Caller(client.name))
-    _time_gaps()
 
 
 def _closed_connections() -> None:
