@@ -339,3 +339,43 @@ def test_robots_without_a_drive_are_rejected() -> None:
     assert General.unsuited_reason(BaseGeometry.from_wheels([])) == "it has no wheels"
     geometry = BaseGeometry.from_wheels([wheel("c", 0.0, 0.0, "swivel")])
     assert "motor" in str(General.unsuited_reason(geometry))
+
+
+def test_commanded_twist_fits_the_wheel_speeds_while_wheels_turn_and_accelerate() -> None:
+    """No other twist has rolling speeds that are nearer to the commanded ones."""
+    rng = random.Random(8)
+    for _ in range(10):
+        wheels = [
+            wheel(
+                f"w{i}",
+                *SQUARE[i],
+                "steered" if i < 3 else "fixed",
+                lateral=rng.uniform(-0.1, 0.1) if i < 3 else 0.0,
+                trail=rng.uniform(-0.1, 0.1) if i < 3 else 0.0,
+                radius=rng.choice([0.1, 0.2]),
+            )
+            for i in range(4)
+        ]
+        calculator, dt = general(*wheels), 0.02
+        states = JointStates(0.0, [0.0] * 4, [0.0] * 4, [0.0] * 4)
+        calculator.reset(states)
+        for k in range(150):
+            if k % 50 == 0:
+                twist = Twist(*(rng.uniform(-1.0, 1.0) for _ in range(3)))
+            command = calculator.command(twist, states, dt)
+            angles = command.joints.angles
+            rates = [(b - a) / dt for a, b in zip(states.angles, angles, strict=True)]
+            vx, vy, wz = command.target
+            holding = any(math.hypot(vx - wz * w.y, vy + wz * w.x) < 2e-3 for w in wheels)
+            slope = [0.0, 0.0, 0.0]
+            for w, angle, rate, speed in zip(
+                wheels, states.angles, rates, command.joints.speeds, strict=True
+            ):
+                rolling, _ = w.rows(angle)
+                turning = sum(a * b for a, b in zip(rolling, command.twist, strict=True))
+                gap = speed * w.radius + w.lateral * w.sign * rate - turning
+                slope = [s + gap * row for s, row in zip(slope, rolling, strict=True)]
+            # Wheels within a degree of their target angles count as aligned.
+            settled = max(abs(rate) for rate in rates) * dt <= math.radians(1.0)
+            assert holding or max(map(abs, slope)) < (0.02 if settled else 1e-7)
+            states = JointStates(0.0, command.joints.speeds, angles, rates)

@@ -52,6 +52,10 @@ _MIN_SHARE = 0.1
 If the wheels can follow only a smaller share of the change, a wheel is at a steering limit and must
 turn to the opposite direction.
 """
+_KEEP_WEIGHT = 1e-9
+"""Weight epsilon of the interpolated twist in the fit of a twist to wheel speeds."""
+_SAME_SPEED = 1e-12
+"""Differences of rolling speeds (m/s) up to this limit are rounding errors."""
 _STANDING = 1e-6
 """A robot whose squared speed (m^2/s^2) is below this limit is at rest."""
 _ALIGNED = math.radians(1.0)
@@ -249,14 +253,20 @@ class General(BaseCalculator):
         current = target
         if states is None:
             angles = self._angles
+        at_targets = True
         if dt is not None or states is not None:
             misalignment = self._misalignment(angles)
+            at_targets = not must_stop and misalignment <= _ALIGNED
             if must_stop:
                 goal = target if self._square(target) < self._square(last_twist) else ZERO_TWIST
                 current, target_speeds = self._least_scrub(goal, angles, math.inf)
             elif misalignment > _ALIGNED:
                 current, target_speeds = self._least_scrub(target, angles, misalignment)
+        unlimited = current
         current, limited_speeds = self._motors.limit_accelerations(current, target_speeds, dt)
+        if current is not unlimited and self._steering:
+            current = self._rolling_twist(current, limited_speeds, angles, at_targets)
+            self._motors.twist = current
         return BaseCommand(
             JointCommands(limited_speeds, self._angles),
             target,
@@ -514,5 +524,49 @@ class General(BaseCalculator):
         twist = Twist(vx, vy, wz)
         if self._driven_fixed:
             self._set_fixed_speeds(twist, speeds, 1.0)
-        twist, speeds = self._motors.limit_speeds(twist, speeds)
-        return twist, self._motors.average_shared(speeds)
+        limited, speeds = self._motors.limit_speeds(twist, speeds)
+        if limited is not twist:
+            limited = self._rolling_twist(limited, speeds, angles, False)
+        return limited, self._motors.average_shared(speeds)
+
+    def _rolling_twist(
+        self, twist: Twist, speeds: Sequence[float], angles: Sequence[float], at_targets: bool
+    ) -> Twist:
+        """Returns the twist near ``twist`` that fits the wheel speeds (rad/s) best.
+
+        An acceleration limit mixes the wheel speeds of the last tick with those of this tick, and a
+        speed limit scales them.  While wheels turn, the mixed or scaled twist does not have these
+        wheel speeds.  With the rolling
+        rows L and the rolling speeds v of all driven wheels, and with a tiny weight epsilon of
+        ``twist``, the correction d solves (sum L'L + epsilon G) d = sum L' (v - L twist).  The
+        rolling rows are those of the target angles if ``at_targets`` is ``True``, else those of
+        ``angles``.
+        """
+        vx, vy, wz = twist
+        a11 = a22 = _KEEP_WEIGHT
+        a33 = _KEEP_WEIGHT * self._length2
+        a12 = a13 = a23 = b1 = b2 = b3 = 0.0
+        largest = 0.0
+        rows = [(i, l1, l2, l3, radius, 0.0) for i, l1, l2, l3, radius, _ in self._driven_fixed]
+        for i, joint, heading, sign, x, y, _, lateral, radius, driven in self._scrubbing:
+            if driven and not joint.holding:
+                angle = joint.target if at_targets else angles[i]
+                c, s = math.cos(heading + sign * angle), math.sin(heading + sign * angle)
+                pushed = lateral * sign * joint.rate
+                rows.append((i, c, s, s * x - c * y - lateral, radius, pushed))
+        for i, l1, l2, l3, radius, pushed in rows:
+            gap = speeds[i] * radius + pushed - (l1 * vx + l2 * vy + l3 * wz)
+            largest = max(largest, abs(gap))
+            a11 += l1 * l1
+            a12 += l1 * l2
+            a13 += l1 * l3
+            a22 += l2 * l2
+            a23 += l2 * l3
+            a33 += l3 * l3
+            b1 += l1 * gap
+            b2 += l2 * gap
+            b3 += l3 * gap
+        if largest < _SAME_SPEED:
+            return twist
+        dx, dy, dw = solve3(a11, a12, a13, a22, a23, a33, b1, b2, b3)
+        return Twist(vx + dx, vy + dy, wz + dw)
