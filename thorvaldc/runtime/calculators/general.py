@@ -244,7 +244,8 @@ class General(BaseCalculator):
                 target, must_stop = self._slow_down(target, ticks, angles, speeds, dt)
             if not must_stop:
                 self._last_target = target
-                self._reachable.keep(target)
+                if not self._unconstrained:
+                    self._reachable.keep(target)
         self._stopping = must_stop
         self._move_steering(dt)
         target_speeds, scale = self._target_speeds(target)

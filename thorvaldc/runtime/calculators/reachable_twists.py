@@ -51,7 +51,18 @@ Row = tuple[float, float, float]
 class _LimitedWheel:
     """The steering limits of a wheel as a condition on the twist."""
 
-    __slots__ = ("_heading", "_lower", "_sign", "_upper", "_x", "_y", "middle", "rows", "trail")
+    __slots__ = (
+        "_heading",
+        "_lower",
+        "_sign",
+        "_upper",
+        "_without_trail",
+        "_x",
+        "_y",
+        "middle",
+        "rows",
+        "trail",
+    )
 
     def __init__(self, wheel: WheelGeometry) -> None:
         self._x, self._y, self.trail = wheel.x, wheel.y, wheel.trail
@@ -60,6 +71,7 @@ class _LimitedWheel:
         self._upper = math.inf if wheel.upper is None else wheel.upper + _TOLERANCE
         limits = [limit for limit in (wheel.lower, wheel.upper) if limit is not None]
         self.rows: list[Row] = [wheel.rows(limit)[1] for limit in limits]
+        self._without_trail = not wheel.trail and len(limits) == 2
         # Rolling row at the middle of the steering range.
         self.middle: Row | None = None
         if len(limits) == 2 and limits[1] - limits[0] <= math.pi + 2.0 * _TOLERANCE:
@@ -81,6 +93,12 @@ class _LimitedWheel:
 
     def allows(self, twist: Sequence[float]) -> bool:
         """Checks whether a steering angle within the limits prevents side slip."""
+        if self._without_trail:
+            # The side slip has opposite signs at the two limits, so it is zero between them.
+            (ax, ay, aw), (bx, by, bw) = self.rows
+            vx, vy, wz = twist
+            if (ax * vx + ay * vy + aw * wz) * (bx * vx + by * vy + bw * wz) <= 0.0:
+                return True
         ux, uy = self.velocity(twist)
         bend = twist[2] * self.trail
         lead = 0.0
