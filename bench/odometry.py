@@ -21,6 +21,7 @@ STATES = 4000
 PAIRED = 500
 """Number of states for random_pairs, which has no batch."""
 FAULTS = 1000
+DEAD = 500
 LEVELS = {
     "1 %, 0.5 deg": Noise(),
     "0.2 %, 2 deg": Noise(speed_ratio=0.002, angle=math.radians(2.0)),
@@ -41,6 +42,7 @@ def figures() -> Iterator[Figure]:
     for name, geometry in robots.items():
         if name != "2WD":  # two wheels always agree
             yield from _faults(name, geometry)
+    yield from _dead_encoders(robots["4WD4WS"])
     yield from _run(robots["6WD6WS asymmetric"])
     yield from _batch(robots["4WD4WS"])
 
@@ -163,6 +165,34 @@ def _apply_fault(
         factor = 0.0 if fault == "stalled" else float(fault[1:])
         driven.speeds[faulty, states] *= factor
     return faulty
+
+
+# -- two dead encoders ----------------------------------------------------------------
+
+
+def _dead_encoders(geometry: BaseGeometry) -> Iterator[Figure]:
+    """Two of four encoders read 0; only the commands show which ones."""
+    estimator = General(geometry).estimator
+    for knows in (False, True):
+        rng = np.random.default_rng(8)
+        healthy = drive(geometry, random_twists(geometry, DEAD, rng), Noise(), rng)
+        right = wrong = 0
+        nees = np.empty(DEAD)
+        for k in range(DEAD):
+            speeds, angles = healthy.speeds[:, k].tolist(), healthy.angles[:, k].tolist()
+            dead = {int(i) for i in rng.choice(len(speeds), 2, replace=False)}
+            measured = [0.0 if i in dead else v for i, v in enumerate(speeds)]
+            states = JointStates(0.0, measured, angles, [0.0] * len(speeds))
+            estimate = estimator.estimate(states, speeds if knows else None)
+            right += set(estimate.dropped) == dead
+            wrong += bool(set(estimate.dropped) - dead)
+            error = healthy.twists[:, k] - np.array(estimate.twist)
+            nees[k] = error @ np.linalg.solve(np.array(estimate.covariance), error) / 3.0
+        how = f"4WD4WS, {DEAD} motions, {'with' if knows else 'without'} commands"
+        name = "two dead encoders, " + ("commands known" if knows else "commands unknown")
+        yield Figure(f"{name}: good wheels named", 100.0 * wrong / DEAD, "%", 1.0, "lower", how)
+        yield Figure(f"{name}: dead ones named", 100.0 * right / DEAD, "%", None, "higher", how)
+        yield Figure(f"{name}: NEES/3", float(nees.mean()), "", None, "lower", how)
 
 
 # -- the paper's drive ----------------------------------------------------------------
