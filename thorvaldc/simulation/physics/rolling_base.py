@@ -3,8 +3,10 @@
 The commanded joint motions of several wheels rarely fit to one motion of the robot, for example
 if the wheel radii in the model are wrong.  In each step, the true twist (vx, vy, wz) of the robot
 is the least-squares solution of the rolling and no-slip conditions of all wheels.  The base then
-sets each joint to the motion that the true twist requires.  The encoder readings thus agree
-exactly with the true motion and with the true wheels, as a calibration assumes.
+sets each joint to the motion that the true twist requires.  The encoder readings thus agree with
+the true motion and with the true wheels, as a calibration assumes.  The agreement is exact while
+the wheels roll.  A steered wheel gives way only while it rolls (``RELAXATION_LENGTH``), so that
+wheels that turn on the spot scrub as on a real floor.
 """
 
 from __future__ import annotations
@@ -23,6 +25,11 @@ from thorvaldc.simulation.physics.ground_truth_base import GroundTruthBase
 from thorvaldc.simulation.physics.sim_base import SimBase
 from thorvaldc.simulation.physics.wheel_errors import WheelErrors
 
+RELAXATION_LENGTH = 0.15
+"""Distance (m) on which a rolling wheel gives way by 1 rad.
+
+A wheel that turns on the spot keeps the commanded angle, although the robot moves a little.
+"""
 _LEAST_SPEED = 1e-3
 """Ground speed (m/s) of a wheel below which the direction of motion of the wheel is undefined."""
 
@@ -67,6 +74,8 @@ class RollingBase(SimBase, GroundTruthBase):
         self._encoder_speeds = [0.0] * n
         self._encoder_angles = [0.0] * n
         self._encoder_rates = [0.0] * n
+        # Angle (rad) by which each wheel gives way: true angle minus commanded true angle.
+        self._corrections = [0.0] * n
 
     def read(self, now: float) -> JointStates:
         ideal = super().read(now)
@@ -93,15 +102,13 @@ class RollingBase(SimBase, GroundTruthBase):
         for i, wheel in enumerate(self._true):
             angle = self._encoder_angles[i]
             if wheel.steered:
-                ux, uy = vx - wz * wheel.y, vy + wz * wheel.x
-                true_angle = self._angles[i] + self._offsets[i]
-                direction = wheel.heading + wheel.sign * true_angle
-                if math.hypot(ux, uy) > _LEAST_SPEED:
-                    # Turn the wheel into the direction of motion of the wheel, or into the
-                    # opposite direction if the opposite direction is nearer.
-                    error = math.remainder(math.atan2(uy, ux) - direction, math.pi)
-                    true_angle += wheel.sign * error
-                angle = true_angle - self._offsets[i]
+                correction = self._angle_without_slip(i) - self._angles[i] - self._offsets[i]
+                # A wheel gives way while it rolls, at most as fast as its steering motor turns.
+                ground_speed = math.hypot(vx - wz * wheel.y, vy + wz * wheel.x)
+                step = min(wheel.max_rate, ground_speed / RELAXATION_LENGTH) * dt
+                change = min(max(correction - self._corrections[i], -step), step)
+                self._corrections[i] += change
+                angle = self._angles[i] + self._corrections[i]
             self._encoder_rates[i] = (angle - self._encoder_angles[i]) / dt
             self._encoder_angles[i] = angle
             if wheel.encoder:
@@ -111,6 +118,31 @@ class RollingBase(SimBase, GroundTruthBase):
                 speed = rolled / wheel.radius
                 self._encoder_positions[i] += (self._encoder_speeds[i] + speed) / 2.0 * dt
                 self._encoder_speeds[i] = speed
+
+    def _angle_without_slip(self, i: int) -> float:
+        """Returns the true steering angle (rad) at which a wheel rolls without side slip.
+
+        With the velocity u of the steering axis, its direction a, the trail c and the direction p
+        of the wheel, the contact point has no velocity across the wheel if
+
+            |u| sin(a - p) + c (wz + p') = 0
+
+        The rate p' is the commanded steering rate.  Of the two solutions, one per sense of rolling,
+        the nearer one counts.  A wheel without a solution, such as a wheel that turns on the spot,
+        keeps its angle relative to the command.
+        """
+        wheel, (vx, vy, wz) = self._true[i], self._twist
+        commanded = self._angles[i] + self._offsets[i]
+        ux, uy = vx - wz * wheel.y, vy + wz * wheel.x
+        speed = math.hypot(ux, uy)
+        across = wheel.trail * (wz + wheel.sign * self._rates[i])
+        if speed <= _LEAST_SPEED or abs(across) >= speed:
+            return commanded + self._corrections[i]
+        direction = wheel.heading + wheel.sign * commanded
+        motion, side = math.atan2(uy, ux), math.asin(across / speed)
+        forwards = math.remainder(motion + side - direction, math.tau)
+        backwards = math.remainder(motion + math.pi - side - direction, math.tau)
+        return commanded + wheel.sign * min(forwards, backwards, key=abs)
 
     def _fitted_twist(self) -> Twist:
         """Returns the least-squares fit of the twist to the commanded joints.
