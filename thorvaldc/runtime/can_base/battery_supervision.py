@@ -28,6 +28,8 @@ from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryDriver
 
 SILENCE_LIMIT = 1.0
 """Time (s) without a state of charge after which the speed is limited."""
+INTERVAL = 0.1
+"""Time (s) between two judgements, which is the period of the reports of the KC battery."""
 WORSE_TIME = 1.0
 """Time (s) for which a worse level must last."""
 HYSTERESIS = 0.02
@@ -68,6 +70,7 @@ class BatterySupervision:
         self.level = BatteryLevel.OK
         self.reason = ""
         self._judgements: dict[str, _Judgement] = {}
+        self._due = -math.inf
 
     @property
     def speed_share(self) -> float:
@@ -77,7 +80,13 @@ class BatterySupervision:
         return self.settings.speed if self.level is BatteryLevel.LIMIT else 1.0
 
     def update(self, now: float) -> BatteryLevel:
-        """Judges the newest reports of all batteries at the time ``now`` (s)."""
+        """Judges the newest reports of all batteries at the time ``now`` (s).
+
+        The batteries are judged once in ``INTERVAL``, because their charge changes slowly.
+        """
+        if now < self._due:
+            return self.level
+        self._due = now + INTERVAL
         self.level, self.reason = BatteryLevel.OK, ""
         for battery in self.batteries:
             name = battery.node.name

@@ -205,6 +205,8 @@ class BusConnection:
         controller, is on the bus; otherwise returns an empty text."""
         if self.foreign_master:
             return self.foreign_master
+        if not (self.rates.excessive or self._extra_responses or self.watchdog.has_boot_ups):
+            return ""
         for controller in self.controllers:
             name = controller.node.name
             if self._extra_responses.get(name, 0.0) > EXTRA_RESPONSES:

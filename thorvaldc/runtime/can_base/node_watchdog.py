@@ -144,6 +144,11 @@ class NodeWatchdog:
             return "it restarted"
         return controller.problem or self._silence(controller, now)
 
+    @property
+    def has_boot_ups(self) -> bool:
+        """``True`` if a boot-up message was received since ``allow_boot_ups`` was called."""
+        return bool(self._boot_ups)
+
     def boot_up_problem(self, controller: MotorController) -> str:
         """Returns a message if a node has sent too many boot-up messages during the start-up of the
         base, or an empty text."""
