@@ -57,6 +57,65 @@ def test_a_request_stops_the_robot(robot: Robot, interfaces: dict[str, CanInterf
     assert "active" in [change["state"] for change in session.summary()["changes"]]
 
 
+def test_a_session_with_a_twist_arms_the_robot_once(
+    robot: Robot, interfaces: dict[str, CanInterface]
+) -> None:
+    twist = Twist(0.5, 0.0, 0.0)
+    session = RunSession(robot, interfaces, twist=twist, duration=3.0, threaded=False)
+    disarmed: list[float] = []
+
+    def disarm(runner: BaseRunner, state: DriverState) -> None:
+        if not disarmed and runner.state is BaseState.ACTIVE and runner.base.armed:
+            runner.disarm()
+            disarmed.append(state.time)
+
+    assert session.run(disarm) is None
+    summary = session.summary()
+    assert not summary["armed"]
+    assert [event["text"] for event in summary["events"]] == ["armed", "disarmed"]
+
+
+def test_a_session_without_a_twist_leaves_the_robot_disarmed(
+    robot: Robot, interfaces: dict[str, CanInterface]
+) -> None:
+    session = RunSession(robot, interfaces, duration=1.0, threaded=False)
+    lines: list[str] = []
+    assert session.run(lambda runner, state: lines.append(session.status_line())) is None
+    assert any("ready" in line and "disarmed" in line for line in lines)
+
+
+def test_a_robot_that_cannot_be_armed_ends_with_every_reason(
+    robot: Robot, interfaces: dict[str, CanInterface]
+) -> None:
+    session = RunSession(robot, interfaces, twist=Twist(0.5, 0.0, 0.0), threaded=False)
+    session.runner.pre_arm_checks.append(lambda runner, now: ["the gate is open", "it rains"])
+    diagnostic = session.run()
+    assert diagnostic is not None
+    assert diagnostic.code.name == "bus-start"
+    assert "cannot be armed: the gate is open; it rains" in diagnostic.message
+    assert session.summary()["pose"]["x"] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_session_comes_to_rest_after_a_gap_in_time_and_continues(
+    robot: Robot, interfaces: dict[str, CanInterface]
+) -> None:
+    twist = Twist(0.5, 0.0, 0.0)
+    session = RunSession(robot, interfaces, twist=twist, duration=6.0, threaded=False)
+    speeds: list[float] = []
+
+    def stall(runner: BaseRunner, state: DriverState) -> None:
+        if not runner.timing.gaps and state.ramped.vx > 0.49:
+            runner.clock.sleep(0.1)
+        elif runner.timing.gaps:
+            speeds.append(state.ramped.vx)
+
+    assert session.run(stall) is None
+    assert session.summary()["timing"]["gaps"] == 1
+    rest = speeds.index(0.0)
+    assert speeds[:rest] == sorted(speeds[:rest], reverse=True)
+    assert max(speeds[rest:]) == pytest.approx(0.5)
+
+
 def test_a_robot_without_power_ends_with_a_diagnostic(
     robot: Robot, simulated: SimulatedRobot, interfaces: dict[str, CanInterface]
 ) -> None:
