@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 from collections.abc import Callable
 from copy import deepcopy
@@ -76,6 +77,10 @@ LYING = (
     "blocked_motor",
 )
 """Kinds of injected faults that falsify what the motors report, without notice at first."""
+EMPTY_BATTERY = "battery_charge of a device"
+BATTERY_TIME = 1.5
+"""s from an empty battery until the driver disarms: the time that the level must last, reports."""
+TWIST_REQUEST = '{"call": "twist"'
 LATCHED = ("second_master",)
 """Kinds of problems that must be noticed, even if they were short."""
 
@@ -131,6 +136,7 @@ class ChaosWorld:
         self._start_wrong = False
         self._numbers = 0
         self._forged_until = -math.inf
+        self._battery_empty = 0.0
         self._injector = FaultInjector(self.simulated, BusFaults((), seed=seed))
         self._motors = [
             (wheel, self.simulated.motors[spin.name], self._steering_motor(wheel.steering_joint))
@@ -212,11 +218,22 @@ class ChaosWorld:
         now = self.now
         try:
             self.odometry.advance(now)
+            self._judge_battery()
             self.motion.check(now)
         except Violation as violation:
             self.violation = violation
             raise
         self.after(CHECK_PERIOD, self._monitor)
+
+    def _judge_battery(self) -> None:
+        """Withdraws the permission when the driver must have noticed an empty battery."""
+        kinds = [problem.kind for problem in self.problems.values()]
+        if kinds != [EMPTY_BATTERY] or self.late_cycle or self.driver_hangs:
+            self._battery_empty = 0.0
+            return
+        self._battery_empty += CHECK_PERIOD
+        if self._battery_empty > BATTERY_TIME:
+            self.permission.armed = False
 
     # -- the process of the driver -----------------------------------------------------------------
 
@@ -398,6 +415,8 @@ class ChaosWorld:
         for _ in range(times):
             self.client(client).send(text.encode())
         self.client(client).floods |= times > 50
+        if text.startswith(TWIST_REQUEST):
+            self.client(client).tell("twist", json.loads(text)["arguments"])
 
     def act_stall(self, seconds: float, sending: bool = False) -> None:
         if sending:

@@ -40,6 +40,7 @@ GARBAGE = (
     '{"call": "send_to_device", "arguments": {"cob_id": 513, "data": "ffffffffffffff"}}\n',
     '{"call": "state", "arguments": {"x": 1}, "id": [[[]]]}\n',
 )
+TWIST = '{"call": "twist", "arguments": {"source": "teleop_joy", "vx": 0.4}}\n'
 DRIVERS = (
     *[("pilot", "teleop_joy")] * 6,
     *[("nav", "auto_nav")] * 2,
@@ -214,8 +215,10 @@ class MissionGenerator:
             for step in range(draw.choice((1, 30))):
                 yield _call(at + 0.01 * step, "hostile", service)
         else:
-            text = '{"call": "state"}\n'
-            yield ChaosEvent(at, "raw", {"client": "hostile", "text": text, "times": 5000})
+            client, text = draw.choice((("hostile", '{"call": "state"}\n'), ("pilot", TWIST)))
+            yield ChaosEvent(at, "raw", {"client": client, "text": text, "times": 5000})
+            if client == "pilot":
+                yield ChaosEvent(at + 0.01, "hang", {"client": client})
 
     def inject(self, at: float, kind: str, seconds: bool = True, **more: Any) -> ChaosEvent:
         """Returns an injected fault of a motor controller."""

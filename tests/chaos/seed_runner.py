@@ -82,10 +82,11 @@ def _device_seed(schedule: Schedule) -> int:
 def run_schedule(schedule: Schedule) -> Outcome:
     """Runs a schedule in a copy of this process."""
     world = prepared_world(schedule.robot) if schedule.start == READY else None
-    return _in_copy(lambda: run_here(schedule, world))
+    return in_copy(lambda: run_here(schedule, world))
 
 
-def _in_copy(work: Callable[[], Outcome]) -> Outcome:
+def in_copy(work: Callable[[], Outcome]) -> Outcome:
+    """Runs a function in a copy of this process, and returns its result."""
     readable, writable = os.pipe()
     child = os.fork()
     if child == 0:

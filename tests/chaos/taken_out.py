@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from thorvaldc.runtime.can_base.battery_supervision import BatteryLevel, BatterySupervision
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.control.control_server import ControlServer
@@ -78,6 +79,12 @@ def _replace(owner: type, name: str, replacement: Callable[..., Any]) -> None:
     setattr(owner, name, replacement)
 
 
+def _batteries() -> None:
+    """An empty battery limits and stops nothing."""
+    _replace(BatterySupervision, "update", lambda self, now: BatteryLevel.OK)
+    _replace(BatterySupervision, "arming_reasons", lambda self, now: iter(()))
+
+
 TAKEN_OUT: dict[str, Callable[[], None]] = {
     "time_gaps": _time_gaps,
     "stale_commands": _stale_commands,
@@ -87,5 +94,6 @@ TAKEN_OUT: dict[str, Callable[[], None]] = {
     "arming": _arming,
     "owned_sources": _owned_sources,
     "owned_stops": _owned_stops,
+    "batteries": _batteries,
 }
 """Fixes that can be taken out, by name."""

@@ -8,11 +8,13 @@ import pytest
 
 from tests.chaos.mission_generator import MissionGenerator
 from tests.chaos.schedule import ChaosEvent, Schedule
-from tests.chaos.seed_runner import run_here, run_schedule
+from tests.chaos.seed_runner import Outcome, in_copy, run_here, run_schedule
 from tests.chaos.shrinker import Shrinker
+from tests.chaos.taken_out import TAKEN_OUT
 
-SCRIPTS = sorted((Path(__file__).parent / "scripts").glob("*.json"))
-GROUPS, SEEDS = 4, 12
+FOLDER = Path(__file__).parent / "scripts"
+SCRIPTS = sorted(FOLDER.glob("*.json"))
+GROUPS, SEEDS = 4, 10
 """The sample has ``SEEDS`` missions in each group, one robot per group."""
 
 
@@ -20,6 +22,17 @@ GROUPS, SEEDS = 4, 12
 def test_no_script_violates_an_invariant(script: Path) -> None:
     outcome = run_schedule(Schedule.from_json(script.read_text(encoding="utf-8")))
     assert outcome.holds, f"{outcome.invariant} at {outcome.time:.2f} s: {outcome.text}"
+
+
+@pytest.mark.parametrize("fix", TAKEN_OUT)
+def test_the_script_of_each_fix_violates_an_invariant_without_it(fix: str) -> None:
+    script = Schedule.from_json((FOLDER / f"{fix}.json").read_text(encoding="utf-8"))
+
+    def run_without() -> Outcome:
+        TAKEN_OUT[fix]()
+        return run_here(script)
+
+    assert not in_copy(run_without).holds
 
 
 @pytest.mark.parametrize("group", range(GROUPS))
