@@ -136,6 +136,7 @@ class ChaosWorld:
         self._start_wrong = False
         self._numbers = 0
         self._forged_until = -math.inf
+        self._recovering = False
         self._battery_empty = 0.0
         self._injector = FaultInjector(self.simulated, BusFaults((), seed=seed))
         self._motors = [
@@ -388,6 +389,8 @@ class ChaosWorld:
         return self._digest.hexdigest()[:16]
 
     def _act(self, event: ChaosEvent) -> None:
+        if self._recovering:
+            return  # the mission has ended
         getattr(self, f"act_{event.act}")(**event.values)
 
     def client(self, name: str) -> ChaosClient:
@@ -512,6 +515,7 @@ class ChaosWorld:
 
     def _recover(self) -> None:
         """Ends all injected faults; a person resets and arms; the robot must drive again."""
+        self._recovering = True
         self.act_end_faults()
         self._end = ""
         self.run_until(self.now + REST_TIME)
@@ -538,6 +542,7 @@ class ChaosWorld:
                 person.call("lock", {"name": lock.name, "locked": False, **force})
         if self.runner.robot is not self.robot:
             self._end = "end"
+            self.run_until(self.now + CALL_TIME)
             return False
         self.run_until(self.now + CALL_TIME)
         if not self.runner.state.drives:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 CHECK_PERIOD = 0.02
 TOLERATED = 0.07 + CHECK_PERIOD
 """s by which a stop may begin later than stated: a tolerated gap of 2.5 cycles, and the check."""
+TURN_SHARE = 0.3
+"""Share of the deceleration of a stop with which the fastest wheel brakes between two motions."""
 RAMP_SHARE = 0.9
 """Share of the stated deceleration that a stop must reach."""
 AFTER_IMPEDIMENT = 0.2
@@ -28,7 +30,7 @@ SPEED_TOLERANCE, SPEED_SHARE = 0.04, 1.06
 SIGMAS = 5.0
 POSE_TOLERANCE = 0.03
 """m and rad."""
-LATENCY = 0.06
+LATENCY = 0.08
 """s between the report of a motor and the control cycle."""
 NOTICE = {
     "power_cut": 0.12,
@@ -98,7 +100,9 @@ class MotionInvariant:
         while recent and recent[0][0] < now - self.watchdog:
             recent.popleft()
         highest = max(level for time, level in recent if time >= now - reaction)
-        self.envelope = max(highest, self.envelope - self.deceleration * CHECK_PERIOD)
+        # Between two motions, the fastest wheel may brake more slowly than in a stop.
+        share = 1.0 if level == 0.0 else TURN_SHARE
+        self.envelope = max(highest, self.envelope - share * self.deceleration * CHECK_PERIOD)
         speed = world.true_speed()
         if speed > SPEED_SHARE * self.envelope + SPEED_TOLERANCE:
             raise Violation(

@@ -158,7 +158,7 @@ class MissionGenerator:
             yield _call(at + draw.uniform(0.05, 1.0), client, "lock", name=name, locked=False)
 
     def parameters(self, at: float) -> Iterator[ChaosEvent]:
-        limit = round(self.draw.uniform(0.1, 1.0) * self.robot.driver.max_linear_velocity, 2)
+        limit = round(self.draw.uniform(0.2, 1.0) * self.robot.driver.max_linear_velocity, 2)
         yield _call(at, "pilot", "set_drive_parameters", max_linear_velocity=limit)
 
     def disarm(self, at: float) -> Iterator[ChaosEvent]:
