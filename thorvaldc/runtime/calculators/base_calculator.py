@@ -29,8 +29,7 @@ class BaseCommand:
     - ``twist``: twist of the robot under the joint commands.  ``twist`` differs from ``target``
       while wheels steer or accelerate.  When all wheels have reached their steering angles, the
       wheels roll at ``twist`` without slip.  While wheels steer, they also slip sideways, and
-      ``twist`` is the twist whose rolling speeds at the present steering angles are the commanded
-      wheel speeds.
+      ``twist`` is the twist that fits the commanded wheel speeds at the present steering angles.
     - ``infeasible``: part of the commanded twist that fixed wheels and steering limits do not
       allow.
     - ``scale``: factor by which the speed limits reduce the twist, or 1 if no wheel reaches its

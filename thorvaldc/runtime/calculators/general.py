@@ -52,8 +52,12 @@ _MIN_SHARE = 0.1
 If the wheels can follow only a smaller share of the change, a wheel is at a steering limit and must
 turn to the opposite direction.
 """
-_KEEP_WEIGHT = 1e-9
-"""Weight epsilon of the interpolated twist in the fit of a twist to wheel speeds."""
+_KEEP_WEIGHT = 0.01
+"""Weight epsilon of the interpolated twist in the fit of a twist to wheel speeds.
+
+Nearly parallel wheels hardly determine the motion across them.  The weight bounds the correction to
+five times the largest difference of the rolling speeds.
+"""
 _SAME_SPEED = 1e-12
 """Differences of rolling speeds (m/s) up to this limit are rounding errors."""
 _STANDING = 1e-6
@@ -538,7 +542,7 @@ class General(BaseCalculator):
         An acceleration limit mixes the wheel speeds of the last tick with those of this tick, and a
         speed limit scales them.  While wheels turn, the mixed or scaled twist does not have these
         wheel speeds.  With the rolling
-        rows L and the rolling speeds v of all driven wheels, and with a tiny weight epsilon of
+        rows L and the rolling speeds v of all driven wheels, and with a weight epsilon of
         ``twist``, the correction d solves (sum L'L + epsilon G) d = sum L' (v - L twist).  The
         rolling rows are those of the target angles if ``at_targets`` is ``True``, else those of
         ``angles``.
