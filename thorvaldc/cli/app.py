@@ -61,6 +61,7 @@ COMMANDS: tuple[CommandEntry | GroupEntry, ...] = (
     CommandEntry("teleop", "teleop:teleop", "Drive a robot with the keyboard or a joystick."),
     CommandEntry("call", "call:call", "Call a service of a running driver."),
     CommandEntry("bus", "bus:bus", "Simulate a robot's CAN bus for other programs."),
+    CommandEntry("faults", "faults:faults", "Measure how a robot reacts to faults on its CAN bus."),
     GroupEntry("can", CAN, "Set up, check and monitor a robot's CAN bus."),
     CommandEntry(
         "calibrate",

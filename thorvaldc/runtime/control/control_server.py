@@ -123,6 +123,11 @@ class ControlServer:
         self._listener.listen()
         self._listener.setblocking(False)
 
+    @property
+    def streams(self) -> list[socket.socket]:
+        """Open connections.  A copy of this process needs connections of its own."""
+        return [client.stream for client in self._clients]
+
     def poll(self, now: float, clock_time: float | None = None) -> None:
         """Accepts new clients and answers all received requests, without waiting.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import socket
 from collections.abc import Callable
 from typing import Any
 
@@ -51,6 +52,11 @@ class RunnerControl:
             if channel
             else None
         )
+
+    @property
+    def streams(self) -> list[socket.socket]:
+        """Open connections of the control channel."""
+        return [] if self._server is None else self._server.streams
 
     def feed(self, driver: BaseDriver, now: float) -> Selection:
         """Answers the requests on the control channel, and commands the twist that the twist

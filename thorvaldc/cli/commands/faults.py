@@ -1,0 +1,58 @@
+"""The command ``thorvaldc faults``: measures how a robot reacts to faults on its simulated bus."""
+
+from __future__ import annotations
+
+import gc
+
+from thorvaldc.cli.diagnostic_output import message, print_json, report_of
+from thorvaldc.cli.exits import DONE, INPUT
+from thorvaldc.cli.options import (
+    Jobs,
+    Json,
+    Library,
+    Parameters,
+    RobotFile,
+    Seed,
+    parse_count,
+    parse_seed,
+)
+from thorvaldc.cli.progress import Progress
+from thorvaldc.cli.robot_file import load_robot
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix
+from thorvaldc.tools.fault_matrix.fault_table import markdown, matrix_json
+from thorvaldc.tools.fault_matrix.rehearsal import RehearsalError
+from thorvaldc.tools.scenario_batch import processors
+
+
+def faults(
+    file: RobotFile,
+    parameters: Parameters = "",
+    seed: Seed = "",
+    jobs: Jobs = "",
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+) -> int:
+    processes = parse_count(jobs, "--jobs", 1) or processors()
+    number = parse_seed(seed) or 0
+    loaded = load_robot(file, library)
+    if loaded is None:
+        return INPUT
+    gc.enable()
+    try:
+        matrix = FaultMatrix(loaded.robot, parameters=parameters or None, seed=number)
+        progress = Progress(matrix.cells, "reactions")
+        try:
+            rows = matrix.rows(processes, progress.show)
+        finally:
+            progress.clear()
+    except DiagnosticError as error:
+        return loaded.show(report_of(error))
+    except RehearsalError as error:
+        message(f"error: {error}")
+        return INPUT
+    if json:
+        print_json(matrix_json(matrix, rows, file))
+    else:
+        print("\n".join(markdown(matrix, rows, file)))
+    return DONE if all(row.passed for row in rows) else INPUT

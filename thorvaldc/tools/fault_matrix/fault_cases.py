@@ -1,0 +1,373 @@
+"""The faults of the fault matrix, for the nodes of a robot, with the promised reactions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from thorvaldc.can.canopen import NMT, SYNC, NmtCommand
+from thorvaldc.model import Robot
+from thorvaldc.model.bus import Bus, FrameDefinition, Node
+from thorvaldc.tools.fault_matrix.rehearsal import Rehearsal
+
+MASTER = "master"
+START, IDLE, DRIVING, STOPPING = PHASES = ("start-up", "idle", "driving", "stopping")
+MOVING_PHASES = (DRIVING, STOPPING)
+
+REPORTS = 2.5
+"""Periods of a report after which the base driver reports a fault: two reports are missing."""
+HEARTBEATS = 3.0
+"""Periods of a heartbeat after which the base driver reports a fault."""
+CYCLES = 3.0
+"""Control cycles from the arrival of the information to the reaction, with the transmission."""
+FROZEN_STEERING, FROZEN_WHEEL = 1.8, 0.7
+"""Longest time (s) until a frozen encoder of a turning motor is detected."""
+NOT_FOLLOWING = 1.8
+"""Longest time (s) until a drive that ignores its commands is detected."""
+SLOW = 3.0
+"""Longest time (s) until a state that is read now and then is detected."""
+
+Frames = Mapping[tuple[str, int], bytes]
+"""Data of frames by name of the bus and COB-ID."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Frames of the robot without faults, which forged frames repeat.
+
+    - ``at_rest``: frames of the robot at rest.
+    - ``moving``: frames of the robot while it drives.
+    """
+
+    at_rest: Frames = field(default_factory=dict)
+    moving: Frames = field(default_factory=dict)
+
+
+Injection = Callable[[Rehearsal, str, Evidence], None]
+"""Function that injects a fault into a rehearsal in a phase."""
+
+
+@dataclass(frozen=True)
+class FaultCase:
+    """A fault and the promised reaction of the robot.
+
+    - ``name``: description of the fault.
+    - ``drives``: protocol of the motor controller that has the fault.
+    - ``phases``: phases in which the fault is tried.
+    - ``inject``: function that injects the fault.
+    - ``detection``: longest time (s) until the base driver stops the robot, by phase.  Without an
+      entry, the base driver need not stop the robot.
+    - ``silence``: longest time (s) from the fault until the drives brake, if this is later than the
+      detection, because drives receive no commands.
+    - ``starts_at``: time (s) of the fault in the phase ``start-up``.
+    - ``observed``: time (s) of the observation after the fault.
+    """
+
+    name: str
+    drives: str
+    phases: tuple[str, ...]
+    inject: Injection
+    detection: Mapping[str, float]
+    silence: float = 0.0
+    starts_at: float = 0.0
+    observed: float = 1.0
+
+
+def fault_cases(robot: Robot) -> list[FaultCase]:
+    """Returns the cases for one motor controller of each kind on the buses of the robot.
+
+    The motor controllers with a steering motor come first.
+    """
+    targets: dict[str, tuple[Bus, Node]] = {}
+    for steering in (True, False):
+        for bus in robot.buses:
+            for node in bus.nodes:
+                steers = any(channel.role == "steering" for channel in node.channels)
+                if steers is steering and any(c.actuator is not None for c in node.channels):
+                    targets.setdefault(node.protocol, (bus, node))
+    return [
+        case
+        for bus, node in targets.values()
+        for source in (
+            _power_and_bus_cases,
+            _identity_cases,
+            _encoder_cases,
+            _forgery_cases,
+            _battery_cases,
+            _program_cases,
+        )
+        for case in source(_Target(robot, bus, node))
+    ]
+
+
+class _Target:
+    """The motor controller that has the fault, and its times."""
+
+    def __init__(self, robot: Robot, bus: Bus, node: Node) -> None:
+        self.robot, self.bus, self.node = robot, bus, node
+        self.drives = node.protocol
+        cycle = min(b.sync_period for b in robot.buses)
+        self.cycle = cycle
+        reports = [f.period for f in self._sent("pdo") if f.period]
+        heartbeats = [f.period for f in self._sent("heartbeat") if f.period]
+        self.prompt = CYCLES * cycle
+        self.beats = HEARTBEATS * max(heartbeats, default=0.0) + self.prompt
+        self.silence = REPORTS * min(reports) + self.prompt if reports else self.beats
+        watchdogs = [n.heartbeat_consumer_time or 0.5 for n in bus.nodes if n.channels]
+        self.watchdog = max(watchdogs) + self.prompt
+
+    def _sent(self, kind: str) -> list[FrameDefinition]:
+        return [f for f in self.bus.frames if f.producer == self.node.name and f.kind == kind]
+
+    def sends(self, kind: str) -> bool:
+        return bool(self._sent(kind))
+
+    @property
+    def report(self) -> FrameDefinition | None:
+        """The most frequent report of the motor controller."""
+        reports = [frame for frame in self._sent("pdo") if frame.period]
+        return min(reports, key=lambda frame: frame.period or 0.0, default=None)
+
+    @property
+    def command(self) -> FrameDefinition | None:
+        """The most frequent command to the motor controller with the speed of a wheel."""
+        joints = {wheel.spin_joint for wheel in self.robot.wheels}
+        commands = [
+            frame
+            for frame in self.bus.frames
+            if frame.producer == MASTER
+            and frame.consumers == (self.node.name,)
+            and frame.period
+            and any(signal.joint in joints for signal in frame.signals)
+        ]
+        return min(commands, key=lambda frame: frame.period or 0.0, default=None)
+
+    def channel(self, role: str) -> str | None:
+        names = (c.name for c in self.node.channels if c.role == role and c.actuator is not None)
+        return next(names, None)
+
+    def case(
+        self,
+        name: str,
+        inject: Injection,
+        detection: float | Mapping[str, float] | None,
+        **more: Any,
+    ) -> FaultCase:
+        """Returns a case.  ``detection`` is a time (s) for all phases, or times by phase."""
+        phases = more.pop("phases", PHASES)
+        if not isinstance(detection, Mapping):
+            detection = {} if detection is None else dict.fromkeys(phases[-3:], detection)
+        return FaultCase(name, self.drives, phases, inject, detection, **more)
+
+    def device(self, kind: str, **values: Any) -> Injection:
+        """Returns the injection of a fault of the motor controller."""
+        return self.on_node(self.node.name, kind, **values)
+
+    def on_node(self, node: str | None, kind: str, **values: Any) -> Injection:
+        bus = self.bus.name
+
+        def inject(rehearsal: Rehearsal, phase: str, evidence: Evidence) -> None:
+            rehearsal.inject(kind, bus, node, **values)
+
+        return inject
+
+    def forged(self, cob_id: int, data: bytes, period: float = 0.0) -> Injection:
+        return self.on_node(None, "forged_frames", cob_id=cob_id, data=data, period=period)
+
+    def repeated(self, frame: FrameDefinition, period: float) -> Injection:
+        """Returns the injection of frames from another time.
+
+        A robot at rest gets frames of the moving robot, and a moving robot gets frames of the robot
+        at rest.
+        """
+        bus = self.bus.name
+
+        def inject(rehearsal: Rehearsal, phase: str, evidence: Evidence) -> None:
+            frames = evidence.at_rest if phase in (START, DRIVING) else evidence.moving
+            data = frames.get((bus, frame.cob_id), bytes(frame.length))
+            rehearsal.inject("forged_frames", bus, cob_id=frame.cob_id, data=data, period=period)
+
+        return inject
+
+
+def _power_and_bus_cases(target: _Target) -> Iterator[FaultCase]:
+    case, device = target.case, target.device
+    reports, prompt, watchdog = target.silence, target.prompt, target.watchdog
+    yield case("power of a drive cut", device("power_cut"), reports)
+    yield case("power of all drives cut", target.on_node(None, "power_cut"), reports)
+    yield case("a drive sends nothing", device("mute"), reports)
+    if target.sends("heartbeat"):
+        yield case("heartbeat of a drive stops", device("heartbeat_stop"), target.beats)
+    if target.sends("emcy"):
+        emcy = device("emcy", code=0x2310, register=1)
+        yield case("EMCY message of a drive", emcy, prompt, starts_at=1.0)
+    bitrate = 250_000 if target.bus.bitrate != 250_000 else 125_000
+    yield case(
+        "a drive uses another bitrate",
+        device("wrong_bitrate", bitrate=bitrate),
+        reports,
+        silence=watchdog,
+    )
+    yield case("a drive is bus-off", device("bus_off"), reports, starts_at=1.0)
+    yield case(
+        "a drive receives nothing",
+        device("lost_frames", share=1.0),
+        {DRIVING: NOT_FOLLOWING},
+        observed=2.6,
+        silence=watchdog,
+    )
+    yield case("a drive forgets its watchdog", device("watchdog_lost"), None, starts_at=1.0)
+    yield case(
+        "a drive floods the bus with top-priority frames",
+        device("babble", cob_id=0x001, period=0.0001),
+        reports,
+        silence=watchdog,
+    )
+    yield case("one frame in ten is destroyed", target.on_node(None, "noise", share=0.1), None)
+    late = target.on_node(None, "late_frames", share=1.0, latency=1.5 * target.cycle)
+    yield case("all frames arrive 1.5 cycles late", late, None)
+    twice = target.on_node(None, "repeated_frames", share=1.0)
+    yield case("all frames arrive twice", twice, None)
+
+
+def _identity_cases(target: _Target) -> Iterator[FaultCase]:
+    node, bus = target.node, target.bus
+    if not node.id_space:
+        return
+    others = [n.id for n in bus.nodes if n.id_space == node.id_space and n is not node]
+    drives = [n.id for n in bus.nodes if n.id in others and n.channels]
+    for other in (drives or others)[:1]:
+        taken = target.device("duplicate_id", id=other)
+        yield target.case("a drive takes the id of another one", taken, target.silence)
+    clone = target.device("clone")
+    yield target.case("a second drive with the id of another one", clone, SLOW, observed=SLOW)
+
+
+def _encoder_cases(target: _Target) -> Iterator[FaultCase]:
+    case, device = target.case, target.device
+    wheel, steering = target.channel("propulsion"), target.channel("steering")
+    driving = (IDLE, *MOVING_PHASES)
+    if wheel is not None:
+        yield case(
+            "encoder of a wheel freezes",
+            device("frozen_encoder", channel=wheel),
+            {DRIVING: FROZEN_WHEEL},
+            phases=driving,
+            observed=2.0,
+        )
+        yield case(
+            "a wheel is blocked",
+            device("blocked_motor", channel=wheel),
+            {DRIVING: FROZEN_WHEEL},
+            phases=driving,
+            observed=2.0,
+        )
+    if steering is not None:
+        yield case(
+            "encoder of a steering freezes",
+            device("frozen_encoder", channel=steering),
+            {DRIVING: FROZEN_STEERING},
+            phases=driving,
+            observed=2.6,
+        )
+        yield case(
+            "encoder of a steering jumps by 0.5 rad",
+            device("encoder_jump", channel=steering, angle=0.5),
+            target.prompt,
+            phases=driving,
+        )
+
+
+def _forgery_cases(target: _Target) -> Iterator[FaultCase]:
+    case, cycle, prompt = target.case, target.cycle, target.prompt
+    kinds = {frame.kind for frame in target.bus.frames if frame.producer == MASTER}
+    if "sync" in kinds:
+        yield case("another master sends SYNC", target.forged(SYNC, b"", cycle), prompt)
+    for frame in target.bus.frames:
+        if frame.producer == MASTER and frame.kind == "heartbeat":
+            beat = target.forged(frame.cob_id, b"\x05", frame.period or 0.1)
+            limit = prompt + (frame.period or 0.1)
+            yield case("another master sends its heartbeat", beat, limit)
+    if "nmt" in kinds:
+        stop = target.forged(NMT, bytes([NmtCommand.STOP, 0]))
+        yield case("another master stops all nodes (NMT)", stop, prompt, starts_at=1.0)
+    if target.command is not None:
+        other = target.repeated(target.command, target.command.period or cycle)
+        yield case("another master sends commands to a drive", other, target.silence)
+    if target.report is not None:
+        old = target.repeated(target.report, target.report.period or cycle)
+        yield case("false reports of a drive: of another time", old, SLOW, observed=SLOW)
+        cob_id, period = target.report.cob_id, target.report.period
+        jumping = target.on_node(None, "forged_frames", cob_id=cob_id, period=period)
+        yield case("false reports of a drive: random", jumping, SLOW, observed=SLOW)
+
+
+def _battery_cases(target: _Target) -> Iterator[FaultCase]:
+    nodes = [n for n in target.bus.nodes if any(b.node == n.name for b in target.robot.batteries)]
+    for battery in nodes[:1]:
+        for name, charge in (("battery at 5 %", 0.05), ("battery empty", 0.0)):
+            low = target.on_node(battery.name, "battery_charge", charge=charge)
+            yield target.case(name, low, None, observed=2.0)
+        silent = target.on_node(battery.name, "mute")
+        yield target.case("battery sends nothing", silent, None, observed=2.0)
+
+
+def _program_cases(target: _Target) -> Iterator[FaultCase]:
+    case, prompt, watchdog = target.case, target.prompt, target.watchdog
+    timeout = target.robot.driver.command_timeout + prompt
+    for seconds in (0.05, 0.2, 0.55, 0.7, 1.0, 5.0):
+        detection = None if seconds < 2.5 * target.cycle + 0.01 else seconds + prompt
+        yield case(
+            f"driver stalls for {seconds:g} s",
+            partial(_stall, seconds),
+            {} if detection is None else {DRIVING: detection},
+            starts_at=1.0,
+            silence=min(seconds + prompt, watchdog),
+            observed=seconds + 1.0,
+        )
+    yield case(
+        "driver stalls for 0.7 s, client ends meanwhile",
+        partial(_stall, 0.7, client_ends=0.2),
+        {DRIVING: 0.7 + prompt},
+        phases=MOVING_PHASES,
+        silence=watchdog,
+        observed=1.7,
+    )
+    yield case(
+        "driver process killed", _kill, None, phases=PHASES[1:], silence=watchdog, observed=1.5
+    )
+    yield case("client hangs", _silence, {DRIVING: timeout}, phases=MOVING_PHASES, observed=1.5)
+    yield case(
+        "connection of the client closed",
+        _close,
+        {DRIVING: timeout},
+        phases=MOVING_PHASES,
+        observed=1.5,
+    )
+
+
+def _stall(
+    seconds: float, rehearsal: Rehearsal, phase: str, evidence: Evidence, client_ends: float = 0.0
+) -> None:
+    if client_ends:
+        rehearsal.stall(client_ends)
+        if rehearsal.client is not None:
+            rehearsal.client.close()
+    rehearsal.stall(seconds - client_ends)
+
+
+def _kill(rehearsal: Rehearsal, phase: str, evidence: Evidence) -> None:
+    rehearsal.kill_driver()
+
+
+def _silence(rehearsal: Rehearsal, phase: str, evidence: Evidence) -> None:
+    rehearsal.weave = None
+    if rehearsal.client is not None:
+        rehearsal.client.twist = None
+
+
+def _close(rehearsal: Rehearsal, phase: str, evidence: Evidence) -> None:
+    if rehearsal.client is not None:
+        rehearsal.client.close()

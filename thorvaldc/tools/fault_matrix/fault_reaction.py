@@ -1,0 +1,260 @@
+"""Measures the reaction of a robot to one fault in one phase."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from thorvaldc.model import Robot
+from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.tools.fault_matrix.fault_cases import (
+    DRIVING,
+    IDLE,
+    MOVING_PHASES,
+    START,
+    STOPPING,
+    Evidence,
+    FaultCase,
+)
+from thorvaldc.tools.fault_matrix.rehearsal import SHORT_GAP, Rehearsal, RehearsalError, Weave
+
+AT_REST = 0.01
+"""Speed (m/s) of a wheel at the ground below which it stands."""
+UNASKED = 0.05
+"""Increase (m/s) of a wheel speed above which a wheel has accelerated without a command."""
+AFTERWARDS = 0.5
+"""Time (s) of observation after the robot has reacted and stands, to see whether it moves again."""
+STEADY = 0.3
+"""Time (s) of a curve after the robot has changed its yaw rate."""
+LONGEST_START = 30.0
+"""Longest time (s) of observation in the phase start-up."""
+_ORDER = ("fault", "estop", "disarmed", "stops", "slower", "warns")
+"""Reactions from the strongest to the weakest."""
+STOPS = ("fault", "estop", "disarmed", "stops")
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """The measured reaction to a fault.
+
+    - ``reaction``: ``fault`` or ``estop`` (state of the base), ``disarmed``, ``stops``, ``slower``,
+      ``warns``, ``continues``, or ``ready`` at the end of a start-up.
+    - ``after``: time (s) from the fault to the reaction, or ``None``.
+    - ``reason``: message of the base driver.
+    - ``rest_time``: time (s) from the fault until all wheels stand, or ``None`` if they turn.
+    - ``rest_distance``: longest path (m) of a driven wheel at the ground from the fault until all
+      wheels stand.
+    - ``speed``: speed (m/s) of the fastest wheel at the time of the fault.
+    - ``unasked``: largest increase (m/s) of a wheel speed without a fresh command of an armed
+      robot.
+    """
+
+    reaction: str
+    after: float | None
+    reason: str
+    rest_time: float | None
+    rest_distance: float | None
+    speed: float
+    unasked: float
+
+    @property
+    def moved_unasked(self) -> bool:
+        return self.unasked > UNASKED
+
+    def as_json(self) -> dict[str, Any]:
+        return {**asdict(self), "moved_unasked": self.moved_unasked}
+
+
+def top_twist(robot: Robot, parameters: str | None = None) -> Twist:
+    """Returns the twist of the phase driving: the top speed in a curve of a radius of 1 m."""
+    settings = robot.driver
+    for parameter_set in robot.parameter_sets:
+        if parameter_set.name == parameters:
+            settings = parameter_set.driver
+    speed = settings.max_linear_velocity
+    return Twist(speed, 0.0, min(speed / 1.0, settings.max_angular_velocity))
+
+
+def advance(rehearsal: Rehearsal, phase: str, twist: Twist) -> None:
+    """Brings a rehearsal from the phase before into ``phase``.
+
+    The phase before ``idle`` is a robot without power.  Raises ``RehearsalError`` if the robot does
+    not become ready or does not drive.
+    """
+    if phase == IDLE:
+        rehearsal.power_on()
+        rehearsal.become_ready()
+        rehearsal.connect()
+        rehearsal.arm()
+    elif phase == DRIVING:
+        # The drive ends where the curve changes its side, so that the steering joints turn.
+        settings = rehearsal.runner.driver.settings
+        seconds = 2.0 * twist.wz / settings.max_angular_acceleration + STEADY
+        curves = math.ceil(twist.vx / settings.max_linear_acceleration / seconds) + 1
+        rehearsal.weave = Weave(twist, rehearsal.now, seconds)
+        rehearsal.run(curves * seconds)
+        if rehearsal.state is not BaseState.ACTIVE:
+            raise RehearsalError(
+                f"the robot does not drive: {rehearsal.state.value} {rehearsal.reason}".rstrip()
+            )
+    elif phase == STOPPING:
+        rehearsal.weave = None
+        rehearsal.connect(ZERO_TWIST)
+        rehearsal.run(0.1)
+
+
+def react(rehearsal: Rehearsal, case: FaultCase, phase: str, evidence: Evidence) -> Reaction:
+    """Injects the fault of a case into a rehearsal that is in the phase, and observes it.
+
+    In the phase ``start-up`` the rehearsal has no power yet, and the client commands the top speed
+    from the first cycle on, as a joystick does that is deflected.
+    """
+    if phase == START:
+        rehearsal.connect(top_twist(rehearsal.robot))
+        rehearsal.power_on()
+        rehearsal.run(case.starts_at)
+    observation = _Observation(rehearsal, phase)
+    rehearsal.observe = observation.observe
+    case.inject(rehearsal, phase, evidence)
+    observation.observe()
+    braking = 2.0 * observation.speed / rehearsal.runner.driver.settings.max_linear_acceleration
+    observed = LONGEST_START if phase == START else case.observed + braking
+    until = observation.start + observed
+    rehearsal.run(until - rehearsal.now, observation.is_over)
+    return observation.reaction()
+
+
+class _Observation:
+    """Observes the wheels and the state of the base driver from the fault on."""
+
+    def __init__(self, rehearsal: Rehearsal, phase: str) -> None:
+        self.rehearsal = rehearsal
+        self.phase = phase
+        self.start = rehearsal.now
+        self.times: dict[str, float] = {}
+        """Time (s) from the fault to each reaction; a reaction that ended is removed."""
+        self.reason = ""
+        self._last = rehearsal.wheel_states()
+        self._speeds = [speed for _, speed in self._last]
+        self.speed = max(self._speeds, default=0.0)
+        self._lowest = list(self._speeds)
+        self._highest = self._commanded_speed()
+        self._paths = [0.0] * len(self._last)
+        self._rest: tuple[float, float] | None = None
+        self._unasked = 0.0
+        self._authority = True
+        self._was_armed = rehearsal.base.armed
+        seconds = 1.0 if rehearsal.weave is None else rehearsal.weave.seconds
+        self._ramped: deque[float] = deque(maxlen=round(seconds / rehearsal.base.period))
+        self._asked_speed = rehearsal.runner.driver.state.ramped.speed
+        self._warnings = set(rehearsal.runner.warnings())
+        self._ready_at: float | None = None
+        rehearsal.forget()
+
+    # -- in each cycle -----------------------------------------------------------------------
+
+    def observe(self) -> None:
+        states = self.rehearsal.wheel_states()
+        self._measure_rest(states)
+        self._measure_unasked_motion([speed for _, speed in states])
+        if not self.rehearsal.driver_killed:
+            self._note_reactions()
+
+    def _measure_rest(self, states: list[tuple[float, float]]) -> None:
+        for i, ((path, _), (last, _)) in enumerate(zip(states, self._last, strict=True)):
+            self._paths[i] += abs(path - last)
+        self._last = states
+        if max((speed for _, speed in states), default=0.0) > AT_REST:
+            self._rest = None
+        elif self._rest is None:
+            self._rest = self.rehearsal.now - self.start, max(self._paths, default=0.0)
+
+    def _measure_unasked_motion(self, speeds: list[float]) -> None:
+        """Compares the wheel speeds with the speeds that a person has commanded.
+
+        A person commands while a living client commands a motion, the robot is armed, and the base
+        driver runs without a gap.  Without a command no wheel may become faster.  With a command no
+        wheel may be faster than the fastest commanded wheel.
+        """
+        rehearsal = self.rehearsal
+        if (
+            not rehearsal.asked
+            or not rehearsal.base.armed
+            or rehearsal.driver_killed
+            or rehearsal.longest_gap > SHORT_GAP * rehearsal.base.period + 1e-6
+        ):
+            self._authority = False
+        if self._authority:
+            self._highest = max(self._highest, self._commanded_speed())
+            self._lowest = list(speeds)
+            excess = max(speeds, default=0.0) - self._highest
+        else:
+            self._lowest = [min(pair) for pair in zip(self._lowest, speeds, strict=True)]
+            excess = max(
+                (speed - low for speed, low in zip(speeds, self._lowest, strict=True)), default=0.0
+            )
+        self._unasked = max(self._unasked, excess)
+
+    def _commanded_speed(self) -> float:
+        """Speed (m/s) of the fastest commanded wheel at the ground."""
+        rehearsal = self.rehearsal
+        command = rehearsal.runner.driver.state.command
+        if command is None:
+            return 0.0
+        wheels = zip(command.joints.speeds, rehearsal.robot.wheels, strict=True)
+        return max(abs(speed) * wheel.radius for speed, wheel in wheels)
+
+    def _note_reactions(self) -> None:
+        rehearsal = self.rehearsal
+        state, driver = rehearsal.state, rehearsal.runner.driver.state
+        present = {
+            "fault": state is BaseState.FAULT,
+            "estop": state is BaseState.ESTOP,
+            "disarmed": self._was_armed and not rehearsal.base.armed,
+        }
+        if self.phase == DRIVING:
+            present["stops"] = driver.commanded_twist == ZERO_TWIST
+            self._ramped.append(driver.ramped.speed)
+            fastest = max(self._ramped) if len(self._ramped) == self._ramped.maxlen else math.inf
+            present["slower"] = fastest < 0.9 * self._asked_speed
+        present["warns"] = bool(set(rehearsal.runner.warnings()) - self._warnings)
+        for name, holds in present.items():
+            if holds:
+                self.times.setdefault(name, rehearsal.now - self.start)
+            else:
+                self.times.pop(name, None)
+        self.reason = rehearsal.reason or driver.hold_reason or self.reason
+        if rehearsal.runner.ready and self._ready_at is None:
+            self._ready_at = rehearsal.now - self.start
+
+    # -- the result --------------------------------------------------------------------------
+
+    def is_over(self) -> bool:
+        """Returns whether nothing more is expected."""
+        now = self.rehearsal.now - self.start
+        times = [self.times[name] for name in STOPS if name in self.times]
+        if self.phase == START and self._ready_at is not None:
+            times.append(self._ready_at)
+        if self._rest is None or not times:
+            return False
+        return now > max(self._rest[0], min(times)) + AFTERWARDS
+
+    def reaction(self) -> Reaction:
+        name = next((name for name in _ORDER if name in self.times), "continues")
+        if self.phase == START and name not in STOPS:
+            name = "ready" if self._ready_at is not None else "waits"
+        after = self._ready_at if name == "ready" else self.times.get(name)
+        moves = self.phase in MOVING_PHASES
+        rest_time, distance = self._rest if self._rest is not None else (math.nan, math.nan)
+        return Reaction(
+            name,
+            after,
+            self.reason if name in STOPS else "",
+            rest_time if moves and self._rest is not None else None,
+            distance if moves and self._rest is not None else None,
+            self.speed,
+            self._unasked,
+        )

@@ -1,0 +1,321 @@
+"""A robot with its base driver and one client, on simulated buses, in virtual time.
+
+One control cycle of a rehearsal:
+
+    client --twist--> control channel --> base driver --frames--> simulated devices --> motors
+                                                                                          |
+    the rehearsal measures the true speeds of the wheels after the cycle        <---------+
+
+The client and the base driver use a real local socket, so that a command can wait in the channel.
+Everything runs in one thread: the robot, the seed and the injected fault determine the result.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import socket
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.model import Robot
+from thorvaldc.model.bus_faults import BusFault, BusFaults
+from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.can_base.can_base import CanBase
+from thorvaldc.runtime.control.runner_services import RunnerControl
+from thorvaldc.runtime.driver import DriverState
+from thorvaldc.runtime.runner import BaseRunner
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.simulation.bus.fault_injection import FaultInjector
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+
+LONGEST_START = 60.0
+"""Longest time (s) from power-on until the robot is ready."""
+SHORT_GAP = 2.5
+"""Longest time between two control cycles, in periods, that does not make commands void."""
+
+FRESH = 3.0
+"""Control cycles after which the end of a commanded motion must have reached the motors."""
+
+
+class RehearsalError(ValueError):
+    """The robot cannot be rehearsed, because the robot does not drive even without faults."""
+
+
+class ScriptedClient:
+    """A program that commands a twist in every control cycle and never waits for an answer.
+
+    - ``twist``: commanded twist, or ``None`` if the client sends nothing.
+    - ``refusals``: error messages in the answers of the base driver.
+    """
+
+    def __init__(self, path: Path, source: str) -> None:
+        self.source = source
+        self.twist: Twist | None = None
+        self.refusals: list[str] = []
+        self._unread = b""
+        self._stream: socket.socket | None = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._stream.connect(str(path))
+        self._stream.setblocking(False)
+
+    @property
+    def connected(self) -> bool:
+        return self._stream is not None
+
+    def fileno(self) -> int:
+        """Returns the file descriptor of the open connection."""
+        if self._stream is None:
+            raise ValueError("the connection is closed")
+        return self._stream.fileno()
+
+    def send_twist(self) -> None:
+        """Sends the commanded twist, and reads the answers to earlier requests."""
+        if self.twist is not None:
+            self.request("twist", source=self.source, **self.twist._asdict())
+        self._read_answers()
+
+    def request(self, service: str, **arguments: Any) -> None:
+        """Requests a service without waiting for the answer."""
+        line = json.dumps({"call": service, "arguments": arguments}).encode() + b"\n"
+        if self._stream is not None:
+            with contextlib.suppress(OSError):  # the driver has ended, or does not read
+                self._stream.send(line)
+
+    def close(self) -> None:
+        if self._stream is not None:
+            self._stream.close()
+            self._stream = None
+
+    def _read_answers(self) -> None:
+        if self._stream is None:
+            return
+        with contextlib.suppress(OSError):
+            self._unread += self._stream.recv(1 << 16)
+        *lines, self._unread = self._unread.split(b"\n")
+        for line in lines:
+            answer = json.loads(line)
+            if not answer.get("ok"):
+                self.refusals.append(str(answer.get("error")))
+
+
+class Weave(NamedTuple):
+    """A drive in curves to both sides in turn, so that the steering joints turn.
+
+    - ``left``: twist of the curve to the left.
+    - ``start``: time (s) of the start.
+    - ``seconds``: time (s) of a curve to one side.
+    """
+
+    left: Twist
+    start: float
+    seconds: float
+
+    def twist(self, now: float) -> Twist:
+        """Returns the commanded twist at the time ``now`` (s)."""
+        side = 1.0 if int((now - self.start) / self.seconds + 1e-6) % 2 else -1.0
+        return self.left._replace(wz=side * self.left.wz)
+
+
+class Rehearsal:
+    """A robot on simulated buses with its base driver and a client.
+
+    - ``observe``: function that is called after each control cycle, and also in each period in
+      which the base driver does not run.
+    - ``frames``: data of the newest frame by name of the bus and COB-ID.
+    """
+
+    def __init__(self, robot: Robot, *, parameters: str | None = None, seed: int = 0) -> None:
+        self.robot = robot
+        self.simulated = SimulatedRobot(robot, seed=seed)
+        interfaces = {
+            bus.name: self.simulated.interface(bus.name, fifo=True) for bus in robot.buses
+        }
+        self.base = CanBase(robot, interfaces, threaded=False)
+        clock = interfaces[robot.buses[0].name]
+        self.runner: BaseRunner = BaseRunner(robot, self.base, clock, parameters=parameters)
+        self.client: ScriptedClient | None = None
+        self.driver_killed = False
+        self.weave: Weave | None = None
+        self.observe: Callable[[], None] | None = None
+        self.longest_gap = 0.0
+        """Longest time (s) between two control cycles since the last call of ``forget``."""
+        self.frames: dict[tuple[str, int], bytes] = {}
+        self._control: RunnerControl | None = None
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._last_cycle = math.nan
+        self._asked_until = -math.inf
+        self.runner.pace = lambda _: self._run_client()
+        self.wheels = [
+            (self.simulated.motors[actuator.name], wheel.radius)
+            for wheel in robot.wheels
+            if (actuator := robot.actuator_of(wheel.spin_joint)) is not None
+            and actuator.name in self.simulated.motors
+        ]
+        for name, wire in self.simulated.wires.items():
+            wire.observers.append(self._recorder(name))
+
+    def _recorder(self, bus: str) -> Callable[[int, CanFrame, object], None]:
+        def record(time: int, frame: CanFrame, senders: object) -> None:
+            self.frames[bus, frame.id] = frame.data
+
+        return record
+
+    # -- state -------------------------------------------------------------------------------
+
+    @property
+    def now(self) -> float:
+        """Virtual time (s)."""
+        return self.simulated.timeline.seconds
+
+    @property
+    def state(self) -> BaseState:
+        return self.runner.state
+
+    @property
+    def reason(self) -> str:
+        return self.base.state_machine.reason
+
+    @property
+    def asked(self) -> bool:
+        """``True`` if a motion is commanded that has not timed out.
+
+        A closed connection and a command of zero end the motion within ``FRESH`` control cycles.
+        """
+        return self.now <= self._asked_until + 1e-9
+
+    def wheel_states(self) -> list[tuple[float, float]]:
+        """Returns the true path (m) and the true speed (m/s) of each driven wheel at the ground."""
+        now = self.now
+        states = []
+        for motor, radius in self.wheels:
+            state = motor.read(now)
+            states.append((state.position * radius, abs(state.velocity) * radius))
+        return states
+
+    # -- time --------------------------------------------------------------------------------
+
+    def run(self, seconds: float, stop: Callable[[], bool] | None = None) -> None:
+        """Runs the robot for ``seconds``, or until ``stop()`` returns ``True``."""
+        if self.driver_killed:
+            self.stall(seconds, stop)
+        else:
+            self.runner.run(self.now + seconds, watch=self._after_cycle, stop=stop)
+
+    def stall(self, seconds: float, stop: Callable[[], bool] | None = None) -> None:
+        """Lets the time go on without control cycles.  The client and the devices go on."""
+        until = self.now + seconds
+        while self.now < until - 1e-9 and not (stop is not None and stop()):
+            self.simulated.run(min(self.base.period, until - self.now))
+            self._run_client()
+            if self.observe is not None:
+                self.observe()
+
+    def _after_cycle(self, runner: BaseRunner, state: DriverState) -> None:
+        if not math.isnan(self._last_cycle):
+            self.longest_gap = max(self.longest_gap, self.now - self._last_cycle)
+        self._last_cycle = self.now
+        if self.observe is not None:
+            self.observe()
+
+    def _run_client(self) -> None:
+        if self.client is None:
+            return
+        client = self.client
+        if self.weave is not None:
+            client.twist = self.weave.twist(self.now)
+        client.send_twist()
+        if client.connected and client.twist not in (None, ZERO_TWIST):
+            self._asked_until = self.now + self.runner.driver.settings.command_timeout
+        elif not client.connected or client.twist == ZERO_TWIST:
+            self._asked_until = min(self._asked_until, self.now + FRESH * self.base.period)
+
+    # -- parts of a rehearsal ------------------------------------------------------------------
+
+    def power_on(self) -> None:
+        self.simulated.power_on()
+
+    def become_ready(self) -> None:
+        """Runs the robot until it is ready.
+
+        Raises ``RehearsalError`` if the robot does not become ready.
+        """
+        self.run(LONGEST_START, lambda: self.runner.ready or self.state is BaseState.FAULT)
+        if not self.runner.ready:
+            raise RehearsalError(
+                f"the robot does not become ready: {self.state.value} {self.reason}".rstrip()
+            )
+        self.run(0.1)
+
+    def connect(self, twist: Twist = ZERO_TWIST) -> None:
+        """Starts a client, which commands ``twist`` in every control cycle.
+
+        A second call changes only the commanded twist.
+        """
+        if self.client is not None:
+            self.client.twist = twist
+            return
+        self._folder = tempfile.TemporaryDirectory(prefix="thorvaldc-faults-")
+        channel = os.path.join(self._folder.name, "driver")
+        self._control = RunnerControl(self.runner, channel)
+        self.runner.feed = self._control.feed
+        self.client = ScriptedClient(Path(channel), self.robot.twist_sources[0].name)
+        self.client.twist = twist
+
+    def renew_connection(self) -> None:
+        """Gives a copy of this process a connection of its own between client and driver.
+
+        The original process and its copies share the sockets, so that one process could receive
+        what another has sent.  The new sockets replace both ends of the connection.
+        """
+        if self.client is None or self._control is None:
+            return
+        pair = socket.socketpair()
+        ends = (self.client.fileno(), *(stream.fileno() for stream in self._control.streams))
+        for new, old in zip(pair, ends, strict=True):
+            os.dup2(new.fileno(), old)
+            os.set_blocking(old, False)
+            new.close()
+
+    def arm(self) -> None:
+        """Arms the robot, which stands.
+
+        Raises ``RehearsalError`` if the robot cannot be armed.
+        """
+        self.run(0.1)
+        client = self.client
+        if client is not None and not self.base.armed:
+            client.request("arm")
+            self.run(0.1)
+        if not self.base.armed:
+            reasons = client.refusals if client is not None else []
+            raise RehearsalError(f"the robot cannot be armed: {'; '.join(reasons)}")
+
+    def forget(self) -> None:
+        """Starts a new measurement of ``longest_gap``."""
+        self.longest_gap = 0.0
+
+    def inject(self, kind: str, bus: str, node: str | None = None, **values: Any) -> None:
+        """Injects a fault now; it lasts until the end of the rehearsal."""
+        fault = BusFault(kind, bus, node, 0.0, None, self.robot.span, **values)
+        FaultInjector(self.simulated, BusFaults(())).inject(fault)
+
+    def kill_driver(self) -> None:
+        """Ends the base driver without a last frame, as the signal SIGKILL does."""
+        self.driver_killed = True
+        self.base.close()
+        if self._control is not None:
+            self._control.close()
+
+    def close(self) -> None:
+        """Closes the client and the control channel."""
+        if self.client is not None:
+            self.client.close()
+        if self._control is not None:
+            self._control.close()
+        if self._folder is not None:
+            self._folder.cleanup()
