@@ -9,10 +9,10 @@ import dataclasses
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from tests.commissioning.bench import NODES, SWAPPED, Bench, four_drives
-from tests.runtime.can_base.fault_matrix import CASES, Case
+from tests.robots import SPAN
 from thorvaldc.commissioning.journal import Journal
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.bus_faults import BusFault, BusFaults
@@ -22,6 +22,37 @@ PAGE = Path(__file__).parents[2] / "docs" / "commissioning.md"
 BEGIN, END = (
     "<!-- made by tests/commissioning/fault_matrix.py -->\n",
     "<!-- end -->\n",
+)
+
+
+class Case(NamedTuple):
+    """A fault that begins in the middle of a flash."""
+
+    name: str
+    fault: BusFault
+
+
+def _fault(kind: str, node: str | None = "fl_controller", **more: Any) -> BusFault:
+    return BusFault(kind, "main", node, 0.0, None, SPAN, **more)
+
+
+CASES = (
+    Case("power of a drive cut", _fault("power_cut")),
+    Case("power of all drives cut", _fault("power_cut", None)),
+    Case("a drive sends nothing", _fault("mute")),
+    Case("heartbeat of a drive stops", _fault("heartbeat_stop")),
+    Case("a drive takes the id of another one", _fault("duplicate_id", id=2)),
+    Case(
+        "a drive floods the bus with top-priority frames",
+        _fault("babble", cob_id=0x001, period=0.0001),
+    ),
+    Case("EMCY message of a drive", _fault("emcy", code=0x2310, register=1)),
+    Case("encoder of a wheel freezes", _fault("frozen_encoder", channel="propulsion")),
+    Case("encoder of a steering freezes", _fault("frozen_encoder", channel="steering")),
+    Case("a drive uses another bitrate", _fault("wrong_bitrate", bitrate=250_000)),
+    Case("a drive is bus-off", _fault("bus_off")),
+    Case("a drive receives nothing", _fault("lost_frames", share=1.0)),
+    Case("one frame in ten is destroyed", _fault("noise", None, share=0.1)),
 )
 PHASES = {"scanning": 160, "addresses": 390, "values": 450}
 """Frame of the flash, counted from its start, in the middle of which the fault begins."""

@@ -4,8 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from tests.commissioning.fault_matrix import BEGIN, END, LONGEST, PAGE, reactions, row
-from tests.runtime.can_base.fault_matrix import CASES, Case
+from tests.commissioning.fault_matrix import (
+    BEGIN,
+    CASES,
+    END,
+    LONGEST,
+    PAGE,
+    Case,
+    reactions,
+    row,
+)
 
 STOPS = ("bus-error", "flash-stopped", "plan-impossible", "plan-changed")
 

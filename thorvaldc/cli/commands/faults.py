@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import gc
+from typing import Annotated
+
+import typer
 
 from thorvaldc.cli.diagnostic_output import message, print_json, report_of
 from thorvaldc.cli.exits import DONE, INPUT
@@ -28,6 +31,10 @@ from thorvaldc.tools.scenario_batch import processors
 def faults(
     file: RobotFile,
     parameters: Parameters = "",
+    only: Annotated[
+        str,
+        typer.Option("--only", metavar="TEXT", help="Only faults whose name contains this text."),
+    ] = "",
     seed: Seed = "",
     jobs: Jobs = "",
     json: Json = False,
@@ -41,6 +48,9 @@ def faults(
     gc.enable()
     try:
         matrix = FaultMatrix(loaded.robot, parameters=parameters or None, seed=number)
+        matrix.cases = [case for case in matrix.cases if only in case.name]
+        if not matrix.cases:
+            raise typer.BadParameter(f"no fault contains {only!r}", param_hint="'--only'")
         progress = Progress(matrix.cells, "reactions")
         try:
             rows = matrix.rows(processes, progress.show)

@@ -26,6 +26,13 @@ STANDING = 0.02
 IN_POSITION = 0.01
 """Largest deviation (rad) of a steering joint that has reached its target angle."""
 
+JUMP = 0.1
+"""Largest difference (rad) of two reported steering angles that the motion cannot explain."""
+JUMP_SPEED = 1.5
+"""Largest speed of a steering joint, as a multiple of the top speed of its motor."""
+JUMP_TIME = 0.04
+"""Shortest time (s) of motion between two reports, because adapters delay single frames."""
+
 
 class Intent(enum.Enum):
     """Request of the base to all motor controllers in a control cycle.
@@ -53,7 +60,9 @@ class Axis:
     - ``position``: joint position in rad, NaN before the first measurement;
     - ``velocity``: joint velocity in rad/s, NaN before the first measurement;
     - ``target``: commanded wheel speed (rad/s) or steering angle (rad);
-    - ``homed``: ``True`` if the zero position of the joint is known.
+    - ``homed``: ``True`` if the zero position of the joint is known;
+    - ``jump``: angle (rad) by which the position of a homed steering joint has jumped, faster than
+      the motor can turn; 0 if the position has not jumped.
     """
 
     def __init__(self, actuator: Actuator, wheel: int, channel: str) -> None:
@@ -67,6 +76,7 @@ class Axis:
         self.velocity = math.nan
         self.target = 0.0
         self.homed = not self.steering
+        self.jump = 0.0
 
     def update(self, time: float, position: float, velocity: float | None = None) -> None:
         """Stores a measured joint position (rad) and joint velocity (rad/s).
@@ -74,6 +84,11 @@ class Axis:
         If ``velocity`` is ``None``, the joint velocity is computed from the last two joint
         positions.
         """
+        if self.steering and self.homed and not self.jump:
+            change = abs(position - self.position)
+            motion = JUMP_SPEED * self.actuator.max_velocity * max(time - self.time, JUMP_TIME)
+            if change > motion + JUMP:
+                self.jump = change
         if velocity is None:
             dt = time - self.time
             velocity = (position - self.position) / dt if 0.0 < dt < 1.0 else 0.0
@@ -216,6 +231,19 @@ class MotorController(abc.ABC):
         """Marks all steering motors as not homed, so that the next ``HOME`` starts a homing."""
         for axis in self.axes:
             axis.homed = not axis.steering
+
+    def encoder_jump(self, now: float) -> str:
+        """Returns a message if the encoder of a steering joint has jumped, or an empty text.
+
+        The zero position of the joint is then unknown, and the next start-up homes the joint again.
+        """
+        for axis in self.axes:
+            if axis.jump:
+                text = f"the encoder of {axis.channel} jumped by {math.degrees(axis.jump):.0f} deg"
+                axis.jump = 0.0
+                self.discard_home(now)
+                return text
+        return ""
 
     def hold(self) -> None:
         """Sets the target angles to the measured steering angles and the target speeds to 0."""

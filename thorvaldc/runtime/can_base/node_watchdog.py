@@ -142,7 +142,7 @@ class NodeWatchdog:
         """Returns a problem of a motor controller that must stop the robot, or an empty text."""
         if controller.node.name in self._restarted:
             return "it restarted"
-        return controller.problem or self._silence(controller, now)
+        return controller.problem or controller.encoder_jump(now) or self._silence(controller, now)
 
     @property
     def has_boot_ups(self) -> bool:

@@ -76,30 +76,30 @@ class FaultCase:
 
 
 def fault_cases(robot: Robot) -> list[FaultCase]:
-    """Returns the cases for one motor controller of each kind on the buses of the robot.
+    """Returns the cases of a robot.
 
-    The motor controllers with a steering motor come first.
+    One motor controller of each kind has the faults of a device.  The motor controllers with a
+    steering motor come first.
     """
-    targets: dict[str, tuple[Bus, Node]] = {}
+    targets: dict[str, _Target] = {}
     for steering in (True, False):
         for bus in robot.buses:
             for node in bus.nodes:
                 steers = any(channel.role == "steering" for channel in node.channels)
                 if steers is steering and any(c.actuator is not None for c in node.channels):
-                    targets.setdefault(node.protocol, (bus, node))
-    return [
-        case
-        for bus, node in targets.values()
-        for source in (
-            _power_and_bus_cases,
-            _identity_cases,
-            _encoder_cases,
-            _forgery_cases,
-            _battery_cases,
-            _program_cases,
-        )
-        for case in source(_Target(robot, bus, node))
-    ]
+                    targets.setdefault(node.protocol, _Target(robot, bus, node))
+    on_buses = {target.bus.name: target for target in reversed(targets.values())}
+    first = list(targets.values())[:1]
+    sources = (
+        (_device_cases, targets.values()),
+        (_identity_cases, targets.values()),
+        (_encoder_cases, targets.values()),
+        (_forgery_cases, targets.values()),
+        (_bus_cases, on_buses.values()),
+        (_battery_cases, on_buses.values()),
+        (_program_cases, first),
+    )
+    return [case for source, nodes in sources for target in nodes for case in source(target)]
 
 
 class _Target:
@@ -192,11 +192,10 @@ class _Target:
         return inject
 
 
-def _power_and_bus_cases(target: _Target) -> Iterator[FaultCase]:
+def _device_cases(target: _Target) -> Iterator[FaultCase]:
     case, device = target.case, target.device
     reports, prompt, watchdog = target.silence, target.prompt, target.watchdog
     yield case("power of a drive cut", device("power_cut"), reports)
-    yield case("power of all drives cut", target.on_node(None, "power_cut"), reports)
     yield case("a drive sends nothing", device("mute"), reports)
     if target.sends("heartbeat"):
         yield case("heartbeat of a drive stops", device("heartbeat_stop"), target.beats)
@@ -218,18 +217,20 @@ def _power_and_bus_cases(target: _Target) -> Iterator[FaultCase]:
         observed=2.6,
         silence=watchdog,
     )
-    yield case("a drive forgets its watchdog", device("watchdog_lost"), None, starts_at=1.0)
+    forgotten = dict.fromkeys((IDLE, DRIVING), SLOW) if target.node.heartbeat_consumer_time else {}
+    yield case(
+        "a drive forgets its watchdog",
+        device("watchdog_lost"),
+        forgotten,
+        starts_at=1.0,
+        observed=SLOW,
+    )
     yield case(
         "a drive floods the bus with top-priority frames",
         device("babble", cob_id=0x001, period=0.0001),
         reports,
         silence=watchdog,
     )
-    yield case("one frame in ten is destroyed", target.on_node(None, "noise", share=0.1), None)
-    late = target.on_node(None, "late_frames", share=1.0, latency=1.5 * target.cycle)
-    yield case("all frames arrive 1.5 cycles late", late, None)
-    twice = target.on_node(None, "repeated_frames", share=1.0)
-    yield case("all frames arrive twice", twice, None)
 
 
 def _identity_cases(target: _Target) -> Iterator[FaultCase]:
@@ -281,7 +282,26 @@ def _encoder_cases(target: _Target) -> Iterator[FaultCase]:
 
 
 def _forgery_cases(target: _Target) -> Iterator[FaultCase]:
+    case, cycle = target.case, target.cycle
+    if target.command is not None:
+        other = target.repeated(target.command, target.command.period or cycle)
+        yield case("another master sends commands to a drive", other, target.silence)
+    if target.report is not None:
+        old = target.repeated(target.report, target.report.period or cycle)
+        yield case("false reports of a drive: of another time", old, SLOW, observed=SLOW)
+        cob_id, period = target.report.cob_id, target.report.period
+        jumping = target.on_node(None, "forged_frames", cob_id=cob_id, period=period)
+        yield case("false reports of a drive: random", jumping, SLOW, observed=SLOW)
+
+
+def _bus_cases(target: _Target) -> Iterator[FaultCase]:
     case, cycle, prompt = target.case, target.cycle, target.prompt
+    yield case("power of all drives cut", target.on_node(None, "power_cut"), target.silence)
+    yield case("one frame in ten is destroyed", target.on_node(None, "noise", share=0.1), None)
+    late = target.on_node(None, "late_frames", share=1.0, latency=1.5 * target.cycle)
+    yield case("all frames arrive 1.5 cycles late", late, None)
+    twice = target.on_node(None, "repeated_frames", share=1.0)
+    yield case("all frames arrive twice", twice, None)
     kinds = {frame.kind for frame in target.bus.frames if frame.producer == MASTER}
     if "sync" in kinds:
         yield case("another master sends SYNC", target.forged(SYNC, b"", cycle), prompt)
@@ -293,15 +313,6 @@ def _forgery_cases(target: _Target) -> Iterator[FaultCase]:
     if "nmt" in kinds:
         stop = target.forged(NMT, bytes([NmtCommand.STOP, 0]))
         yield case("another master stops all nodes (NMT)", stop, prompt, starts_at=1.0)
-    if target.command is not None:
-        other = target.repeated(target.command, target.command.period or cycle)
-        yield case("another master sends commands to a drive", other, target.silence)
-    if target.report is not None:
-        old = target.repeated(target.report, target.report.period or cycle)
-        yield case("false reports of a drive: of another time", old, SLOW, observed=SLOW)
-        cob_id, period = target.report.cob_id, target.report.period
-        jumping = target.on_node(None, "forged_frames", cob_id=cob_id, period=period)
-        yield case("false reports of a drive: random", jumping, SLOW, observed=SLOW)
 
 
 def _battery_cases(target: _Target) -> Iterator[FaultCase]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from thorvaldc.model import Robot
 from thorvaldc.tools.fault_matrix.fault_cases import MOVING_PHASES, FaultCase
-from thorvaldc.tools.fault_matrix.fault_reaction import STOPS, UNASKED, Reaction
+from thorvaldc.tools.fault_matrix.fault_reaction import NOT_SIMULATED, STOPS, UNASKED, Reaction
 
 MARGIN = 0.1
 """Time (s) for the control cycles and the delays of the drives at the end of a stop."""
@@ -13,8 +13,10 @@ MARGIN = 0.1
 def rest_limit(robot: Robot, case: FaultCase, phase: str, speed: float) -> tuple[float, float]:
     """Returns the longest time (s) and distance (m) until the robot stands after a fault.
 
-    ``speed``: speed (m/s) of the fastest wheel at the time of the fault.
+    ``speed``: speed (m/s) of the fastest wheel at the time of the fault.  Until the reaction, the
+    robot can reach its top speed.
     """
+    speed = max(speed, robot.driver.max_linear_velocity)
     delay = max(case.detection.get(phase, 0.0), case.silence)
     braking = speed / robot.driver.max_linear_acceleration + MARGIN
     return delay + braking, speed * (delay + braking / 2.0) + 0.01
@@ -22,6 +24,8 @@ def rest_limit(robot: Robot, case: FaultCase, phase: str, speed: float) -> tuple
 
 def broken_limits(robot: Robot, case: FaultCase, phase: str, reaction: Reaction) -> list[str]:
     """Returns a sentence for each promise that the reaction does not keep."""
+    if reaction.reaction == NOT_SIMULATED:
+        return []
     problems = []
     limit = case.detection.get(phase)
     stopped = reaction.reaction in STOPS

@@ -27,12 +27,13 @@ UNASKED = 0.05
 """Increase (m/s) of a wheel speed above which a wheel has accelerated without a command."""
 AFTERWARDS = 0.5
 """Time (s) of observation after the robot has reacted and stands, to see whether it moves again."""
-STEADY = 0.3
+STEADY = 1.0
 """Time (s) of a curve after the robot has changed its yaw rate."""
 LONGEST_START = 30.0
 """Longest time (s) of observation in the phase start-up."""
 _ORDER = ("fault", "estop", "disarmed", "stops", "slower", "warns")
 """Reactions from the strongest to the weakest."""
+NOT_SIMULATED = "not simulated"
 STOPS = ("fault", "estop", "disarmed", "stops")
 
 
@@ -41,7 +42,8 @@ class Reaction:
     """The measured reaction to a fault.
 
     - ``reaction``: ``fault`` or ``estop`` (state of the base), ``disarmed``, ``stops``, ``slower``,
-      ``warns``, ``continues``, or ``ready`` at the end of a start-up.
+      ``warns``, ``continues``, ``not simulated`` if the simulated device cannot have the fault, or
+      ``ready`` at the end of a start-up.
     - ``after``: time (s) from the fault to the reaction, or ``None``.
     - ``reason``: message of the base driver.
     - ``rest_time``: time (s) from the fault until all wheels stand, or ``None`` if they turn.
@@ -118,7 +120,10 @@ def react(rehearsal: Rehearsal, case: FaultCase, phase: str, evidence: Evidence)
         rehearsal.run(case.starts_at)
     observation = _Observation(rehearsal, phase)
     rehearsal.observe = observation.observe
-    case.inject(rehearsal, phase, evidence)
+    try:
+        case.inject(rehearsal, phase, evidence)
+    except ValueError:  # the simulated device of another package cannot have the fault
+        return Reaction(NOT_SIMULATED, None, "", None, None, observation.speed, 0.0)
     observation.observe()
     braking = 2.0 * observation.speed / rehearsal.runner.driver.settings.max_linear_acceleration
     observed = LONGEST_START if phase == START else case.observed + braking

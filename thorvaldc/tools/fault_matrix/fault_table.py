@@ -39,11 +39,12 @@ def matrix_json(matrix: FaultMatrix, rows: Sequence[FaultRow], file: str) -> dic
         "note": SIMULATED,
         "driving": twist._asdict(),
         "passed": all(row.passed for row in rows),
-        "faults": [_row_json(robot, row) for row in rows],
+        "faults": [row_json(robot, row) for row in rows],
     }
 
 
-def _row_json(robot: Robot, row: FaultRow) -> dict[str, Any]:
+def row_json(robot: Robot, row: FaultRow) -> dict[str, Any]:
+    """Returns the reactions to one fault as JSON values."""
     phases = {}
     for phase, reaction in row.reactions.items():
         limits: dict[str, float] = {}
@@ -91,8 +92,13 @@ def markdown(matrix: FaultMatrix, rows: Sequence[FaultRow], file: str) -> Iterat
 
 
 def table(robot: Robot, rows: Sequence[FaultRow]) -> Iterator[str]:
-    """Yields the lines of the Markdown table, with aligned columns."""
-    lines = [HEADINGS, *(row_cells(robot, row) for row in rows)]
+    """Yields the lines of the Markdown table."""
+    return aligned([row_cells(robot, row) for row in rows])
+
+
+def aligned(cells: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    """Yields the lines of the Markdown table with these cells, in aligned columns."""
+    lines = [HEADINGS, *cells]
     widths = [max(len(line[i]) for line in lines) for i in range(len(HEADINGS))]
     for number, line in enumerate(lines):
         yield "| " + " | ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)) + " |"

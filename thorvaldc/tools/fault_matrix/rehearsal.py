@@ -59,19 +59,13 @@ class ScriptedClient:
         self.twist: Twist | None = None
         self.refusals: list[str] = []
         self._unread = b""
-        self._stream: socket.socket | None = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._stream.connect(str(path))
-        self._stream.setblocking(False)
+        self.stream: socket.socket | None = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self.stream.connect(str(path))
+        self.stream.setblocking(False)
 
     @property
     def connected(self) -> bool:
-        return self._stream is not None
-
-    def fileno(self) -> int:
-        """Returns the file descriptor of the open connection."""
-        if self._stream is None:
-            raise ValueError("the connection is closed")
-        return self._stream.fileno()
+        return self.stream is not None
 
     def send_twist(self) -> None:
         """Sends the commanded twist, and reads the answers to earlier requests."""
@@ -82,20 +76,20 @@ class ScriptedClient:
     def request(self, service: str, **arguments: Any) -> None:
         """Requests a service without waiting for the answer."""
         line = json.dumps({"call": service, "arguments": arguments}).encode() + b"\n"
-        if self._stream is not None:
+        if self.stream is not None:
             with contextlib.suppress(OSError):  # the driver has ended, or does not read
-                self._stream.send(line)
+                self.stream.send(line)
 
     def close(self) -> None:
-        if self._stream is not None:
-            self._stream.close()
-            self._stream = None
+        if self.stream is not None:
+            self.stream.close()
+            self.stream = None
 
     def _read_answers(self) -> None:
-        if self._stream is None:
+        if self.stream is None:
             return
         with contextlib.suppress(OSError):
-            self._unread += self._stream.recv(1 << 16)
+            self._unread += self.stream.recv(1 << 16)
         *lines, self._unread = self._unread.split(b"\n")
         for line in lines:
             answer = json.loads(line)
@@ -272,13 +266,17 @@ class Rehearsal:
         The original process and its copies share the sockets, so that one process could receive
         what another has sent.  The new sockets replace both ends of the connection.
         """
-        if self.client is None or self._control is None:
+        client = self.client.stream if self.client is not None else None
+        if client is None or self._control is None:
             return
-        pair = socket.socketpair()
-        ends = (self.client.fileno(), *(stream.fileno() for stream in self._control.streams))
-        for new, old in zip(pair, ends, strict=True):
-            os.dup2(new.fileno(), old)
-            os.set_blocking(old, False)
+        (server,) = self._control.streams
+        near, far = socket.socketpair()
+        # What is on its way remains in the old sockets for the other processes.
+        far.sendall(_waiting(client))
+        near.sendall(_waiting(server))
+        for new, old in ((near, client), (far, server)):
+            os.dup2(new.fileno(), old.fileno())
+            os.set_blocking(old.fileno(), False)
             new.close()
 
     def arm(self) -> None:
@@ -319,3 +317,11 @@ class Rehearsal:
             self._control.close()
         if self._folder is not None:
             self._folder.cleanup()
+
+
+def _waiting(stream: socket.socket) -> bytes:
+    """Returns the received bytes that were not read yet, which remain in the socket."""
+    try:
+        return stream.recv(1 << 20, socket.MSG_PEEK)
+    except BlockingIOError:
+        return b""

@@ -1,0 +1,139 @@
+"""Reactions to faults: what is measured, and which promises are broken."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+
+from tests.runtime.can_base.fault_matrix import ROBOTS
+from tests.runtime.control.test_runner_services import TWO_BUSES
+from tests.simulation.bus.robots import cia402_robot, compiled
+from thorvaldc.tools.fault_matrix.fault_cases import (
+    DRIVING,
+    IDLE,
+    START,
+    STOPPING,
+    Evidence,
+    FaultCase,
+    fault_cases,
+)
+from thorvaldc.tools.fault_matrix.fault_limits import broken_limits, rest_limit
+from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix
+from thorvaldc.tools.fault_matrix.fault_reaction import Reaction
+from thorvaldc.tools.fault_matrix.rehearsal import Rehearsal
+
+ROBOT = ROBOTS["Thorvald script"]
+
+
+def case_of(name: str) -> FaultCase:
+    return next(case for case in fault_cases(ROBOT()) if case.name == name)
+
+
+def reaction(**changes: float | str | None) -> Reaction:
+    """Returns a reaction that keeps every promise of a cut power."""
+    good = Reaction("fault", 0.05, "no tpdo1", 0.3, 0.1, 0.4, 0.0)
+    return replace(good, **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({}, ""),
+        ({"reaction": "continues", "after": None}, "the driver does not stop the robot"),
+        ({"reaction": "warns"}, "the driver does not stop the robot"),
+        ({"after": 0.5}, "the driver reacts after 0.50 s"),
+        ({"rest_time": None, "rest_distance": None}, "the wheels still turn"),
+        ({"rest_time": 9.0}, "at rest after 9.00 s"),
+        ({"rest_distance": 9.0}, "at rest after 9.00 m"),
+        ({"unasked": 0.2}, "a wheel became faster by 0.20 m/s without a command"),
+    ],
+)
+def test_each_broken_promise_has_a_sentence(
+    changes: dict[str, float | str | None], sentence: str
+) -> None:
+    problems = broken_limits(ROBOT(), case_of("power of a drive cut"), DRIVING, reaction(**changes))
+    assert len(problems) == bool(sentence)
+    assert all(problem.startswith(sentence) for problem in problems)
+
+
+def test_the_limit_grows_with_the_detection() -> None:
+    robot = ROBOT()
+    time, distance = rest_limit(robot, case_of("power of a drive cut"), DRIVING, 0.4)
+    later, farther = rest_limit(robot, case_of("heartbeat of a drive stops"), DRIVING, 0.4)
+    assert later - time == pytest.approx(0.25, abs=0.01)
+    assert farther - distance == pytest.approx(
+        (later - time) * robot.driver.max_linear_velocity, abs=0.01
+    )
+
+
+def spin(rehearsal: Rehearsal, phase: str, evidence: Evidence) -> None:
+    """A wheel turns without a command, as a short circuit lets it."""
+    motor, _ = rehearsal.wheels[0]
+    motor.turn(5.0, rehearsal.now)
+    motor.turn = lambda velocity, now: None  # type: ignore[method-assign]
+
+
+def test_a_wheel_that_turns_without_a_command_is_seen() -> None:
+    case = FaultCase("a wheel turns", "any", (IDLE,), spin, {})
+    matrix = FaultMatrix(ROBOT(), cases=[case])
+    (row,) = matrix.rows()
+    assert row.reactions[IDLE].moved_unasked
+    assert row.reactions[IDLE].unasked == pytest.approx(1.0, abs=0.05)
+    assert "without a command" in row.broken[IDLE][0]
+    assert not row.passed
+
+
+def test_a_device_that_cannot_have_the_fault_is_named() -> None:
+    def impossible(rehearsal: Rehearsal, phase: str, evidence: Evidence) -> None:
+        raise ValueError("it has no watchdog")
+
+    case = FaultCase("impossible", "any", (IDLE,), impossible, {IDLE: 0.1})
+    (row,) = FaultMatrix(ROBOT(), cases=[case]).rows()
+    assert row.reactions[IDLE].reaction == "not simulated"
+    assert row.passed
+
+
+SAME = """
+import json, sys
+from tests.runtime.can_base.fault_matrix import ROBOTS
+from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix
+from thorvaldc.tools.fault_matrix.forked_work import can_fork
+
+matrix = FaultMatrix(ROBOTS["Thorvald script"]())
+names = ("EMCY message of a drive", "connection of the client closed")
+matrix.cases = [case for case in matrix.cases if case.name in names]
+rows = matrix.rows(int(sys.argv[1]))
+forked = [{p: r.as_json() for p, r in row.reactions.items()} for row in rows]
+alone = [{p: matrix.react(row.case, p).as_json() for p in row.case.phases} for row in rows]
+print(json.dumps([can_fork(), forked, alone]))
+"""
+
+
+def test_copies_of_a_process_react_as_a_new_start_does() -> None:
+    command = [sys.executable, "-c", SAME, "2"]
+    output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    forked_at_all, forked, alone = json.loads(output)
+    assert forked_at_all or sys.platform == "win32"
+    assert forked == alone
+
+
+def test_mixed_drives_and_several_buses() -> None:
+    names = [(case.name, case.drives) for case in fault_cases(compiled(TWO_BUSES))]
+    assert len(names) == len(set(names))
+    case = next(c for c in fault_cases(compiled(TWO_BUSES)) if c.name == "a drive sends nothing")
+    matrix = FaultMatrix(compiled(TWO_BUSES))
+    result = matrix.react(case, STOPPING, Evidence())
+    assert result.reaction == "fault"
+    assert result.rest_time is not None
+
+
+def test_phases_of_the_cases() -> None:
+    """Faults of the bus are tried in all phases, faults of the client where the robot moves."""
+    cases = {case.name: case for case in fault_cases(cia402_robot())}
+    assert cases["power of a drive cut"].phases == (START, IDLE, DRIVING, STOPPING)
+    assert cases["client hangs"].phases == (DRIVING, STOPPING)
+    assert {"battery empty", "driver process killed", "another master sends SYNC"} <= set(cases)
