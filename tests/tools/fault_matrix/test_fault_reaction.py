@@ -62,9 +62,9 @@ def test_each_broken_promise_has_a_sentence(
 
 def test_the_limit_grows_with_the_detection() -> None:
     robot = ROBOT()
-    time, distance = rest_limit(robot, case_of("power of a drive cut"), DRIVING, 0.4)
-    later, farther = rest_limit(robot, case_of("heartbeat of a drive stops"), DRIVING, 0.4)
-    assert later - time == pytest.approx(0.25, abs=0.01)
+    time, distance = rest_limit(robot, case_of("power of a drive cut"), DRIVING)
+    later, farther = rest_limit(robot, case_of("heartbeat of a drive stops"), DRIVING)
+    assert later - time == pytest.approx(0.23, abs=0.03)
     assert farther - distance == pytest.approx(
         (later - time) * robot.driver.max_linear_velocity, abs=0.01
     )

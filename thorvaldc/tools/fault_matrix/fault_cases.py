@@ -10,18 +10,20 @@ from typing import Any
 from thorvaldc.can.canopen import NMT, SYNC, NmtCommand
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import Bus, FrameDefinition, Node
+from thorvaldc.model.stopping import (
+    COMMAND_TIMEOUT,
+    DETECTED_FAULT,
+    DRIVE_DEAD,
+    DRIVER_DEAD,
+    HEARTBEAT_TIMEOUT,
+    stop_bounds,
+)
 from thorvaldc.tools.fault_matrix.rehearsal import Rehearsal
 
 MASTER = "master"
 START, IDLE, DRIVING, STOPPING = PHASES = ("start-up", "idle", "driving", "stopping")
 MOVING_PHASES = (DRIVING, STOPPING)
 
-REPORTS = 2.5
-"""Periods of a report after which the base driver reports a fault: two reports are missing."""
-HEARTBEATS = 3.0
-"""Periods of a heartbeat after which the base driver reports a fault."""
-CYCLES = 3.0
-"""Control cycles from the arrival of the information to the reaction, with the transmission."""
 FROZEN_STEERING, FROZEN_WHEEL = 1.8, 0.7
 """Longest time (s) until a frozen encoder of a turning motor is detected."""
 NOT_FOLLOWING = 1.8
@@ -59,8 +61,10 @@ class FaultCase:
     - ``inject``: function that injects the fault.
     - ``detection``: longest time (s) until the base driver stops the robot, by phase.  Without an
       entry, the base driver need not stop the robot.
-    - ``silence``: longest time (s) from the fault until the drives brake, if this is later than the
-      detection, because drives receive no commands.
+    - ``silence``: longest time (s) for which drives receive no commands and do not brake.
+    - ``by_ramp``: ``True`` if the base driver stops the robot with its ramp, ``False`` if the
+      drives stop it with their quick stop.
+    - ``must_stop``: ``True`` if the robot must stop although the base driver cannot react.
     - ``starts_at``: time (s) of the fault in the phase ``start-up``.
     - ``observed``: time (s) of the observation after the fault.
     """
@@ -71,6 +75,8 @@ class FaultCase:
     inject: Injection
     detection: Mapping[str, float]
     silence: float = 0.0
+    by_ramp: bool = False
+    must_stop: bool = False
     starts_at: float = 0.0
     observed: float = 1.0
 
@@ -108,15 +114,14 @@ class _Target:
     def __init__(self, robot: Robot, bus: Bus, node: Node) -> None:
         self.robot, self.bus, self.node = robot, bus, node
         self.drives = node.protocol
-        cycle = min(b.sync_period for b in robot.buses)
-        self.cycle = cycle
-        reports = [f.period for f in self._sent("pdo") if f.period]
+        self.cycle = min(b.sync_period for b in robot.buses)
+        bounds = {bound.kind: bound for bound in stop_bounds(robot)}
         heartbeats = [f.period for f in self._sent("heartbeat") if f.period]
-        self.prompt = CYCLES * cycle
-        self.beats = HEARTBEATS * max(heartbeats, default=0.0) + self.prompt
-        self.silence = REPORTS * min(reports) + self.prompt if reports else self.beats
-        watchdogs = [n.heartbeat_consumer_time or 0.5 for n in bus.nodes if n.channels]
-        self.watchdog = max(watchdogs) + self.prompt
+        self.prompt = bounds[DETECTED_FAULT].reaction + self.cycle
+        self.beats = HEARTBEAT_TIMEOUT * max(heartbeats, default=0.0) + self.prompt
+        self.silence = bounds[DRIVE_DEAD].reaction
+        self.watchdog = bounds[DRIVER_DEAD].reaction
+        self.timeout = bounds[COMMAND_TIMEOUT].reaction
 
     def _sent(self, kind: str) -> list[FrameDefinition]:
         return [f for f in self.bus.frames if f.producer == self.node.name and f.kind == kind]
@@ -299,9 +304,10 @@ def _bus_cases(target: _Target) -> Iterator[FaultCase]:
     yield case("power of all drives cut", target.on_node(None, "power_cut"), target.silence)
     yield case("one frame in ten is destroyed", target.on_node(None, "noise", share=0.1), None)
     late = target.on_node(None, "late_frames", share=1.0, latency=1.5 * target.cycle)
-    yield case("all frames arrive 1.5 cycles late", late, None)
+    delay = prompt + 1.5 * cycle
+    yield case("all frames arrive 1.5 cycles late", late, None, silence=delay)
     twice = target.on_node(None, "repeated_frames", share=1.0)
-    yield case("all frames arrive twice", twice, None)
+    yield case("all frames arrive twice", twice, None, silence=prompt)
     kinds = {frame.kind for frame in target.bus.frames if frame.producer == MASTER}
     if "sync" in kinds:
         yield case("another master sends SYNC", target.forged(SYNC, b"", cycle), prompt)
@@ -327,34 +333,48 @@ def _battery_cases(target: _Target) -> Iterator[FaultCase]:
 
 def _program_cases(target: _Target) -> Iterator[FaultCase]:
     case, prompt, watchdog = target.case, target.prompt, target.watchdog
-    timeout = target.robot.driver.command_timeout + prompt
+    timeout = target.timeout
     for seconds in (0.05, 0.2, 0.55, 0.7, 1.0, 5.0):
-        detection = None if seconds < 2.5 * target.cycle + 0.01 else seconds + prompt
         yield case(
             f"driver stalls for {seconds:g} s",
             partial(_stall, seconds),
-            {} if detection is None else {DRIVING: detection},
+            {DRIVING: seconds + target.cycle + prompt},
             starts_at=1.0,
+            by_ramp=True,
             silence=min(seconds + prompt, watchdog),
             observed=seconds + 1.0,
         )
     yield case(
         "driver stalls for 0.7 s, client ends meanwhile",
         partial(_stall, 0.7, client_ends=0.2),
-        {DRIVING: 0.7 + prompt},
+        {DRIVING: 0.7 + target.cycle + prompt},
         phases=MOVING_PHASES,
         silence=watchdog,
         observed=1.7,
     )
     yield case(
-        "driver process killed", _kill, None, phases=PHASES[1:], silence=watchdog, observed=1.5
+        "driver process killed",
+        _kill,
+        None,
+        phases=PHASES[1:],
+        silence=watchdog,
+        must_stop=True,
+        observed=1.5,
     )
-    yield case("client hangs", _silence, {DRIVING: timeout}, phases=MOVING_PHASES, observed=1.5)
+    yield case(
+        "client hangs",
+        _silence,
+        {DRIVING: timeout},
+        phases=MOVING_PHASES,
+        by_ramp=True,
+        observed=1.5,
+    )
     yield case(
         "connection of the client closed",
         _close,
         {DRIVING: timeout},
         phases=MOVING_PHASES,
+        by_ramp=True,
         observed=1.5,
     )
 

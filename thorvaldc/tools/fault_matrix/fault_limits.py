@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from thorvaldc.model import Robot
-from thorvaldc.tools.fault_matrix.fault_cases import MOVING_PHASES, FaultCase
+from thorvaldc.model.stopping import DETECTED_FAULT, STOP_LOCK, stop_bounds
+from thorvaldc.tools.fault_matrix.fault_cases import MOVING_PHASES, STOPPING, FaultCase
 from thorvaldc.tools.fault_matrix.fault_reaction import NOT_SIMULATED, STOPS, UNASKED, Reaction
 
-MARGIN = 0.1
-"""Time (s) for the control cycles and the delays of the drives at the end of a stop."""
 
-
-def rest_limit(robot: Robot, case: FaultCase, phase: str, speed: float) -> tuple[float, float]:
+def rest_limit(robot: Robot, case: FaultCase, phase: str) -> tuple[float, float]:
     """Returns the longest time (s) and distance (m) until the robot stands after a fault.
 
-    ``speed``: speed (m/s) of the fastest wheel at the time of the fault.  Until the reaction, the
-    robot can reach its top speed.
+    Until the reaction the robot may drive at its top speed.  Then the robot stops within the time
+    and distance of ``stop_bounds``.
     """
-    speed = max(speed, robot.driver.max_linear_velocity)
     delay = max(case.detection.get(phase, 0.0), case.silence)
-    braking = speed / robot.driver.max_linear_acceleration + MARGIN
-    return delay + braking, speed * (delay + braking / 2.0) + 0.01
+    by_ramp = case.by_ramp or (phase not in case.detection and not case.silence)
+    bounds = {bound.kind: bound for bound in stop_bounds(robot)}
+    stop = bounds[STOP_LOCK if by_ramp else DETECTED_FAULT]
+    choices = [robot.driver, *(parameters.driver for parameters in robot.parameter_sets)]
+    speed = max(choice.max_linear_velocity for choice in choices)
+    return delay + stop.time, speed * delay + stop.distance
 
 
 def broken_limits(robot: Robot, case: FaultCase, phase: str, reaction: Reaction) -> list[str]:
@@ -33,8 +34,9 @@ def broken_limits(robot: Robot, case: FaultCase, phase: str, reaction: Reaction)
         problems.append(f"the driver does not stop the robot; {limit:.2f} s are promised")
     elif limit is not None and (reaction.after or 0.0) > limit:
         problems.append(f"the driver reacts after {reaction.after:.2f} s; promised: {limit:.2f} s")
-    if phase in MOVING_PHASES and (stopped or phase != MOVING_PHASES[0] or case.silence):
-        longest, farthest = rest_limit(robot, case, phase, reaction.speed)
+    must_stand = stopped or phase == STOPPING or case.must_stop
+    if phase in MOVING_PHASES and must_stand:
+        longest, farthest = rest_limit(robot, case, phase)
         if reaction.rest_time is None or reaction.rest_distance is None:
             problems.append("the wheels still turn at the end of the observation")
         elif reaction.rest_time > longest:

@@ -47,8 +47,8 @@ class Reaction:
     - ``after``: time (s) from the fault to the reaction, or ``None``.
     - ``reason``: message of the base driver.
     - ``rest_time``: time (s) from the fault until all wheels stand, or ``None`` if they turn.
-    - ``rest_distance``: longest path (m) of a driven wheel at the ground from the fault until all
-      wheels stand.
+    - ``rest_distance``: path (m) of the robot from the fault until all wheels stand, as the mean of
+      the paths of the driven wheels at the ground.
     - ``speed``: speed (m/s) of the fastest wheel at the time of the fault.
     - ``unasked``: largest increase (m/s) of a wheel speed without a fresh command of an armed
       robot.
@@ -118,7 +118,8 @@ def react(rehearsal: Rehearsal, case: FaultCase, phase: str, evidence: Evidence)
         rehearsal.connect(top_twist(rehearsal.robot))
         rehearsal.power_on()
         rehearsal.run(case.starts_at)
-    observation = _Observation(rehearsal, phase)
+    observed = LONGEST_START if phase == START else case.observed
+    observation = _Observation(rehearsal, phase, observed)
     rehearsal.observe = observation.observe
     try:
         case.inject(rehearsal, phase, evidence)
@@ -126,8 +127,7 @@ def react(rehearsal: Rehearsal, case: FaultCase, phase: str, evidence: Evidence)
         return Reaction(NOT_SIMULATED, None, "", None, None, observation.speed, 0.0)
     observation.observe()
     braking = 2.0 * observation.speed / rehearsal.runner.driver.settings.max_linear_acceleration
-    observed = LONGEST_START if phase == START else case.observed + braking
-    until = observation.start + observed
+    until = observation.start + observed + braking
     rehearsal.run(until - rehearsal.now, observation.is_over)
     return observation.reaction()
 
@@ -135,9 +135,11 @@ def react(rehearsal: Rehearsal, case: FaultCase, phase: str, evidence: Evidence)
 class _Observation:
     """Observes the wheels and the state of the base driver from the fault on."""
 
-    def __init__(self, rehearsal: Rehearsal, phase: str) -> None:
+    def __init__(self, rehearsal: Rehearsal, phase: str, observed: float) -> None:
+        """``observed``: time (s) of the observation of a robot that does not react."""
         self.rehearsal = rehearsal
         self.phase = phase
+        self.observed = observed
         self.start = rehearsal.now
         self.times: dict[str, float] = {}
         """Time (s) from the fault to each reaction; a reaction that ended is removed."""
@@ -175,7 +177,8 @@ class _Observation:
         if max((speed for _, speed in states), default=0.0) > AT_REST:
             self._rest = None
         elif self._rest is None:
-            self._rest = self.rehearsal.now - self.start, max(self._paths, default=0.0)
+            mean = sum(self._paths) / max(len(self._paths), 1)
+            self._rest = self.rehearsal.now - self.start, mean
 
     def _measure_unasked_motion(self, speeds: list[float]) -> None:
         """Compares the wheel speeds with the speeds that a person has commanded.
@@ -243,6 +246,8 @@ class _Observation:
         times = [self.times[name] for name in STOPS if name in self.times]
         if self.phase == START and self._ready_at is not None:
             times.append(self._ready_at)
+        if not times and now >= self.observed:
+            return self._rest is not None or self._authority
         if self._rest is None or not times:
             return False
         return now > max(self._rest[0], min(times)) + AFTERWARDS

@@ -10,7 +10,7 @@ from typing import Any
 from thorvaldc import __version__
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import to_json
-from thorvaldc.tools.fault_matrix.fault_cases import MOVING_PHASES, PHASES
+from thorvaldc.tools.fault_matrix.fault_cases import DRIVING, MOVING_PHASES, PHASES
 from thorvaldc.tools.fault_matrix.fault_limits import rest_limit
 from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix, FaultRow
 from thorvaldc.tools.fault_matrix.fault_reaction import Reaction
@@ -51,7 +51,7 @@ def row_json(robot: Robot, row: FaultRow) -> dict[str, Any]:
         if phase in row.case.detection:
             limits["reaction"] = row.case.detection[phase]
         if phase in MOVING_PHASES and reaction.rest_time is not None:
-            time, distance = rest_limit(robot, row.case, phase, reaction.speed)
+            time, distance = rest_limit(robot, row.case, phase)
             limits |= {"rest_time": time, "rest_distance": distance}
         phases[phase] = {
             **reaction.as_json(),
@@ -142,9 +142,8 @@ def _promise(robot: Robot, row: FaultRow, moving: list[tuple[str, Reaction]]) ->
     limit = max(row.case.detection.values(), default=None)
     if limit is not None:
         parts.append(f"{_rounded_up(limit, 10)} s")
-    if any(r.rest_time is not None for p, r in moving if p == MOVING_PHASES[0]):
-        phase, reaction = moving[0]
-        time, distance = rest_limit(robot, row.case, phase, reaction.speed)
+    if any(r.rest_time is not None for p, r in moving if p == DRIVING):
+        time, distance = rest_limit(robot, row.case, DRIVING)
         parts += [f"{_rounded_up(time, 10)} s", f"{_rounded_up(distance, 20)} m"]
     return ", ".join(parts)
 
