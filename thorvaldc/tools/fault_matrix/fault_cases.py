@@ -28,6 +28,8 @@ FROZEN_STEERING, FROZEN_WHEEL = 1.8, 0.7
 """Longest time (s) until a frozen encoder of a turning motor is detected."""
 NOT_FOLLOWING = 1.8
 """Longest time (s) until a drive that ignores its commands is detected."""
+SECOND_DEVICE = 0.6
+"""Longest time (s) until a second device or false reports are detected."""
 SLOW = 3.0
 """Longest time (s) until a state that is read now and then is detected."""
 
@@ -61,7 +63,7 @@ class FaultCase:
     - ``inject``: function that injects the fault.
     - ``detection``: longest time (s) until the base driver stops the robot, by phase.  Without an
       entry, the base driver need not stop the robot.
-    - ``silence``: longest time (s) for which drives receive no commands and do not brake.
+    - ``braking``: longest time (s) until all wheels brake; ``None``: when the driver reacts.
     - ``by_ramp``: ``True`` if the base driver stops the robot with its ramp, ``False`` if the
       drives stop it with their quick stop.
     - ``must_stop``: ``True`` if the robot must stop although the base driver cannot react.
@@ -74,7 +76,7 @@ class FaultCase:
     phases: tuple[str, ...]
     inject: Injection
     detection: Mapping[str, float]
-    silence: float = 0.0
+    braking: float | None = None
     by_ramp: bool = False
     must_stop: bool = False
     starts_at: float = 0.0
@@ -212,7 +214,7 @@ def _device_cases(target: _Target) -> Iterator[FaultCase]:
         "a drive uses another bitrate",
         device("wrong_bitrate", bitrate=bitrate),
         reports,
-        silence=watchdog,
+        braking=watchdog,
     )
     yield case("a drive is bus-off", device("bus_off"), reports, starts_at=1.0)
     yield case(
@@ -220,7 +222,7 @@ def _device_cases(target: _Target) -> Iterator[FaultCase]:
         device("lost_frames", share=1.0),
         {DRIVING: NOT_FOLLOWING},
         observed=2.6,
-        silence=watchdog,
+        braking=max(NOT_FOLLOWING, watchdog),
     )
     forgotten = dict.fromkeys((IDLE, DRIVING), SLOW) if target.node.heartbeat_consumer_time else {}
     yield case(
@@ -234,7 +236,7 @@ def _device_cases(target: _Target) -> Iterator[FaultCase]:
         "a drive floods the bus with top-priority frames",
         device("babble", cob_id=0x001, period=0.0001),
         reports,
-        silence=watchdog,
+        braking=watchdog,
     )
 
 
@@ -248,7 +250,7 @@ def _identity_cases(target: _Target) -> Iterator[FaultCase]:
         taken = target.device("duplicate_id", id=other)
         yield target.case("a drive takes the id of another one", taken, target.silence)
     clone = target.device("clone")
-    yield target.case("a second drive with the id of another one", clone, SLOW, observed=SLOW)
+    yield target.case("a second drive with the id of another one", clone, SECOND_DEVICE)
 
 
 def _encoder_cases(target: _Target) -> Iterator[FaultCase]:
@@ -293,10 +295,10 @@ def _forgery_cases(target: _Target) -> Iterator[FaultCase]:
         yield case("another master sends commands to a drive", other, target.silence)
     if target.report is not None:
         old = target.repeated(target.report, target.report.period or cycle)
-        yield case("false reports of a drive: of another time", old, SLOW, observed=SLOW)
+        yield case("false reports of a drive: of another time", old, SECOND_DEVICE)
         cob_id, period = target.report.cob_id, target.report.period
         jumping = target.on_node(None, "forged_frames", cob_id=cob_id, period=period)
-        yield case("false reports of a drive: random", jumping, SLOW, observed=SLOW)
+        yield case("false reports of a drive: random", jumping, SECOND_DEVICE)
 
 
 def _bus_cases(target: _Target) -> Iterator[FaultCase]:
@@ -305,9 +307,9 @@ def _bus_cases(target: _Target) -> Iterator[FaultCase]:
     yield case("one frame in ten is destroyed", target.on_node(None, "noise", share=0.1), None)
     late = target.on_node(None, "late_frames", share=1.0, latency=1.5 * target.cycle)
     delay = prompt + 1.5 * cycle
-    yield case("all frames arrive 1.5 cycles late", late, None, silence=delay)
+    yield case("all frames arrive 1.5 cycles late", late, None, braking=delay)
     twice = target.on_node(None, "repeated_frames", share=1.0)
-    yield case("all frames arrive twice", twice, None, silence=prompt)
+    yield case("all frames arrive twice", twice, None, braking=prompt)
     kinds = {frame.kind for frame in target.bus.frames if frame.producer == MASTER}
     if "sync" in kinds:
         yield case("another master sends SYNC", target.forged(SYNC, b"", cycle), prompt)
@@ -341,7 +343,7 @@ def _program_cases(target: _Target) -> Iterator[FaultCase]:
             {DRIVING: seconds + target.cycle + prompt},
             starts_at=1.0,
             by_ramp=True,
-            silence=min(seconds + prompt, watchdog),
+            braking=min(seconds + target.cycle + prompt, watchdog),
             observed=seconds + 1.0,
         )
     yield case(
@@ -349,7 +351,7 @@ def _program_cases(target: _Target) -> Iterator[FaultCase]:
         partial(_stall, 0.7, client_ends=0.2),
         {DRIVING: 0.7 + target.cycle + prompt},
         phases=MOVING_PHASES,
-        silence=watchdog,
+        braking=watchdog,
         observed=1.7,
     )
     yield case(
@@ -357,7 +359,7 @@ def _program_cases(target: _Target) -> Iterator[FaultCase]:
         _kill,
         None,
         phases=PHASES[1:],
-        silence=watchdog,
+        braking=watchdog,
         must_stop=True,
         observed=1.5,
     )

@@ -14,8 +14,8 @@ def rest_limit(robot: Robot, case: FaultCase, phase: str) -> tuple[float, float]
     Until the reaction the robot may drive at its top speed.  Then the robot stops within the time
     and distance of ``stop_bounds``.
     """
-    delay = max(case.detection.get(phase, 0.0), case.silence)
-    by_ramp = case.by_ramp or (phase not in case.detection and not case.silence)
+    delay = case.detection.get(phase, 0.0) if case.braking is None else case.braking
+    by_ramp = case.by_ramp or (phase not in case.detection and case.braking is None)
     bounds = {bound.kind: bound for bound in stop_bounds(robot)}
     stop = bounds[STOP_LOCK if by_ramp else DETECTED_FAULT]
     choices = [robot.driver, *(parameters.driver for parameters in robot.parameter_sets)]
