@@ -53,9 +53,10 @@ def row_json(robot: Robot, row: FaultRow) -> dict[str, Any]:
         if phase in MOVING_PHASES and reaction.rest_time is not None:
             time, distance = rest_limit(robot, row.case, phase)
             limits |= {"rest_time": time, "rest_distance": distance}
+        finite = {name: limit for name, limit in limits.items() if math.isfinite(limit)}
         phases[phase] = {
             **reaction.as_json(),
-            "promised": limits,
+            "promised": finite,
             "broken": list(row.broken.get(phase, ())),
         }
     return {
@@ -144,7 +145,9 @@ def _promise(robot: Robot, row: FaultRow, moving: list[tuple[str, Reaction]]) ->
         parts.append(f"{_rounded_up(limit, 10)} s")
     if any(r.rest_time is not None for p, r in moving if p == DRIVING):
         time, distance = rest_limit(robot, row.case, DRIVING)
-        parts += [f"{_rounded_up(time, 10)} s", f"{_rounded_up(distance, 20)} m"]
+        finite = math.isfinite(time)
+        known = [f"{_rounded_up(time, 10)} s", f"{_rounded_up(distance, 20)} m"] if finite else []
+        parts += known or ["unlimited"]
     return ", ".join(parts)
 
 
