@@ -49,7 +49,7 @@ def reaction(**changes: float | str | None) -> Reaction:
         ({"rest_time": None, "rest_distance": None}, "the wheels still turn"),
         ({"rest_time": 9.0}, "at rest after 9.00 s"),
         ({"rest_distance": 9.0}, "at rest after 9.00 m"),
-        ({"unasked": 0.2}, "a wheel became faster by 0.20 m/s without a command"),
+        ({"unasked": 0.2}, "the wheels became faster by 0.20 m/s without a command"),
     ],
 )
 def test_each_broken_promise_has_a_sentence(

@@ -325,12 +325,23 @@ def _bus_cases(target: _Target) -> Iterator[FaultCase]:
 
 def _battery_cases(target: _Target) -> Iterator[FaultCase]:
     nodes = [n for n in target.bus.nodes if any(b.node == n.name for b in target.robot.batteries)]
+    silence = target.robot.driver.battery.silence + SLOW
     for battery in nodes[:1]:
-        for name, charge in (("battery at 5 %", 0.05), ("battery empty", 0.0)):
-            low = target.on_node(battery.name, "battery_charge", charge=charge)
-            yield target.case(name, low, None, observed=2.0)
-        silent = target.on_node(battery.name, "mute")
-        yield target.case("battery sends nothing", silent, None, observed=2.0)
+        low = target.on_node(battery.name, "battery_charge", charge=0.05)
+        yield target.case("battery at 5 %", low, None, observed=2.0 * SLOW)
+        empty = target.on_node(battery.name, "battery_charge", charge=0.0)
+        yield target.case(
+            "battery empty", empty, {DRIVING: SLOW}, by_ramp=True, braking=SLOW, observed=SLOW
+        )
+        yield target.case(
+            "battery sends nothing",
+            target.on_node(battery.name, "mute"),
+            {DRIVING: silence},
+            phases=(START, DRIVING),
+            by_ramp=True,
+            braking=silence,
+            observed=silence,
+        )
 
 
 def _program_cases(target: _Target) -> Iterator[FaultCase]:

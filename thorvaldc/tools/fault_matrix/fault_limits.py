@@ -47,7 +47,7 @@ def broken_limits(robot: Robot, case: FaultCase, phase: str, reaction: Reaction)
             )
     if reaction.moved_unasked:
         problems.append(
-            f"a wheel became faster by {reaction.unasked:.2f} m/s without a command; "
+            f"the wheels became faster by {reaction.unasked:.2f} m/s without a command; "
             f"{UNASKED:g} m/s are tolerated"
         )
     return problems

@@ -24,7 +24,7 @@ from thorvaldc.tools.fault_matrix.rehearsal import SHORT_GAP, Rehearsal, Rehears
 AT_REST = 0.01
 """Speed (m/s) of a wheel at the ground below which it stands."""
 UNASKED = 0.05
-"""Increase (m/s) of a wheel speed above which a wheel has accelerated without a command."""
+"""Increase (m/s) of the fastest wheel speed above which the robot has moved unasked."""
 AFTERWARDS = 0.5
 """Time (s) of observation after the robot has reacted and stands, to see whether it moves again."""
 STEADY = 1.0
@@ -50,7 +50,7 @@ class Reaction:
     - ``rest_distance``: path (m) of the robot from the fault until all wheels stand, as the mean of
       the paths of the driven wheels at the ground.
     - ``speed``: speed (m/s) of the fastest wheel at the time of the fault.
-    - ``unasked``: largest increase (m/s) of a wheel speed without a fresh command of an armed
+    - ``unasked``: largest increase (m/s) of the fastest wheel speed without a fresh command of an armed
       robot.
     """
 
@@ -145,9 +145,8 @@ class _Observation:
         """Time (s) from the fault to each reaction; a reaction that ended is removed."""
         self.reason = ""
         self._last = rehearsal.wheel_states()
-        self._speeds = [speed for _, speed in self._last]
-        self.speed = max(self._speeds, default=0.0)
-        self._lowest = list(self._speeds)
+        self.speed = max((speed for _, speed in self._last), default=0.0)
+        self._lowest = self.speed
         self._highest = self._commanded_speed()
         self._paths = [0.0] * len(self._last)
         self._rest: tuple[float, float] | None = None
@@ -184,9 +183,11 @@ class _Observation:
         """Compares the wheel speeds with the speeds that a person has commanded.
 
         A person commands while a living client commands a motion, the robot is armed, and the base
-        driver runs without a gap.  Without a command no wheel may become faster.  With a command no
-        wheel may be faster than the fastest commanded wheel.
+        driver runs without a gap.  Without a command the fastest wheel may not become faster; other
+        wheels may, because the curve changes while the robot brakes.  With a command no wheel may
+        be faster than the fastest commanded wheel.
         """
+        fastest = max(speeds, default=0.0)
         rehearsal = self.rehearsal
         if (
             not rehearsal.asked
@@ -197,13 +198,11 @@ class _Observation:
             self._authority = False
         if self._authority:
             self._highest = max(self._highest, self._commanded_speed())
-            self._lowest = list(speeds)
-            excess = max(speeds, default=0.0) - self._highest
+            self._lowest = fastest
+            excess = fastest - self._highest
         else:
-            self._lowest = [min(pair) for pair in zip(self._lowest, speeds, strict=True)]
-            excess = max(
-                (speed - low for speed, low in zip(speeds, self._lowest, strict=True)), default=0.0
-            )
+            self._lowest = min(self._lowest, fastest)
+            excess = fastest - self._lowest
         self._unasked = max(self._unasked, excess)
 
     def _commanded_speed(self) -> float:
