@@ -19,7 +19,13 @@ from thorvaldc.tools.fault_matrix.fault_cases import (
     Evidence,
     FaultCase,
 )
-from thorvaldc.tools.fault_matrix.rehearsal import SHORT_GAP, Rehearsal, RehearsalError, Weave
+from thorvaldc.tools.fault_matrix.rehearsal import (
+    FRESH,
+    SHORT_GAP,
+    Rehearsal,
+    RehearsalError,
+    Weave,
+)
 
 AT_REST = 0.01
 """Speed (m/s) of a wheel at the ground below which it stands."""
@@ -50,8 +56,8 @@ class Reaction:
     - ``rest_distance``: path (m) of the robot from the fault until all wheels stand, as the mean of
       the paths of the driven wheels at the ground.
     - ``speed``: speed (m/s) of the fastest wheel at the time of the fault.
-    - ``unasked``: largest increase (m/s) of the fastest wheel speed without a fresh command of an armed
-      robot.
+    - ``unasked``: largest increase (m/s) of the fastest wheel speed without a fresh command of an
+      armed robot.
     """
 
     reaction: str
@@ -152,6 +158,7 @@ class _Observation:
         self._rest: tuple[float, float] | None = None
         self._unasked = 0.0
         self._authority = True
+        self._disarmed_at = math.inf
         self._was_armed = rehearsal.base.armed
         seconds = 1.0 if rehearsal.weave is None else rehearsal.weave.seconds
         self._ramped: deque[float] = deque(maxlen=round(seconds / rehearsal.base.period))
@@ -187,11 +194,12 @@ class _Observation:
         wheels may, because the curve changes while the robot brakes.  With a command no wheel may
         be faster than the fastest commanded wheel.
         """
-        fastest = max(speeds, default=0.0)
-        rehearsal = self.rehearsal
+        rehearsal, fastest = self.rehearsal, max(speeds, default=0.0)
+        if not rehearsal.base.armed:
+            self._disarmed_at = min(self._disarmed_at, rehearsal.now)
         if (
             not rehearsal.asked
-            or not rehearsal.base.armed
+            or rehearsal.now > self._disarmed_at + FRESH * rehearsal.base.period + 1e-6
             or rehearsal.driver_killed
             or rehearsal.longest_gap > SHORT_GAP * rehearsal.base.period + 1e-6
         ):
