@@ -89,6 +89,19 @@ def can_turn(robot: Robot) -> bool:
     )
 
 
+def can_steer(robot: Robot, radius: float) -> bool:
+    """Reports if the steering limits allow a circle of this radius (m) to the left."""
+    x, y, along = fixed_line(robot) or (0.0, 0.0, 0.0)
+    centre = (x - radius * math.sin(along), y + radius * math.cos(along))
+    for wheel in robot.wheels:
+        joint = robot.joint(wheel.steering_joint) if wheel.steering_joint is not None else None
+        if joint is not None and joint.lower is not None and joint.upper is not None:
+            angle, _ = rolling(wheel, centre, along)
+            if not joint.lower <= angle <= joint.upper:
+                return False
+    return True
+
+
 def drive(scene: Path, robot: Robot, *, radius: float | None) -> Run:
     """Drives straight (``radius`` is ``None``) or on a circle of this radius (m), to the left.
 

@@ -15,7 +15,7 @@ from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointStates
 from thorvaldc.runtime.driver import BaseDriver, DriveMode
 from thorvaldc.runtime.errors import ParameterError
-from thorvaldc.runtime.se2 import Twist
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.physics.sim_base import SimBase
 
 HALF_STEERED = [(x, y, kind if x > 0.0 else "fixed") for x, y, kind in FOUR_STEERED]
@@ -101,6 +101,12 @@ def test_no_joint_state_and_no_command_makes_a_nan(
         for number in (*state.pose, *state.odometry.twist, *map(sum, state.pose_covariance)):
             assert math.isfinite(number)
     base.corruption = {}
+    # A long gap in time is a fault, which a person resets.  The driver then waits for a zero twist.
+    driver.reset()
+    for _ in range(2):
+        now += DT
+        driver.command(ZERO_TWIST, now)
+        driver.tick(now)
     # 5 s: if wheels must turn around, the robot stops first, which takes more than 3 s in all.
     for _ in range(250):
         now += DT

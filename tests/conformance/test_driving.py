@@ -11,7 +11,7 @@ import pytest
 from tests.backend_files import files_of
 from tests.backends.conftest import write
 from tests.backends.plans import ROBOTS as PLANNED
-from tests.conformance.driving import can_turn, drive
+from tests.conformance.driving import can_steer, can_turn, drive
 from tests.examples import FLEETS, ROBOTS, example_fleet, example_robot
 from tests.workshop import Workshop
 from thorvaldc.backends.mjcf import Mjcf
@@ -46,6 +46,8 @@ def test_turning_agrees_with_the_wheels(name: str, radius: float, tmp_path: Path
     robot = robot_of(name)
     if not can_turn(robot):
         pytest.skip("can turn only by skidding")
+    if not can_steer(robot, radius):
+        pytest.skip("the steering limits do not allow a circle of this radius")
     run = drive(scene_of(robot, tmp_path), robot, radius=radius)
     assert run.turn > 0.5
     assert abs(run.turn / run.wheel_turn - 1.0) < 1e-2

@@ -77,6 +77,8 @@ def test_straight_distance_agrees_with_the_wheels(name: str) -> None:
 @pytest.mark.parametrize("name", [*ROBOTS_OF_TESTS, *EXAMPLES])
 @pytest.mark.parametrize("twist", [Twist(0.5, 0.0, 0.3), Twist(0.0, 0.0, -0.4)])
 def test_turning_agrees_with_the_wheels(name: str, twist: Twist) -> None:
+    if name == "car":  # a circle of 2.5 m instead of the two that its steering limits exclude
+        twist = Twist(math.copysign(0.8, twist.wz), 0.0, 0.32)
     run = drive(name, twist, 8.0)
     assert abs(run.pose_odometry.yaw) > 2.0
     assert run.pose_true.yaw == pytest.approx(run.pose_odometry.yaw, rel=1e-2)

@@ -31,6 +31,7 @@ def test_the_odometry_experiment_over_the_bus() -> None:
     base = MujocoBase(robot, MujocoScene(emit(robot, ["mjcf"])))
     rig = Rig(robot, base=base)
     rig.ready()
+    rig.arm()
     commands = scenario.commands[0][1]
     plan = [Segment(rig.now + c.time, Twist(c.vx, c.vy, c.wz)) for c in commands]
     end = rig.now + scenario.duration
@@ -63,6 +64,7 @@ def test_hard_ramps_of_a_heavy_robot_are_no_fault(make: Callable[[], Robot]) -> 
     robot = make()
     rig = Rig(robot, base=MujocoBase(robot, MujocoScene(emit(robot, ["mjcf"]))), seed=3)
     rig.ready()
+    rig.arm()
     top, turn = robot.driver.max_linear_velocity, robot.driver.max_angular_velocity
     for vx, vy, wz in ((top, 0, 0), (-top, 0, 0), (0, top, 0), (0, 0, turn), (0, -top, -turn)):
         rig.twist = Twist(vx, vy, wz)

@@ -157,8 +157,11 @@ def _values(
 
 
 def _text(value: float) -> str:
-    """Formats a number with nine significant digits, or as an empty text if not finite."""
-    return f"{value:.9g}" if math.isfinite(value) else ""
+    """Formats a number with nine significant digits, or as an empty text if not finite.
+
+    The text of a negative zero is ``0``, because other records do not keep the sign of a zero.
+    """
+    return f"{value + 0.0:.9g}" if math.isfinite(value) else ""
 
 
 # -- reading --------------------------------------------------------------------------
