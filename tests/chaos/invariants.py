@@ -239,9 +239,11 @@ class OdometryInvariant:
         errors = (c * dx + s * dy, c * dy - s * dx, turn)
         settings = self.world.robot.driver
         linear, angular = settings.max_linear_velocity, settings.max_angular_velocity
+        # A driver that stalls while it sends has measured its pose before the stall.
+        latency = LATENCY + max(now - state.time, 0.0)
         for i, (error, speed) in enumerate(zip(errors, (linear, linear, angular), strict=True)):
             variance = covariance[i][i]
-            allowed = SIGMAS * math.sqrt(max(variance, 0.0)) + POSE_TOLERANCE + LATENCY * speed
+            allowed = SIGMAS * math.sqrt(max(variance, 0.0)) + POSE_TOLERANCE + latency * speed
             if not abs(error) <= allowed:
                 raise Violation(
                     "odometry",
