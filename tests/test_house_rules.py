@@ -106,3 +106,50 @@ def test_exceptions_are_errors(trees: dict[Path, ast.Module]) -> None:
         if isinstance(node, ast.ExceptHandler) and node.name == "fault"
     ]
     assert named_fault == []
+
+
+# Sums of integers that `counts` does not see as such.
+INTEGER_SUMS = frozenset(
+    [
+        "sum((bit for bit, is_set in bits if is_set))",
+        "sum(((m[0] & USE_ROLL > 0) + (m[0] & USE_SIDE > 0) for m in measurements))",
+        "sum((slot.value & 255 for slot in self.slots[:value]))",
+        "sum((1 << m - 1 for m in Mode))",
+        "sum((OBJECT_TYPES[kind][1] for _, _, kind in mapping))",
+        "sum((self.executor.nodes_at[node] for node in ids))",
+        "sum(groups.values())",
+        "sum(map(robots_of, entries))",
+        "sum(runner.relay_drops().values())",
+        "sum(sizes)",
+    ]
+)
+
+
+def counts(argument: ast.expr) -> bool:
+    """Whether the argument of ``sum`` is ones or lengths: ``1 for ...``, ``len(x) + 1 for ...``."""
+    if not isinstance(argument, ast.GeneratorExp):
+        return False
+    element = argument.elt
+    if isinstance(element, ast.BinOp):
+        element = element.left
+    if isinstance(element, ast.Call):
+        return isinstance(element.func, ast.Name) and element.func.id == "len"
+    return isinstance(element, ast.Constant) and type(element.value) is int
+
+
+def test_floats_are_added_alike_on_every_python(trees: dict[Path, ast.Module]) -> None:
+    """``sum`` rounds floats in another way since Python 3.12; ``float_sum`` does not."""
+    sums = []
+    for path, tree in trees.items():
+        integer_sums = {
+            node.func
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Call)
+            and (ast.unparse(node) in INTEGER_SUMS or (node.args and counts(node.args[0])))
+        }
+        sums += [
+            f"{path.relative_to(ROOT)}:{node.lineno}"
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Name) and node.id == "sum" and node not in integer_sums
+        ]
+    assert sums == []

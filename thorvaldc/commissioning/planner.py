@@ -296,7 +296,7 @@ def _configure_steps(
         differing = None
         present = scan.values.get(node.name)
         if present is not None and ids.get(node.name) == node.id:
-            differing = sum(present.get(value.key) != value.value for value in node.values)
+            differing = sum(1 for value in node.values if present.get(value.key) != value.value)
             if differing == 0:
                 continue
         steps.append(

@@ -17,6 +17,7 @@ from thorvaldc.commissioning.bus_master import BusMaster
 from thorvaldc.commissioning.scan_result import OK, ScanResult
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.model.bus import Bus
+from thorvaldc.model.float_sum import float_sum
 
 LONGEST_LISTENING = 3.0
 """Longest listening time (s)."""
@@ -157,7 +158,7 @@ def _check_frames(
                     checks.append(Check(node.name, f"period of {name}", _ms(period), actual, False))
                 continue
             intervals = [later - earlier for earlier, later in pairwise(times)]
-            mean = sum(intervals) / len(intervals)
+            mean = float_sum(intervals) / len(intervals)
             tolerance = max(PERIOD_TOLERANCE * period, LEAST_TOLERANCE)
             checks.append(
                 Check(

@@ -49,6 +49,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from thorvaldc.model.bus import Bus, FrameDefinition
+from thorvaldc.model.float_sum import float_sum
 
 MASTER = "master"
 _SECOND = 10**12  # ps
@@ -122,7 +123,7 @@ def response_times(streams: Sequence[Stream], bitrate: int) -> list[float | None
         length, period = stream.bits * bit, max(1, int(stream.period * _SECOND))
         jitter = math.ceil(stream.jitter * _SECOND)
         more_urgent = [(t, j, c, _ANY) for (t, j, _), c in above.items()]
-        share = sum([c / t for t, _, c, _ in more_urgent]) + sum(
+        share = float_sum([c / t for t, _, c, _ in more_urgent]) + float_sum(
             [c / t for (t, _, _), c in cycle.items()]
         )
         if length / period + share < 1.0:

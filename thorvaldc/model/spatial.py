@@ -11,6 +11,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from thorvaldc.model.float_sum import float_sum
+
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
 Mat3 = tuple[Vec3, Vec3, Vec3]
@@ -207,7 +209,7 @@ class Inertial:
             return Inertial(self.mass, pose.apply(self.com), self.inertia)
         r = quat_to_matrix(pose.quat)
         m = self.matrix()
-        rm = [[sum(r[i][k] * m[k][j] for k in range(3)) for j in range(3)] for i in range(3)]
+        rm = [[float_sum(r[i][k] * m[k][j] for k in range(3)) for j in range(3)] for i in range(3)]
 
         def entry(i: int, j: int) -> float:
             return rm[i][0] * r[j][0] + rm[i][1] * r[j][1] + rm[i][2] * r[j][2]
@@ -249,13 +251,13 @@ def combine(bodies: list[Inertial]) -> Inertial:
 
     The mass and inertia of all bodies must be given in the same frame.
     """
-    mass = sum(b.mass for b in bodies)
+    mass = float_sum(b.mass for b in bodies)
     if mass <= 0.0:
         return Inertial(0.0, ZERO3, (0.0,) * 6)
     com: Vec3 = (
-        sum(b.mass * b.com[0] for b in bodies) / mass,
-        sum(b.mass * b.com[1] for b in bodies) / mass,
-        sum(b.mass * b.com[2] for b in bodies) / mass,
+        float_sum(b.mass * b.com[0] for b in bodies) / mass,
+        float_sum(b.mass * b.com[1] for b in bodies) / mass,
+        float_sum(b.mass * b.com[2] for b in bodies) / mass,
     )
     xx = yy = zz = xy = xz = yz = 0.0
     for b in bodies:

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from thorvaldc.model import DriverSettings, Robot
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.runtime.base_interface import BaseHandle, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, TwistEstimate, for_robot
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL, Odometry
@@ -147,7 +148,7 @@ class BaseDriver:
         Returns ``False`` if the twist or the time is not finite or too large.  If a command is
         rejected, the previous command stays active until its timeout.
         """
-        if not (sum(map(abs, twist)) < MAX_TWIST and math.isfinite(now)):
+        if not (float_sum(map(abs, twist)) < MAX_TWIST and math.isfinite(now)):
             return False
         self._commanded_twist = twist
         self._command_time = now

@@ -9,6 +9,7 @@ from typing import TypeVar
 
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.robot import TwistInput
 from thorvaldc.runtime.driver import MAX_TWIST, BaseDriver
 from thorvaldc.runtime.errors import ParameterError
@@ -156,7 +157,7 @@ class Multiplexer:
         source, or if a zero twist must come first.  An empty text means that the twist is accepted.
         """
         publisher = self._find("source of twists", source, self._sources)
-        if not (sum(map(abs, twist)) < MAX_TWIST and math.isfinite(now)):
+        if not (float_sum(map(abs, twist)) < MAX_TWIST and math.isfinite(now)):
             return "the twist is too large"
         holder = publisher.holder(now)
         if holder not in ("", owner):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from thorvaldc.model import DriverSettings
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 LEAD = 0.1
@@ -56,7 +57,7 @@ class Ramp:
         del history[0]
         history.append(new)
         n = len(history)
-        vx, vy, wz = map(sum, zip(*history, strict=True))
+        vx, vy, wz = map(float_sum, zip(*history, strict=True))
         self.twist = Twist(vx / n, vy / n, wz / n)
         return self.twist
 

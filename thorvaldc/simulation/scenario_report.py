@@ -18,7 +18,7 @@ def scenario_text(result: ScenarioResult) -> str:
         lines.append(
             f"{verdict}  {check.robot} {check.metric}: {check.value_text} ({check.bounds})"
         )
-    passed = sum(check.passed for check in result.checks)
+    passed = sum(1 for check in result.checks if check.passed)
     end = "" if result.completed else f", ended after {run.simulated:.2f} s"
     lines.append(
         f"{result.scenario}: {passed} of {len(result.checks)} expectations met{end}, "
@@ -35,7 +35,7 @@ def junit_report(result: ScenarioResult, errors: Sequence[str]) -> bytes:
     """
     name = result.scenario
     test_count = len(result.checks) + 1
-    failed = sum(not check.passed for check in result.checks) + (not result.completed)
+    failed = sum(1 for check in result.checks if not check.passed) + (not result.completed)
     suite = Element(
         "testsuite",
         name=name,

@@ -57,7 +57,7 @@ def results_table(runs: Sequence[Run]) -> str:
         "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in rows
     ]
-    failed = sum(not run.passed for run in runs)
+    failed = sum(1 for run in runs if not run.passed)
     verdicts = f"{failed} not as expected" if failed else "all as expected"
     noun = "run" if len(runs) == 1 else "runs"
     return "\n".join([*lines, f"{len(runs)} {noun}, {verdicts}"])

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 
 from thorvaldc.model import Robot
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.spatial import quat_from_rpy
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointStates
@@ -45,7 +46,7 @@ def _result(name: str, robot: Robot, samples: Sequence[Sample]) -> RobotResult:
         wheels=len(robot.wheels),
         driven=sum(1 for w in robot.wheels if w.driven),
         steered=sum(1 for w in robot.wheels if w.steered),
-        path_commanded=sum(a.limited.speed * (b.time - a.time) for a, b in pairwise(samples)),
+        path_commanded=float_sum(a.limited.speed * (b.time - a.time) for a, b in pairwise(samples)),
         path_true=_path([s.pose_true for s in samples]),
         path_odometry=_path([s.pose_estimated for s in samples]),
         end_error=math.hypot(true.x - estimated.x, true.y - estimated.y),
@@ -64,7 +65,7 @@ def _path(poses: Sequence[Pose2]) -> float:
 
     The path between two successive poses is assumed to be an arc.
     """
-    return sum(
+    return float_sum(
         math.hypot(b.x - a.x, b.y - a.y) / se2.chord_over_arc(b.yaw - a.yaw)
         for a, b in pairwise(poses)
     )

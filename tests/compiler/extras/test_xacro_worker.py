@@ -91,6 +91,13 @@ def test_output_of_a_file_does_not_mix_with_the_answers(tmp_path: Path) -> None:
     assert loaded.codes == ["extra-warning"]
 
 
+def test_sums_of_floats_are_the_same_on_every_python(tmp_path: Path) -> None:
+    origin = "<origin xyz='${1e16 * (1 - python.sum([0.1] * 10))} ${python.sum([1, 2], 3)} 0'/>"
+    joint = f"<joint name='j' type='fixed'><parent link='a'/><child link='b'/>{origin}</joint>"
+    loaded = load_one(tmp_path, "<link name='a'/><link name='b'/>" + joint)
+    assert loaded.joint("j").pose.xyz == (1.11022302463, 6.0, 0.0)  # `sum` of 3.12: 0
+
+
 def test_the_result_does_not_depend_on_the_folder(tmp_path: Path) -> None:
     parts = []
     for name in ("x", "y"):

@@ -83,8 +83,8 @@ def _device_info(bus: Bus, node: Node, indices: Sequence[int]) -> Iterator[tuple
     yield "Granularity", "8"
     yield "DynamicChannelsSupported", "0"
     yield "GroupMessaging", "0"
-    yield "NrOfRXPDO", str(sum(index in RPDOS for index in indices))
-    yield "NrOfTXPDO", str(sum(index in TPDOS for index in indices))
+    yield "NrOfRXPDO", str(sum(1 for index in indices if index in RPDOS))
+    yield "NrOfTXPDO", str(sum(1 for index in indices if index in TPDOS))
     yield "LSS_Supported", "1" if node.lss else "0"
 
 

@@ -30,7 +30,7 @@ def verify(
             if verification.not_seen:
                 names = ", ".join(verification.not_seen)
                 message(f"not seen: {names}; drives send them only after their start")
-            differences = sum(not check.passed for check in verification.checks)
+            differences = sum(1 for check in verification.checks if not check.passed)
             print(f"{access.configuration.robot}: {count(differences, 'difference')}")
         return DONE if verification.passed else INPUT
 

@@ -31,7 +31,7 @@ def _summary(model: Robot | Fleet) -> str:
     """Returns a summary of a robot, such as ``4 wheels (4 driven, 4 steered), 213.4 kg``."""
     if isinstance(model, Fleet):
         return count(len(model.placements), "robot")
-    driven = sum(wheel.driven for wheel in model.wheels)
-    steered = sum(wheel.steered for wheel in model.wheels)
+    driven = sum(1 for wheel in model.wheels if wheel.driven)
+    steered = sum(1 for wheel in model.wheels if wheel.steered)
     wheels = count(len(model.wheels), "wheel")
     return f"{wheels} ({driven} driven, {steered} steered), {model.inertial.mass:.1f} kg"

@@ -18,11 +18,13 @@ the position of the XML element that causes the error.
 from __future__ import annotations
 
 import json
+import operator
 import os
 import re
 import sys
 import xml.dom.minidom
 from collections.abc import Callable, Iterator, Sequence
+from functools import reduce
 from pathlib import Path
 from typing import Any
 from xml.dom import expatbuilder
@@ -415,10 +417,9 @@ class Expansion:
             x.Table._resolve_ = self.with_definition(resolve)
             x.safe_eval = _with_syntax_errors(evaluate)
             # Expressions in a xacro file can call functions of xacro, as in `xacro.warning(...)`.
-            functions = x._global_symbols["xacro"]
-            for name in ("warning", "error", "message"):
-                function = self.warn if name != "message" else _ignore
-                dict.__setitem__(functions, name, function)
+            functions = x._global_symbols
+            dict.update(functions["xacro"], warning=self.warn, error=self.warn, message=_ignore)
+            dict.update(functions["python"], sum=_sum)
             answer = self.run()
         except Exception as error:
             answer = {"failure": self.describe(error)}
@@ -460,6 +461,11 @@ class Expansion:
 
 def _ignore(*_: Any, **__: Any) -> str:
     return ""
+
+
+def _sum(values: Any, start: Any = 0) -> Any:
+    """Replaces the builtin ``sum``, whose rounding of floats depends on the version of Python."""
+    return reduce(operator.add, values, start)
 
 
 def _with_syntax_errors(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -557,9 +563,9 @@ def _set_cpu_limit() -> None:
     try:
         import resource
 
-        used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
         hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
-        resource.setrlimit(resource.RLIMIT_CPU, (int(used) + CPU_SECONDS, hard))
+        limit = int(os.times().user + os.times().system) + CPU_SECONDS
+        resource.setrlimit(resource.RLIMIT_CPU, (limit, hard))
     except (ImportError, ValueError, OSError):
         return
 

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 
 from thorvaldc.compiler.geometry.wheel_geometry import contact_point
 from thorvaldc.diagnostics import Label, Report
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.robot import Robot, Wheel
 
 Row = tuple[float, float, float]
@@ -145,12 +146,12 @@ def _rank(rows: Sequence[Row], tolerance: float = 1e-4) -> int:
     is at most ``tolerance`` (m).
     """
     basis: list[Row] = []
-    for row in sorted(rows, key=lambda r: -sum(v * v for v in r)):
+    for row in sorted(rows, key=lambda r: -float_sum(v * v for v in r)):
         remainder = list(row)
         for b in basis:
-            projection = sum(r * v for r, v in zip(remainder, b, strict=True))
+            projection = float_sum(r * v for r, v in zip(remainder, b, strict=True))
             remainder = [r - projection * v for r, v in zip(remainder, b, strict=True)]
-        length = math.sqrt(sum(r * r for r in remainder))
+        length = math.sqrt(float_sum(r * r for r in remainder))
         if length > tolerance:
             basis.append((remainder[0] / length, remainder[1] / length, remainder[2] / length))
     return len(basis)

@@ -9,6 +9,7 @@ from thorvaldc.compiler.geometry.mobility_checks import check_controllable, chec
 from thorvaldc.compiler.geometry.wheel_geometry import contact_point
 from thorvaldc.compiler.modules.design_requirements import DesignRequirements
 from thorvaldc.diagnostics import Label, Report
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.robot import Robot, Wheel
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.joint_tree import JointTree
@@ -59,7 +60,7 @@ def check_masses(robot: Robot, report: Report) -> None:
                 links[joint.child].span,
                 hint="give one of its parts a `mass`",
             )
-    if sum(masses.values()) <= 0.0:
+    if float_sum(masses.values()) <= 0.0:
         report.add("link-massless", "the robot has no mass", robot.span)
 
 
@@ -282,11 +283,11 @@ def check_slope(robot: Robot, design: DesignRequirements, report: Report) -> Non
     actuators = {actuator.joint: actuator for actuator in robot.actuators}
     weight = robot.inertial.mass * GRAVITY
     s, c = math.sin(design.slope), math.cos(design.slope)
-    rolling = sum(w.rolling_resistance * w.load for w in robot.wheels) * c
+    rolling = float_sum(w.rolling_resistance * w.load for w in robot.wheels) * c
     needed = weight * s + rolling
     driven = [w for w in robot.wheels if w.driven]
-    motor_force = sum(actuators[w.spin_joint].max_torque / w.radius for w in driven)
-    grip = sum(w.friction * w.load for w in driven) * c
+    motor_force = float_sum(actuators[w.spin_joint].max_torque / w.radius for w in driven)
+    grip = float_sum(w.friction * w.load for w in driven) * c
     degrees = math.degrees(design.slope)
     for force, cause, hint in (
         (motor_force, "the motors push", "stronger motors, more driven wheels or a lighter robot"),

@@ -22,6 +22,7 @@ from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 from thorvaldc.compiler.geometry.wheel_geometry import UP, contact_point
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.robot import Joint, Wheel
 from thorvaldc.model.spatial import Inertial, clean, dot
 from thorvaldc.model.statics.gravity import GRAVITY
@@ -133,16 +134,17 @@ def _least_squares_loads(
     ]
     orthonormal: list[tuple[list[float], float]] = []
     for row, value in balances:
-        length = math.sqrt(sum(a * a for a in row))
+        length = math.sqrt(float_sum(a * a for a in row))
         for direction, share in orthonormal:
-            projection = sum(a * b for a, b in zip(row, direction, strict=True))
+            projection = float_sum(a * b for a, b in zip(row, direction, strict=True))
             row = [a - projection * b for a, b in zip(row, direction, strict=True)]
             value -= projection * share
-        remainder = math.sqrt(sum(a * a for a in row))
+        remainder = math.sqrt(float_sum(a * a for a in row))
         if remainder > 1e-9 * length:
             orthonormal.append(([a / remainder for a in row], value / remainder))
     return [
-        sum(share * direction[k] for direction, share in orthonormal) for k in range(len(active))
+        float_sum(share * direction[k] for direction, share in orthonormal)
+        for k in range(len(active))
     ]
 
 
@@ -156,10 +158,10 @@ def _plane_loads(
     moments.
     """
     n = len(points)
-    mx, my = sum(p[0] for p in points) / n, sum(p[1] for p in points) / n
-    sxx = sum((p[0] - mx) ** 2 for p in points)
-    syy = sum((p[1] - my) ** 2 for p in points)
-    sxy = sum((p[0] - mx) * (p[1] - my) for p in points)
+    mx, my = float_sum(p[0] for p in points) / n, float_sum(p[1] for p in points) / n
+    sxx = float_sum((p[0] - mx) ** 2 for p in points)
+    syy = float_sum((p[1] - my) ** 2 for p in points)
+    sxy = float_sum((p[0] - mx) * (p[1] - my) for p in points)
     dx, dy = com[0] - mx, com[1] - my
     det = sxx * syy - sxy * sxy
     if det > 1e-9 * (sxx + syy) ** 2:
@@ -190,7 +192,7 @@ def spring_reference(
     axis_z is the vertical component of the joint axis.
     """
     below = set(tree.links_below(joint.child))
-    wheel_force = sum(
+    wheel_force = float_sum(
         load for wheel, load in zip(wheels, loads, strict=True) if wheel.link in below
     )
     weight_below = tree.inertial(sorted(below)).mass * GRAVITY

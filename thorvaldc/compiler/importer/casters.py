@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from thorvaldc.compiler.importer.drives import mount_on_root
 from thorvaldc.compiler.importer.original_mapping import OriginalMapping
 from thorvaldc.compiler.importer.robot_text import Module, Names
+from thorvaldc.model.float_sum import float_sum
 
 _SHORTEST_CASTER = 0.4  # m, from the ground to the mount
 _LEAST_WHEELBASE = 0.8  # m, least distance of the casters from the drives, along x
@@ -66,8 +67,8 @@ def _caster_positions(points: Sequence[Point], frame_center_x: float) -> list[Po
     wheels are in line along the x axis, as on a bicycle, one caster is placed on each side of the
     robot.
     """
-    x = sum(point[0] for point in points) / len(points)
-    y = sum(point[1] for point in points) / len(points)
+    x = float_sum(point[0] for point in points) / len(points)
+    y = float_sum(point[1] for point in points) / len(points)
     half_length = max(abs(point[0] - x) for point in points)
     half_width = max(abs(point[1] - y) for point in points)
     half_track = max(0.3, half_width)

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.robot import Link
 from thorvaldc.model.spatial import Pose, Vec3, add, clean, cross, dot, sub
 from thorvaldc.model.statics.joint_tree import JointTree
@@ -209,7 +210,7 @@ def inverse_weights(
         for freedom in path[6:]:
             w, v = motions[freedom - 5]
             columns.append(add(v, cross(w, point)))
-        trace = sum(matrix.quadratic(path, [c[axis] for c in columns]) for axis in range(3))
+        trace = float_sum(matrix.quadratic(path, [c[axis] for c in columns]) for axis in range(3))
         weights.append(trace / 3)
     return weights, inertias
 

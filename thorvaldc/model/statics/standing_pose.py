@@ -34,6 +34,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.robot import Joint, Robot, Wheel
 from thorvaldc.model.spatial import (
     Pose,
@@ -164,7 +165,7 @@ class _Stance:
             (p[0] / m, p[1] / m, p[2] / m) if m > 0.0 else (0.0, 0.0, 0.0)
             for m, p in zip(mass, moment, strict=True)
         ]
-        self.weight = sum(mass) * GRAVITY
+        self.weight = float_sum(mass) * GRAVITY
         self.paths = [[0], [0, 1], [0, 1, 2]]
         for g in range(1, len(self.parent)):
             self.paths.append([*self.paths[self.parent[g] + 2], g + 2])
@@ -348,7 +349,7 @@ def solve_statics(robot: Robot) -> Statics:
     equilibrium = None
     if wheels and stance.weight > 0.0:
         n = len(wheels)
-        sink = penetration_under(stance.weight / n, sum(softened) / n) / 2
+        sink = penetration_under(stance.weight / n, float_sum(softened) / n) / 2
         equilibrium = stance.settle(sink)
     if equilibrium is not None:
         base, compliant_positions, forces = equilibrium

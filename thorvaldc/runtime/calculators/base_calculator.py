@@ -7,8 +7,10 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, ClassVar, Self
 
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 from thorvaldc.runtime.calculators.twist_estimator import TwistEstimate, TwistEstimator
@@ -74,7 +76,7 @@ def finite_result(odometry: OdometryMethod) -> OdometryMethod:
             estimate = odometry(self, states)
         except (ZeroDivisionError, OverflowError):
             raise NotFiniteError("the joint states are out of all bounds") from None
-        total = sum(estimate.twist) + sum(map(sum, estimate.covariance)) + sum(estimate.chi_squares)
+        total = float_sum((*estimate.twist, *chain(*estimate.covariance), *estimate.chi_squares))
         if not math.isfinite(total):
             raise NotFiniteError("the joint states are out of all bounds")
         return estimate

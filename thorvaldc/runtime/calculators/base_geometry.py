@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from thorvaldc.model import Robot, Wheel
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 _SAME_HEADING = math.radians(10.0)
@@ -127,8 +128,8 @@ class BaseGeometry:
                 spin_groups.setdefault(spin[i], []).append(i)
         guiding = [w for w in wheels if not w.swivel]
         n = max(len(guiding), 1)
-        xm, ym = sum(w.x for w in guiding) / n, sum(w.y for w in guiding) / n
-        mean_square = sum((w.x - xm) ** 2 + (w.y - ym) ** 2 for w in guiding) / n
+        xm, ym = float_sum(w.x for w in guiding) / n, float_sum(w.y for w in guiding) / n
+        mean_square = float_sum((w.x - xm) ** 2 + (w.y - ym) ** 2 for w in guiding) / n
         length = math.sqrt(mean_square)
         if length < 0.05:  # a single wheel: use its distance from base_link
             length = max((math.hypot(w.x, w.y) for w in wheels), default=0.0) or 0.5
@@ -238,7 +239,7 @@ class FixedWheels:
         skids: list[int] = []
         for axle in axles:
             n = len(axle)
-            tx, ty, tw = (sum(row[k] for _, row in axle) / n for k in range(3))
+            tx, ty, tw = (float_sum(row[k] for _, row in axle) / n for k in range(3))
             norm = math.hypot(tx, ty)
             mean = (tx / norm, ty / norm, tw / norm)
             self.rows.append(mean)

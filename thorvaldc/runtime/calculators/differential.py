@@ -16,6 +16,7 @@ import math
 from collections.abc import Sequence
 from typing import Self
 
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, NoOptions
 from thorvaldc.runtime.calculators.base_calculator import finite_result
@@ -136,7 +137,7 @@ class Differential(BaseCalculator):
         ]
         along, turn, p11, p13, p33 = self._fit_line(weighted)
         angle2, slip2 = noise.direction**2, noise.slip_floor**2
-        p22 = 1.0 / sum(
+        p22 = 1.0 / float_sum(
             1.0 / (angle2 * (along - a * turn) ** 2 + slip2) for a in self._axle_positions
         )
         # Converts the speed along the wheels to the velocity v of base_link: v = e along - n d wz.

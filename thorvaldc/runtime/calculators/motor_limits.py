@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
@@ -50,7 +51,7 @@ class DriveMotors:
     def average_shared(self, speeds: list[float]) -> list[float]:
         """Sets the speeds of wheels that share a drive motor to their mean speed, in place."""
         for group in self._shared:
-            mean = sum(speeds[i] for i in group) / len(group)
+            mean = float_sum(speeds[i] for i in group) / len(group)
             for i in group:
                 speeds[i] = mean
         return speeds

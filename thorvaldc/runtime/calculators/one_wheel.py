@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from typing import Self
 
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand
 from thorvaldc.runtime.calculators.base_calculator import finite_result
@@ -159,7 +160,7 @@ class OneWheel(BaseCalculator):
         a2 = rolls * rolls + slips * slips
         angle2, slip2 = noise.direction**2, noise.slip_floor**2
         along = self._ny * twist.vx - self._nx * twist.vy
-        axle_information = sum(
+        axle_information = float_sum(
             1.0 / (angle2 * (along - a * twist.wz) ** 2 + slip2) for a in self._axle_positions
         )
         columns = (
@@ -169,7 +170,7 @@ class OneWheel(BaseCalculator):
         )
 
         def entry(j: int, k: int) -> float:
-            return sum(column[j] * column[k] * variance for column, variance in columns)
+            return float_sum(column[j] * column[k] * variance for column, variance in columns)
 
         xy, xw, yw = entry(0, 1), entry(0, 2), entry(1, 2)
         covariance = (

@@ -7,6 +7,7 @@ import random
 from dataclasses import dataclass
 from typing import Self
 
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators.base_calculator import finite_result
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
@@ -162,4 +163,4 @@ def _translation(lines: list[_AxleLine]) -> Twist:
     """Returns the mean velocity of the wheels as a twist without rotation."""
     moving = [(c * v, s * v) for _, _, c, s, v in lines if v is not None]
     n = len(moving)
-    return Twist(sum(u for u, _ in moving) / n, sum(u for _, u in moving) / n, 0.0)
+    return Twist(float_sum(u for u, _ in moving) / n, float_sum(u for _, u in moving) / n, 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.se2 import Twist
 
@@ -38,11 +39,11 @@ class SkidSteering:
         # The normal of the fixed wheels is (t1, t2), so their rolling direction is (t2, -t1).
         t1, t2, _ = fixed.rows[0]
         across = [t1 * w.x + t2 * w.y for w in driven]
-        middle = sum(across) / len(across)
-        turning = sum((a - middle) ** 2 for a in across)
+        middle = float_sum(across) / len(across)
+        turning = float_sum((a - middle) ** 2 for a in across)
         along = [t2 * w.x - t1 * w.y for w in wheels]
-        mean = sum(along) / len(wheels)
-        resisting = sum((a - mean) ** 2 for a in along)
+        mean = float_sum(along) / len(wheels)
+        resisting = float_sum((a - mean) ** 2 for a in along)
         if turning < 1e-6:
             return None
         return SkidSteering((turning + resisting) / turning, middle, (t1, t2))

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from statistics import NormalDist
 from typing import NamedTuple
 
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.spatial import symmetric_eigenvalues
 from thorvaldc.runtime.base_interface import CheckedJointStates, JointStates
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
@@ -184,12 +185,12 @@ class TwistEstimator:
             raise ValueError(f"joint states of {len(states.speeds)} wheels for {self._n}")
         # The sum of all joint states is finite only if each joint state is finite.  A single test
         # of the sum is faster than a test of each joint state.
-        total = sum(states.speeds) + sum(states.angles) + sum(states.angle_rates)
+        total = float_sum(states.speeds) + float_sum(states.angles) + float_sum(states.angle_rates)
         positions = states.positions
         if positions is None:
             positions = states.speeds
         elif len(positions) == self._n:
-            total += sum(positions)
+            total += float_sum(positions)
         else:
             raise ValueError(f"joint states of {len(positions)} wheels for {self._n}")
         if states.yaw_rate is not None:
@@ -513,7 +514,7 @@ class TwistEstimator:
                 p22 - 2.0 * xm * p23 + xm * xm * p33,
             )
             p13, p23 = p13 + ym * p33, p23 - xm * p33
-        if not math.isfinite(vx + vy + wz + p11 + p22 + p33 + sum(tests)):
+        if not math.isfinite(vx + vy + wz + p11 + p22 + p33 + float_sum(tests)):
             raise NotFiniteError(_UNBOUNDED)
         if growth != 1.0:
             p11, p12, p13 = growth * p11, growth * p12, growth * p13

@@ -43,6 +43,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
+from thorvaldc.model.float_sum import float_sum
+
 # Bit flags of a wheel measurement.  With USE_ROLL and USE_SIDE, the fit uses the rolling speed (row
 # L) and the side slip (row T).  With TEST_ROLL and TEST_SIDE, the rolling speed and the side slip
 # are tested against the other wheels.  The fit does not use a rejected wheel, but the wheel is
@@ -321,7 +323,7 @@ def _mean_square_roll(
         for _, c, s, x, y, _, _, _, skids in measurements
         if skids
     ]
-    return sum(v * v for v in rolls) / len(rolls)
+    return float_sum(v * v for v in rolls) / len(rolls)
 
 
 def chi_squares(fit: Fit) -> list[float]:

@@ -31,6 +31,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.runtime.calculators.twist_fit import (
     TEST_ROLL,
     USE_ROLL,
@@ -181,7 +182,7 @@ class HypothesisSearch:
             if k not in rejected:
                 worst_ratio = max(worst_ratio, d / self._gates[k])
         disagreement = misfit(fit)
-        cost = _SUSPECT_PRICE * sum(k not in rejected for k in self._suspects)
+        cost = _SUSPECT_PRICE * sum(1 for k in self._suspects if k not in rejected)
         measurements, current = [*measurements], fit
         for order, k in enumerate(rejected, 1):
             cost += order * self._price
@@ -247,12 +248,12 @@ def mixture(hypotheses: Sequence[Hypothesis]) -> tuple[Fit, float]:
     if len(hypotheses) == 1:
         return best.fit, 1.0
     weights = [math.exp((best.cost - h.cost) / 2.0) for h in hypotheses]
-    total = sum(weights)
+    total = float_sum(weights)
     probabilities = [weight / total for weight in weights]
     fits = [h.fit for h in hypotheses]
-    vx = sum(p * f.vx for p, f in zip(probabilities, fits, strict=True))
-    vy = sum(p * f.vy for p, f in zip(probabilities, fits, strict=True))
-    wz = sum(p * f.wz for p, f in zip(probabilities, fits, strict=True))
+    vx = float_sum(p * f.vx for p, f in zip(probabilities, fits, strict=True))
+    vy = float_sum(p * f.vy for p, f in zip(probabilities, fits, strict=True))
+    wz = float_sum(p * f.wz for p, f in zip(probabilities, fits, strict=True))
     p11 = p12 = p13 = p22 = p23 = p33 = 0.0
     for p, f in zip(probabilities, fits, strict=True):
         dx, dy, dw = f.vx - vx, f.vy - vy, f.wz - wz

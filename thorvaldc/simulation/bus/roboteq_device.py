@@ -31,6 +31,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from thorvaldc.can.canopen import RPDO, TPDO, NmtState
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.device_description import DeviceDescription
 from thorvaldc.simulation.bus.object_dictionary import DelayedWrite, Entry, ObjectDictionary
@@ -438,7 +439,7 @@ class RoboteqController(CanopenDevice):
         return _words(self.flags, self.temperature)
 
     def _supply(self) -> int:
-        total = _STATIC_POWER + sum(self._power(channel) for channel in self.channels)
+        total = _STATIC_POWER + float_sum(self._power(channel) for channel in self.channels)
         return _words(10.0 * total / self.supply_voltage, 10.0 * self.supply_voltage)
 
     def _constant(self) -> int:

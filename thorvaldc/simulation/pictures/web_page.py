@@ -95,8 +95,8 @@ def _pose_values(pose: Pose) -> list[float]:
 
 def _design(robot: Robot, shapes: _Shapes) -> dict[str, Any]:
     """Returns the data of a robot that do not depend on the pose of the robot."""
-    driven = sum(wheel.driven for wheel in robot.wheels)
-    steered = sum(wheel.steered for wheel in robot.wheels)
+    driven = sum(1 for wheel in robot.wheels if wheel.driven)
+    steered = sum(1 for wheel in robot.wheels if wheel.steered)
     tree = JointTree(robot.links, robot.joints)
     links = tree.links_below(robot.links[0].name)  # parents first: the page computes poses so
     return {

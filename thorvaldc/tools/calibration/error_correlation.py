@@ -24,6 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.tools.calibration.log_intervals import Array
 
 TIME_CONSTANTS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.2)
@@ -58,12 +59,12 @@ class Correlation:
         The time per independent error is the integral of the autocorrelation without its lasting
         part, from minus to plus infinity.
         """
-        ticks = sum(
+        ticks = float_sum(
             share * (1.0 + 2.0 * neighbour)
             for share, neighbour in zip(self.neighbours, _NEIGHBOURS, strict=True)
         )
         exponentials = zip(self.exponential, TIME_CONSTANTS, strict=True)
-        return dt * ticks + sum(
+        return dt * ticks + float_sum(
             share * dt / math.tanh(dt / (2.0 * tau)) for share, tau in exponentials
         )
 

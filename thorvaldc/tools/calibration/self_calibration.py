@@ -42,6 +42,7 @@ import numpy as np
 
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Robot
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.simulation.records.joint_csv import JointLog
@@ -281,7 +282,7 @@ def _difference_from_commands(log: JointLog, ticks: Ticks) -> float | None:
     least_error, gains = math.inf, np.zeros(len(speeds))
     for lag in _LAGS:
         delayed = [np.interp(middle - lag, middle, command) for command in commands]
-        error = float(sum(np.sum((a - b) ** 2) for a, b in zip(speeds, delayed, strict=True)))
+        error = float(float_sum(np.sum((a - b) ** 2) for a, b in zip(speeds, delayed, strict=True)))
         if error < least_error:
             least_error = error
             gains = np.array(

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thorvaldc.model import Robot
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.runtime.calculators import for_robot
 from thorvaldc.runtime.calculators.base_calculator import BaseCalculator
 from thorvaldc.runtime.se2 import Twist
@@ -122,7 +123,7 @@ def plan_motions(
         return float(np.max(variances / limits))
 
     while excess(information) > 1.0:
-        total = sum(seconds)
+        total = float_sum(seconds)
         if total > LONGEST or not candidates:
             return None
         step = max(_STEP, _STEP * math.floor(_GROWTH * total / _STEP))

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from thorvaldc.model import Robot
+from thorvaldc.model.float_sum import float_sum
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.tools.fault_matrix.fault_cases import (
@@ -183,7 +184,7 @@ class _Observation:
         if max((speed for _, speed in states), default=0.0) > AT_REST:
             self._rest = None
         elif self._rest is None:
-            mean = sum(self._paths) / max(len(self._paths), 1)
+            mean = float_sum(self._paths) / max(len(self._paths), 1)
             self._rest = self.rehearsal.now - self.start, mean
 
     def _measure_unasked_motion(self, speeds: list[float]) -> None:
