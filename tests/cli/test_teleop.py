@@ -65,11 +65,18 @@ def test_keys_drive_and_a_service_is_called_beside(
     teleop.until("locked: safety_stop")
     assert state(thorvaldc)["locks"] == ["safety_stop"]
     assert thorvaldc("call", "good", "reset_odometry").status == 0
-    refused = thorvaldc("call", "good", "twist", "source=auto_nav", "vx=fast")
+    refused = thorvaldc("call", "good", "lock", "name=safety_stop", "locked=yes")
     assert (refused.status, refused.err) == (
         1,
-        "error: `vx` is 'fast'; it must be a number\n",
+        "error: `locked` is 'yes'; it must be true or false\n",
     )
+    released = thorvaldc("call", "good", "release_safety_stop")
+    assert released.status == 1
+    assert ", which has ended; release it with `force=true` (in JSON" in released.err
+    assert thorvaldc("call", "good", "release_safety_stop", "force=true").status == 0
+    driven = thorvaldc("call", "good", "twist", "source=auto_nav", "vx=0.3")
+    assert driven.status == 2
+    assert "thorvaldc teleop --to good" in driven.err
     listed = thorvaldc("call", "good").out
     assert "twist source=... [vx=...] [vy=...] [wz=...]\n" in listed
     assert "pose: x " in thorvaldc("call", "good", "state").out

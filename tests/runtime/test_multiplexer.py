@@ -123,8 +123,8 @@ def test_order_of_the_sources_does_not_matter() -> None:
 def test_values_that_are_not_finite_are_rejected(
     mux: Multiplexer, twist: Twist, now: float
 ) -> None:
-    assert mux.publish("auto_nav", SLOW, 0.0)
-    assert not mux.publish("auto_nav", twist, now)
+    assert mux.publish("auto_nav", SLOW, 0.0) == ""
+    assert mux.publish("auto_nav", twist, now) == "the twist is too large"
     selection = mux.select(0.1)
     assert (selection.twist, selection.time) == (SLOW, 0.0)
 

@@ -125,6 +125,7 @@ class Multiplexer:
         self._ranked = sorted(self._sources.values(), key=lambda i: -i.settings.priority)
         self._last_time: float | None = None
         self._gap_time = -math.inf
+        self._armed_at = -math.inf
 
     @classmethod
     def from_robot(cls, robot: Robot) -> Multiplexer:
@@ -139,22 +140,15 @@ class Multiplexer:
     def locks(self) -> tuple[str, ...]:
         return tuple(self._locks)
 
-    def publish(self, source: str, twist: Twist, now: float, owner: str = THIS_PROGRAM) -> bool:
+    def publish(self, source: str, twist: Twist, now: float, owner: str = THIS_PROGRAM) -> str:
         """Publishes a commanded twist of a source at the time ``now`` (s).
 
-        The published twist is valid until the time-out of the source.
+        The published twist is valid until the time-out of the source.  A twist is refused if it is
+        not finite or too large, if another program publishes the source, or if a zero twist must
+        come first; the previous twist of the source then stays valid until its time-out.
 
-        Returns ``False`` if the twist is refused, see ``offer``.  If a twist is refused, the
-        previous twist of the source stays valid until its time-out.  Raises ``ParameterError`` if
+        Returns the reason if the twist is refused, or an empty text.  Raises ``ParameterError`` if
         the robot has no twist source with this name.
-        """
-        return not self.offer(source, twist, now, owner)
-
-    def offer(self, source: str, twist: Twist, now: float, owner: str = THIS_PROGRAM) -> str:
-        """Publishes a commanded twist as ``publish``, and returns the reason of a refusal.
-
-        A twist is refused if it is not finite or too large, if another program publishes the
-        source, or if a zero twist must come first.  An empty text means that the twist is accepted.
         """
         publisher = self._find("source of twists", source, self._sources)
         if not (float_sum(map(abs, twist)) < MAX_TWIST and math.isfinite(now)):
@@ -165,7 +159,9 @@ class Multiplexer:
         publisher.owner, publisher.attempt, publisher.attempt_time = owner, twist, now
         if twist == ZERO_TWIST:
             publisher.awaits_zero = ""
-        elif publisher.awaits_zero:
+        elif now <= self._armed_at:
+            publisher.awaits_zero = "a motion was commanded before the base was armed"
+        if publisher.awaits_zero:
             return f"{publisher.awaits_zero}; command zero first"
         publisher.twist, publisher.time = twist, now
         return ""
@@ -176,6 +172,8 @@ class Multiplexer:
         The robot ramps to rest at once if the program has driven it.  The locks of the program stay
         active.
         """
+        for lock in self._locks.values():
+            lock.stop.note_end(owner)
         for source in self._sources.values():
             if source.owner == owner:
                 source.owner, source.time, source.attempt_time = "", -math.inf, -math.inf
@@ -199,11 +197,13 @@ class Multiplexer:
         for source in self._sources.values():
             source.time, source.awaits_zero = -math.inf, reason
 
-    def accept_motion(self) -> None:
-        """Accepts motion of all sources again without a zero twist after a gap in time.
+    def accept_motion(self, now: float) -> None:
+        """Accepts motion of all sources without a zero twist, as the base is armed at ``now`` (s).
 
-        The caller must have checked that no source requests motion, see ``requests``.
+        The caller must have checked that no source requests motion, see ``requests``.  A source
+        that has published a motion until ``now`` must publish a zero twist first.
         """
+        self._armed_at = now
         for source in self._sources.values():
             source.awaits_zero = ""
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 THIS_PROGRAM = "this program"
 """Owner of the stops and twist sources that are used in the process of the base driver."""
 
+_ENDED = ", which has ended"
+
 
 class OwnedStop:
     """A stop with the programs that have engaged it.
 
     The stop is engaged as long as at least one program has engaged it and has not released it.  A
-    program that ends does not release its stops.
+    program that ends does not release its stops; afterwards only ``force`` releases them.
 
-    - ``owners``: programs that have engaged the stop.
+    - ``owners``: programs that have engaged the stop, also those that have ended.
     """
 
     def __init__(self) -> None:
@@ -26,6 +28,10 @@ class OwnedStop:
         if owner not in self.owners:
             self.owners = (*self.owners, owner)
 
+    def note_end(self, owner: str) -> None:
+        """Marks a program as ended, if it is an owner of the stop."""
+        self.owners = tuple(name + _ENDED if name == owner else name for name in self.owners)
+
     def release(self, owner: str, force: bool = False) -> str:
         """Releases the stop of one program, or with ``force`` the stops of all programs.
 
@@ -35,4 +41,9 @@ class OwnedStop:
         self.owners = others
         if not others:
             return ""
-        return f"{' and '.join(others)} set the stop; release it there, or with `force: true`"
+        lives = not all(name.endswith(_ENDED) for name in others)
+        return (
+            f"the stop was set by {' and '.join(others)}; release it"
+            f"{' there, or' if lives else ''} with `force=true`"
+            ' (in JSON: "force": true)'
+        )

@@ -1,7 +1,8 @@
 """Checks that a robot on its buses must pass before it is armed.
 
 Each check is a function that returns its reasons against arming.  All reasons of all checks are
-reported together, so that the operator can remove them in one go.
+reported together, so that the operator can remove them in one go.  Consequences of a reported
+reason are not reported: the motors of a stopped robot are never enabled.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ def check_state(runner: BaseRunner, now: float) -> Iterator[str]:
     """Requires the state READY: the robot stands, and all start-up checks have passed."""
     if runner.base.state_machine.ending:
         yield "the driver is shutting down"
+    elif runner.state in (BaseState.FAULT, BaseState.ESTOP):
+        yield f"the base is {runner.state.value}, reset it first"
     elif runner.state is not BaseState.READY:
         yield f"the base is {runner.state.value}, not ready"
 
@@ -57,16 +60,18 @@ def check_controllers(runner: BaseRunner, now: float) -> Iterator[str]:
             yield problem
         yield from connection.suspicious_devices()
         for controller in connection.controllers:
-            reason = _controller_reason(controller)
-            if reason and not problem.startswith(controller.node.name):
+            reason = _controller_reason(controller, runner.state)
+            if reason and not problem.startswith(f"{controller.node.name}:"):
                 yield f"{controller.node.name}: {reason}"
 
 
-def _controller_reason(controller: MotorController) -> str:
+def _controller_reason(controller: MotorController, state: BaseState) -> str:
     if controller.problem or controller.power_loss:
         return controller.problem or controller.power_loss
     if controller.error_code:
         return f"emergency {controller.error_code:#06x}"
+    if state is not BaseState.READY:  # the base homes and enables the motors before it is ready
+        return ""
     if not controller.homed:
         return "it is not homed"
     return "" if controller.follows else "its motors are not enabled"

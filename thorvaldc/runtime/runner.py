@@ -273,12 +273,10 @@ class BaseRunner:
             state_machine.fail(gap_text(elapsed))
 
     def _arm_at_zero(self, now: float) -> None:
-        waiting = self.driver.commanded_twist(now) != ZERO_TWIST
-        text = "a motion was commanded before the base was ready"
-        if waiting:
-            self.base.disarm(text)
-        else:
+        if self.driver.commanded_twist(now) == ZERO_TWIST:
             self.base.arm()
+        else:
+            self.base.disarm("a motion was commanded before the base was ready")
 
     def note(self, text: str) -> None:
         """Records an event for the summary of the run, such as ``armed``."""
@@ -331,7 +329,7 @@ class BaseRunner:
         else:
             refusal = stop.release(owner, force)
             if force and others:
-                self.note(f"{owner} released the safety stop of {' and '.join(others)} by force")
+                self.note(f"{owner} released by force the safety stop of {' and '.join(others)}")
         self.base.state_machine.safety_stop(stop.engaged)
         _raise_if(refusal)
 
@@ -339,6 +337,10 @@ class BaseRunner:
     def stop_owners(self) -> tuple[str, ...]:
         """Names of the programs that have engaged the safety stop."""
         return self._stop.owners
+
+    def note_end(self, owner: str) -> None:
+        """Notes that a program has ended; its safety stop stays engaged."""
+        self._stop.note_end(owner)
 
     def reset(self, *, commanded: bool = False) -> None:
         """Resets the base from the state FAULT or ESTOP.  After the reset, the base is disarmed.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 
 import pytest
@@ -105,13 +106,14 @@ def test_all_reasons_are_reported_together() -> None:
         rig.runner.arm()
     reasons = str(refusal.value).split("; ")
     for part in (
-        "the base is estop, not ready",
+        "the base is estop, reset it first",
         "the safety stop is engaged",
         "a motion is commanded",
         "there was no control cycle for 120 ms, 1.2 s ago",
         "battery: no reports",
     ):
         assert any(part in reason for reason in reasons), (part, reasons)
+    assert not any("not enabled" in reason for reason in reasons)  # it is a consequence
 
 
 def test_a_battery_that_allows_no_discharge_refuses() -> None:
@@ -150,14 +152,14 @@ def test_the_safety_stop_is_released_by_who_engaged_it_or_by_force() -> None:
     rig.runner.safety_stop()  # by the program of the driver, without the control channel
     rig.run(0.1)
     other = Caller("connection 1")
-    with pytest.raises(ServiceError, match="this program set the stop"):
+    with pytest.raises(ServiceError, match="was set by this program; release it there, or with"):
         control.services.call("release_safety_stop", {}, rig.now, other)
     with pytest.raises(ServiceError, match="the safety stop is engaged"):
         control.call("reset_faults")
     control.services.call("release_safety_stop", {"force": True}, rig.now, other)
     control.call("reset_faults")
     texts = [event.text for event in rig.runner.events]
-    assert "connection 1 released the safety stop of this program by force" in texts
+    assert "connection 1 released by force the safety stop of this program" in texts
 
 
 # -- gaps in time and the control channel -------------------------------------------------
@@ -180,6 +182,7 @@ def test_a_source_that_moves_through_a_gap_must_send_zero(kind: str) -> None:
         control.feed(rig.runner.driver, now)
 
     control.call("arm")
+    rig.run(rig.base.period)
     rig.runner.feed = feed
     rig.run(2.0)
     assert rig.speed() == pytest.approx(0.8, abs=0.02)
@@ -192,6 +195,56 @@ def test_a_source_that_moves_through_a_gap_must_send_zero(kind: str) -> None:
     vx = 0.8
     rig.run(2.0)
     assert rig.speed() == pytest.approx(0.8, abs=0.02)
+
+
+def test_arm_is_no_zero_of_a_source_that_moves_through_a_gap() -> None:
+    """A short gap does not disarm, so that ``arm`` checks nothing."""
+    rig = ready()
+    control = RunnerControl(rig.runner)
+
+    def feed(driver: object, now: float) -> None:
+        control.multiplexer.publish("teleop_joy", FORWARD, now)
+        control.multiplexer.publish("auto_nav", ZERO_TWIST, now)
+        control.feed(rig.runner.driver, now)
+        if now > 2.0 + start:
+            control.call("arm")
+
+    control.call("arm")
+    rig.run(rig.base.period)
+    start = rig.now
+    rig.runner.feed = feed
+    rig.run(1.0)
+    assert rig.speed() > 0.4
+    rig.stall(0.15)
+    rig.run(2.0)
+    assert rig.speed() == 0.0
+
+
+@pytest.mark.parametrize("first", ["arm", "twist"])
+def test_a_twist_at_the_time_of_arming_moves_after_zero_only(first: str) -> None:
+    rig = ready()
+    control = RunnerControl(rig.runner)
+    rig.runner.feed = control.feed
+    forward = {"source": "teleop_joy", "vx": 0.5}
+    if first == "arm":
+        control.call("arm")
+        with pytest.raises(ServiceError, match="before the base was armed; command zero first"):
+            control.call("twist", **forward)
+    else:
+        control.call("twist", **forward)
+        with pytest.raises(ServiceError, match="`teleop_joy` commands a motion"):
+            control.call("arm")
+    for _ in range(100):
+        rig.run(rig.base.period)
+        with contextlib.suppress(ServiceError):
+            control.call("twist", **forward)
+        assert rig.speed() == 0.0
+    if first == "arm":
+        control.call("twist", source="teleop_joy")
+        rig.run(rig.base.period)
+        control.call("twist", **forward)
+        rig.run(0.3)
+        assert rig.speed() > 0.2
 
 
 def test_arming_with_a_held_joystick_is_refused_after_a_gap() -> None:

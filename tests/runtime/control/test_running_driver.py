@@ -28,6 +28,7 @@ class DrivenRobot:
         self.rig.runner.feed = self.feed
         self.rig.ready()
         self.call("arm")
+        self.rig.run(self.rig.base.period)
 
     def feed(self, driver: Any, now: float) -> None:
         for source, vx in self.speeds.items():

@@ -26,6 +26,13 @@ def call(
     json: Json = False,
 ) -> int:
     values = dict(_parse_argument(text) for text in arguments)
+    if service == "twist":
+        # The driver voids a twist when its connection closes.
+        raise typer.BadParameter(
+            "a twist is valid only while its connection is open, and `call` closes it at once; drive"
+            f" with `thorvaldc teleop --to {name}` or `thorvaldc run FILE --twist`",
+            param_hint="SERVICE",
+        )
     client = ControlClient(name)
     try:
         result = client.call(service or "services", **values)

@@ -31,7 +31,7 @@ def driving_services(
     """
 
     def twist(now: float, caller: Caller, source: str, vx: float, vy: float, wz: float) -> None:
-        refusal = multiplexer.offer(source, Twist(vx, vy, wz), now - caller.age, caller.name)
+        refusal = multiplexer.publish(source, Twist(vx, vy, wz), now - caller.age, caller.name)
         if refusal:
             raise ServiceError(refusal)
 
@@ -63,7 +63,8 @@ def driving_services(
     return [
         Service(
             "twist",
-            "Command the twist of a source (m/s, m/s, rad/s); it is valid until its time-out.",
+            "Command the twist of a source (m/s, m/s, rad/s); it is valid until the time-out of the"
+            " source, while the connection is open.",
             twist,
             (
                 Argument("source", "text"),
@@ -106,7 +107,7 @@ def _stop_services(multiplexer: Multiplexer, note: Callable[[str], None]) -> lis
         others = [owner for owner in multiplexer.lock_owners(name) if owner != caller.name]
         multiplexer.lock(name, locked, now, caller.name, force=force)
         if force and others and not locked:
-            note(f"{caller.name} released `{name}` of {' and '.join(others)} by force")
+            note(f"{caller.name} released by force `{name}` of {' and '.join(others)}")
 
     def safety_stop(now: float, caller: Caller) -> None:
         lock(now, caller, SAFETY_STOP, True, False)

@@ -48,7 +48,7 @@ class RunnerControl:
         runner.pre_arm_checks.append(self._check_inputs)
         longest_wait = runner.driver.time_gaps.normal
         self._server = (
-            ControlServer(channel, self.services, longest_wait, self.multiplexer.release)
+            ControlServer(channel, self.services, longest_wait, self._end_program)
             if channel
             else None
         )
@@ -73,11 +73,19 @@ class RunnerControl:
         """
         return self.services.call(service, arguments, self.runner.clock.now)
 
+    def _end_program(self, name: str) -> None:
+        self.multiplexer.release(name)
+        self.runner.note_end(name)
+
     def _check_inputs(self, runner: BaseRunner, now: float) -> list[str]:
         """Returns the reasons of the twist multiplexer why the base must not be armed."""
         multiplexer = self.multiplexer
+        # The safety stop of the base, which sets its lock too, is a reason of the runner.
+        stopped = runner.base.state_machine.stop_engaged
         reasons = [
-            f"the stop lock `{name}` is active" for name in multiplexer.active_stop_locks(now)
+            f"the stop lock `{name}` is active"
+            for name in multiplexer.active_stop_locks(now)
+            if not (stopped and name == SAFETY_STOP)
         ]
         reasons += [f"`{name}` commands a motion" for name in multiplexer.requests(now)]
         return reasons
@@ -110,8 +118,10 @@ def runner_services(control: RunnerControl) -> list[Service]:
             raise ServiceError(refusal)
 
     def arm(now: float) -> None:
-        runner.arm()
-        multiplexer.accept_motion()
+        # An armed base stays armed: no check has passed that would replace a zero twist.
+        if not runner.base.armed:
+            runner.arm()
+            multiplexer.accept_motion(now)
 
     def reset_faults(now: float) -> None:
         runner.reset(commanded=bool(multiplexer.requests(now)))
