@@ -29,8 +29,8 @@ def call(
     if service == "twist":
         # The driver voids a twist when its connection closes.
         raise typer.BadParameter(
-            "a twist is valid only while its connection is open, and `call` closes it at once; drive"
-            f" with `thorvaldc teleop --to {name}` or `thorvaldc run FILE --twist`",
+            "a twist is valid only while its connection is open, and `call` closes it at once;"
+            f" drive with `thorvaldc teleop --to {name}` or `thorvaldc run FILE --twist`",
             param_hint="SERVICE",
         )
     client = ControlClient(name)
