@@ -108,6 +108,11 @@ def test_updates_accumulate_until_the_tick() -> None:
         ({"max_linear_velocity": math.nan}, "must be positive"),
         ({"max_lateral_velocity": 1.0}, "there is no limit `max_lateral_velocity`; did you mean"),
         ({"rate": 10.0}, "there is no limit `rate`"),
+        (
+            {"max_linear_velocity": 1e300},
+            "max_linear_velocity is 1e+300 m/s; it must be at most 1e+12 m/s",
+        ),
+        ({"noise": {"angle": 1e300}}, "the noise angle is 1e+300; it must be at most 1e+12"),
         ({"noise": {"angle": 0.0}}, "the noise angle is 0; it must be positive"),
         ({"noise": {"angel": 0.1}}, "there is no noise `angel`; did you mean `angle`?"),
     ],

@@ -15,16 +15,22 @@ from thorvaldc.runtime.calculators import Noise
 from thorvaldc.runtime.calculators.twist_fit import MAY_BE_ZERO
 from thorvaldc.runtime.errors import ParameterError
 
-LIMITS = (
-    "max_linear_velocity",
-    "max_angular_velocity",
-    "max_linear_acceleration",
-    "max_angular_acceleration",
-)
+LIMITS = {
+    "max_linear_velocity": "m/s",
+    "max_angular_velocity": "rad/s",
+    "max_linear_acceleration": "m/s^2",
+    "max_angular_acceleration": "rad/s^2",
+}
+"""Units of the limits."""
 LARGEST_RADIUS = 5.0
 """Largest valid wheel radius (m).
 
 A larger radius is probably given in another unit, such as mm.
+"""
+LARGEST = 1e12
+"""Largest valid limit or noise in SI units, as in a robot file.
+
+The square of a larger number can be infinite.
 """
 _NOISE = tuple(field.name for field in dataclasses.fields(Noise))
 
@@ -90,13 +96,13 @@ class Parameters:
             _check_positive(f"the radius of {name}", value, "m", LARGEST_RADIUS)
             new_radii[wheels.index(name)] = float(value)
         for name, value in (limits or {}).items():
-            _check_name("limit", name, LIMITS)
-            _check_positive(name, value, "m/s" if "linear" in name else "rad/s", math.inf)
+            _check_name("limit", name, list(LIMITS))
+            _check_positive(name, value, LIMITS[name], LARGEST)
         new_noise = dict(self.settings.noise)
         for name, value in (noise or {}).items():
             _check_name("noise", name, _NOISE)
             if not (name in MAY_BE_ZERO and value == 0):
-                _check_positive(f"the noise {name}", value, "", math.inf)
+                _check_positive(f"the noise {name}", value, "", LARGEST)
             new_noise[name] = float(value)
         changes: dict[str, Any] = {name: float(value) for name, value in (limits or {}).items()}
         settings = replace(self.settings, noise=tuple(new_noise.items()), **changes)
@@ -115,6 +121,5 @@ def _check_positive(quantity: str, value: float, unit: str, maximum: float) -> N
     if not 0.0 < value < math.inf:
         raise ParameterError(f"{quantity} is {value:g} {unit}".rstrip() + "; it must be positive")
     if value > maximum:
-        raise ParameterError(
-            f"{quantity} is {value:g} {unit}; it must be at most {maximum:g} {unit}"
-        )
+        unit = f" {unit}".rstrip()
+        raise ParameterError(f"{quantity} is {value:g}{unit}; it must be at most {maximum:g}{unit}")

@@ -245,7 +245,14 @@ class Cia402Controller(MotorController):
         return ""
 
     def expected_objects(self) -> Iterator[ObjectValue]:
-        return (entry for entry in self.node.objects if entry.value is not None)
+        # A drive keeps the last mode of operation that it received, for example that of a homing
+        # during which the base driver ended.  The base driver commands the mode in every cycle.
+        commanded = {f"{m.axis.channel}_mode_of_operation" for _, m in self._commands}
+        return (
+            entry
+            for entry in self.node.objects
+            if entry.value is not None and entry.name not in commanded
+        )
 
     def safety_objects(self) -> Iterator[ObjectValue]:
         yield from super().safety_objects()
