@@ -9,7 +9,7 @@ from dataclasses import replace
 from tests.runtime.can_base.fault_matrix import cia402 as steered_cia402
 from tests.simulation.bus.robots import compiled
 from thorvaldc.model import Robot
-from thorvaldc.model.bus import ObjectValue
+from thorvaldc.model.bus import Node, ObjectValue
 
 _STEERED_SCRIPT = """
 thorvaldc: 1
@@ -95,10 +95,18 @@ LOUD_SOURCE = "loud"
 
 @functools.cache
 def chaos_robot(name: str) -> Robot:
-    """Returns a robot, with an additional twist source that must not reach a stop lock either."""
+    """Returns a robot, with an additional twist source that must not reach a stop lock either.
+
+    The drives have serial numbers, by which new drives can be told apart.
+    """
     robot = ROBOTS[name]()
     loud = replace(robot.twist_sources[0], name=LOUD_SOURCE, priority=255)
-    return replace(robot, twist_sources=(*robot.twist_sources, loud))
+    buses = tuple(replace(bus, nodes=tuple(map(_with_serial, bus.nodes))) for bus in robot.buses)
+    return replace(robot, twist_sources=(*robot.twist_sources, loud), buses=buses)
+
+
+def _with_serial(node: Node) -> Node:
+    return replace(node, serial=f"{0x100 + node.id:#x}") if node.lss else node
 
 
 def wrong_file(robot: Robot) -> Robot:

@@ -7,11 +7,21 @@ import json
 import math
 from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import dataclass
 from typing import Any
 
 from tests.chaos.chaos_client import ChaosClient
+from tests.chaos.chaos_commissioning import Technician, delivered_ids
 from tests.chaos.chaos_interface import ChaosInterface
+from tests.chaos.chaos_problems import (
+    EMPTY_BATTERY,
+    IMPEDING,
+    LATCHED,
+    LYING,
+    MASTER_BUS_OFF,
+    Problem,
+    notice_time,
+    problem_kind,
+)
 from tests.chaos.chaos_robots import chaos_robot, wrong_file
 from tests.chaos.control_streams import MemoryControlServer, MemoryListener
 from tests.chaos.invariants import (
@@ -24,9 +34,8 @@ from tests.chaos.invariants import (
     check_stored,
 )
 from tests.chaos.permission import Permission
-from tests.chaos.schedule import POWER_ON, ChaosEvent, Schedule
+from tests.chaos.schedule import DELIVERED, POWER_ON, READY, ChaosEvent, Schedule
 from tests.robots import SPAN
-from thorvaldc.can.canopen import HEARTBEAT, NMT, RPDO, SYNC, TPDO
 from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.model.bus_faults import BusFault, BusFaults
 from thorvaldc.model.robot import AUTOMATIC
@@ -51,48 +60,9 @@ REST_TIME = 0.3
 RECOVERIES = 4
 RECOVERY_TWIST = Twist(0.3, 0.0, 0.0)
 RECOVERED_SPEED = 0.15
-MASTER_BUS_OFF = "master_bus_off"
-IMPEDING = (
-    "babble",
-    "bus_off",
-    "late_frames",
-    "lost_frames",
-    "noise",
-    "repeated_frames",
-    "wrong_bitrate",
-    "clone",
-    "second_master",
-    "false_reports",
-    MASTER_BUS_OFF,
-)
-"""Kinds of injected faults in which the drives may not receive what the driver sends."""
-LYING = (
-    "clone",
-    "duplicate_id",
-    "encoder_jump",
-    "false_reports",
-    "frozen_encoder",
-    "late_frames",
-    "repeated_frames",
-    "blocked_motor",
-)
-"""Kinds of injected faults that falsify what the motors report, without notice at first."""
-EMPTY_BATTERY = "battery_charge of a device"
 BATTERY_TIME = 1.5
 """s from an empty battery until the driver disarms: the time that the level must last, reports."""
 TWIST_REQUEST = '{"call": "twist"'
-LATCHED = ("second_master",)
-"""Kinds of problems that must be noticed, even if they were short."""
-
-
-@dataclass
-class Problem:
-    """An injected fault in effect.  ``since``: time (s) of its start; ``inert``: not judged."""
-
-    kind: str
-    since: float
-    ended: bool = False
-    noticed: bool = False
 
 
 class ChaosWorld:
@@ -101,9 +71,13 @@ class ChaosWorld:
     ``run`` runs a schedule and raises ``Violation`` if an invariant does not hold.
     """
 
-    def __init__(self, robot_name: str, seed: int) -> None:
+    def __init__(self, robot_name: str, seed: int, start: str = "") -> None:
         self.robot = chaos_robot(robot_name)
-        self.simulated = SimulatedRobot(self.robot, seed=seed)
+        delivered = start == DELIVERED
+        stored = delivered_ids(self.robot, seed) if delivered else None
+        self.simulated = SimulatedRobot(
+            self.robot, seed=seed, delivered=delivered, nonvolatile=stored
+        )
         self.timeline = self.simulated.timeline
         for device in self.simulated.devices.values():
             if isinstance(device, Cia402Drive):
@@ -144,6 +118,7 @@ class ChaosWorld:
             for wheel in self.robot.wheels
             if (spin := self.robot.actuator_of(wheel.spin_joint)) is not None
         ]
+        self.technician = Technician(self) if delivered else None
         self.motion = MotionInvariant(self)
         self.state_check = StateInvariant(self)
         self.odometry = OdometryInvariant(self)
@@ -185,10 +160,16 @@ class ChaosWorld:
 
     @property
     def impeded(self) -> bool:
-        """``True`` if the drives may not receive what the driver sends."""
-        if self.driver_hangs or not self.alive:
+        """``True`` if the drives may not receive what the driver sends.
+
+        A driver that has just been started listens, and commands nothing.
+        """
+        if self.driver_hangs or not self.alive or self.runner.state.starts:
             return True
         return any(problem.kind in IMPEDING for problem in self.problems.values())
+
+    def has_problem(self, kind: str) -> bool:
+        return any(problem.kind == kind for problem in self.problems.values())
 
     @property
     def late_cycle(self) -> bool:
@@ -335,6 +316,8 @@ class ChaosWorld:
                 self.start_driver(self._start_wrong)
             elif how in ("end", "kill") and self.alive:
                 self._end_driver(how)
+            elif how == "flash" and not self.alive and self.technician is not None:
+                self.technician.work()
 
     def _end_driver(self, how: str) -> None:
         if how == "end":
@@ -360,11 +343,12 @@ class ChaosWorld:
 
     def run(self, schedule: Schedule) -> dict[str, Any]:
         """Runs the mission and the recovery; returns numbers of the run."""
-        if schedule.start == POWER_ON:
+        if schedule.start != READY:
             self.simulated.power_on()
+        if schedule.start == POWER_ON:
             self.start_driver()
         start = self.now
-        stored = {name: deepcopy(d.nonvolatile) for name, d in self.simulated.devices.items()}
+        self._note_stored()
         self._injector._random.seed(f"{schedule.seed}:chaos")
         self._monitor()
         for event in schedule.events:
@@ -372,7 +356,7 @@ class ChaosWorld:
         try:
             self.run_until(start + schedule.duration)
             self._recover()
-            check_stored(self, stored)
+            check_stored(self, self._stored)
         except Violation as violation:
             self.violation = self.violation or violation
         if self.violation is not None:
@@ -380,6 +364,10 @@ class ChaosWorld:
             self.violation.time -= start
             raise self.violation
         return {"seconds": self.now - start, "cycles": self.cycles, "digest": self.digest()}
+
+    def _note_stored(self) -> None:
+        devices = self.simulated.devices
+        self._stored = {name: deepcopy(device.nonvolatile) for name, device in devices.items()}
 
     def digest(self) -> str:
         """Returns a number that differs if anything on the buses differed."""
@@ -431,7 +419,14 @@ class ChaosWorld:
         self._end = "end"
 
     def act_kill(self) -> None:
-        self._end = "kill"
+        """Kills the program that controls the bus: the driver, or the flash of the technician."""
+        if self.technician is not None and self.technician.busy:
+            self.technician.kill()
+        else:
+            self._end = "kill"
+
+    def act_flash(self) -> None:
+        self._end = "flash"
 
     def act_start(self, wrong: bool = False) -> None:
         self._end, self._start_wrong = "start", wrong
@@ -460,7 +455,8 @@ class ChaosWorld:
             return  # the end of the first of two equal faults would end both
         fault = BusFault(kind, bus, node, 0.0, None, SPAN, **more)
         remove = self._injector._start(fault)
-        number = self._open_problem(self._kind_of(fault))
+        problem = problem_kind(self.robot, fault)
+        number = self._open_problem(problem, notice_time(self.robot, problem, fault))
         self._targets[number] = target
         device = self.simulated.devices.get(node or "")
         original = device.nonvolatile.get("node_id") if device is not None else None
@@ -484,22 +480,9 @@ class ChaosWorld:
         if seconds is not None:
             self.after(seconds, end)
 
-    def _kind_of(self, fault: BusFault) -> str:
-        nodes = {n.name: n for b in self.robot.buses for n in b.nodes}
-        base = (fault.cob_id or 0) & 0x780
-        if fault.kind == "forged_frames":
-            master = (NMT, SYNC, HEARTBEAT + 0x7F)
-            if fault.cob_id in master or base in RPDO:
-                return "second_master"
-        if fault.kind in ("babble", "forged_frames") and base in TPDO:
-            return "false_reports"
-        if fault.node is not None and not nodes[fault.node].channels:
-            return f"{fault.kind} of a device"
-        return fault.kind
-
-    def _open_problem(self, kind: str) -> int:
+    def _open_problem(self, kind: str, notice: float | None = None) -> int:
         self._numbers += 1
-        self.problems[self._numbers] = Problem(kind, self.now)
+        self.problems[self._numbers] = Problem(kind, self.now, notice)
         if kind in LYING:
             self.odometry.invalidate()
         return self._numbers
@@ -519,6 +502,11 @@ class ChaosWorld:
         self.act_end_faults()
         self._end = ""
         self.run_until(self.now + REST_TIME)
+        if self.technician is not None:
+            if self.alive:
+                self._end_driver("end")
+            self.technician.finish()
+            self._note_stored()
         for _ in range(RECOVERIES):
             if not self.alive:
                 self._end, self._start_wrong = "start", False

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from tests.chaos.permission import wheel_speed
 from thorvaldc.model.stopping import DRIVE_DEAD, DRIVER_DEAD, STOP_LOCK, stop_bounds
-from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
+from thorvaldc.runtime.se2 import ORIGIN, Pose2
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 
 if TYPE_CHECKING:
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 CHECK_PERIOD = 0.02
 TOLERATED = 0.07 + CHECK_PERIOD
 """s by which a stop may begin later than stated: a tolerated gap of 2.5 cycles, and the check."""
+QUARTER_TURN = math.pi / 2.0
+"""Largest angle (rad) by which a steering joint turns between two motions."""
 TURN_SHARE = 0.3
 """Share of the deceleration of a stop with which the fastest wheel brakes between two motions."""
 RAMP_SHARE = 0.9
@@ -27,6 +29,11 @@ AFTER_IMPEDIMENT = 0.2
 """s after which the driver controls the drives again, when a hindrance has ended."""
 SPEED_TOLERANCE, SPEED_SHARE = 0.04, 1.06
 """Wheel speeds (m/s) that count as standing, and the tolerance of the permitted speed."""
+BLOCKED_SHARE = 1.3
+"""Tolerance while a motor is blocked.
+
+A blocked steering joint turns the robot: one wheel is faster than asked for, another one slower.
+"""
 SIGMAS = 5.0
 POSE_TOLERANCE = 0.03
 """m and rad."""
@@ -39,11 +46,19 @@ NOTICE = {
     "wrong_bitrate": 0.2,
     "clone": 0.6,
     "second_master": 0.15,
-    "false_reports": 0.25,
     "battery": 3.0,
 }
 """Longest time (s) from an injected fault until the driver no longer reports that it can drive."""
 MARGIN = 0.1
+SURPLUS = 7
+"""False reports that are noticed at the latest, with one that follows a late true report."""
+SAMPLING_TIME = 0.12
+"""s between two counts of the same report."""
+
+
+def false_reports_notice(period: float) -> float:
+    """Returns the longest time (s) until false reports with a period (s) are noticed."""
+    return SURPLUS * period + SAMPLING_TIME
 
 
 class Violation(Exception):
@@ -61,28 +76,30 @@ class MotionInvariant:
     """No wheel turns faster than permitted, and every stop ends in time.
 
     The envelope of the wheel speed is the highest permitted speed in the last reaction time.  Then
-    it falls with the slowest ramp of the robot.  The reaction time is that of the driver, or that
-    of the drives' own watchdogs where the driver cannot act.  Both come from the stopping distances
-    that the model states (``thorvaldc.model.stopping``).
+    it falls to zero within the stated time of a stop.  The reaction time is that of the driver, or
+    that of the drives' own watchdogs where the driver cannot act.  Both come from the stopping
+    distances that the model states (``thorvaldc.model.stopping``).
     """
 
     world: ChaosWorld
     envelope: float = 0.0
     _recent: deque[tuple[float, float]] = field(default_factory=deque)
     _impeded_until: float = -math.inf
+    _ramp_start: float = 0.0
+    """Speed (m/s) of the envelope at the start of its last fall."""
+    _rest_time: float = -math.inf
+    """Time (s) at which no motion was permitted last."""
 
     def __post_init__(self) -> None:
         robot = self.world.robot
-        limits = linear, angular = self.world.limits
         stops = {bound.kind: bound for bound in stop_bounds(robot)}
         by_driver = stops[STOP_LOCK]
         self.reaction = by_driver.reaction + TOLERATED
         self.watchdog = max(stops[DRIVER_DEAD].reaction, stops[DRIVE_DEAD].reaction) + TOLERATED
-        slowest = min(
-            wheel_speed(robot, Twist(linear, 0.0, 0.0), *limits),
-            wheel_speed(robot, Twist(0.0, 0.0, angular), *limits),
-        )
-        self.deceleration = RAMP_SHARE * slowest / (by_driver.time - by_driver.reaction)
+        self.ramp_time = (by_driver.time - by_driver.reaction) / RAMP_SHARE
+        steerings = {wheel.steering_joint for wheel in robot.wheels}
+        rates = [a.max_velocity for a in robot.actuators if a.joint in steerings]
+        self.turn_time = max(QUARTER_TURN / min(rates), self.reaction) if rates else self.reaction
 
     def check(self, now: float) -> None:
         world = self.world
@@ -97,14 +114,23 @@ class MotionInvariant:
         if world.impeded:
             self._impeded_until = now + AFTER_IMPEDIMENT
         reaction = self.watchdog if now < self._impeded_until else self.reaction
-        while recent and recent[0][0] < now - self.watchdog:
+        while recent and recent[0][0] < now - max(self.watchdog, self.turn_time):
             recent.popleft()
-        highest = max(level for time, level in recent if time >= now - reaction)
-        # Between two motions, the fastest wheel may brake more slowly than in a stop.
+        if level == 0.0:
+            self._rest_time = now
+        # Between two motions, the wheels turn first, and then the fastest wheel may brake more
+        # slowly than in a stop.
+        begin = min(now - reaction, max(now - self.turn_time, self._rest_time))
+        highest = max(level for time, level in recent if time >= begin)
         share = 1.0 if level == 0.0 else TURN_SHARE
-        self.envelope = max(highest, self.envelope - share * self.deceleration * CHECK_PERIOD)
+        if highest >= self.envelope:
+            self.envelope = self._ramp_start = highest
+        else:
+            fall = share * self._ramp_start * CHECK_PERIOD / self.ramp_time
+            self.envelope = max(highest, self.envelope - fall)
         speed = world.true_speed()
-        if speed > SPEED_SHARE * self.envelope + SPEED_TOLERANCE:
+        share = BLOCKED_SHARE if world.has_problem("blocked_motor") else SPEED_SHARE
+        if speed > share * self.envelope + SPEED_TOLERANCE:
             raise Violation(
                 "unasked motion",
                 now,
@@ -124,7 +150,7 @@ class StateInvariant:
         """Called after each control cycle."""
         world = self.world
         for number, problem in world.problems.items():
-            limit = NOTICE.get(problem.kind)
+            limit = problem.notice
             if limit is None:
                 continue
             if not world.runner.state.drives or world.late_cycle:

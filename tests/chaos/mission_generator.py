@@ -11,12 +11,14 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from tests.chaos.chaos_robots import LOUD_SOURCE, ROBOTS, chaos_robot
-from tests.chaos.schedule import POWER_ON, READY, ChaosEvent, Schedule
+from tests.chaos.schedule import DELIVERED, POWER_ON, READY, ChaosEvent, Schedule
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import Bus, Node
 
 POWER_ON_SHARE = 0.05
 """Share of the missions that begin with the power-on; they take longer."""
+DELIVERED_SHARE = 0.05
+"""Share of the missions in which a technician commissions new drives; they take longer, too."""
 START_UP = {
     "steered_cia402": (5.0, 6.0),
     "steered_script": (4.3, 5.3),
@@ -24,6 +26,8 @@ START_UP = {
     "differential_script": (3.5, 4.5),
 }
 """Shortest and longest time (s) from the power-on until a person arms the robot."""
+COMMISSIONED = ("steered_cia402", "differential_cia402")
+"""Robots whose drives are set up by ``can flash``."""
 STALLS = (0.005, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.55, 0.62, 0.7, 1.0, 2.0, 5.0)
 GARBAGE = (
     "\x00\xff\xfe\n",
@@ -70,6 +74,8 @@ class MissionGenerator:
 
     def schedule(self) -> Schedule:
         draw = self.draw
+        if draw.random() < DELIVERED_SHARE and self.name in COMMISSIONED:
+            return self._commissioning()
         kinds = draw.sample(list(FAULTS), k=draw.randint(1, 4))
         # A clone that is on the bus from the power-on sends no boot-up message later.
         share = 0.4 if "clone" in kinds else POWER_ON_SHARE
@@ -81,11 +87,32 @@ class MissionGenerator:
         for _ in range(draw.choice((0, 1, 1, 1, 2, 2, 3, 5))):
             at = draw.uniform(first, duration)
             events += FAULTS[draw.choice(kinds)](self, at)
+        return self._schedule(start, duration, events)
+
+    def _schedule(self, start: str, duration: float, events: list[ChaosEvent]) -> Schedule:
         events = [
             ChaosEvent(round(event.at, 3), event.act, event.values)
             for event in sorted(events, key=lambda event: event.at)
         ]
         return Schedule(self.name, self.seed, start, round(duration, 3), tuple(events))
+
+    def _commissioning(self) -> Schedule:
+        """Returns a mission in which new drives are flashed again and again, between failures."""
+        draw = self.draw
+        duration = draw.uniform(2.0, 12.0)
+        events = []
+        at = 0.2
+        while at < duration:
+            events.append(ChaosEvent(at, draw.choice(("flash", "flash", "flash", "start", "end"))))
+            at += draw.uniform(0.2, 4.0)
+        makers = (self.simple_device_fault, self.blackout, self.traffic, self.bus_off)
+        for _ in range(draw.choice((0, 1, 2, 3, 5))):
+            at = draw.uniform(0.3, duration)
+            if draw.random() < 0.4:
+                events.append(ChaosEvent(at, "kill"))
+            else:
+                events += draw.choice(makers)(at)
+        return self._schedule(DELIVERED, duration, events)
 
     # -- the mission -------------------------------------------------------------------------------
 

@@ -65,6 +65,7 @@ class Permission:
     living: set[str] = field(default_factory=set)
     _after_gap: bool = False
     _arming_until: float = -math.inf
+    _moves_before_arming: bool = False
     _void_at: float = -math.inf
     _last_motion: float = -math.inf
     _last_cycle: float = -math.inf
@@ -106,12 +107,17 @@ class Permission:
         elif self._arming_until >= now:
             self._arming_until = -math.inf
             self.armed, self.must_reset = True, False
-            self.zero_first, self._after_gap, self._void_at = True, False, now
+            self.zero_first, self._after_gap = self._moves_before_arming, False
+            self._void_at = now
         if drives and not self._after_gap and not self._is_moving(now):
             self.zero_first = False
 
     def _is_moving(self, now: float) -> bool:
-        return any(s.is_fresh(now) and s.twist != ZERO_TWIST for s in self.sources.values())
+        """Checks whether a fresh twist that was sent at ``now`` (s) or before is a motion."""
+        return any(
+            s.is_fresh(now) and s.time <= now and s.twist != ZERO_TWIST
+            for s in self.sources.values()
+        )
 
     def _void(self, now: float) -> None:
         self.zero_first, self._after_gap, self._void_at = True, True, now
@@ -134,6 +140,8 @@ class Permission:
     def calls(self, client: str, service: str, arguments: dict[str, object], now: float) -> None:
         if service == "arm":
             self._arming_until = now + ARM_TIME if self.needs_arming else -math.inf
+            # A motion that comes after the request may be its first motion.
+            self._moves_before_arming = self._is_moving(now - self.period)
         elif service == "disarm":
             self.armed = False
         elif service in ("safety_stop", "lock"):

@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-READY, POWER_ON = "ready", "power_on"
+READY, POWER_ON, DELIVERED = "ready", "power_on", "delivered"
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,8 @@ class Schedule:
     - ``robot``: name of the robot in ``chaos_robots``.
     - ``seed``: seed of the simulated devices and of the injected faults.
     - ``start``: ``ready`` for a mission that begins with a robot that is ready, ``power_on`` for a
-      mission that begins when the devices are switched on.
+      mission that begins when the devices are switched on, ``delivered`` for the commissioning of
+      new drives, after which the robot must drive.
     - ``duration``: length of the mission in s; the recovery of the robot follows.
     """
 

@@ -51,14 +51,14 @@ def prepared_world(robot: str) -> ChaosWorld:
         world = _PREPARED[robot] = ChaosWorld(robot, SNAPSHOT_SEED)
         world.prepare()
         gc.collect()
-        gc.freeze()
+        getattr(gc, "freeze", gc.collect)()  # PyPy has no gc.freeze
     return world
 
 
 def run_here(schedule: Schedule, world: ChaosWorld | None = None) -> Outcome:
     """Runs a schedule in this process.  A mission from ready uses up the world."""
     if world is None:
-        world = ChaosWorld(schedule.robot, _device_seed(schedule))
+        world = ChaosWorld(schedule.robot, _device_seed(schedule), schedule.start)
         if schedule.start == READY:
             world.prepare()
     start = world.now

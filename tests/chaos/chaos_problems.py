@@ -1,0 +1,83 @@
+"""Problems that injected faults cause, as the judge of a mission sees them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from tests.chaos.invariants import NOTICE, false_reports_notice
+from thorvaldc.can.canopen import HEARTBEAT, NMT, RPDO, SYNC, TPDO
+from thorvaldc.model import Robot
+from thorvaldc.model.bus_faults import BusFault
+
+MASTER_BUS_OFF = "master_bus_off"
+FALSE_REPORTS = "false_reports"
+IMPEDING = (
+    "babble",
+    "bus_off",
+    "late_frames",
+    "lost_frames",
+    "noise",
+    "repeated_frames",
+    "wrong_bitrate",
+    "clone",
+    "second_master",
+    FALSE_REPORTS,
+    MASTER_BUS_OFF,
+)
+"""Kinds of injected faults in which the drives may not receive what the driver sends."""
+LYING = (
+    "clone",
+    "duplicate_id",
+    "encoder_jump",
+    FALSE_REPORTS,
+    "frozen_encoder",
+    "late_frames",
+    "repeated_frames",
+    "blocked_motor",
+)
+"""Kinds of injected faults that falsify what the motors report, without notice at first."""
+EMPTY_BATTERY = "battery_charge of a device"
+LATCHED = ("second_master",)
+"""Kinds of problems that must be noticed, even if they were short."""
+
+
+@dataclass
+class Problem:
+    """An injected fault in effect.
+
+    - ``since``: time (s) of its start;
+    - ``notice``: longest time (s) until the driver notices it, or ``None`` if it need not.
+    """
+
+    kind: str
+    since: float
+    notice: float | None = None
+    ended: bool = False
+    noticed: bool = False
+
+
+def problem_kind(robot: Robot, fault: BusFault) -> str:
+    """Returns the kind of problem that an injected fault causes."""
+    nodes = {n.name: n for b in robot.buses for n in b.nodes}
+    base = (fault.cob_id or 0) & 0x780
+    if fault.kind == "forged_frames":
+        master = (NMT, SYNC, HEARTBEAT + 0x7F)
+        if fault.cob_id in master or base in RPDO:
+            return "second_master"
+    if fault.kind in ("babble", "forged_frames") and base in TPDO:
+        return FALSE_REPORTS
+    if fault.node is not None and not nodes[fault.node].channels:
+        return f"{fault.kind} of a device"
+    return fault.kind
+
+
+def notice_time(robot: Robot, kind: str, fault: BusFault) -> float | None:
+    """Returns the longest time (s) until the driver notices an injected fault."""
+    if kind != FALSE_REPORTS:
+        return NOTICE.get(kind)
+    bus = next(bus for bus in robot.buses if bus.name == fault.bus)
+    drives = {node.name for node in bus.nodes if node.channels}
+    reports = {f.cob_id for f in bus.frames if f.producer in drives and f.period}
+    if fault.cob_id not in reports or not fault.period:
+        return None  # a single frame, or the report of no motor controller
+    return false_reports_notice(fault.period)
