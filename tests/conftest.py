@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.child_process import ended_processes
 from tests.workshop import Workshop
 
 # Hypothesis draws the same examples on every machine: a test fails only because of a change.
@@ -22,10 +24,22 @@ settings.register_profile(
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 
+# The time limit of each test in s, for pytest-timeout.  A test needs seconds, on a slow shared
+# machine a minute; one that takes this long hangs.  The signal ends it where it waits, so that its
+# fixtures end its processes and the other tests run.
+os.environ.setdefault("PYTEST_TIMEOUT", "600")
+
+
 # A shell starts a background job with SIGINT ignored, and child processes inherit that.
 # The programs under test could then not be interrupted.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(autouse=True)
+def _no_process_outlives_its_test() -> Iterator[None]:
+    with ended_processes():
+        yield
 
 
 @pytest.fixture

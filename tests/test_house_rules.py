@@ -153,3 +153,13 @@ def test_floats_are_added_alike_on_every_python(trees: dict[Path, ast.Module]) -
             if isinstance(node, ast.Name) and node.id == "sum" and node not in integer_sums
         ]
     assert sums == []
+
+
+def test_tests_start_processes_that_end_with_them() -> None:
+    popen = [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path in TESTS
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("Popen")
+    ]
+    assert popen == [], "tests use ChildProcess of tests/child_process.py"

@@ -6,11 +6,12 @@ import contextlib
 import os
 import pty
 import select
-import subprocess
 import sys
 import termios
 import time
 from pathlib import Path
+
+from tests.child_process import ChildProcess
 
 PATIENCE = 20.0
 
@@ -22,7 +23,7 @@ class Person:
         self.our_end, self.command_end = pty.openpty()
         self.settings_before = termios.tcgetattr(self.command_end)
         self.shown = ""
-        self.process = subprocess.Popen(
+        self.process = ChildProcess(
             [sys.executable, "-m", "thorvaldc", *arguments],
             cwd=folder,
             stdin=self.command_end,

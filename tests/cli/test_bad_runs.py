@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.child_process import ChildProcess
 from tests.cli.conftest import Command
 from tests.cli.test_terminal import on_terminal
 from thorvaldc.cli.progress import Progress
@@ -159,7 +160,7 @@ def test_a_terminated_run_leaves_a_readable_record(
     path = scenario(duration=80000)
     command = [sys.executable, "-m", "thorvaldc", "sim", path, "--record", record]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    with subprocess.Popen(
+    with ChildProcess(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
     ) as process:
         deadline = time.monotonic() + 60

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from tests.child_process import ChildProcess
 from tests.cli.conftest import Command
 from thorvaldc.compiler.scenario.variations import Variations
 from thorvaldc.diagnostics import Report
@@ -173,7 +174,7 @@ def test_ctrl_c_keeps_the_finished_runs(scenario: Path) -> None:
     out = scenario.with_name("out.csv")
     scenario.write_text(SCENARIO.replace("draws: 2", "draws: 400").replace("1 s", "20 s", 1))
     command = [sys.executable, "-m", "thorvaldc", "sim", str(scenario), "--variations", "-j", "2"]
-    process = subprocess.Popen(
+    process = ChildProcess(
         [*command, "-o", str(out)],
         cwd=ROOT,
         env={**os.environ, "PYTHONPATH": ":".join(p for p in sys.path if p)},

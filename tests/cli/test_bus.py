@@ -16,6 +16,7 @@ import can
 import canopen
 import pytest
 
+from tests.child_process import ChildProcess
 from tests.cli.conftest import GOOD, Command
 from tests.simulation.bus.robots import CIA402
 from thorvaldc.can.simulated_bus_client import SimulatedBusClient
@@ -30,7 +31,7 @@ def running(
 ) -> Iterator[tuple[subprocess.Popen[str], dict[str, object]]]:
     """Runs the command in a process; yields it with the description of its bus."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_RUNTIME_DIR": str(folder)}
-    process = subprocess.Popen(
+    process = ChildProcess(
         [sys.executable, "-m", "thorvaldc", "bus", *arguments, "--json"],
         cwd=folder,
         env=environment,

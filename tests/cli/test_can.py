@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.can.slcan_adapter import SlcanAdapter
+from tests.child_process import ChildProcess
 from tests.cli.conftest import Command
 from tests.cli.test_bus import ROOT, running
 from tests.simulation.bus.robots import CIA402, compiled
@@ -150,7 +151,7 @@ def test_on_the_bus_of_another_process(
     target = ("robot.yaml", "--bus", "sim:bench")
     journal = tmp_path / "robot.flash.jsonl"
     with running(tmp_path, "robot.yaml", "--channel", "bench", "--delivered"):
-        process = subprocess.Popen(
+        process = ChildProcess(
             [sys.executable, "-m", "thorvaldc", "can", "flash", *target, "--apply", "--yes"],
             cwd=tmp_path,
             env={**os.environ, "PYTHONPATH": str(ROOT)},
@@ -185,7 +186,7 @@ def test_through_a_serial_adapter(
     simulated = SimulatedRobot(compiled(ONE), delivered=True)
     adapter = SlcanAdapter(simulated)
     simulated.power_on()
-    process = subprocess.Popen(
+    process = ChildProcess(
         [
             *(sys.executable, "-m", "thorvaldc", "can", "flash", "robot.yaml"),
             *("--bus", f"slcan:{adapter.path}", "--apply", "--yes"),

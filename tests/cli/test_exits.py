@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.child_process import ChildProcess
+
 # The command `targets` with another body.
 SCRIPT = """
 import sys, os, time
@@ -27,7 +29,7 @@ run()
 def start(body: str, **more: object) -> subprocess.Popen[str]:
     script = SCRIPT.format(body="\n".join("    " + line for line in body.splitlines()))
     options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True} | more
-    return subprocess.Popen([sys.executable, "-c", script], **options)  # type: ignore[call-overload,no-any-return]
+    return ChildProcess([sys.executable, "-c", script], **options)
 
 
 def finish(body: str, **more: object) -> tuple[int, str, str]:

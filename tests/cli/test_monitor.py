@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.child_process import ChildProcess
 from tests.cli.conftest import GOOD, Command
 from tests.cli.person import PATIENCE, Person
 from tests.cli.test_bus import running
@@ -69,7 +70,7 @@ def test_json_lines_text_and_live_view(bus: str, folder: Path, thorvaldc: Comman
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_the_monitor(bus: str, folder: Path, number: int) -> None:
-    process = subprocess.Popen(
+    process = ChildProcess(
         [sys.executable, "-m", "thorvaldc", "can", "monitor", "good.yaml", "--bus", bus, "--json"],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},

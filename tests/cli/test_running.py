@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from tests.can.slcan_adapter import SlcanAdapter
+from tests.child_process import ChildProcess
 from tests.cli.conftest import GOOD, Command
 from tests.cli.test_bus import end, running
 from thorvaldc.compiler.pipeline import compile_file
@@ -30,7 +31,7 @@ def started(folder: Path, *arguments: str) -> subprocess.Popen[str]:
         "XDG_RUNTIME_DIR": str(folder),
         "XDG_STATE_HOME": str(folder / "state"),
     }
-    return subprocess.Popen(
+    return ChildProcess(
         [sys.executable, "-m", "thorvaldc", "run", *arguments],
         cwd=folder,
         env=environment,

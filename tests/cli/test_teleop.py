@@ -19,6 +19,7 @@ from typing import Any
 
 import pytest
 
+from tests.child_process import ChildProcess
 from tests.cli.conftest import GOOD, Command
 from tests.cli.person import PATIENCE, Person
 from tests.tools.teleoperation.test_joystick import Device
@@ -172,7 +173,7 @@ def test_call_without_a_driver(folder: Path, thorvaldc: Command) -> None:
 def test_teleop_drives_the_robot_of_run(folder: Path, thorvaldc: Command) -> None:
     command = [sys.executable, "-m", "thorvaldc", "run", "good.yaml", "--bus", "virtual"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    with subprocess.Popen(
+    with ChildProcess(
         command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as process:
         limit = time.monotonic() + PATIENCE

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.child_process import ChildProcess
 from tests.cli.conftest import BAD, GOOD
 
 
@@ -18,7 +19,7 @@ def on_terminal(folder: Path, *arguments: str, **environment: str) -> tuple[int,
     """Returns the status and the output on a terminal of 60 columns."""
     our_end, command_end = pty.openpty()
     inherited = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "FORCE_COLOR")}
-    with subprocess.Popen(
+    with ChildProcess(
         [sys.executable, "-m", "thorvaldc", *arguments],
         cwd=folder,
         stdin=command_end,

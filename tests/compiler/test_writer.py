@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.child_process import ChildProcess
 from thorvaldc.compiler import writer
 from thorvaldc.compiler.writer import WriteError, write_build
 
@@ -266,7 +267,7 @@ while True:
 def test_kill_9_at_any_moment_leaves_a_complete_build(round_: int, tmp_path: Path) -> None:
     out = tmp_path / "out"
     write(ONE, out)
-    with subprocess.Popen(
+    with ChildProcess(
         [sys.executable, "-c", WRITE_MANY, str(out)], stdout=subprocess.PIPE
     ) as process:
         assert process.stdout is not None
@@ -280,7 +281,7 @@ def test_kill_9_at_any_moment_leaves_a_complete_build(round_: int, tmp_path: Pat
 
 def test_ctrl_c_leaves_only_a_complete_build(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    with subprocess.Popen(
+    with ChildProcess(
         [sys.executable, "-c", WRITE_MANY, str(out)],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -296,7 +297,7 @@ def test_ctrl_c_leaves_only_a_complete_build(tmp_path: Path) -> None:
 def test_two_concurrent_builds(tmp_path: Path) -> None:
     out = tmp_path / "out"
     both = [
-        subprocess.Popen(
+        ChildProcess(
             [sys.executable, "-c", WRITE_MANY, str(out)],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.can.slcan_adapter import SlcanAdapter
+from tests.child_process import ChildProcess
 from tests.cli.conftest import GOOD
 from tests.cli.test_bus import running
 from tests.packaging import runtime_environment
@@ -129,7 +130,7 @@ def test_run_drives_over_python_can(runtime: Path, build: Path) -> None:
     simulated = SimulatedRobot(robot)
     simulated.power_on()
     adapter = SlcanAdapter(simulated)
-    process = subprocess.Popen(
+    process = ChildProcess(
         [
             *(str(runtime / "thorvaldc"), "run", "model.json", "--bus", f"slcan:{adapter.path}"),
             *("--twist", "0.4,0,0", "--duration", "2 s", "--json"),

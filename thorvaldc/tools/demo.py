@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import signal
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +16,7 @@ from thorvaldc.diagnostics import Report, Severity
 from thorvaldc.model import Fleet
 from thorvaldc.simulation.run_result import SimulationResult
 from thorvaldc.simulation.simulation_run import drive_build
+from thorvaldc.tools.worker_processes import ignored_interrupts, worker_pool
 
 PROCESSES = 2
 
@@ -50,10 +49,10 @@ def run_demo(jobs: Sequence[DemoJob]) -> Iterator[DemoOutcome]:
 
     Raises ``WriteError`` if an output file cannot be written.
     """
-    # The child processes ignore Ctrl-C.  The parent process ends the child processes after Ctrl-C.
-    count = min(PROCESSES, os.cpu_count() or 1)
-    with multiprocessing.Pool(count, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
-        yield from pool.imap(run_job, jobs)
+    with worker_pool(min(PROCESSES, os.cpu_count() or 1)) as pool:
+        with ignored_interrupts():
+            outcomes = pool.map(run_job, jobs)
+        yield from outcomes
 
 
 def run_job(job: DemoJob) -> DemoOutcome:

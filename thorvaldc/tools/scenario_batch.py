@@ -5,14 +5,10 @@ The results do not depend on the number of processes.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import signal
-import threading
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +24,7 @@ from thorvaldc.compiler.scenario.variations import (
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.diagnostics import Report
+from thorvaldc.tools.worker_processes import ignored_interrupts, worker_pool
 
 __all__ = ["Batch", "Run", "plan_variations", "processors"]
 
@@ -148,23 +145,14 @@ class Batch:
             for job in self._jobs:
                 yield job()
             return
-        # The processes are spawned, because a forked process would inherit locks and threads of
-        # MuJoCo and numpy.
-        context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(min(jobs, len(self._jobs)), mp_context=context)
         try:
-            with _ignored_interrupts():
-                futures: list[Future[Run]] = [pool.submit(job) for job in self._jobs]
-            for future in as_completed(futures):
-                yield future.result()
+            with worker_pool(min(jobs, len(self._jobs))) as pool:
+                with ignored_interrupts():
+                    futures: list[Future[Run]] = [pool.submit(job) for job in self._jobs]
+                for future in as_completed(futures):
+                    yield future.result()
         except BrokenProcessPool:
             raise BrokenProcessPool("a process of the batch was killed") from None
-        except BaseException:
-            for process in multiprocessing.active_children():
-                process.terminate()
-            raise
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,24 +192,6 @@ class _Job:
                 report.put(error.diagnostic)
         errors = tuple(f"{d.code.severity}[{d.code.number}]: {d.message}" for d in report.errors)
         return Run(self.number, values, result, errors)
-
-
-@contextmanager
-def _ignored_interrupts() -> Iterator[None]:
-    """Makes all child processes ignore Ctrl-C that start in the ``with`` block.
-
-    A terminal sends Ctrl-C to the parent process and to all child processes.  A child process that
-    does not ignore Ctrl-C would print a traceback.  The parent process terminates the child
-    processes after Ctrl-C.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
 
 
 def processors() -> int:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.child_process import ChildProcess
 from tests.compiler.extras.xacro_files import (
     HEAD,
     STL,
@@ -128,7 +129,7 @@ def test_an_interrupt_ends_the_worker(tmp_path: Path) -> None:
         "request = x.ExpansionRequest(folder / 'a.xacro', {}, {})\n"
         "x.expand([request], x.DisplayPaths(folder, '', {}))\n"
     )
-    process = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.DEVNULL)
+    process = ChildProcess([sys.executable, "-c", program], stderr=subprocess.DEVNULL)
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     deadline = time.monotonic() + 30.0
     worker = ""

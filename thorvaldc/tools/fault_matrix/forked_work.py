@@ -13,12 +13,13 @@ from __future__ import annotations
 import gc
 import multiprocessing
 import os
-import signal
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from typing import Any, TypeVar
+
+from thorvaldc.tools.worker_processes import become_worker
 
 T = TypeVar("T")
 
@@ -75,9 +76,7 @@ def _result(receiver: Connection) -> Any:
 
 
 def _work(function: Callable[[], Any], sender: Connection) -> None:
-    # A terminal sends Ctrl-C to all processes; the parent process ends its copies itself.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    become_worker()
     try:
         sender.send((False, function()))
     except BaseException:

@@ -1,0 +1,53 @@
+"""Processes that tests start: none outlives its test, also if the test fails or is ended."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, ClassVar
+
+
+class ChildProcess(subprocess.Popen[Any]):
+    """A ``Popen`` in a session of its own, whose children are ended with it.
+
+    ``subprocess.Popen`` waits at the end of its ``with`` block, also after a failed assertion, for
+    a process that nothing ends any more.  This class ends the process in that case.
+    """
+
+    running: ClassVar[list[ChildProcess]] = []
+
+    def __init__(self, command: list[str], **options: Any) -> None:
+        super().__init__(command, **{"start_new_session": True, **options})
+        self.running.append(self)
+
+    def __exit__(self, *error: Any) -> None:
+        if error[0] is not None:
+            self.end()
+        super().__exit__(*error)
+
+    def end(self) -> None:
+        """Kills the process and its children, and closes its pipes."""
+        if self in self.running:
+            self.running.remove(self)
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self.pid, signal.SIGKILL)
+        self.wait()
+        for pipe in (self.stdin, self.stdout, self.stderr):
+            if pipe is not None:
+                with contextlib.suppress(OSError):
+                    pipe.close()
+
+
+@contextmanager
+def ended_processes() -> Iterator[None]:
+    """Ends the processes that start in the ``with`` block."""
+    before = list(ChildProcess.running)
+    try:
+        yield
+    finally:
+        for process in [p for p in ChildProcess.running if p not in before]:
+            process.end()

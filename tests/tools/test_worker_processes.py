@@ -1,0 +1,61 @@
+"""No worker process outlives its parent: a reader of their common output reaches its end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.child_process import ChildProcess
+
+POOL = """
+import sys, time
+from thorvaldc.tools.worker_processes import ignored_interrupts, worker_pool
+
+def work(number):
+    print("working", flush=True)
+    time.sleep(600)
+
+if __name__ == "__main__":
+    with worker_pool(2) as pool:
+        with ignored_interrupts():
+            futures = [pool.submit(work, number) for number in range(4)]
+        futures[0].result()
+"""
+FORK = """
+import time
+from thorvaldc.tools.fault_matrix.forked_work import run_forked
+
+def work():
+    print("working", flush=True)
+    time.sleep(600)
+
+list(run_forked([work] * 4, 2))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("program", [POOL, FORK], ids=["pool", "fork"])
+def test_the_end_of_the_parent_ends_its_workers(
+    tmp_path: Path, program: str, number: signal.Signals
+) -> None:
+    if program == FORK and not hasattr(os, "fork"):
+        pytest.skip("no fork on this system")
+    script = tmp_path / "program.py"
+    script.write_text(program)
+    process = ChildProcess(
+        [sys.executable, str(script)],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert [process.stdout.readline() for _ in range(2)] == ["working\n"] * 2
+    process.send_signal(number)
+    rest, _ = process.communicate(timeout=60)  # waits until no process holds the pipe
+    assert (rest, process.returncode) == ("", -number)

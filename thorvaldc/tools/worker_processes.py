@@ -1,0 +1,67 @@
+"""Worker processes that never outlive the process that started them."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing.connection import wait
+
+
+@contextmanager
+def worker_pool(count: int) -> Iterator[ProcessPoolExecutor]:
+    """Opens a pool of ``count`` worker processes.
+
+    Submit all work in the ``with`` block under ``ignored_interrupts``.  If an exception leaves the
+    block, also Ctrl-C, the workers are terminated and the remaining work is cancelled.
+    """
+    # The processes are spawned, because a forked process would inherit locks and threads of MuJoCo
+    # and numpy.
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=become_worker)
+    try:
+        yield pool
+    except BaseException:
+        for process in multiprocessing.active_children():
+            process.terminate()
+        raise
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def become_worker() -> None:
+    """Makes the current process a worker of its parent process.
+
+    A worker ignores Ctrl-C, which a terminal sends to all processes: the parent process ends its
+    workers itself.  A parent process that is killed cannot do so; its workers then end themselves.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    threading.Thread(target=_end_after_parent, daemon=True).start()
+
+
+def _end_after_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+@contextmanager
+def ignored_interrupts() -> Iterator[None]:
+    """Makes all child processes ignore Ctrl-C that start in the ``with`` block.
+
+    A child process that does not ignore Ctrl-C during its start would print a traceback.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
