@@ -8,11 +8,12 @@ READY  ?= .venv/.ready
 JOBS   ?= auto
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test lint types chaos bench golden pictures clean distclean
+.PHONY: help setup demo test test-matrix lint types chaos bench golden pictures clean distclean
 
 help:
 	@echo "make demo      compile every example and drive it in simulation"
 	@echo "make test      lint, types, layer rules and tests"
+	@echo "make test-matrix  a part of the tests with the oldest and newest Python and dependencies"
 	@echo "make chaos     random missions with faults: make chaos SEEDS=0:1000 JOBS=2 (docs/chaos.md)"
 	@echo "make bench     measure; prints a table and writes bench.json"
 	@echo "make golden    rewrite the tests' golden files and tables (review the diff)"
@@ -51,6 +52,11 @@ types: $(READY)
 test: lint types
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup $(TESTS)
 
+test-matrix: $(READY)
+	@$(BIN)/python -c 'import uv' 2>/dev/null || \
+	  $(BIN)/python -m pip install --quiet --disable-pip-version-check uv
+	JOBS=$(JOBS) $(BIN)/python tools/test_matrix.py
+
 SEEDS ?= 0:200
 chaos: $(READY)
 	$(BIN)/python -m tests.chaos --seeds $(SEEDS) --jobs $(JOBS:auto=1) $(CHAOS)
@@ -71,7 +77,7 @@ pictures: $(READY)
 
 clean:
 	rm -rf build dist bench.json .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
-	find . -path ./.venv -prune -o -name __pycache__ -type d -print0 | xargs -0 rm -rf
+	find . \( -path ./.venv -o -path ./.matrix \) -prune -o -name __pycache__ -type d -print0 | xargs -0 rm -rf
 
 distclean: clean
-	rm -rf .venv
+	rm -rf .venv .matrix

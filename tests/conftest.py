@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.child_process import ended_processes
+from tests.outside_tools import is_listed
 from tests.workshop import Workshop
 
 # Hypothesis draws the same examples on every machine: a test fails only because of a change.
@@ -34,6 +36,15 @@ os.environ.setdefault("PYTEST_TIMEOUT", "600")
 # The programs under test could then not be interrupted.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _check_program(event: str, arguments: tuple[object, ...]) -> None:
+    if event == "subprocess.Popen":
+        program = os.fsdecode(str(arguments[0]))
+        assert is_listed(program), f"{program} is not listed in tests/outside_tools.py"
+
+
+sys.addaudithook(_check_program)
 
 
 @pytest.fixture(autouse=True)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from tests.backend_files import files_of
+from tests.outside_tools import path_of
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.backends.urdf import Urdf
 from thorvaldc.model import Fleet, Robot
@@ -41,32 +40,21 @@ def written_fleet(tmp_path: Path) -> Callable[[Fleet], Path]:
     return run
 
 
-def checker(program: str, package: str) -> str:
-    """Return the path of a program; without it, skip the test, or fail if ``CI`` is set."""
-    program_path = shutil.which(program)
-    if program_path is None:
-        reason = f"{program} is not installed (Debian package {package})"
-        if os.environ.get("CI"):
-            pytest.fail(reason)
-        pytest.skip(reason)
-    return program_path
-
-
 @pytest.fixture
 def check_urdf() -> str:
-    return checker("check_urdf", "liburdfdom-tools")
+    return path_of("check_urdf")
 
 
 @pytest.fixture
 def ign() -> str:
-    return checker("ign", "ignition-tools, libsdformat-dev")
+    return path_of("ign")
 
 
 @pytest.fixture
 def cc() -> str:
-    return checker("cc", "gcc")
+    return path_of("cc")
 
 
 @pytest.fixture
 def shellcheck() -> str:
-    return checker("shellcheck", "shellcheck")
+    return path_of("shellcheck")

@@ -5,9 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import json
-import os
 import re
-import shutil
 import subprocess
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -18,6 +16,7 @@ import numpy as np
 import pytest
 
 from tests.examples import example_fleet, example_robot
+from tests.outside_tools import path_of
 from thorvaldc.model import Fleet, Robot, Sphere
 from thorvaldc.model.spatial import Pose
 from thorvaldc.model.statics.joint_tree import JointTree
@@ -114,12 +113,7 @@ def test_surfaces_are_closed_and_of_the_right_size() -> None:
 @pytest.fixture
 def browse(tmp_path: Path) -> Callable[..., tuple[str, Path]]:
     """Opens a page in a browser; returns the document and a picture."""
-    program = shutil.which("chromium") or shutil.which("google-chrome")
-    if program is None:
-        reason = "chromium is not installed (Debian package chromium)"
-        if os.environ.get("CI"):
-            pytest.fail(reason)
-        pytest.skip(reason)
+    program = path_of("chromium")
 
     def run(model: Robot | Fleet, shown: str = "") -> tuple[str, Path]:
         path = tmp_path / "view.html"

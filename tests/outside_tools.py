@@ -1,0 +1,88 @@
+"""The programs and libraries outside of Python that the tests use, with their Debian packages.
+
+``python3 tests/outside_tools.py`` prints the Debian packages that are missing here.
+``tests/conftest.py`` ends a test that starts a program that is not listed.
+"""
+
+from __future__ import annotations
+
+import ctypes.util
+import importlib.util
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+
+class Tool(NamedTuple):
+    """An outside program or library, the Debian packages with it, and whether it is here."""
+
+    name: str
+    packages: str
+    is_here: Callable[[], bool]
+
+
+def _program(name: str, packages: str, *other_names: str) -> Tool:
+    return Tool(name, packages, lambda: any(map(shutil.which, (name, *other_names))))
+
+
+IGNITION = Path("/usr/lib/ruby/ignition")
+TOOLS = (
+    _program("make", "make"),
+    Tool(
+        "venv",
+        "python3-venv",
+        lambda: all(map(importlib.util.find_spec, ("venv", "ensurepip"))),
+    ),
+    _program("cc", "gcc libc6-dev"),  # compiles the generated header
+    _program("check_urdf", "liburdfdom-tools"),  # reads URDF
+    Tool(  # reads URDF and SDF
+        "ign",
+        "ignition-tools libsdformat-dev",
+        lambda: bool(shutil.which("ign")) and any(IGNITION.glob("cmdsdformat*.rb")),
+    ),
+    _program("shellcheck", "shellcheck"),  # reads the generated shell script
+    _program("chromium", "chromium", "google-chrome"),  # opens the generated web page
+    Tool(  # draws pictures
+        "EGL",
+        "libegl1 libegl-mesa0 libgl1-mesa-dri",
+        lambda: all(map(ctypes.util.find_library, ("EGL", "EGL_mesa"))),
+    ),
+)
+# Programs of every system, and what Python itself starts to find a library.
+ALWAYS_HERE = frozenset(["sh", "ldconfig", "gcc", "ld", "uname"])
+
+
+def path_of(name: str) -> str:
+    """Returns the path of a program of the list; the test is skipped without it.
+
+    Where ``CI`` is set, a missing program is an error.
+    """
+    (tool,) = (tool for tool in TOOLS if tool.name == name)
+    if not tool.is_here():
+        without(f"{name} is not installed (Debian: {tool.packages})")
+    path = shutil.which(name) or shutil.which("google-chrome")
+    assert path is not None
+    return path
+
+
+def without(reason: str) -> None:
+    """Skips the test for a missing tool; where ``CI`` is set, the test fails."""
+    import pytest
+
+    if os.environ.get("CI"):
+        pytest.fail(reason)
+    pytest.skip(reason)
+
+
+def is_listed(program: str) -> bool:
+    """Whether tests may start a program: listed here, or of no folder of the system."""
+    folder, name = os.path.split(program)
+    outside = not folder or folder in ("/bin", "/sbin", "/usr/bin", "/usr/sbin")
+    names = {tool.name for tool in TOOLS} | {"google-chrome"} | ALWAYS_HERE
+    return not outside or name in names or name.startswith("python")
+
+
+if __name__ == "__main__":
+    print(*(tool.packages for tool in TOOLS if not tool.is_here()))
