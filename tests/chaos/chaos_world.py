@@ -111,6 +111,7 @@ class ChaosWorld:
         self._numbers = 0
         self._forged_until = -math.inf
         self._recovering = False
+        self._encoder_jumped = False
         self._battery_empty = 0.0
         self._injector = FaultInjector(self.simulated, BusFaults((), seed=seed))
         self._motors = [
@@ -177,7 +178,9 @@ class ChaosWorld:
 
     @property
     def encoders_lie(self) -> bool:
-        return any(problem.kind in LYING for problem in self.problems.values())
+        return self._encoder_jumped or any(
+            problem.kind in LYING for problem in self.problems.values()
+        )
 
     def forged_level(self, now: float) -> float:
         """Returns the speed (m/s) that forged commands may cause."""
@@ -457,6 +460,9 @@ class ChaosWorld:
         remove = self._injector._start(fault)
         problem = problem_kind(self.robot, fault)
         number = self._open_problem(problem, notice_time(self.robot, problem, fault))
+        if kind == "encoder_jump" and not (self.alive and self.runner.state.drives):
+            # No driver sees the jump, and the drive does not notice it before the next homing.
+            self._encoder_jumped = True
         self._targets[number] = target
         device = self.simulated.devices.get(node or "")
         original = device.nonvolatile.get("node_id") if device is not None else None
@@ -539,6 +545,9 @@ class ChaosWorld:
                 self.now + READY_TIME,
                 lambda: self.runner.ready or self.runner.state.value in ("fault", "estop"),
             )
+        if self._encoder_jumped:
+            self._call(person, "home_steering")
+            self.run_until(self.now + READY_TIME, lambda: self.runner.ready)
         self._call(person, "twist", source="teleop_joy")
         self._call(person, "arm")
         person.drive("teleop_joy", list(RECOVERY_TWIST), 2.0, 20.0)
