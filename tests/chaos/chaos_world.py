@@ -238,7 +238,7 @@ class ChaosWorld:
             self.control.services,
             self.listener,
             self.runner.driver.time_gaps.normal,
-            self.control.multiplexer.release,
+            self.control._end_program,
         )
         self.runner.feed = self._feed
         self._note_resets(self.runner.driver)
