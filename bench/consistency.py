@@ -1,13 +1,19 @@
 """Consistency of the covariances of twist and pose: NEES by the kind of the wheel errors.
 
 NEES is the squared error in units of the covariance, e' P^-1 e.  Its mean over many runs, divided
-by the three components, is 1 if the covariance is right.
+by the three components, is 1 if the covariance is right.  The error of a pose is the logarithm of
+the true pose relative to the estimated pose.
+
+Every measurement of a wheel has the errors that the noise model states: a rolling speed and a
+direction per wheel, whose standard deviation is 1 % and 0.5 deg of the speed, and a floor.  Fixed
+wheels have no steering encoder; the error of their direction moves the robot sideways.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,132 +23,211 @@ from bench.wheel_noise import ROBOTS, Array, geometry_of, velocity
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry, Noise
-from thorvaldc.runtime.calculators.base_geometry import FixedWheels
+from thorvaldc.runtime.calculators.base_geometry import FixedWheels, WheelGeometry
 from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.odometry import Odometry
 from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
 from thorvaldc.simulation.vectorised.calculator_batch import CalculatorBatch
+from thorvaldc.simulation.vectorised.odometry_batch import OdometryBatch
 
-RUNS = 60
+RUNS = 200
+STRIDE = 5
+"""The study uses every fifth tick of the drive: ten joint states per second."""
 LASTING = 2.0
-"""Time constant (s) of lasting errors."""
+"""Time constant (s) of errors that last some seconds."""
 BIASED = "wrong radii and zeros"
 KINDS = {
-    "white": Noise(radius_error=0.0, steering_offset_error=0.0),
+    "white": Noise(correlation=0.0, radius_error=0.0, steering_offset_error=0.0),
     "lasting 2 s": Noise(correlation=LASTING, radius_error=0.0, steering_offset_error=0.0),
-    BIASED: Noise(radius_error=0.008, steering_offset_error=math.radians(0.4)),
+    BIASED: Noise(correlation=0.0, radius_error=0.008, steering_offset_error=math.radians(0.4)),
 }
-"""The errors of a wheel are 1 % and 0.5 deg in every tick.
+"""The settings that describe each kind of errors.
 
-Of wrong radii and zeros, 0.8 % and 0.4 deg last, and 0.6 % and 0.3 deg are random.
+Of wrong radii and zeros, 0.8 % and 0.4 deg last, and 0.6 % and 0.3 deg are white.
 """
 SECONDS = {"2WD": 16.0}
 """Duration of the drive.  Two wheels that are 1 % wrong turn the robot by 80 deg in 77 s."""
+NOISE = Noise()
+"""Standard deviations of all errors, 1 % and 0.5 deg."""
+MOVING = 0.2
+"""Speed (m/s) from which the error of a twist counts."""
+
+
+class Result(NamedTuple):
+    """Mean of NEES/3 over all runs with its standard error, for the twist and for the pose.
+
+    ``distance``, ``sigma``: root mean squares of the end error and of its standard deviation, m.
+    """
+
+    twist: float
+    twist_error: float
+    pose: float
+    pose_error: float
+    distance: float
+    sigma: float
 
 
 def figures() -> Iterator[Figure]:
     for robot in ROBOTS:
-        geometry = geometry_of(robot)
+        seconds = SECONDS.get(robot, 77.0)
         for kind, noise in KINDS.items():
-            seconds = SECONDS.get(robot, 77.0)
-            ticks = round(seconds / DT)
-            twist, pose, distance, sigma = _nees(geometry, kind, noise, ticks)
-            how = (
-                f"{RUNS} runs of {seconds:g} s, 1 % and 0.5 deg; end error {distance:.2f} m,"
-                f" standard deviation {sigma:.2f} m"
-            )
-            for name, value in (("twist", twist), ("pose", pose)):
-                yield Figure(f"{name} NEES/3, {robot}, {kind}", value, "", 1.2, "lower", how)
+            matching, default = study(robot, kind, [noise, Noise()], seconds)
+            how = f"{RUNS} runs of {seconds:g} s; end error {matching.distance:.2f} m, "
+            for name, value, error in (
+                ("twist", matching.twist, matching.twist_error),
+                ("pose", matching.pose, matching.pose_error),
+            ):
+                text = f"{how}standard deviation {matching.sigma:.2f} m; +-{error:.2f}"
+                yield Figure(f"{name} NEES/3, {robot}, {kind}", value, "", 1.2, "lower", text)
                 yield Figure(
-                    f"{name} NEES/3 at least, {robot}, {kind}", value, "", 0.8, "higher", how
+                    f"{name} NEES/3 at least, {robot}, {kind}", value, "", 0.8, "higher", text
                 )
+            text = f"{how}standard deviation {default.sigma:.2f} m; +-{default.pose_error:.2f}"
+            yield Figure(
+                f"pose NEES/3 by default, {robot}, {kind}", default.pose, "", 1.2, "lower", text
+            )
 
 
-def _nees(
-    geometry: BaseGeometry, kind: str, noise: Noise, ticks: int
-) -> tuple[float, float, float, float]:
-    """Returns NEES/3 of twist and pose, and the root mean squares of error and deviation (m)."""
+def study(robot: str, kind: str, settings: list[Noise], seconds: float) -> list[Result]:
+    """Returns the results of runs with errors of a kind, for each setting of the noise."""
+    geometry, dt = geometry_of(robot), DT * STRIDE
     rng = np.random.default_rng(7)
-    fixed = FixedWheels(geometry.wheels)
-    twists = np.array([fixed.feasible(Twist(*t)) for t in paper_drive()[:, :ticks].T.tolist()]).T
-    totals = np.zeros(4)
-    for _ in range(RUNS):
-        true, speeds, angles = _run(geometry, fixed, twists, kind, rng)
-        totals[0] += _twist_nees(geometry, noise, true, speeds, angles)
-        odometry = Odometry(General(geometry, None, noise), (1.5, 1.0))
-        still = [0.0] * len(geometry.wheels)
-        joints = zip(speeds.T.tolist(), angles.T.tolist(), strict=True)
-        for k, (wheel_speeds, steering) in enumerate(joints):
-            odometry.update(JointStates(k * DT, wheel_speeds, steering, still), k * DT)
-        error = np.array(_end(true).relative_to(odometry.pose))
-        covariance = np.array(odometry.covariance)
-        totals[1] += float(error @ np.linalg.solve(covariance, error)) / 3.0
-        totals[2] += error[0] ** 2 + error[1] ** 2
-        totals[3] += covariance[0, 0] + covariance[1, 1]
-    twist, pose, square, variance = totals / RUNS
-    return twist, pose, math.sqrt(square), math.sqrt(variance)
+    twists, speeds, angles = _runs(geometry, kind, round(seconds / dt), rng)
+    means = (twists[1:] + twists[:-1]) / 2.0
+    ends = [_end(run, dt) for run in means.transpose(2, 0, 1).tolist()]
+    positions = np.zeros_like(speeds)
+    positions[1:] = np.cumsum((speeds[1:] + speeds[:-1]) / 2.0 * dt, axis=0)
+    still = [0.0] * len(geometry.wheels)
+    calculators = [[General(geometry, None, noise) for _ in ends] for noise in settings]
+    odometries = [[Odometry(c, (1.5, 1.0)) for c in group] for group in calculators]
+    batches = [
+        OdometryBatch(group[0], odometry)
+        for group, odometry in zip(calculators, odometries, strict=True)
+    ]
+    for k, states in enumerate(zip(speeds, angles, positions, strict=True)):
+        joints = [
+            JointStates(k * dt, speed, angle, still, position)
+            for speed, angle, position in zip(*(s.T.tolist() for s in states), strict=True)
+        ]
+        for batch, group in zip(batches, odometries, strict=True):
+            batch.update(joints, k * dt)
+            for odometry, joint_states in zip(group, joints, strict=True):
+                odometry.update(joint_states, k * dt)
+    results = []
+    for noise, group in zip(settings, odometries, strict=True):
+        errors = [_logarithm(end.relative_to(o.pose)) for end, o in zip(ends, group, strict=True)]
+        poses = np.array([_nees(e, o.covariance) for e, o in zip(errors, group, strict=True)])
+        squares = [e[0] ** 2 + e[1] ** 2 for e in errors]
+        variances = [o.covariance[0][0] + o.covariance[1][1] for o in group]
+        per_run = _twist_nees(geometry, noise, twists, speeds, angles)
+        results.append(
+            Result(
+                float(per_run.mean()),
+                float(per_run.std()) / math.sqrt(RUNS),
+                float(poses.mean()),
+                float(poses.std()) / math.sqrt(RUNS),
+                math.sqrt(sum(squares) / RUNS),
+                math.sqrt(sum(variances) / RUNS),
+            )
+        )
+    return results
 
 
-def _run(
-    geometry: BaseGeometry, fixed: FixedWheels, twists: Array, kind: str, rng: np.random.Generator
+def _runs(
+    geometry: BaseGeometry, kind: str, n: int, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    """Returns true twists, wheel speeds and steering angles of a drive with errors of a kind."""
-    wheels, n = geometry.wheels, twists.shape[1]
-    noise = Noise()
-    if fixed.rows and kind != BIASED:  # all fixed wheels slip sideways together
-        slip = _errors(kind, 1, n, rng)[0]
-        information = np.zeros(n)
-        for w in wheels:
+    """Returns true twists (n, 3, runs), and wheel speeds and steering angles (n, wheels, runs)."""
+    wheels = geometry.wheels
+    fixed = FixedWheels(wheels)
+    nominal = paper_drive()[:, : n * STRIDE : STRIDE].T.tolist()
+    drive = np.array([fixed.feasible(Twist(*twist)) for twist in nominal])
+    twists = np.repeat(drive[:, :, np.newaxis], RUNS, axis=2)
+    rolling, direction = (_Errors(kind, n, len(wheels), rng) for _ in range(2))
+    if fixed.rows:  # fixed wheels on one axle slip sideways together
+        slip, information = np.zeros((2, n, RUNS))
+        for i, w in enumerate(wheels):
             if w.fixed:
-                moving = np.hypot(*velocity(w.x, w.y, twists))
-                information += 1.0 / ((noise.angle * moving) ** 2 + noise.slip_floor**2)
-        twists = twists.copy()
-        twists[:2] += np.outer(fixed.rows[0][:2], slip / np.sqrt(information))
-    rolling, direction = _errors(kind, len(wheels), n, rng), _errors(kind, len(wheels), n, rng)
-    speeds, angles = np.zeros((2, len(wheels), n))
+                roll = _rolling(w, twists)
+                weight = 1.0 / ((NOISE.angle * roll) ** 2 + NOISE.slip_floor**2)
+                slip += weight * direction.of(i, NOISE.angle * roll, NOISE.slip_floor)
+                information += weight
+        twists[:, :2] += np.multiply.outer(fixed.rows[0][:2], slip / information).swapaxes(0, 1)
+    speeds, angles = np.zeros((2, n, len(wheels), RUNS))
     for i, w in enumerate(wheels):
         if w.swivel:
             continue
-        ux, uy = velocity(w.x, w.y, twists)
-        rolls = math.cos(w.heading) * ux + math.sin(w.heading) * uy
+        roll = _rolling(w, twists)
         if w.steered:
-            rolls = np.hypot(ux, uy)
-            angles[i] = w.sign * (np.unwrap(np.arctan2(uy, ux)) - w.heading)
-            angles[i] += direction[i] * noise.angle
+            ux, uy = velocity(w.x, w.y, twists.swapaxes(0, 1))
+            roll = np.hypot(ux, uy)
+            angles[:, i] = w.sign * (np.unwrap(np.arctan2(uy, ux), axis=0) - w.heading)
+            slip = direction.of(i, NOISE.angle * roll, NOISE.slip_floor)
+            angles[:, i] += slip / np.maximum(roll, 0.05)
         if w.encoder:
-            speeds[i] = rolls * (1.0 + noise.speed_ratio * rolling[i]) / w.radius
+            error = rolling.of(i, NOISE.speed_ratio * roll, NOISE.speed_floor)
+            speeds[:, i] = (roll + error) / w.radius
     return twists, speeds, angles
 
 
-def _errors(kind: str, wheels: int, n: int, rng: np.random.Generator) -> Array:
-    """Returns errors (wheels, n) with the standard deviation 1."""
-    errors = rng.standard_normal((wheels, n))
-    if kind == BIASED:
-        return 0.8 * rng.standard_normal((wheels, 1)) + 0.6 * errors
-    if kind != "white":
-        left = math.exp(-DT / LASTING)
-        errors[:, 1:] *= math.sqrt(1.0 - left * left)
-        for k in range(1, n):
-            errors[:, k] += left * errors[:, k - 1]
-    return errors
+def _rolling(wheel: WheelGeometry, twists: Array) -> Array:
+    ux, uy = velocity(wheel.x, wheel.y, twists.swapaxes(0, 1))
+    rolling: Array = math.cos(wheel.heading) * ux + math.sin(wheel.heading) * uy
+    return rolling
+
+
+class _Errors:
+    """Errors of one measurement of all wheels, with the standard deviation 1: (n, wheels, runs)."""
+
+    def __init__(self, kind: str, n: int, wheels: int, rng: np.random.Generator) -> None:
+        shape = (n, wheels, RUNS)
+        self._ratio, self._floor = rng.standard_normal(shape), rng.standard_normal(shape)
+        if kind == BIASED:
+            self._ratio *= 0.6
+            self._ratio += 0.8 * rng.standard_normal((wheels, RUNS))
+        elif kind != "white":
+            left = math.exp(-DT * STRIDE / LASTING)
+            for errors in (self._ratio, self._floor):
+                errors[1:] *= math.sqrt(1.0 - left * left)
+                for k in range(1, n):
+                    errors[k] += left * errors[k - 1]
+
+    def of(self, wheel: int, ratio: Array, floor: float) -> Array:
+        """Returns the errors (m/s) of a wheel, for the standard deviations ratio and floor."""
+        errors: Array = ratio * self._ratio[:, wheel] + floor * self._floor[:, wheel]
+        return errors
 
 
 def _twist_nees(
     geometry: BaseGeometry, noise: Noise, true: Array, speeds: Array, angles: Array
-) -> float:
-    twists, upper = np.empty_like(true), np.empty((6, true.shape[1]))
-    CalculatorBatch(General(geometry, None, noise)).estimate(speeds, angles, twists, upper)
-    moving = np.hypot(true[0], true[1]) > 0.2
+) -> Array:
+    """Returns the mean of NEES/3 of the twists of each run."""
+    n, _, runs = true.shape
+    columns = [a.swapaxes(0, 1).reshape(a.shape[1], n * runs) for a in (true, speeds, angles)]
+    twists, upper = np.empty((3, n * runs)), np.empty((6, n * runs))
+    CalculatorBatch(General(geometry, None, noise)).estimate(*columns[1:], twists, upper)
+    moving = np.hypot(*columns[0][:2]) > MOVING
     covariances = upper[[0, 1, 2, 1, 3, 4, 2, 4, 5]].T.reshape(-1, 3, 3)[moving]
-    errors = (true - twists).T[moving]
+    errors = (columns[0] - twists).T[moving]
     solved = np.linalg.solve(covariances, errors[:, :, np.newaxis])[:, :, 0]
-    return float(np.einsum("ni,ni->n", errors, solved).mean()) / 3.0
+    nees = np.einsum("ni,ni->n", errors, solved) / 3.0
+    run = np.tile(np.arange(runs), n)[moving]
+    means: Array = np.bincount(run, nees, runs) / np.bincount(run, minlength=runs)
+    return means
 
 
-def _end(twists: Array) -> Pose2:
-    """Returns the end of a drive whose twist changes linearly between two ticks."""
+def _nees(error: Array, covariance: se2.Cov3) -> float:
+    return float(error @ np.linalg.solve(np.array(covariance), error)) / 3.0
+
+
+def _logarithm(pose: Pose2) -> Array:
+    """Returns the twist that moves a robot from the origin to ``pose`` in 1 s."""
+    half = pose.yaw / 2.0
+    k = half / math.tan(half) if half else 1.0
+    return np.array([k * pose.x + half * pose.y, k * pose.y - half * pose.x, pose.yaw])
+
+
+def _end(twists: list[list[float]], dt: float) -> Pose2:
     pose = ORIGIN
-    means = (twists[:, 1:] + twists[:, :-1]) / 2.0
-    for vx, vy, wz in means.T.tolist():
-        pose = pose.moved(se2.exp(Twist(vx, vy, wz), DT))
+    for twist in twists:
+        pose = pose.moved(se2.exp(Twist(*twist), dt))
     return pose

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import pytest
 
 from tests.cli.conftest import GOOD, Command
+from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.model import Robot
 
 TRUE = """\
 thorvaldc: 1
@@ -42,6 +45,45 @@ def test_a_calibration_is_estimated_and_included(thorvaldc: Command, calibrated:
     offset = value["wheels"][0]["steering_offset"]
     assert offset["value"] == pytest.approx(0.0174533, abs=0.002)
     assert value["wheels"][1]["radius_ratio"]["value"] == pytest.approx(1.0, abs=1e-5)
+
+
+def test_the_calibration_states_the_errors_that_remain(thorvaldc: Command, calibrated: str) -> None:
+    pytest.importorskip("mujoco")
+    thorvaldc("sim", calibrated, "--open-loop", "--log", "joints.csv")
+    assert thorvaldc("calibrate", "joints.csv", "good.yaml", "-o", "first.yaml").status == 0
+    first = noise_of("calibration: first.yaml")
+    assert 5e-5 <= first["radius_error"] <= 1e-3
+    assert math.radians(0.005) <= first["steering_offset_error"] <= math.radians(0.2)
+    # The wheels alone do not show the scale of the four radii, each of which is 1 % uncertain.
+    assert first["scale_error"] == pytest.approx(0.01 / math.sqrt(4))
+    measured = ("sim", calibrated, "--open-loop", "--twist", "0.8,0,0", "--duration", "13")
+    thorvaldc(*measured, "--log", "straight.csv")
+    Path("has.yaml").write_text(GOOD + "calibration: first.yaml\n", encoding="utf-8")
+    distance = ("--distance", "10.0 m", "-o", "second.yaml")
+    result = thorvaldc("calibrate", "straight.csv", "has.yaml", *distance)
+    assert result.status == 0, result.err
+    second = noise_of("calibration: second.yaml")
+    assert 1e-3 <= second["scale_error"] <= 3e-3  # a tape measures 10 m to 1 cm
+    assert second["radius_error"] == pytest.approx(first["radius_error"])
+
+
+def test_the_robot_file_has_precedence_over_the_errors_that_remain(
+    thorvaldc: Command, calibrated: str
+) -> None:
+    noise = "noise: {radius_error: 0.1 %, steering_offset_error: 0.02 deg}\n"
+    Path("c.yaml").write_text(TRUE.replace("wheels:", noise + "wheels:"), encoding="utf-8")
+    stated = "driver: {noise: {radius_error: 0.4 %}}\ncalibration: c.yaml"
+    assert noise_of("calibration: c.yaml")["radius_error"] == 0.001
+    assert noise_of(stated)["radius_error"] == 0.004
+    assert noise_of(stated)["steering_offset_error"] == pytest.approx(math.radians(0.02))
+
+
+def noise_of(sections: str) -> dict[str, float]:
+    """Returns the noise of the robot with further sections."""
+    Path("noisy.yaml").write_text(f"{GOOD}{sections}\n", encoding="utf-8")
+    model = compile_file(Path("noisy.yaml")).model
+    assert isinstance(model, Robot)
+    return dict(model.driver.noise)
 
 
 def test_scenario_without_speed_control(thorvaldc: Command, calibrated: str) -> None:

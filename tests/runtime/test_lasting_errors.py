@@ -26,10 +26,13 @@ FIVE = [
     *(wheel(f"f{i}", -0.3, y, "fixed") for i, y in enumerate([0.5, -0.4])),
     wheel("c", -1.0, 0.0, "swivel"),
 ]
-RANDOM_ONLY = Noise(radius_error=0.0, steering_offset_error=0.0)
+RANDOM_ONLY = Noise(correlation=0.0, radius_error=0.0, steering_offset_error=0.0)
+CONSTANT = Noise(correlation=0.0)
 RADIUS, ZERO = 0.01, math.radians(0.5)
 DT = 0.05
 FORWARD = [Twist(0.8, 0.0, 0.0)] * 200
+WHOLE_BLOCKS = 9.6
+"""Time (s) of the motion ``FORWARD`` in whole blocks of 0.4 s."""
 LOOP = [Twist(0.8, 0.2 * math.sin(0.02 * k), 0.3 * math.cos(0.013 * k)) for k in range(400)]
 
 
@@ -44,11 +47,14 @@ def drive(
     """Returns the odometry after the motion, and the true pose.
 
     ``radii`` and ``zeros`` are the relative errors of the radii and the errors of the zeros (rad).
-    With ``rng``, each joint state also has random errors of 1 % and 0.5 deg.
+    The zero of a fixed wheel is its direction in ``base_link``.  With ``rng``, each joint state
+    also has random errors of 1 % and 0.5 deg.
     """
-    general = General(BaseGeometry.from_wheels(wheels), None, noise)
-    odometry = Odometry(general, (1.5, 1.0))
-    inverse = General(general.geometry)
+    noise = noise or CONSTANT
+    inverse = General(BaseGeometry.from_wheels(wheels))
+    if zeros is not None:  # a steered wheel at a constant angle is a fixed wheel with an error
+        wheels = [w if w.swivel else replace(w, steered=True) for w in wheels]
+    odometry = Odometry(General(BaseGeometry.from_wheels(wheels), None, noise), (1.5, 1.0))
     n = len(wheels)
     radii, zeros = radii or [0.0] * n, zeros or [0.0] * n
     pose, last = ORIGIN, None
@@ -74,7 +80,9 @@ def share(wheels: list[WheelGeometry], twists: list[Twist], noise: Noise) -> np.
     """Returns the covariance of the pose from lasting errors alone."""
     total = drive(wheels, twists, noise)[0].covariance
     random_part = drive(
-        wheels, twists, replace(noise, radius_error=0.0, steering_offset_error=0.0)
+        wheels,
+        twists,
+        replace(noise, radius_error=0.0, scale_error=0.0, steering_offset_error=0.0),
     )[0].covariance
     return np.array(total) - np.array(random_part)
 
@@ -86,12 +94,12 @@ def test_covariance_is_that_of_small_errors_of_each_wheel(
 ) -> None:
     """Sums the pose errors of single wrong wheels, which the odometry itself shows."""
     small = 0.02  # of a standard deviation, so that second-order effects vanish
-    noise = Noise(radius_error=small * RADIUS, steering_offset_error=small * ZERO)
+    noise = Noise(correlation=0.0, radius_error=small * RADIUS, steering_offset_error=small * ZERO)
     correct = drive(wheels, twists)[0].pose
     expected = np.zeros((3, 3))
     for i, w in enumerate(wheels):
         for kind, size in (("radii", small * RADIUS), ("zeros", small * ZERO)):
-            if w.swivel or (kind == "zeros" and not w.steered):
+            if w.swivel:
                 continue
             errors = [size if j == i else 0.0 for j in range(len(wheels))]
             wrong = drive(wheels, twists, None, **{kind: errors})[0].pose
@@ -112,7 +120,7 @@ def test_pose_errors_of_wrong_wheels_agree_with_the_covariance(
     total, runs = 0.0, 30
     for _ in range(runs):
         radii = [rng.gauss(0.0, RADIUS) for _ in wheels]
-        zeros = [rng.gauss(0.0, ZERO) * w.steered for w in wheels]
+        zeros = [rng.gauss(0.0, ZERO) * (not w.swivel) for w in wheels]
         noisy = rng if "random" in kind else None
         odometry, true = drive(wheels, LOOP[::2], None, radii, zeros, noisy)
         error = np.array(true.relative_to(odometry.pose))
@@ -120,8 +128,44 @@ def test_pose_errors_of_wrong_wheels_agree_with_the_covariance(
     assert 0.6 <= total / runs / 3.0 <= 1.35
 
 
+def test_large_yaw_errors_agree_with_the_covariance() -> None:
+    """With a yaw error of 20 deg, NEES / 3 without the second order is over 3."""
+    rng = random.Random(5)
+    noise = Noise(correlation=0.0, radius_error=0.03, steering_offset_error=0.0)
+    total, runs = 0.0, 40
+    for _ in range(runs):
+        radii = [rng.gauss(0.0, 0.03) for _ in FOUR]
+        odometry, true = drive(FOUR, LOOP, noise, radii)
+        pose = true.relative_to(odometry.pose)
+        half = pose.yaw / 2.0
+        k = half / math.tan(half)  # logarithm of the pose
+        error = np.array([k * pose.x + half * pose.y, k * pose.y - half * pose.x, pose.yaw])
+        total += float(error @ np.linalg.solve(np.array(odometry.covariance), error))
+    assert 0.6 <= total / runs / 3.0 <= 1.4
+
+
+def test_errors_that_last_some_seconds_have_their_exact_variance() -> None:
+    """Variance of the integral of errors with the autocorrelation exp(-t / tau)."""
+    tau, time = 2.0, WHOLE_BLOCKS
+    white = drive(FOUR, FORWARD, RANDOM_ONLY)[0]
+    lasting = drive(FOUR, FORWARD, replace(RANDOM_ONLY, correlation=tau))[0]
+    exact = 2.0 * tau * (time - tau * (1.0 - math.exp(-time / tau)))
+    for i in (0, 2):  # the sideways position also contains the yaw error
+        expected = exact * white.estimate.covariance[i][i]
+        assert lasting.covariance[i][i] - white.covariance[i][i] == pytest.approx(
+            expected, rel=1e-6
+        )
+
+
+def test_common_error_of_all_radii() -> None:
+    noise = replace(RANDOM_ONLY, scale_error=1e-4)
+    covariance = share(FOUR, FORWARD, noise)
+    assert math.sqrt(covariance[0][0]) == pytest.approx(1e-4 * 0.8 * WHOLE_BLOCKS)
+    assert covariance[2][2] == pytest.approx(0.0, abs=1e-15)
+
+
 def test_standard_deviation_grows_with_the_distance() -> None:
-    noise = Noise(radius_error=1e-4, steering_offset_error=0.0)
+    noise = Noise(correlation=0.0, radius_error=1e-4, steering_offset_error=0.0)
     sizes = [math.sqrt(share(FOUR, FORWARD * n, noise)[0][0]) for n in (1, 4)]
     assert sizes[1] / sizes[0] == pytest.approx(4.0, rel=0.05)
     # The mean radius of four wheels has half of the error of one wheel.
@@ -131,14 +175,14 @@ def test_standard_deviation_grows_with_the_distance() -> None:
 def test_errors_of_the_way_out_cancel_on_the_way_back() -> None:
     """Wheels of 1 % too much show 1 % too much in both directions."""
     back = [t.scaled(-1.0) for t in FORWARD]
-    there = share(FOUR, FORWARD, Noise())
-    returned = share(FOUR, [*FORWARD, *back], Noise())
+    there = share(FOUR, FORWARD, CONSTANT)
+    returned = share(FOUR, [*FORWARD, *back], CONSTANT)
     assert math.sqrt(np.trace(returned)) <= 0.05 * math.sqrt(np.trace(there))
 
 
 def test_standing_robot_gains_no_lasting_error() -> None:
     still = [Twist(0.0, 0.0, 0.0)] * 200
-    assert share(FOUR, still, Noise()) == pytest.approx(np.zeros((3, 3)), abs=1e-15)
+    assert share(FOUR, still, CONSTANT) == pytest.approx(np.zeros((3, 3)), abs=1e-15)
 
 
 def test_pose_does_not_depend_on_the_lasting_part() -> None:
@@ -178,7 +222,7 @@ def test_errors_of_new_radii_are_independent_of_the_old_ones() -> None:
 
 def test_stated_lasting_error_counts_as_error_of_each_tick() -> None:
     """A radius error of 3 % is an error of 3 % in every tick, whatever ``speed_ratio`` is."""
-    assert Noise().lasting_errors == (0.01, math.radians(0.5))
+    assert Noise().lasting_errors == (0.01, 0.0, math.radians(0.5))
     assert Noise(speed_ratio=0.03).lasting_errors[0] == 0.03
     wide = Noise(radius_error=0.03, steering_offset_error=0.1)
     assert (wide.rolling, wide.direction) == (0.03, 0.1)

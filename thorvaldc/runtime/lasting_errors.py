@@ -1,11 +1,11 @@
-"""Covariance of the pose from errors that last: wrong wheel radii and wrong steering zeros.
+"""Covariance of the pose from errors that last longer than a tick.
 
-A wrong wheel radius or steering zero causes an error of the twist in the same direction in every
-tick.  The errors of the ticks do not average out.  The pose error therefore grows with the distance
-that the robot travels, and not with the square root of the distance.  Such an error b with the
-standard deviation 1 causes the twist error k(t) b, where the sensitivity k(t) depends on the motion
-(``TwistEstimator.lasting_errors``).  Sensitivity of the pose error to b, and covariance of the pose
-error from independent errors b_1, b_2, ...:
+Errors that last for the whole drive: a wrong wheel radius or steering zero causes an error of the
+twist in the same direction in every tick.  The errors of the ticks do not average out.  The pose
+error therefore grows with the distance that the robot travels, and not with the square root of the
+distance.  Such an error b with the standard deviation 1 causes the twist error k(t) b, where the
+sensitivity k(t) depends on the motion (``TwistEstimator.lasting_errors``).  Sensitivity of the pose
+error to b, and covariance of the pose error from independent errors b_1, b_2, ...:
 
     S_b(t) = integral of Ad(pose) k_b dt,   C = sum S_b S_b'
 
@@ -15,15 +15,32 @@ This treatment of constant errors that the estimator does not estimate is the co
 or Schmidt-Kalman filter (Schmidt, "Application of state-space methods to navigation problems",
 1966).
 
-The sensitivities change slowly, because the motion of the robot changes slowly.  They are therefore
-computed once per block of several ticks, with the mean twist in the block.  At the end of a block,
-the covariance of the pose grows by the difference between the new and the old matrix C.  Over long
-drives, yaw errors of many degrees occur, and the matrix C also contains their second-order effect.
+Small motions commute, but large ones do not.  Over long drives, yaw errors of 10 deg and more
+occur.  With the yaw part theta and the position part rho of S, the second-order term of the
+Baker-Campbell-Hausdorff formula adds the area between both to the position error:
+
+    q = 1/2 R(90 deg) integral of (theta d rho - rho d theta) = sum over i, j of A_ij b_i b_j
+
+For normally distributed errors, E[q q'] = (tr A)(tr A)' + 2 tr(A A').  The covariance describes the
+logarithm of the relative pose, in which first and second order suffice (Long et al., "The banana
+distribution is Gaussian", 2012).
+
+Errors that last for some seconds (``Noise.correlation``): the twist error e in ``base_link`` has
+the covariance Q of the estimate and the autocorrelation exp(-t / tau).  With the cross-covariance D
+of the pose error and e, and with a = exp(-h / tau), the covariance R grows in a block of h s by
+
+    R <- R + l (D Ad' + Ad D') + 2 tau (h - l) Ad Q Ad',   D <- a D + l Ad Q,   l = tau (1 - a)
+
+The sensitivities and Q change slowly, because the motion of the robot changes slowly.  They are
+therefore computed once per block of several ticks, with the mean twist in the block.  At the end of
+a block, the covariance of the pose grows by the change of C + E[q q'] + R.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import combinations_with_replacement
 
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointStates
@@ -33,10 +50,12 @@ from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, Cov3, Pose2, Row3, Twist
 
 BLOCK_TIME = 0.4
 """Shortest time (s) over which the sensitivities of the twist count as constant."""
+_BLOCKS_PER_AREA = 5
+"""Number of blocks after which the areas A change.  The areas change more slowly than S."""
 
 
 class LastingErrors:
-    """Sensitivities of one robot's pose to the errors of wheel radii and steering zeros.
+    """Share of one robot's pose covariance that is caused by errors that last.
 
     ``start_time``: time (s) of the joint states at the start of the present block.
     """
@@ -53,8 +72,12 @@ class LastingErrors:
         self._forget()
 
     def _forget(self) -> None:
-        self._sensitivities: list[Row3] = []
         self._share = ZERO_COV
+        self._sensitivities: list[Row3] = []  # S of each error
+        self._areas = _Areas()
+        self._blocks = 0
+        self._cross: Cov3 = ZERO_COV  # D
+        self._correlated = ZERO_COV  # R
 
     def is_due(self, time: float) -> bool:
         """Returns ``True`` if a block ends with the joint states of ``time`` (s)."""
@@ -107,8 +130,11 @@ class LastingErrors:
         c, s = math.cos(yaw), math.sin(yaw)
         dx, dy = (pose.x - previous.x) / elapsed, (pose.y - previous.y) / elapsed
         twist = Twist(c * dx + s * dy, c * dy - s * dx, (pose.yaw - previous.yaw) / elapsed)
-        errors = self._estimator.lasting_errors(joints, estimate, twist)
-        if not errors:
+        estimator = self._estimator
+        errors = estimator.lasting_errors(joints, estimate, twist)
+        # The odometry itself treats errors in directions that no wheel measures.
+        tau = estimator.noise.correlation if estimate.rank == 3 else 0.0
+        if not errors and not tau:
             return covariance
         # Position in the middle of the block, relative to the start of the drive.
         x = (previous.x + pose.x) / 2.0 - self._anchor.x
@@ -129,31 +155,110 @@ class LastingErrors:
             c22 += sy * sy
             c23 += sy * sw
             c33 += sw * sw
+        total = ((c11, c12, c13), (c12, c22, c23), (c13, c23, c33))
+        blocks, areas = self._blocks + 1, self._areas
+        if blocks % _BLOCKS_PER_AREA == 0:
+            areas = areas.grown(sensitivities)
+        total = se2.combine(total, areas.covariance)
+        cross, correlated = self._cross, self._correlated
+        if tau:
+            adjoint = ((c, -s, y), (s, c, -x), (0.0, 0.0, elapsed))
+            cross, growth = _correlated(cross, adjoint, estimate.covariance, elapsed / tau)
+            correlated = se2.combine(correlated, growth)
+            total = se2.combine(total, correlated)
         local = Pose2(pose.x - self._anchor.x, pose.y - self._anchor.y, pose.yaw)
-        first_order = se2.seen_from(local, ((c11, c12, c13), (c12, c22, c23), (c13, c23, c33)))
-        share = _with_second_order(first_order)
+        share = se2.seen_from(local, total)
         previous_share = se2.seen_from(pose.relative_to(previous), self._share)
         grown = se2.combine(se2.combine(covariance, previous_share, -1.0), share)
         if not math.isfinite(grown[0][0] + grown[1][1] + grown[2][2]):
             raise NotFiniteError("the joint states are out of all bounds")
         self._sensitivities, self._share = sensitivities, share
+        self._areas, self._blocks = areas, blocks
+        self._cross, self._correlated = cross, correlated
         return grown
 
 
-def _with_second_order(p: Cov3) -> Cov3:
-    """Adds the covariance of the second-order pose error to the covariance ``p``.
+class _Areas:
+    """Areas A between the yaw part and the position part of the sensitivities.
 
-    A yaw error w rotates a position error v and changes it by w (-v_y, v_x).  Such errors matter if
-    the yaw error exceeds some degrees.  For normally distributed errors, E[w^2 v v'] = E[w^2]
-    E[v v'] + 2 E[w v] E[w v'].
+    - ``covariance``: covariance E[q q'] of the second-order pose error.
     """
-    (p11, p12, p13), (_, p22, p23), (_, _, p33) = p
-    k12 = p12 - (p33 * p12 + 2.0 * p13 * p23)
-    return (
-        (p11 + p33 * p22 + 2.0 * p23 * p23, k12, p13),
-        (k12, p22 + p33 * p11 + 2.0 * p13 * p13, p23),
-        (p13, p23, p33),
+
+    def __init__(
+        self, sensitivities: Sequence[Row3] = (), areas: Sequence[tuple[float, float]] = ()
+    ) -> None:
+        self._sensitivities = sensitivities
+        self._areas = areas
+        trace_x = trace_y = xx = xy = yy = 0.0
+        pairs = combinations_with_replacement(range(len(sensitivities)), 2)
+        for (i, j), (x, y) in zip(pairs, areas, strict=bool(areas)):
+            if i == j:
+                trace_x += x
+                trace_y += y
+            else:  # the symmetric matrix contains this element twice
+                xx += x * x
+                xy += x * y
+                yy += y * y
+            xx += x * x
+            xy += x * y
+            yy += y * y
+        # The rotation by 90 deg exchanges x and y.
+        q11, q22 = trace_y * trace_y + 2.0 * yy, trace_x * trace_x + 2.0 * xx
+        q12 = -trace_x * trace_y - 2.0 * xy
+        self.covariance: Cov3 = ((q11, q12, 0.0), (q12, q22, 0.0), (0.0, 0.0, 0.0))
+
+    def grown(self, end: Sequence[Row3]) -> _Areas:
+        """Returns the areas after the sensitivities have changed to ``end``.
+
+        A change from S to T adds 1/4 (S_i^w T_j + S_j^w T_i - T_i^w S_j - T_j^w S_i) to A_ij.
+        """
+        start = self._sensitivities or [(0.0, 0.0, 0.0)] * len(end)
+        areas: list[tuple[float, float]] = []
+        rows = combinations_with_replacement(zip(start, end, strict=True), 2)
+        old = self._areas or [(0.0, 0.0)] * (len(end) * (len(end) + 1) // 2)
+        for (((ax, ay, aw), (bx, by, bw)), ((cx, cy, cw), (dx, dy, dw))), (x, y) in zip(
+            rows, old, strict=True
+        ):
+            areas.append(
+                (
+                    x + 0.25 * (aw * dx + cw * bx - bw * cx - dw * ax),
+                    y + 0.25 * (aw * dy + cw * by - bw * cy - dw * ay),
+                )
+            )
+        return _Areas(end, areas)
+
+
+def _correlated(cross: Cov3, adjoint: Cov3, q: Cov3, ratio: float) -> tuple[Cov3, Cov3]:
+    """Returns the new cross-covariance D, and the growth of the covariance R in a block.
+
+    - ``cross``: D at the start of the block.
+    - ``adjoint``: h Ad, for a block of h s.
+    - ``q``: covariance of the twist.
+    - ``ratio``: h / tau.
+    """
+    decay = math.exp(-ratio)
+    mean = (1.0 - decay) / ratio  # l / h
+    square = (1.0 - mean) / ratio  # tau (h - l) / h^2
+    new: list[Row3] = []
+    factors: list[Row3] = []
+    (q11, q12, q13), (_, q22, q23), (_, _, q33) = q
+    for (a1, a2, a3), (d1, d2, d3) in zip(adjoint, cross, strict=True):
+        m1 = a1 * q11 + a2 * q12 + a3 * q13
+        m2 = a1 * q12 + a2 * q22 + a3 * q23
+        m3 = a1 * q13 + a2 * q23 + a3 * q33
+        new.append((decay * d1 + mean * m1, decay * d2 + mean * m2, decay * d3 + mean * m3))
+        factors.append((mean * d1 + square * m1, mean * d2 + square * m2, mean * d3 + square * m3))
+    (f11, f12, f13), (f21, f22, f23), (f31, f32, f33) = factors
+    (a11, a12, a13), (a21, a22, a23), (_, _, a33) = adjoint
+    r12 = f11 * a21 + f12 * a22 + f13 * a23 + f21 * a11 + f22 * a12 + f23 * a13
+    r13 = f13 * a33 + f31 * a11 + f32 * a12 + f33 * a13
+    r23 = f23 * a33 + f31 * a21 + f32 * a22 + f33 * a23
+    growth = (
+        (2.0 * (f11 * a11 + f12 * a12 + f13 * a13), r12, r13),
+        (r12, 2.0 * (f21 * a21 + f22 * a22 + f23 * a23), r23),
+        (r13, r23, 2.0 * f33 * a33),
     )
+    return (new[0], new[1], new[2]), growth
 
 
 def _parameters(estimator: TwistEstimator) -> tuple[object, ...]:

@@ -80,9 +80,7 @@ class Odometry:
             return
         self.calculator.estimator.check(joints)
         estimate = self.calculator.odometry(_mean_states(previous, joints, elapsed))
-        correlation = self.calculator.estimator.noise.correlation
-        if estimate.rank < 3:
-            correlation = max(correlation, _LOW_RANK_CORRELATION)
+        correlation = _LOW_RANK_CORRELATION if estimate.rank < 3 else 0.0
         motion, covariance = se2.integrate(
             self.covariance_at_joints, estimate.twist, estimate.covariance, elapsed, correlation
         )

@@ -69,9 +69,12 @@ NOISE = {
     "gyro": "angular_velocity",
     "correlation": "time",
     "radius_error": "ratio",
+    "scale_error": "ratio",
     "steering_offset_error": "angle",
 }
-MAY_BE_ZERO = ("correlation", "radius_error", "steering_offset_error")
+MEASURED_RADII = {"radius_error", "scale_error"}
+"""Noise of the radii in a calibration file."""
+MAY_BE_ZERO = ("correlation", "radius_error", "scale_error", "steering_offset_error")
 
 
 class DriverSettingsReader:
@@ -86,6 +89,7 @@ class DriverSettingsReader:
     tolerance : fraction by which a stated limit may exceed the limit of the motors without a
         warning.
     report : collects the diagnostics.
+    measured_noise : noise of the calibration file; the robot document has precedence.
     """
 
     def __init__(
@@ -96,6 +100,7 @@ class DriverSettingsReader:
         actuators: Mapping[str, Actuator],
         tolerance: float,
         report: Report,
+        measured_noise: Mapping[str, float] | None = None,
     ) -> None:
         self._document = document
         self._reader = reader
@@ -103,6 +108,7 @@ class DriverSettingsReader:
         self._actuators = actuators
         self._tolerance = tolerance
         self._report = report
+        self._measured_noise = dict(measured_noise or {})
 
     def driver(self) -> DriverSettings:
         """Returns the settings of the base driver.
@@ -124,7 +130,7 @@ class DriverSettingsReader:
         return DriverSettings(
             rate=rate if rate > 0 else DEFAULT_RATE,
             command_timeout=timeout,
-            noise=self._noise(node.get("noise"), ()),
+            noise=tuple((self._measured_noise | self._noise(node.get("noise"))).items()),
             stopping_distance=self._stopping_distance(node.get("stopping_distance")),
             battery=self._battery(node.get("battery")),
             arming=_arming(node.get("arming")),
@@ -226,7 +232,12 @@ class DriverSettingsReader:
                 if stated is None
                 else self._limit(stated, key, motor_limit)
             )
-        noise = self._noise(node.get("noise"), driver.noise)
+        inherited = dict(driver.noise)
+        if radii is not None:  # the calibration file states the errors of the ordinary radii
+            for key in MEASURED_RADII:
+                if inherited.get(key) == self._measured_noise.get(key):
+                    inherited.pop(key, None)
+        noise = tuple((inherited | self._noise(node.get("noise"))).items())
         return ParameterSet(name, radii, replace(driver, noise=noise, **limits), node.where)
 
     def _motor_limits(self, radii: str | None) -> dict[str, float]:
@@ -270,30 +281,36 @@ class DriverSettingsReader:
             )
         return _finite(min(stated, motor_limit))
 
-    def _noise(
-        self, node: Node | None, inherited: tuple[tuple[str, float], ...]
-    ) -> tuple[tuple[str, float], ...]:
-        """Returns the values of a `noise` section, which describes the errors in the odometry.
-
-        A noise value that the section does not contain is taken from ``inherited``.
-        """
-        noise = dict(inherited)
-        for key, entry in entries(node).items():
-            if key not in NOISE:  # The schema check has already reported the unknown key.
-                continue
-            value = self._reader.quantity(entry, NOISE[key])
-            if value > 0 or (value == 0 and key in MAY_BE_ZERO):
-                noise[key] = clean(value)
-            else:
-                self._report_not_positive(key, value, entry)
-        return tuple(noise.items())
+    def _noise(self, node: Node | None) -> dict[str, float]:
+        return read_noise(node, self._reader, self._report)
 
     def _report_not_positive(self, key: str, value: float, node: Node | None) -> None:
-        self._report.add(
-            "size-not-positive",
-            f"`{key}` is {value:g}; it must be positive",
-            node.span if node is not None else None,
-        )
+        _report_not_positive(key, value, node, self._report)
+
+
+def read_noise(node: Node | None, reader: ValueReader, report: Report) -> dict[str, float]:
+    """Returns the values of a `noise` section, which describes the errors in the odometry.
+
+    The values are in SI units, by the key of the section.
+    """
+    noise: dict[str, float] = {}
+    for key, entry in entries(node).items():
+        if key not in NOISE:  # The schema check has already reported the unknown key.
+            continue
+        value = reader.quantity(entry, NOISE[key])
+        if value > 0 or (value == 0 and key in MAY_BE_ZERO):
+            noise[key] = clean(value)
+        else:
+            _report_not_positive(key, value, entry, report)
+    return noise
+
+
+def _report_not_positive(key: str, value: float, node: Node | None, report: Report) -> None:
+    report.add(
+        "size-not-positive",
+        f"`{key}` is {value:g}; it must be positive",
+        node.span if node is not None else None,
+    )
 
 
 def _arming(node: Node | None) -> str:

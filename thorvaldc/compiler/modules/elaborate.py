@@ -205,6 +205,7 @@ class _Elaborator:
             {actuator.joint: actuator for actuator in parts.actuators},
             tolerance,
             self.report,
+            calibration.noise if calibration is not None else None,
         )
         driver = settings_reader.driver()
         parameter_sets = settings_reader.parameter_sets(driver)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from thorvaldc.compiler.geometry.wheel_geometry import PlacedWheel, spin_joint
+from thorvaldc.compiler.modules.driver_settings import read_noise
 from thorvaldc.compiler.modules.value_reader import ValueReader, entries
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
@@ -50,12 +51,14 @@ class Calibration:
     radii : measured radius (m) of each wheel, by the name of the wheel.
     named_radii : measured radii (m) of each wheel, by the names of the wheel and of the radius.
     steering_offsets : measured steering offset (rad) of each wheel, by the name of the wheel.
+    noise : errors that remain after the calibration, by the key of the section ``noise``.
     """
 
     names: dict[str, Span] = field(default_factory=dict)
     radii: dict[str, Measured] = field(default_factory=dict)
     named_radii: dict[str, dict[str, Measured]] = field(default_factory=dict)
     steering_offsets: dict[str, Measured] = field(default_factory=dict)
+    noise: dict[str, float] = field(default_factory=dict)
 
 
 def load_calibration(
@@ -96,7 +99,7 @@ def load_calibration(
         return None
     reader = ValueReader(report)
     _check_robot(reader, root, document, report)
-    calibration = Calibration()
+    calibration = Calibration(noise=read_noise(root.get("noise"), reader, report))
     for name, entry in entries(root.get("wheels")).items():
         calibration.names[name] = entry.where
         radius, offset = entry.get("radius"), entry.get("steering_offset")

@@ -259,9 +259,10 @@ class TwistEstimator:
     ) -> list[Row3]:
         """Returns the errors of ``twist`` that lasting errors of the wheels cause.
 
-        The returned list has one entry for each wheel radius and each steering zero that influences
-        the estimate.  The entry is the error of the twist (vx, vy, wz) if this radius or this zero
-        is wrong by one standard deviation (``Noise.lasting_errors``).
+        The returned list has one entry for each wheel radius, for the common scale of all radii,
+        and for the direction of each wheel at its steering zero.  The entry is the error of the
+        twist (vx, vy, wz) if this value is wrong by one standard deviation
+        (``Noise.lasting_errors``).
 
         An estimate is xi = P sum H' W m (see the module ``twist_fit``).  A relative radius error r
         changes the rolling measurement by r v, where v is the rolling speed of the wheel.  An error
@@ -270,10 +271,12 @@ class TwistEstimator:
 
             P L' w_L r v   and   P T' w_T e v
 
+        The error of a common scale is the sum of the errors of all radii.
+
         - ``states``: joint states; only the steering angles and rates have an influence.
         - ``estimate``: an estimate with the same joint states, for the rank and the faulty wheels.
         """
-        radius_error, offset = self.noise.lasting_errors
+        radius_error, scale_error, offset = self.noise.lasting_errors
         dropped = estimate.dropped
         measurements = self._measurements(states)[0]
         if dropped:
@@ -287,21 +290,30 @@ class TwistEstimator:
         fit = fit_twist(measurements, vx, vy, wz, self.squares, prior, states.yaw_rate)
         _, _, _, p11, p12, p13, p22, p23, p33, weighted = fit
         errors: list[Row3] = []
+        scale = [0.0, 0.0, 0.0]
+
+        def add(g1: float, g2: float, g3: float) -> None:
+            """Adds the error P g of the twist about the centroid, converted to ``base_link``."""
+            ew = p13 * g1 + p23 * g2 + p33 * g3
+            ex = p11 * g1 + p12 * g2 + p13 * g3 + ym * ew
+            errors.append((ex, p12 * g1 + p22 * g2 + p23 * g3 - xm * ew, ew))
+
         for wheel, (flags, c, s, x, y, _, _, v_l, v_t) in zip(self.wheels, weighted, strict=True):
             turn = s * x - c * y
             roll = c * vx + s * vy + turn * wz
-            if wheel.flags & USE_ROLL and radius_error:
-                k = radius_error * roll / v_l if flags else 0.0
-                g1, g2, g3 = k * c, k * s, k * turn
-                ew = p13 * g1 + p23 * g2 + p33 * g3
-                ex = p11 * g1 + p12 * g2 + p13 * g3 + ym * ew
-                errors.append((ex, p12 * g1 + p22 * g2 + p23 * g3 - xm * ew, ew))
-            if wheel.steered and offset:
+            if wheel.flags & USE_ROLL and (radius_error or scale_error):
+                k = roll / v_l if flags else 0.0
+                if radius_error:
+                    r = radius_error * k
+                    add(r * c, r * s, r * turn)
+                scale[0] += k * c
+                scale[1] += k * s
+                scale[2] += k * turn
+            if wheel.flags & USE_SIDE and offset:
                 k = offset * roll / v_t if flags else 0.0
-                g1, g2, g3 = -k * s, k * c, k * (c * x + s * y)
-                ew = p13 * g1 + p23 * g2 + p33 * g3
-                ex = p11 * g1 + p12 * g2 + p13 * g3 + ym * ew
-                errors.append((ex, p12 * g1 + p22 * g2 + p23 * g3 - xm * ew, ew))
+                add(-k * s, k * c, k * (c * x + s * y))
+        if scale_error:
+            add(*(scale_error * g for g in scale))
         return errors
 
     def slips(self, states: JointStates, twist: Twist) -> tuple[tuple[float, float], ...]:

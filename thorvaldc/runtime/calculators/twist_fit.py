@@ -78,7 +78,7 @@ UNTESTABLE = 1e-6
 """A measurement is tested only if its residual keeps at least this share of its variance."""
 
 
-MAY_BE_ZERO = ("correlation", "radius_error", "steering_offset_error")
+MAY_BE_ZERO = ("correlation", "radius_error", "scale_error", "steering_offset_error")
 """Names of the fields of ``Noise`` that may be 0."""
 
 
@@ -97,14 +97,17 @@ class Noise:
     - ``gyro``: standard deviation of the measured yaw rate, rad/s.
     - ``correlation``: time constant of the errors, s.  If ``correlation`` is 0, the measurement
       errors of two ticks are independent.  Measurement errors from ground and tyres last longer
-      than a tick.  The time constant affects the covariances of poses, but not the covariances of
-      twists.
+      than a tick: 0.3 to 1.3 s on simulated ground with bumps of 2 cm, and as long as a turn for
+      the side slip in a turn.  The time constant affects the covariances of poses, but not the
+      covariances of twists.
     - ``radius_error``: standard deviation of the wheel radius, relative to the radius.  The radius
       errors of two wheels are independent, and last for the whole drive.  ``None`` stands for
       ``speed_ratio``: the whole error of the wheel speed may last.
-    - ``steering_offset_error``: standard deviation of the zero of a steering angle, rad.  The
-      errors of two wheels are independent, and last for the whole drive.  ``None`` stands for
-      ``angle``.
+    - ``scale_error``: standard deviation of an error that all radii have in common, relative to the
+      radii, in addition to ``radius_error``.
+    - ``steering_offset_error``: standard deviation of the zero of a steering angle, or of the
+      direction of a fixed wheel, rad.  The errors of two wheels are independent, and last for the
+      whole drive.  ``None`` stands for ``angle``.
     """
 
     speed_ratio: float = 0.01
@@ -113,37 +116,39 @@ class Noise:
     slip_floor: float = 0.002
     skid_ratio: float = 0.1
     gyro: float = 0.005
-    correlation: float = 0.0
+    correlation: float = 2.0
     radius_error: float | None = None
+    scale_error: float = 0.0
     steering_offset_error: float | None = None
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if value is None and field.name in ("radius_error", "steering_offset_error"):
+            if value is None and field.default is None:
                 continue
             in_range = value >= 0.0 if field.name in MAY_BE_ZERO else value > 0.0
             if not (in_range and math.isfinite(value)):
                 raise ValueError(f"the noise {field.name} is {value:g}; it must be positive")
 
     @property
-    def lasting_errors(self) -> tuple[float, float]:
-        """Standard deviations of the relative wheel radius and of the steering zero (rad)."""
+    def lasting_errors(self) -> tuple[float, float, float]:
+        """Standard deviations of a relative radius, of all radii, and of a steering zero (rad)."""
         radius, offset = self.radius_error, self.steering_offset_error
         return (
             self.speed_ratio if radius is None else radius,
+            self.scale_error,
             self.angle if offset is None else offset,
         )
 
     @property
     def rolling(self) -> float:
         """Standard deviation of the wheel speed, relative to the speed, with lasting errors."""
-        return max(self.speed_ratio, self.lasting_errors[0])
+        return max(self.speed_ratio, self.lasting_errors[0], self.scale_error)
 
     @property
     def direction(self) -> float:
         """Standard deviation (rad) of the wheel's direction, with lasting errors."""
-        return max(self.angle, self.lasting_errors[1])
+        return max(self.angle, self.lasting_errors[2])
 
     @property
     def squares(self) -> NoiseSquares:

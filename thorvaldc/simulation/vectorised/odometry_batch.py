@@ -38,7 +38,6 @@ class OdometryBatch:
 
     def __init__(self, calculator: BaseCalculator, odometries: Sequence[Odometry]) -> None:
         self._batch = CalculatorBatch(calculator)
-        self._correlation = calculator.estimator.noise.correlation
         self._odometries = odometries
         n, wheels = len(odometries), self._batch.wheels
         self._wheels = wheels
@@ -123,11 +122,9 @@ class OdometryBatch:
         dx, dy, angle = twists * dt
         turn = _turn(angle)
         poses = _moved(self._poses[:, robots], dx, dy, angle, turn)
-        d2 = dt * dt
-        if self._correlation > 0.0:
-            d2 /= np.tanh(dt / (2.0 * self._correlation))
         covariances = _full(self._covariances[:, robots])
-        new_covariances = np.array(_upper(propagated(covariances, _full(noise), dx, dy, turn, d2)))
+        grown = propagated(covariances, _full(noise), dx, dy, turn, dt * dt)
+        new_covariances = np.array(_upper(grown))
         self._times[robots], self._joints[:, :, robots] = times, end
         self._poses[:, robots], self._covariances[:, robots] = poses, new_covariances
         columns = [array.T.tolist() for array in (twists, noise, tests, poses, new_covariances)]

@@ -19,19 +19,19 @@ def overlay_text(result: CalibrationResult, robot: Path) -> str:
     Radii and offsets that were not estimated are copied from the calibration file that the robot
     file includes.
     """
-    return overlay(result, _present_values(robot))
+    return overlay(result, *_present_values(robot))
 
 
-def _present_values(robot: Path) -> dict[str, dict[str, Any]]:
-    """Returns the present calibration of each wheel by the name of the wheel, in SI units.
+def _present_values(robot: Path) -> tuple[dict[str, dict[str, Any]], dict[str, float]]:
+    """Returns the present calibration of each wheel by its name, and the noise, in SI units.
 
-    The calibration is read from the calibration file that the robot file includes.  Returns an
-    empty dictionary if the robot file includes no calibration file.
+    The calibration is read from the calibration file that the robot file includes.  Both
+    dictionaries are empty if the robot file includes no calibration file.
     """
     document = read_file(robot, robot.name, Report())
     calibration = load_calibration(document, robot.parent, Report(), {}) if document else None
     if calibration is None:
-        return {}
+        return {}, {}
     wheels: dict[str, dict[str, Any]] = {name: {} for name in calibration.names}
     for name, (value, _) in calibration.radii.items():
         wheels[name]["radius"] = value
@@ -39,7 +39,7 @@ def _present_values(robot: Path) -> dict[str, dict[str, Any]]:
         wheels[name]["radii"] = {key: value for key, (value, _) in named_radii.items()}
     for name, (value, _) in calibration.steering_offsets.items():
         wheels[name]["steering_offset"] = value
-    return wheels
+    return wheels, calibration.noise
 
 
 def write_calibration(path: Path, text: str) -> None:

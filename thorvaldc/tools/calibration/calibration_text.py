@@ -45,6 +45,8 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "pointing_residual": result.pointing,
         "side_slip": result.slip,
         "iterations": result.iterations,
+        "correlation": result.correlation,
+        "remaining_errors": dict(result.remaining_errors),
         "steering_offset_plan": motions(result.offset_plan),
         "radius_ratio_plan": motions(result.ratio_plan),
         "wheels": [
@@ -63,7 +65,8 @@ def table(result: CalibrationResult) -> str:
     """Returns the calibration result as a text table with one line per wheel.
 
     Each value has a random and a systematic standard error.  Radii and steering offsets that the
-    robot does not take over are marked.
+    robot does not take over are marked.  The last line is the noise of the log, as a section of
+    ``robot.yaml``.
     """
     errors = "+- random +- systematic"
     lines = [("wheel", f"steering offset {errors}", f"radius ratio {errors}", "radius")]
@@ -78,13 +81,18 @@ def table(result: CalibrationResult) -> str:
             )
         )
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
-    return "\n".join(
+    rows = [
         "  ".join(
             cell.ljust(width) if i == 0 else cell.rjust(width)
             for i, (cell, width) in enumerate(zip(line, widths, strict=True))
         ).rstrip()
         for line in lines
+    ]
+    noise = (
+        f"noise of this log: {{speed_ratio: {100.0 * result.rolling:.3f} %, "
+        f"angle: {math.degrees(result.pointing):.3f} deg, correlation: {result.correlation:.2f} s}}"
     )
+    return "\n".join([*rows, noise])
 
 
 def _cell(estimate: Estimate | None, format_value: Any, unit: str, convert: Any) -> str:
@@ -105,11 +113,15 @@ The keys of the dictionary are ``radius``, ``radii`` (radii by name) and ``steer
 """
 
 
-def overlay(result: CalibrationResult, previous: Mapping[str, Values] | None = None) -> str:
+def overlay(
+    result: CalibrationResult,
+    previous: Mapping[str, Values] | None = None,
+    previous_noise: Mapping[str, float] | None = None,
+) -> str:
     """Returns the text of a calibration document that ``robot.yaml`` can include.
 
-    ``previous`` contains the calibration that ``robot.yaml`` includes now.  Radii and steering
-    offsets that the joint log does not determine are copied from ``previous``.
+    ``previous`` and ``previous_noise`` contain the calibration that ``robot.yaml`` includes now.
+    Values that the joint log does not determine are copied from them.
     """
     lines = []
     for wheel in result.wheels:
@@ -118,6 +130,15 @@ def overlay(result: CalibrationResult, previous: Mapping[str, Values] | None = N
         if entry:
             lines += [f"  {wheel.name}:", *(f"    {line}" for line in entry)]
     header = ["thorvaldc: 1", f"robot: {result.robot}"]
+    noise = dict(previous_noise or {})
+    if not any(wheel.named for wheel in result.wheels):
+        noise |= result.remaining_errors
+    if noise:
+        header.append("noise:  # errors that remain")
+    for key, value in noise.items():
+        angle = key == "steering_offset_error"
+        text = f"{math.degrees(value):.4f} deg" if angle else f"{100.0 * value:.4f} %"
+        header.append(f"  {key}: {text}")
     return "\n".join([*header, *(["wheels:", *lines] if lines else ["wheels: {}"])]) + "\n"
 
 

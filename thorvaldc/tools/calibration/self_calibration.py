@@ -80,6 +80,8 @@ _LAGS = np.arange(0.0, 0.5, 0.005)
 """Candidates for the delay (s) between a command and the motion of the joint."""
 _MIN_GROWTH = 0.5
 """Least relative growth of the driven distance per relative growth of the wheel radii."""
+_DISTANCE_ERROR = 0.01
+"""Standard deviation (m) of a measured distance: a tape between two marks on the ground."""
 _SLIP = math.radians(0.1)
 """Smallest side slip angle (rad) of a wheel that a diagnostic reports."""
 
@@ -151,6 +153,9 @@ class CalibrationResult:
     - ``forced``: ``True`` if speed controllers kept the wheels at their commands.  With forced
       wheel speeds, the wheel radii are not changed.
     - ``iterations``: number of Gauss-Newton iterations.
+    - ``correlation``: time constant (s) of the random errors, from the residuals.
+    - ``remaining_errors``: standard deviations of the errors that last after the calibration, by
+      the name of the field of ``Noise``.  Fields that the log does not determine are missing.
     - ``offset_plan``, ``ratio_plan``: motions that settle the open steering offsets and radius
       ratios, in addition to the log.  Empty without open values that a longer log can settle, and
       ``None`` if no motions of the robot settle them.
@@ -167,6 +172,8 @@ class CalibrationResult:
     offsets_kept: bool
     forced: bool
     iterations: int
+    correlation: float
+    remaining_errors: Mapping[str, float]
     offset_plan: MotionPlan
     ratio_plan: MotionPlan
 
@@ -260,6 +267,8 @@ def _calibrate(
         solution.consistent,
         forced,
         solution.iterations,
+        max(solution.sample_times) / 2.0,
+        _remaining_errors(robot, solution, wheels, moving, distance),
         *_plans(robot, solver, solution, wheels, forced=forced),
     )
     _report_open_values(result, span, report)
@@ -336,6 +345,41 @@ def _estimate(
     coarse = usable and limit < error <= _COARSE * limit
     contradicts = abs(value - present) > _CONTRADICTION * error
     return Estimate(value, *errors, settled or (coarse and contradicts), settled, coarse)
+
+
+def _remaining_errors(
+    robot: Robot,
+    solution: Solution,
+    wheels: Sequence[WheelCalibration],
+    moving: float,
+    distance: float | None,
+) -> dict[str, float]:
+    """Returns the errors that last after the calibration (see ``CalibrationResult``).
+
+    The estimated ratios do not determine the common scale of the radii.  Without a measured
+    distance, the scale keeps the error that the mean of all radii had before.  The log does not
+    show the direction of fixed wheels.  Their direction and the steering zeros have one common
+    standard deviation, so that the log determines it only for robots without fixed wheels.
+    """
+    errors: dict[str, float] = {}
+    noise = Parameters.from_robot(robot, None).noise
+    ratios = [wheel.ratio for wheel in wheels if wheel.ratio is not None]
+    present_ratio, present_scale, _ = noise.lasting_errors
+    if ratios and all(ratio.determined for ratio in ratios):
+        errors["radius_error"] = _root_mean_square([ratio.error for ratio in ratios])
+        errors["scale_error"] = math.hypot(present_scale, present_ratio / math.sqrt(len(ratios)))
+    if distance is not None:
+        random = solution.rolling * math.sqrt(solution.sample_times[0] / moving / len(ratios))
+        errors["scale_error"] = math.hypot(_DISTANCE_ERROR / distance, random)
+    offsets = [wheel.offset for wheel in wheels if wheel.offset is not None]
+    fixed = any(wheel.fixed for wheel in BaseGeometry.from_robot(robot).wheels)
+    if offsets and not fixed and all(offset.determined for offset in offsets):
+        errors["steering_offset_error"] = _root_mean_square([offset.error for offset in offsets])
+    return errors
+
+
+def _root_mean_square(values: Sequence[float]) -> float:
+    return math.sqrt(sum(value * value for value in values) / len(values))
 
 
 def _plans(
