@@ -379,7 +379,7 @@ def _remaining_errors(
 
 
 def _root_mean_square(values: Sequence[float]) -> float:
-    return math.sqrt(sum(value * value for value in values) / len(values))
+    return math.hypot(*values) / math.sqrt(len(values))
 
 
 def _plans(
