@@ -48,9 +48,12 @@ def faults(
     gc.enable()
     try:
         matrix = FaultMatrix(loaded.robot, parameters=parameters or None, seed=number)
+        names = list(dict.fromkeys(case.name for case in matrix.cases))
         matrix.cases = [case for case in matrix.cases if only in case.name]
         if not matrix.cases:
-            raise typer.BadParameter(f"no fault contains {only!r}", param_hint="'--only'")
+            raise typer.BadParameter(
+                f"no fault contains {only!r}; there are: {'; '.join(names)}", param_hint="'--only'"
+            )
         progress = Progress(matrix.cells, "reactions")
         try:
             rows = matrix.rows(processes, progress.show)

@@ -221,7 +221,7 @@ class CanController:
                 del queue[index]
         self.sent += 1
         errors = self.transmit_errors
-        previous = self.state
+        previous = self.state if errors else ErrorState.ACTIVE
         if errors:
             self.transmit_errors = errors - 1
         self.suspend()
@@ -232,7 +232,8 @@ class CanController:
 
     def suspend(self) -> None:
         """Delays the next CAN frame of an error-passive CAN controller (suspend transmission)."""
-        if self.state is ErrorState.PASSIVE:
+        passive = self.transmit_errors > 127 or self.receive_errors > 127
+        if passive and not self.bus_off:
             bits = INTERFRAME_BITS + SUSPEND_BITS
             self._ready_at = self.wire.timeline.now + self.time_of(bits)
 

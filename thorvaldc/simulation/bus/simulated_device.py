@@ -198,7 +198,8 @@ class SimulatedDevice:
         def repeat() -> None:
             if period() > 0.0:
                 action()
-            self.after(period() if period() > 0.0 else 0.1, repeat)
+            following = period()
+            self.after(following if following > 0.0 else 0.1, repeat)
 
         self.after(first, repeat)
 

@@ -109,6 +109,9 @@ class IdealMotor(MotorModel):
         if dt <= 0.0:
             return
         self._time = now
+        if self._speed == 0.0 and self._velocity == 0.0:  # at rest, as most motors mostly are
+            self._torque = 0.0
+            return
         start, speed = self._position, self._velocity
         if self._goal is not None:
             reach = self.max_velocity * dt

@@ -33,7 +33,7 @@ class Timeline:
 
     def __init__(self) -> None:
         self.now = 0
-        self._queue: list[tuple[int, int, int, Event]] = []
+        self._queue: list[tuple[int, bool, int, Event]] = []
         self._planned = 0
         self._running = False
 
@@ -55,9 +55,11 @@ class Timeline:
 
         A virtual time in the past is replaced by the current virtual time.
         """
-        event = Event(max(time, self.now), action)
+        if time < self.now:
+            time = self.now
+        event = Event(time, action)
         self._planned += 1
-        heapq.heappush(self._queue, (event.time, int(last), self._planned, event))
+        heapq.heappush(self._queue, (time, last, self._planned, event))
         return event
 
     def after(self, delay: int, action: Action) -> Event:

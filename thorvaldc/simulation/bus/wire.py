@@ -171,9 +171,11 @@ class Wire:
             if next_ready:
                 self._plan_arbitration(next_ready)
             return
-        lowest = min(field for field, _, _ in contenders)
-        senders = [controller for field, controller, _ in contenders if field == lowest]
-        queued = [head for field, _, head in contenders if field == lowest]
+        if len(contenders) > 1:
+            lowest = min(field for field, _, _ in contenders)
+            contenders = [contender for contender in contenders if contender[0] == lowest]
+        senders = [controller for _, controller, _ in contenders]
+        queued = [head for _, _, head in contenders]
         frame = queued[0].frame
         if len(senders) > 1:
             # The bit 0 is dominant, so that the frame with the lowest length and data remains among
@@ -209,11 +211,15 @@ class Wire:
         flagging = [c for c in mismatched if c.state is ErrorState.ACTIVE and not c.listen_only]
         if flagging or any(s.bitrate != rate for s in senders):
             return MISMATCH_BIT, mismatched
-        losers = [
-            (sender, head.frame)
-            for sender, head in zip(senders, current.queued, strict=True)
-            if head.frame != frame
-        ]
+        losers = (
+            []
+            if len(senders) == 1
+            else [
+                (sender, head.frame)
+                for sender, head in zip(senders, current.queued, strict=True)
+                if head.frame != frame
+            ]
+        )
         active = [lost for sender, lost in losers if sender.state is ErrorState.ACTIVE]
         if active:
             difference = min(first_difference(frame, lost) for lost in active)

@@ -328,7 +328,9 @@ def _battery_cases(target: _Target) -> Iterator[FaultCase]:
     silence = target.robot.driver.battery.silence + SLOW
     for battery in nodes[:1]:
         low = target.on_node(battery.name, "battery_charge", charge=0.05)
-        yield target.case("battery at 5 %", low, None, observed=2.0 * SLOW)
+        # It stops nothing: at rest the driver only warns, which the start-up shows.
+        phases = (START, DRIVING)
+        yield target.case("battery at 5 %", low, None, phases=phases, observed=2.0 * SLOW)
         empty = target.on_node(battery.name, "battery_charge", charge=0.0)
         yield target.case(
             "battery empty", empty, {DRIVING: SLOW}, by_ramp=True, braking=SLOW, observed=SLOW

@@ -32,7 +32,7 @@ AT_REST = 0.01
 """Speed (m/s) of a wheel at the ground below which it stands."""
 UNASKED = 0.05
 """Increase (m/s) of the fastest wheel speed above which the robot has moved unasked."""
-AFTERWARDS = 0.5
+AFTERWARDS = 0.3
 """Time (s) of observation after the robot has reacted and stands, to see whether it moves again."""
 STEADY = 1.0
 """Time (s) of a curve after the robot has changed its yaw rate."""

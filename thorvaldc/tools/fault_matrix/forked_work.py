@@ -42,7 +42,9 @@ def run_forked(work: Sequence[Callable[[], T]], jobs: int) -> Iterator[tuple[int
     context = multiprocessing.get_context("fork")
     waiting = list(enumerate(work))
     running: dict[Connection, tuple[int, Any]] = {}
+    # A garbage collection in a copy would touch, and so copy, the memory of the whole simulation.
     gc.collect()
+    gc.freeze()
     try:
         while waiting or running:
             while waiting and len(running) < jobs:
@@ -58,6 +60,7 @@ def run_forked(work: Sequence[Callable[[], T]], jobs: int) -> Iterator[tuple[int
                 yield index, _result(receiver)
                 process.join()
     finally:
+        gc.unfreeze()
         for _, process in running.values():
             process.terminate()
             process.join()
@@ -77,6 +80,7 @@ def _result(receiver: Connection) -> Any:
 
 def _work(function: Callable[[], Any], sender: Connection) -> None:
     become_worker()
+    gc.disable()
     try:
         sender.send((False, function()))
     except BaseException:
