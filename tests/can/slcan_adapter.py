@@ -26,6 +26,7 @@ class SlcanAdapter:
         self.open = False
         self.commands: list[str] = []
         self._incomplete = b""
+        self._unwritten = b""
 
     def serve(self, until: Callable[[], bool], limit: float) -> None:
         """Passes frames on until ``until()`` is true, for at most ``limit`` s."""
@@ -48,18 +49,32 @@ class SlcanAdapter:
             if text[:1] == "t" and self.open:
                 length = int(text[4])
                 data = bytes.fromhex(text[5 : 5 + 2 * length])
-                assert self.client.send(CanFrame(int(text[1:4], 16), data))
+                self._send(CanFrame(int(text[1:4], 16), data))
             elif text:
                 self.commands.append(text)
                 self.open = text == "O" if text in ("O", "C") else self.open
 
+    def _send(self, frame: CanFrame) -> None:
+        """Sends a frame; a busy machine passes many frames on at once, for which the bus needs
+        time."""
+        for _ in range(200):
+            if self.client.send(frame):
+                return
+            self.client.sleep(0.001)
+        raise AssertionError("the simulated bus accepts no frame for 0.2 s")
+
     def _write_serial(self) -> None:
-        lines = b""
+        lines = self._unwritten
         while (received := self.client.receive(0.0)) is not None:
             frame = received.frame
             lines += f"t{frame.id:03X}{len(frame.data)}{frame.data.hex().upper()}\r".encode()
+        self._unwritten = b""
         if lines and self.open:
-            os.write(self.ours, lines)
+            try:
+                written = os.write(self.ours, lines)
+            except BlockingIOError:  # a busy machine has not read what was written before
+                written = 0
+            self._unwritten = lines[written:]
 
     def close(self) -> None:
         os.close(self.ours)

@@ -84,6 +84,8 @@ def test_a_simulated_bus_that_does_not_run(bus: Bus) -> None:
     message, hint = refusal("sim:nobody", bus)
     assert "no bus runs at" in message
     assert "thorvaldc bus FILE --channel nobody" in hint
+    _, hint = refusal(f"sim:nobody.{bus.name}", bus)  # one of several buses
+    assert hint.endswith("--channel nobody")
 
 
 def test_a_driver_that_refuses(bus: Bus) -> None:

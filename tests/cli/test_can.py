@@ -64,6 +64,9 @@ def test_from_new_drives_to_a_verified_robot_and_back(thorvaldc: Command, robot:
     assert json.loads(verified.out)["passed"]
     again = thorvaldc("can", "flash", *NEW, "--apply", "--yes", "--json")
     assert json.loads(again.out)["result"] == "nothing to do"
+    other = thorvaldc("can", "flash", *NEW, "--apply", "--yes", "--plan", hash_)
+    assert other.status == 1
+    assert f"not {hash_}" in other.err  # although there is nothing to do
     undone = thorvaldc("can", "flash", *NEW, "--rollback", "--yes")
     assert (undone.status, undone.out) == (0, "with_cia402: undone, 8 steps\n")
     differs = thorvaldc("can", "verify", *NEW)
@@ -114,6 +117,7 @@ def test_passive_scan(thorvaldc: Command, robot: Path) -> None:
         (["flash", *NEW, "--apply"], 2, "needs a terminal to ask at, or --yes"),
         (["flash", *NEW, "--rollback"], 2, "'--rollback': needs a terminal"),
         (["flash", *NEW, "--apply", "--resume", "--yes"], 2, "one of them at a time"),
+        (["flash", *NEW, "--plan", "0" * 64], 2, "needs --apply"),
         (["flash", *NEW, "--resume", "--yes"], 2, "there is no journal robot.flash.jsonl"),
         (["flash", *NEW, "--apply", "--yes", "--plan", "0" * 64], 1, "plan-changed"),
         (["flash", *NEW, "--apply", "--yes", "--journal", "no/where.jsonl"], 3, "cannot write"),

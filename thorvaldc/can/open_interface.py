@@ -112,6 +112,9 @@ def open_interfaces(spec: str, robot: Robot) -> dict[str, CanInterface]:
     """
     require_bus(robot)
     names = [bus.name for bus in robot.buses]
+    if spec == "virtual:delivered":
+        reason = "a delivered robot has no node ids yet; it is for the `can` commands"
+        raise _interface_error(spec, reason, "use `virtual`, whose nodes are configured")
     specs = _split_spec(spec, names)
     interfaces: dict[str, CanInterface] = {}
     try:
@@ -156,7 +159,9 @@ def _open_simulated(spec: str, channel: str, bus: Bus, listen_only: bool) -> Can
             channel, "master", bus.bitrate, listen_only=listen_only, fifo=True
         )
     except OSError as error:
-        hint = f"start it in another terminal: thorvaldc bus FILE --channel {channel}"
+        # A robot with several buses has the channel `NAME.left` for its bus `left`.
+        name = channel.removesuffix(f".{bus.name}")
+        hint = f"start it in another terminal: thorvaldc bus FILE --channel {name}"
         raise _interface_error(spec, one_line(error), hint) from None
 
 

@@ -11,7 +11,7 @@ import pytest
 from tests.examples import example_robot
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import cia402_robot
-from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.frame import CanFrame, ReceivedFrame
 from thorvaldc.model import Robot
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
@@ -69,6 +69,13 @@ def test_frames_have_their_period_and_values(driving: MonitoredRobot) -> None:
     assert {n["nmt"] for n in summary["nodes"] if n["name"].endswith("controller")} == {
         "operational"
     }
+
+
+def test_the_highest_load_of_a_short_time_is_the_load(driving: MonitoredRobot) -> None:
+    monitor = BusMonitor(driving.rig.robot, driving.rig.robot.buses[0])
+    monitor.take(ReceivedFrame(0, CanFrame(0x80)))
+    summary = monitor.summary(0.5)
+    assert summary["highest_load"] == summary["load"] > 0.0
 
 
 def test_the_load_is_the_busy_time_of_the_wire(driving: MonitoredRobot) -> None:

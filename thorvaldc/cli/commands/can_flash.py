@@ -12,11 +12,12 @@ from thorvaldc.cli.bus_access import BusAccess, with_bus
 from thorvaldc.cli.console_operator import agrees
 from thorvaldc.cli.diagnostic_output import count, message, print_json
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
-from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store
+from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store, refuse_options
 from thorvaldc.commissioning.commissioning_text import plan_as_json, plan_table
 from thorvaldc.commissioning.flash import Flash
 from thorvaldc.commissioning.journal import Journal, JournalFile
 from thorvaldc.commissioning.plan import Plan
+from thorvaldc.diagnostics.error import DiagnosticError
 
 
 def flash(
@@ -57,6 +58,9 @@ def flash(
         raise typer.BadParameter(
             "needs a terminal to ask at, or --yes", param_hint=f"'{selected[0]}'"
         )
+
+    if not apply:
+        refuse_options({"--plan": plan}, "needs --apply")
 
     def work(access: BusAccess) -> int:
         if not selected:
@@ -100,6 +104,12 @@ def _write(
     plan = access.make_plan() if mode == "--apply" else None
     if plan is not None:
         message(plan_table(plan))
+        if expected_hash not in ("", plan.hash):
+            raise DiagnosticError(
+                "plan-changed",
+                f"the hash of the plan is now {plan.hash}, not {expected_hash}",
+                hint="nothing was written; look at `thorvaldc can plan` again, and flash that",
+            )
         if not plan.steps and not plan.problems and not plan.strangers:
             return _show_result(json, plan, "nothing to do")
     question = {

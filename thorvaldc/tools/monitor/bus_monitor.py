@@ -153,7 +153,8 @@ class BusMonitor:
             "bus": self.bus.name,
             "bitrate": self.bus.bitrate,
             "load": load,
-            "highest_load": self._highest_load,
+            # Before the first window is complete, the load is the only one.
+            "highest_load": self._highest_load or load,
             "load_budget": self.bus.load,
             "frames_per_second": len(self._recent) / span,
             "frames_total": self.total,
