@@ -328,3 +328,59 @@ def test_full_disk_keeps_the_last_build(tmp_path: Path) -> None:
     assert contents(out) == ONE
     assert is_complete(out)
     assert staging_folders(tmp_path) == []
+
+
+@pytest.mark.parametrize("round_", range(4))
+def test_kill_9_in_a_folder_with_files_of_the_user(round_: int, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    write(ONE, out)
+    (out / "notes/empty").mkdir(parents=True)
+    (out / "notes/empty").chmod(0o700)
+    (out / "notes/a.txt").write_text("mine")
+    (out / "link").symlink_to("notes/a.txt")
+    process = ChildProcess([sys.executable, "-c", WRITE_MANY, str(out)], stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.readline()
+    time.sleep(0.05 + 0.0137 * round_)
+    process.end()
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["complete"]
+    user_files = {"notes/a.txt", "link"}
+    assert set(contents(out)) == {*manifest["files"], *user_files}
+    write(ONE, out)
+    assert (out / "link").readlink() == Path("notes/a.txt")
+    assert (out / "link").read_text() == "mine"
+    assert (out / "notes/empty").stat().st_mode & 0o777 == 0o700
+    assert staging_folders(tmp_path) == []
+
+
+def test_a_file_that_the_user_replaces_during_a_build_stays_the_new_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    write(ONE, out)
+    (out / "notes.txt").write_text("old")
+    real = writer.exchange
+
+    def exchange(stage: Path, target: Path) -> bool:
+        (tmp_path / "new").write_text("new")
+        (tmp_path / "new").replace(target / "notes.txt")
+        return real(stage, target)
+
+    monkeypatch.setattr(writer, "exchange", exchange)
+    write(TWO, out)
+    assert contents(out) == {**TWO, "notes.txt": b"new"}
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to others")
+def test_a_build_of_root_leaves_the_folder_to_its_owner(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    write(ONE, out)
+    (out / "notes").mkdir()
+    (out / "notes/a.txt").write_text("of root")
+    for path in (out, *(out / name for name in ONE)):
+        os.chown(path, 1234, 1234)
+    write(TWO, out)
+    owners = {path.name: path.stat().st_uid for path in (out, *out.rglob("*"))}
+    assert {owners.pop("notes"), owners.pop("a.txt")} == {0}
+    assert set(owners.values()) == {1234}

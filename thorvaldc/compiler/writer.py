@@ -11,11 +11,11 @@ If the process is interrupted (error, Ctrl-C, ``kill -9``), the build folder the
 either the complete old build or the complete new build.
 
 ``manifest.json`` lists the files of a build.  Files in the build folder that are not in
-``manifest.json`` belong to the user and are kept.
+``manifest.json`` belong to the user and are kept: the staging folder gets a hard link to each.
 
-If the build folder contains files of the user or cannot be exchanged, the files of the build are
-moved one by one.  A mount point, the current folder, and a folder on a file system without the
-system call cannot be exchanged.  If an error occurs while the files are moved, all files are moved
+If the build folder cannot be exchanged, the files of the build are moved one by one.  A mount
+point, the current folder, and a folder on a file system without the system call or without hard
+links cannot be exchanged.  If an error occurs while the files are moved, all files are moved
 back.  Until the last file is moved, the manifest contains ``"complete": false``.
 
 The writer does not call ``fsync``.  A power failure while a build is written can therefore damage
@@ -28,6 +28,7 @@ import contextlib
 import hashlib
 import json
 import os
+import shutil
 import stat
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
@@ -125,6 +126,8 @@ def write_locks(locks: Mapping[Path, str], report: Report) -> list[Path]:
             _check_writable(target if target.exists() else target.parent, str(path))
             try:
                 stage.write_bytes(text.encode())
+                if target.exists():
+                    _keep_owner(stage, target)
                 os.replace(stage, target)
                 written.append(path)
             finally:
@@ -209,7 +212,11 @@ def _write(files: Mapping[str, bytes], target: Path, shown: str) -> None:
             content = _list_content(target)
             _check_content(content, files, shown)
             os.chmod(stage, stat.S_IMODE(target.stat().st_mode))
-            can_exchange = not content.user_files and is_exchangeable(target, stage)
+            for path in (stage, *stage.rglob("*")):
+                _keep_owner(path, target)
+            can_exchange = is_exchangeable(target, stage) and _link(
+                content.user_files, stage, target
+            )
             if can_exchange and exchange(stage, target):
                 _return_user_files(stage, target, content)
             else:
@@ -296,19 +303,55 @@ def _shorten(paths: list[str]) -> str:
     return ", ".join(paths[:3]) + (", ..." if len(paths) > 3 else "")
 
 
+def _link(user_files: list[str], stage: Path, target: Path) -> bool:
+    """Adds the files of the user to the staging folder, as hard links, with their folders.
+
+    Returns ``False`` if that is not possible, for instance because of a mount point in the folder.
+    """
+    try:
+        for text in user_files:
+            path, is_folder = PurePosixPath(text), text.endswith("/")
+            for folder in [*reversed(path.parents), *([path] if is_folder else [])]:
+                if not (stage / folder).exists():
+                    (stage / folder).mkdir()
+                    shutil.copystat(target / folder, stage / folder)
+                    _keep_owner(stage / folder, target / folder)
+            if not is_folder:
+                os.link(target / path, stage / path, follow_symlinks=False)
+    except (OSError, NotImplementedError):
+        return False
+    return True
+
+
+def _keep_owner(new: Path, old: Path) -> None:
+    """Gives a new file or folder to the owner of the old one.
+
+    Only the superuser can do that; files of other users belong to them anyway.
+    """
+    if hasattr(os, "geteuid") and os.geteuid() == 0:
+        owner = os.stat(old)
+        os.chown(new, owner.st_uid, owner.st_gid, follow_symlinks=False)
+
+
 def _return_user_files(old: Path, target: Path, content: _FolderContent) -> None:
     """Moves files of the user from the old build folder to the new build folder.
 
-    The user may create a file in the old build folder shortly before the folders are exchanged.
+    The user may create or replace a file in the old build folder shortly before the folders are
+    exchanged.
     """
     for root, folders, names in os.walk(old):
         folders.sort()
         for name in sorted(names):
             path = (Path(root) / name).relative_to(old)
             is_built = content.built is not None and path.as_posix() in content.built
-            if not is_built and not (target / path).exists():
+            if not is_built and not _is_same_file(old / path, target / path):
                 (target / path).parent.mkdir(parents=True, exist_ok=True)
-                os.rename(old / path, target / path)
+                os.replace(old / path, target / path)
+
+
+def _is_same_file(first: Path, second: Path) -> bool:
+    """Returns whether two paths are hard links to one file."""
+    return os.path.lexists(second) and os.path.samestat(os.lstat(first), os.lstat(second))
 
 
 # -- moving file by file ------------------------------------------------------------------
