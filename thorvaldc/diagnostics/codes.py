@@ -92,6 +92,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV216", "expression-cycle", "a value depends on itself"),
     _warning("TV217", "angle-in-radians", "an angle without a unit exceeds a full turn"),
     _error("TV218", "other-document", "the file is another kind of document"),
+    _warning("TV219", "number-without-unit", "a number without a unit is unusual in SI units"),
     # 3xx: references
     _error("TV301", "module-type-unknown", "no library contains the type of a module"),
     _error("TV302", "module-unknown", "a reference names an unknown module"),
@@ -160,6 +161,7 @@ _TABLE: tuple[Code, ...] = (
     _warning("TV430", "fleet-overlap", "two robots of a fleet overlap at the start"),
     _error("TV431", "driver-cycle", "the cycle or time-out of the base driver is not possible"),
     _error("TV432", "battery-threshold", "the thresholds of the battery contradict each other"),
+    _warning("TV433", "robot-size", "the robot is larger or smaller than any field robot"),
     _error("TV440", "calibration-value", "a calibration contains an impossible value"),
     # 5xx: CAN bus
     _error("TV501", "can-id-duplicate", "two devices of one id space use the same id on a bus"),

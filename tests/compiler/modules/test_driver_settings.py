@@ -104,4 +104,4 @@ def test_errors_of_a_parameter_set_have_its_lines(
 
 def test_setting_names_equal_those_of_the_runtime() -> None:
     assert tuple(NOISE) == tuple(field.name for field in dataclasses.fields(Noise))
-    assert tuple(LIMITS) == parameters.LIMITS
+    assert tuple(LIMITS) == tuple(parameters.LIMITS)

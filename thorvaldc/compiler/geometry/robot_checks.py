@@ -17,9 +17,13 @@ from thorvaldc.model.statics.joint_tree import JointTree
 # Largest gap (m) between a wheel and the ground that suspensions and tyres compensate.
 WHEEL_OFF_GROUND = 2e-3
 
+SMALLEST_SIZE, LARGEST_SIZE = 0.1, 20.0
+"""Extents (m) of the smallest and the largest robot that is not reported."""
+
 
 def check_robot(robot: Robot, design: DesignRequirements, report: Report) -> None:
     """Runs all geometry checks of a robot model and adds the diagnostics to the report."""
+    check_size(robot, report)
     check_masses(robot, report)
     check_inertias(robot, report)
     check_wheels_present(robot, report)
@@ -32,6 +36,32 @@ def check_robot(robot: Robot, design: DesignRequirements, report: Report) -> Non
         check_steering_range(robot, report)
         check_controllable(robot, report)
         check_slope(robot, design, report)
+
+
+def check_size(robot: Robot, report: Report) -> None:
+    """Warns if the whole robot is unusually large or small.
+
+    The size is the largest extent of the centres of mass and the wheels along an axis of
+    ``base_link``.  Most often one length lacks its unit.
+    """
+    pose = JointTree(robot.links, robot.joints).pose
+    points = [
+        pose[link.name].apply(link.inertial.com)
+        for link in robot.links
+        if link.inertial is not None and link.name in pose
+    ]
+    points += [(w.x + side * w.radius, w.y, w.radius) for w in robot.wheels for side in (-1, 1)]
+    sizes = [max(values) - min(values) for values in zip(*points, strict=True)]
+    size = max(sizes, default=0.0)
+    if any(d.code.name == "number-without-unit" for d in report):
+        return  # the cause has been reported
+    if size > LARGEST_SIZE or 0.0 < size < SMALLEST_SIZE:
+        report.add(
+            "robot-size",
+            f"the robot is {size:.4g} m long, wide or high",
+            robot.span,
+            hint="look at the lengths in the file; a number without a unit is in m",
+        )
 
 
 def check_masses(robot: Robot, report: Report) -> None:

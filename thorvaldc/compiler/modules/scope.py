@@ -122,6 +122,8 @@ class Scope(ValueReader):
     extra : additional names and values, such as loop variables.
     """
 
+    on_robot = True
+
     def __init__(
         self,
         module: ModuleType | None,

@@ -11,8 +11,10 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from thorvaldc.compiler.modules.plausible_numbers import probable_unit
 from thorvaldc.compiler.source.expressions import ExpressionError, evaluate
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_quantity
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.spatial import Pose, Vec3
@@ -56,6 +58,9 @@ class ValueReader(Mapping[str, Any]):
     A ``ValueReader`` is a mapping of the names that expressions may use.  A plain ``ValueReader``
     contains no names.  The subclass ``Scope`` contains the parameters of a module.
     """
+
+    on_robot = False
+    """``True`` if the quantities describe a robot, not its surroundings."""
 
     def __init__(self, report: Report) -> None:
         self.report = report
@@ -112,8 +117,8 @@ class ValueReader(Mapping[str, Any]):
         if isinstance(value, bool):
             pass
         elif isinstance(value, int | float):
-            if quantity == "angle" and abs(value) > FULL_TURN and node.value == value:
-                self._warn_of_radians(value, node)
+            if node.value == value:
+                self._judge_bare_number(value, node, quantity)
             return self._bounded(value, node, default)
         elif isinstance(value, str):
             try:
@@ -124,14 +129,26 @@ class ValueReader(Mapping[str, Any]):
         self._report_type(f"a {quantity.replace('_', ' ')}", node)
         return default
 
-    def _warn_of_radians(self, value: float, node: Node) -> None:
-        """Warns that an angle without a unit is more than a full turn in radians."""
-        self.report.add(
-            "angle-in-radians",
-            f"`{value:g}` without a unit is an angle of {value:g} rad, more than a full turn",
-            node.span,
-            hint=f"write `{value:g} deg` if degrees are meant, else `{value:g} rad`",
-        )
+    def _judge_bare_number(self, value: float, node: Node, quantity: str) -> None:
+        """Warns of a number without a unit that was probably not meant in SI units."""
+        if quantity == "angle" and abs(value) > FULL_TURN:
+            self.report.add(
+                "angle-in-radians",
+                f"`{value:g}` without a unit is an angle of {value:g} rad, more than a full turn",
+                node.span,
+                hint=f"write `{value:g} deg` if degrees are meant, else `{value:g} rad`",
+            )
+        unit = probable_unit(value, quantity) if self.on_robot else ""
+        if unit:
+            kind = QUANTITIES[quantity]
+            number = f"{value:.12g}"
+            self.report.add(
+                "number-without-unit",
+                f"`{number}` without a unit is {kind} of {number} {kind.unit}, which is unusual on"
+                " a robot",
+                node.span,
+                hint=f"write `{number} {unit}` if {unit} is meant, else `{number} {kind.unit}`",
+            )
 
     def _bounded(self, value: float, node: Node, default: float) -> float:
         """Returns the physical quantity, or the default value if the quantity is too small or too
