@@ -300,7 +300,7 @@ class RobotWriter:
 
 def _solref(contact: WheelContact) -> tuple[float, float] | None:
     """Return MuJoCo's ``solref`` of a wheel, or ``None`` for the value of the default class."""
-    return None if contact.time_constant == SOLREF[0] else (contact.time_constant, SOLREF[1])
+    return None if contact.damping_ratio == SOLREF[1] else (SOLREF[0], contact.damping_ratio)
 
 
 def _positive(value: object) -> TypeGuard[float]:

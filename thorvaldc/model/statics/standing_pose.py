@@ -329,8 +329,8 @@ def solve_statics(robot: Robot) -> Statics:
     )
     weights = [max(w, 1e-9) for w in weights]
     softened = softened_weights(weights, [wheel.load for wheel in robot.wheels])
-    time_constants = [
-        clean(SOLREF[0] * math.sqrt(soft / w)) for soft, w in zip(softened, weights, strict=True)
+    damping_ratios = [
+        clean(SOLREF[1] * math.sqrt(soft / w)) for soft, w in zip(softened, weights, strict=True)
     ]
     axes = [_spin_axis(tree, wheel) for wheel in robot.wheels]
     positions = {joint.name: _joint_home(joint) for joint in tree.moving}
@@ -361,15 +361,15 @@ def solve_statics(robot: Robot) -> Statics:
         tilts = [footing.axis[2] for footing in stance.footings]
         depths = [penetration_under(wheel.load, weight) for wheel, _, weight in wheels]
     contacts = {}
-    for (wheel, axis, weight), depth, tilt, time_constant in zip(
-        wheels, depths, tilts, time_constants, strict=True
+    for (wheel, axis, weight), depth, tilt, damping_ratio in zip(
+        wheels, depths, tilts, damping_ratios, strict=True
     ):
         p = max(depth, 0.0)
         # The base of a standing robot is typically tilted by about 1e-5 rad. A wheel that is tilted
         # by less than 1e-4 rad counts as upright.
         camber = tilt if abs(tilt) > 1e-4 else 0.0
         contact = contact_ellipsoid(wheel, axis, p, normal_force(p, weight), camber)
-        contacts[wheel.name] = contact._replace(time_constant=time_constant)
+        contacts[wheel.name] = contact._replace(damping_ratio=damping_ratio)
     return Statics(base, positions, inertias, contacts, equilibrium is not None)
 
 

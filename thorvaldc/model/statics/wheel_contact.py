@@ -14,7 +14,7 @@ The symbols are:
 - p: penetration in m.
 - d(p): impedance curve of ``solimp``.
 - A: inverse weight of the wheel's body in 1/kg, see ``mass_matrix.inverse_weights``. For wheels
-  with a longer time constant, A is the effective inverse weight, see below.
+  with a larger damping ratio, A is the effective inverse weight, see below.
 
 Normal force f(p) and its derivative f'(p) as functions of the penetration p:
 
@@ -30,9 +30,12 @@ loads N of the model:
 
     A' = max over wheels (A N) / N.
 
-A time constant of sqrt(A' / A) times the default has the effect of the inverse weight A', because
-the force is proportional to k / A and k to 1 / timeconst^2. The time constant is never smaller than
-the default, because MuJoCo does not accept time constants below two time steps.
+A damping ratio of sqrt(A' / A) times the default has the effect of the inverse weight A', because
+the force is proportional to k / A and k to 1 / dampratio^2. A longer time constant would have the
+same effect at rest, but not in motion: it lowers the damping b = 2 / (d_max timeconst), which also
+holds a wheel against creep along the ground. With a lower damping, wheels creep more, and the
+odometry drifts. The damping ratio is never smaller than the default, because a softer contact only
+sinks in further, while a stiffer one could vibrate.
 
 Rolling radius. MuJoCo puts the contact point above the lowest point of the wheel's shape, by half
 of the penetration. In MuJoCo, a wheel therefore rolls on a smaller radius than the radius of its
@@ -76,7 +79,7 @@ class WheelContact(NamedTuple):
     - ``offset``: position of the centre of the ellipsoid on the spin axis in m.
     - ``penetration``: penetration of the wheel into the ground in m, for a robot at rest.
     - ``force``: vertical contact force in N, for a robot at rest.
-    - ``time_constant``: first value of MuJoCo's ``solref`` in s.
+    - ``damping_ratio``: second value of MuJoCo's ``solref``.
     """
 
     axis: Vec3
@@ -85,7 +88,7 @@ class WheelContact(NamedTuple):
     offset: float
     penetration: float
     force: float
-    time_constant: float = SOLREF[0]
+    damping_ratio: float = SOLREF[1]
 
 
 def impedance(penetration: float) -> float:
