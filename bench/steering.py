@@ -68,7 +68,7 @@ def _general(limit: float) -> Callable[[float, float], float]:
     from thorvaldc.runtime.calculators.steering_branch import SteeringJoint
 
     geometry = replace(_wheel("w", 0.0, 0.0), lower=-limit, upper=limit)
-    joint = SteeringJoint(geometry, (0,), 1.5, 0.02)
+    joint = SteeringJoint([geometry], (0,), 0.02)
 
     def policy(angle: float, direction: float) -> float:
         joint.choose(math.cos(direction), math.sin(direction), 0.0, angle, 0.0)

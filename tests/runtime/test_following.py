@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from bench.following import Conduct, follow, random_twists, study
+from bench.following import Conduct, case, follow, random_twists, study
 from bench.random_robots import FAMILIES, random_robot
 from thorvaldc.runtime.se2 import Twist
 
@@ -32,3 +32,20 @@ def test_rectangle_with_limits_of_90_degrees_moves_sideways(seed: int) -> None:
     robot = random_robot(FAMILIES["rectangle, +-90 deg"], rng)
     start = random_twists(rng)[0]
     blameless(follow(robot, [start, Twist(0.0, 0.5, 0.0), Twist(0.0, -0.5, 0.0)]))
+
+
+@pytest.mark.parametrize(
+    ("family", "number", "twists"),
+    [
+        ("random, +-90 deg, trail", 48, slice(0, 2)),  # a target angle just beyond a limit
+        ("random, +-120 deg, trail", 3, slice(0, 2)),  # a wheel with trail turns the long way
+        ("random, +-120 deg, trail", 47, slice(0, 6)),  # a wheel at its speed limit
+        ("random, unlimited, trail", 9, slice(0, 1)),  # large offsets of the contact points
+        ("random, unlimited, trail", 6, slice(0, 1)),
+        ("random, +-35 deg, offsets", 9, slice(0, 6)),
+        ("car, +-60 deg, trail", 4, slice(1, 3)),
+    ],
+)
+def test_robots_that_were_difficult(family: str, number: int, twists: slice) -> None:
+    robot, sequence = case(family, number)
+    blameless(follow(robot, sequence[twists]))

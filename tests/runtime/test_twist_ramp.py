@@ -72,3 +72,14 @@ def test_ramp_waits_for_the_wheels() -> None:
     assert following.vx - ramp.twist.vx < 1.5 * DT + 1e-9
     ramp.restart(ZERO_TWIST)
     assert ramp.step(ZERO_TWIST, DT) == ZERO_TWIST
+
+
+def test_ramp_at_the_speed_limits_takes_the_direction_of_its_goal_without_growing() -> None:
+    ramp, goal = Ramp(SETTINGS, 0.5, 0.0), Twist(0.9, 0.9, 0.0)
+    ramp.restart(Twist(0.6, 0.0, 0.0))
+    for _ in range(60):
+        twist = ramp.step(goal, DT, grows=False)
+        assert twist.speed <= 0.6 + 1e-12
+    assert twist.vx == pytest.approx(twist.vy, abs=1e-12)
+    assert twist.speed > 0.5
+    assert steps(ramp, goal, 2.0)[-1] == goal

@@ -30,6 +30,10 @@ def codes(report: Report) -> list[str]:
     return [diagnostic.code.name for diagnostic in report]
 
 
+def messages(report: Report) -> list[str]:
+    return [diagnostic.message for diagnostic in report]
+
+
 def write_build(folder: Path, robot: Robot) -> Path:
     for name, data in files_of(Mjcf, robot).items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -119,6 +123,10 @@ def test_unreachable_steering_is_reported() -> None:
     result = Simulation(robot).run(2.0, Twist(0.0, 0.5, 0.0), report)
     assert codes(report) == ["steering-unreachable"]
     assert set(result.robots[0].unreachable) == {"w0", "w1", "w2", "w3"}
+    assert messages(report)[0].endswith("within the joint limits; it stands")
+    nearest = Report()
+    Simulation(robot).run(2.0, Twist(0.5, 0.4, 0.0), nearest)
+    assert "; it moves with (" in messages(nearest)[0]
     reachable = Report()
     Simulation(robot).run(2.0, Twist(0.5, 0.1, 0.0), reachable)
     assert codes(reachable) == []

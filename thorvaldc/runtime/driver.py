@@ -57,7 +57,8 @@ class DriverState:
     - ``mode``: mode of the base driver.
     - ``commanded_twist``: twist of the active command.
     - ``ramped``: feasible part of the commanded twist, after the speed limits and the ramp.
-    - ``infeasible``: part of the commanded twist that the fixed wheels do not allow.
+    - ``infeasible``: part of the commanded twist that fixed wheels and steering limits do not
+      allow.
     - ``command``: joint commands for ``ramped``, or ``None`` before the first tick.
     - ``joints``: last usable joint states, or ``None`` before the first measurement.
     - ``odometry``: estimated mean twist of the robot since the previous tick.
@@ -405,4 +406,5 @@ class BaseDriver:
                 self._stopping = last.must_stop
                 ramp.restart(last.twist if last.must_stop else ZERO_TWIST)
             ramp.limit_lead(last.target, last.twist, last.aligned, last.infeasible)
-        return ramp.step(ZERO_TWIST if self._stopping else goal, dt)
+        grows = last is None or last.scale == 1.0
+        return ramp.step(ZERO_TWIST if self._stopping else goal, dt, grows)

@@ -39,9 +39,17 @@ class Ramp:
         count = 1 + round(min(smoothing, LONGEST_SMOOTHING) * settings.rate)
         self._history = [ZERO_TWIST] * count
 
-    def step(self, goal: Twist, dt: float) -> Twist:
-        """Moves the twist ramp towards ``goal`` for ``dt`` s and returns the new twist."""
+    def step(self, goal: Twist, dt: float, grows: bool = True) -> Twist:
+        """Moves the twist ramp towards ``goal`` for ``dt`` s and returns the new twist.
+
+        ``grows`` is ``False`` while wheels are at their speed limits.  The twist then takes the
+        direction of ``goal``, but does not grow.  A larger twist would only delay the next stop.
+        """
         history = self._history
+        if not grows:
+            size, limit = self._product(goal, goal), self._product(self.twist, self.twist)
+            if size > limit:
+                goal = goal.scaled(math.sqrt(limit / size))
         if goal == ZERO_TWIST:
             if self.twist != ZERO_TWIST:
                 self.restart(self._straight(self.twist, goal, dt))

@@ -45,11 +45,13 @@ def report_run(
         if loop.unreachable:
             wheels = ", ".join(loop.robot.wheels[i].name for i in loop.unreachable)
             reachable = loop.driver.calculator.feasible(loop.unreachable_twist)
+            stands = largest_component(reachable) <= NEGLIGIBLE_TWIST
+            motion = "stands" if stands else f"moves with {_twist_text(reachable)} instead"
             report.add(
                 "steering-unreachable",
                 f"{loop.name} cannot steer {wheels} for the twist "
                 f"{_twist_text(loop.unreachable_twist)} within the joint limits; "
-                f"it moves with {_twist_text(reachable)} instead",
+                f"it {motion}",
                 loop.robot.span,
                 hint="command another twist, or widen the steering limits",
             )

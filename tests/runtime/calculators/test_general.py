@@ -378,3 +378,67 @@ def test_commanded_twist_fits_the_wheel_speeds_while_wheels_turn_and_accelerate(
             assert holding or max(map(abs, slope)) < 0.02
             assert max(map(abs, command.twist)) < 3.0
             states = JointStates(0.0, command.joints.speeds, angles, rates)
+
+
+def test_wheels_without_acceleration_limits_have_the_speeds_of_the_commanded_twist() -> None:
+    wheels = [
+        wheel("a", 0.5, 0.4, "steered", lateral=0.1, trail=-0.08),
+        wheel("b", 0.5, -0.4, "steered", lateral=-0.1, sign=-1.0, trail=-0.08),
+        wheel("c", -0.5, 0.0, "steered", lateral=0.1, heading=0.5),
+    ]
+    calculator, dt = general(*(replace(w, max_acceleration=1e6) for w in wheels)), 0.01
+    states = JointStates(0.0, [0.0] * 3, [0.0] * 3, [0.0] * 3)
+    calculator.reset(states)
+    for k in range(200):
+        twist = Twist(0.3, 0.0, 0.0) if k < 60 else Twist(0.0, 0.3, 0.2)
+        command = calculator.command(twist, states, dt)
+        angles, speeds = command.joints.angles, command.joints.speeds
+        rates = [(b - a) / dt for a, b in zip(states.angles, angles, strict=True)]
+        turning = max(map(abs, rates)) > 1e-3
+        for w, angle, rate, speed in zip(wheels, states.angles, rates, speeds, strict=True):
+            rolling, _ = w.rows(angle)
+            rolls = speed * w.radius + w.lateral * w.sign * rate
+            if turning and abs(rate) * dt > 0.0175:
+                made = sum(a * b for a, b in zip(rolling, command.twist, strict=True))
+                assert rolls == pytest.approx(made, abs=1e-9)
+        states = JointStates(0.0, speeds, angles, rates)
+
+
+def test_turning_contact_points_do_not_make_the_robot_faster_than_its_target() -> None:
+    """Wheels with trail turn from one side to the other while the robot is to move slowly."""
+    wheels = [
+        wheel(f"w{i}", x, y, "steered", trail=0.1, limits=(None, None))
+        for i, (x, y) in enumerate(SQUARE[:3])
+    ]
+    calculator, dt = general(*wheels), 0.02
+    states = JointStates(0.0, [0.0] * 3, [0.0] * 3, [0.0] * 3)
+    calculator.reset(states)
+    turned = 0.0
+    for _ in range(50):
+        command = calculator.command(Twist(0.0, 0.05, 0.0), states, dt)
+        turned = max(turned, *map(abs, command.joints.angles))
+        assert max(abs(v) * 0.2 for v in command.joints.speeds) < 0.06
+        states = JointStates(0.0, command.joints.speeds, command.joints.angles, [0.0] * 3)
+    assert turned > 1.5
+
+
+def test_drive_follows_its_turning_joint_before_the_robot_accelerates() -> None:
+    """A contact point beside the steering axis rolls exactly as far as its joint turns."""
+    wheels = [
+        wheel(f"w{i}", x, y, "steered", lateral=0.1, limits=(None, None), radius=0.1)
+        for i, (x, y) in enumerate(SQUARE[:3])
+    ]
+    calculator, dt = general(*wheels), 0.02
+    states = JointStates(0.0, [0.0] * 3, [0.0] * 3, [0.0] * 3)
+    calculator.reset(states)
+    fastest, last = 0.0, [0.0] * 3
+    for _ in range(60):
+        command = calculator.command(Twist(0.0, 0.02, 0.0), states, dt)
+        angles, speeds = command.joints.angles, command.joints.speeds
+        rates = [(b - a) / dt for a, b in zip(states.angles, angles, strict=True)]
+        fastest = max(fastest, *map(abs, rates))
+        for w, rate, speed, before in zip(wheels, rates, speeds, last, strict=True):
+            assert abs(speed * w.radius + w.lateral * rate) < 0.03
+            assert abs(speed - before) <= w.max_acceleration * dt * (1.0 + 1e-9)
+        states, last = JointStates(0.0, speeds, angles, rates), list(speeds)
+    assert fastest > 1.0

@@ -16,7 +16,7 @@ LIMIT = 3.078027759
 def steering(
     limits: tuple[float | None, float | None] = (-math.pi, math.pi), hysteresis: float = 0.02
 ) -> SteeringJoint:
-    return SteeringJoint(wheel("w", 0.0, 0.0, "steered", limits=limits), (0,), 1.5, hysteresis)
+    return SteeringJoint([wheel("w", 0.0, 0.0, "steered", limits=limits)], (0,), hysteresis)
 
 
 def turned(joint: SteeringJoint, angle: float) -> SteeringJoint:
@@ -44,14 +44,25 @@ def test_turns_the_long_way_at_a_cable_limit() -> None:
 
 
 def test_rounding_at_the_limit_does_not_cause_half_a_turn() -> None:
-    """A target at +-pi with rounding errors, in a joint limited to +-3.14159."""
-    joint = turned(steering((-3.14159, 3.14159)), 3.14159)
+    """A target at +-pi with rounding errors, in a joint limited to +-pi."""
+    joint = turned(steering((-math.pi, math.pi)), math.pi)
     for k in range(50):
         noise = (-1) ** k * 1e-12
-        joint.choose(-1.0, noise, 0.0, 3.14159, 1.0)
-        assert joint.target == pytest.approx(3.14159, abs=1e-5)
-        assert joint.target <= 3.14159
+        joint.choose(-1.0, noise, 0.0, math.pi, 1.0)
+        assert joint.target == pytest.approx(math.pi, abs=1e-11)
+        assert joint.target <= math.pi
         assert joint.direction == 1.0
+
+
+def test_no_wheel_scrubs_at_its_limit() -> None:
+    """Straight back is 2.7e-6 rad beyond a limit of 3.14159: the wheel makes one half turn."""
+    joint = turned(steering((-3.14159, 3.14159)), 3.14159)
+    angle = 3.14159
+    for k in range(50):
+        joint.choose(-1.0, (-1) ** k * 1e-12, 0.0, angle, -1.0)
+        angle = joint.target
+        assert angle == pytest.approx(0.0, abs=1e-11)
+        assert joint.direction == -1.0
 
 
 def test_hysteresis_keeps_the_branch_at_equal_costs() -> None:
@@ -99,7 +110,7 @@ def test_slow_wheel_holds_and_resumes_later() -> None:
 
 
 def test_wheel_with_trail_leads_the_velocity() -> None:
-    joint = SteeringJoint(wheel("w", 1.0, 0.0, "steered", trail=-0.1), (0,), 1.5, 0.02)
+    joint = SteeringJoint([wheel("w", 1.0, 0.0, "steered", trail=-0.1)], (0,), 0.02)
     wz = 0.5
     joint.choose(1.0, wz * 1.0, wz, 0.0, 0.0)
     _, side = joint.wheel.rows(joint.target)

@@ -45,7 +45,8 @@ def check_steering_range(robot: Robot, report: Report) -> None:
                 f"`{wheel.module}` steers over {math.degrees(joint.upper - joint.lower):.1f} deg; "
                 "180 deg are needed to reach every direction",
                 wheel.span,
-                hint="give the steering a wider range, or accept that some twists are refused",
+                hint="give the steering a wider range; without it, the robot makes the nearest "
+                "reachable motion, or stands",
             )
 
 

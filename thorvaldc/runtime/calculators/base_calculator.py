@@ -30,8 +30,10 @@ class BaseCommand:
     - ``target``: feasible twist nearest to the commanded twist, scaled to the wheels' speed limits.
     - ``twist``: twist of the robot under the joint commands.  ``twist`` differs from ``target``
       while wheels steer or accelerate.  When all wheels have reached their steering angles, the
-      wheels roll at ``twist`` without slip.  While wheels steer, they also slip sideways, and
-      ``twist`` is the twist that fits the commanded wheel speeds at the present steering angles.
+      wheels roll at ``twist`` without slip.  While wheels steer, they also slip sideways.
+      ``twist`` then has the commanded speeds of all driven wheels along their present directions.
+      While acceleration limits hold the wheels back, their speeds contradict each other, and
+      ``twist`` is the best fit to them.
     - ``infeasible``: part of the commanded twist that fixed wheels and steering limits do not
       allow.
     - ``scale``: factor by which the speed limits reduce the twist, or 1 if no wheel reaches its

@@ -17,6 +17,9 @@ therefore produce the twist xi* that causes the least scrub at the present steer
     xi* = argmin sum (T_i(theta_i) xi)^2 + lambda |xi - xi_target|^2
 
 T_i is the side-slip row of wheel i (see ``WheelGeometry.rows``), and lambda is a small weight.
+If xi* is larger than xi_target, xi* is scaled down to the size of xi_target: a contact point with
+trail moves sideways while its wheel turns, and without a limit the robot would follow this motion,
+much faster than commanded.
 """
 
 from __future__ import annotations
@@ -145,23 +148,17 @@ class General(BaseCalculator):
         self._has_shared_motors = bool(geometry.spin_groups)
         self._zeros = (0.0,) * len(wheels)
         self._steering = tuple(
-            SteeringJoint(
-                wheels[group[0]],
-                group,
-                min(wheels[i].max_acceleration * wheels[i].radius for i in group),
-                self.options.hysteresis,
-            )
+            SteeringJoint(wheels, group, self.options.hysteresis)
             for group in geometry.steering_groups
         )
-        # Constants of each wheel, stored in tuples because tuples are faster than attribute
-        # lookups.
+        # Tuples of constants are faster than attribute lookups.
         self._joints = tuple(
             (s, s.wheels[0], s.wheel.x, s.wheel.y, s.wheel.radius) for s in self._steering
         )
         steered = [(i, s, wheels[i]) for s in self._steering for i in s.wheels]
         self._steered = tuple((i, s) for i, s, _ in steered)
-        # Fields: wheel index, steering joint, wheel speed in rad/s per m/s of the rolling speed of
-        # the joint's first wheel, lateral offset divided by the radius, speed limit in rad/s.
+        # Fields: wheel index, steering joint, wheel speed (rad/s) per m/s of the rolling speed of
+        # the joint's first wheel, lateral offset divided by the radius, speed limit (rad/s).
         self._driven_steered = tuple(
             (
                 i,
@@ -176,6 +173,10 @@ class General(BaseCalculator):
         self._scrubbing = tuple(
             (i, s, w.heading, w.sign, w.x, w.y, w.trail, w.lateral, w.radius, w.driven)
             for i, s, w in steered
+        )
+        # Fields: wheel index, steering joint, wheel speed in rad/s per rad/s of the joint's rate.
+        self._pushing = tuple(
+            (i, s, -w.sign * w.lateral / w.radius) for i, s, w in steered if w.driven and w.lateral
         )
         self._driven_fixed = tuple(
             (i, *w.rows(0.0)[0], w.radius, w.max_speed)
@@ -252,6 +253,7 @@ class General(BaseCalculator):
                     self._reachable.keep(target)
         self._stopping = must_stop
         self._move_steering(dt)
+        pushes = self._pushes() if self._pushing else None
         target_speeds, scale = self._target_speeds(target)
         if scale < 1.0:
             target = target.scaled(scale)
@@ -260,17 +262,21 @@ class General(BaseCalculator):
             angles = self._angles
         at_targets = True
         if dt is not None or states is not None:
-            misalignment = self._misalignment(angles)
-            at_targets = not must_stop and misalignment <= _ALIGNED
+            goal, misalignment = target, self._misalignment(angles)
             if must_stop:
-                goal = target if self._square(target) < self._square(last_twist) else ZERO_TWIST
-                current, target_speeds = self._least_scrub(goal, angles, math.inf)
-            elif misalignment > _ALIGNED:
-                current, target_speeds = self._least_scrub(target, angles, misalignment)
+                misalignment = math.inf
+                if self._square(target) >= self._square(last_twist):
+                    goal = ZERO_TWIST
+            at_targets = misalignment <= _ALIGNED
+            if not at_targets:
+                current, target_speeds = self._least_scrub(goal, angles, misalignment, pushes)
         unlimited = current
-        current, limited_speeds = self._motors.limit_accelerations(current, target_speeds, dt)
+        current, limited_speeds = self._motors.limit_accelerations(
+            current, target_speeds, dt, pushes
+        )
         if current is not unlimited and self._steering:
-            current = self._rolling_twist(current, limited_speeds, angles, at_targets)
+            rolling_speeds = self._motors.rolling_speeds
+            current = self._rolling_twist(current, rolling_speeds, angles, at_targets)
             self._motors.twist = current
         return BaseCommand(
             JointCommands(limited_speeds, self._angles),
@@ -411,6 +417,17 @@ class General(BaseCalculator):
             angles[i] = joint.angle
         self._angles = (*angles,)
 
+    def _pushes(self) -> list[float]:
+        """Returns the wheel speeds (rad/s) by which wheels roll because their joints turn.
+
+        The contact point of a wheel with a lateral offset moves on a circle around the steering
+        axis.
+        """
+        pushes = list(self._zeros)
+        for i, joint, gain in self._pushing:
+            pushes[i] = gain * joint.rate
+        return self._motors.average_shared(pushes) if self._has_shared_motors else pushes
+
     def _misalignment(self, angles: Sequence[float]) -> float:
         """Returns the largest difference (rad) between a steering angle and its target angle.
 
@@ -441,10 +458,8 @@ class General(BaseCalculator):
         for i, joint, gain, lateral, limit in self._driven_steered:
             v = joint.rolling * gain
             if lateral and not joint.unreachable:
-                # The contact point of a wheel with a lateral offset moves on a circle around the
-                # steering axis.  A wheel with a lateral offset therefore rolls even if its axis is
-                # at the centre of rotation.
-                v -= lateral * (wz + joint.wheel.sign * joint.rate)
+                # A wheel with a lateral offset rolls even if its axis is at the centre of rotation.
+                v -= lateral * wz
             speeds[i] = v
             if v > limit or v < -limit:
                 scale = min(scale, limit / abs(v))
@@ -468,7 +483,11 @@ class General(BaseCalculator):
         return scale
 
     def _least_scrub(
-        self, target: Twist, angles: Sequence[float], misalignment: float
+        self,
+        target: Twist,
+        angles: Sequence[float],
+        misalignment: float,
+        pushes: Sequence[float] | None,
     ) -> tuple[Twist, list[float]]:
         """Returns the twist with the least scrub at given steering angles, and its wheel speeds.
 
@@ -479,7 +498,11 @@ class General(BaseCalculator):
             (sum T'T + lambda G) d = -sum T' (T target)
 
         The weight lambda grows to infinity as the largest steering error decreases to ``_ALIGNED``.
-        The resulting twist is therefore a continuous function of the steering error.
+        The resulting twist is therefore a continuous function of the steering error.  The resulting
+        twist is not larger than ``target``.
+
+        - ``misalignment``: largest steering error (rad), more than ``_ALIGNED``.
+        - ``pushes``: wheel speeds (rad/s) of turning steering joints, see ``_pushes``.
         """
         follow = _FOLLOW_WEIGHT / (1.0 - (_ALIGNED / misalignment) ** 2)
         vx, vy, wz = target
@@ -515,52 +538,51 @@ class General(BaseCalculator):
             a23 += t2 * t3
             a33 += t3 * t3
         dx, dy, dw = solve3(a11, a12, a13, a22, a23, a33, b1, b2, b3)
-        vx, vy, wz = vx + dx, vy + dy, wz + dw
+        twist = Twist(vx + dx, vy + dy, wz + dw)
+        excess = self._square(twist) / max(self._square(target), 1e-12)
+        if excess > 1.0:
+            twist = twist.scaled(1.0 / math.sqrt(excess))
+        vx, vy, wz = twist
         speeds = list(self._zeros)
-        for (i, joint, _, sign, x, y, _, lateral, radius, driven), (c, s) in zip(
+        for (i, joint, _, _, x, y, _, lateral, radius, driven), (c, s) in zip(
             self._scrubbing, directions, strict=True
         ):
             if not driven or joint.unreachable:
                 continue
-            v = -lateral * (wz + sign * joint.rate) if lateral else 0.0
+            v = -lateral * wz if lateral else 0.0
             if not joint.holding:
                 v += c * (vx - wz * y) + s * (vy + wz * x)
             speeds[i] = v / radius
-        twist = Twist(vx, vy, wz)
         if self._driven_fixed:
             self._set_fixed_speeds(twist, speeds, 1.0)
-        limited, speeds = self._motors.limit_speeds(twist, speeds)
-        if limited is not twist:
-            limited = self._rolling_twist(limited, speeds, angles, False)
-        return limited, self._motors.average_shared(speeds)
+        twist, speeds = self._motors.limit_speeds(twist, speeds, pushes)
+        return twist, self._motors.average_shared(speeds)
 
     def _rolling_twist(
         self, twist: Twist, speeds: Sequence[float], angles: Sequence[float], at_targets: bool
     ) -> Twist:
         """Returns the twist near ``twist`` that fits the wheel speeds (rad/s) best.
 
-        An acceleration limit mixes the wheel speeds of the last tick with those of this tick, and a
-        speed limit scales them.  While wheels turn, the mixed or scaled twist does not have these
-        wheel speeds.  With the rolling
-        rows L and the rolling speeds v of all driven wheels, and with a weight epsilon of
-        ``twist``, the correction d solves (sum L'L + epsilon G) d = sum L' (v - L twist).  The
-        rolling rows are those of the target angles if ``at_targets`` is ``True``, else those of
-        ``angles``.
+        An acceleration limit mixes the wheel speeds of the last tick with those of this tick.
+        While wheels turn, the mixed twist does not have these wheel speeds.  With the rolling rows
+        L and the rolling speeds v of all driven wheels, and with a weight epsilon of ``twist``, the
+        correction d solves (sum L'L + epsilon G) d = sum L' (v - L twist).  The rolling rows are
+        those of the target angles if ``at_targets`` is ``True``, else those of ``angles``.
+        ``speeds`` are without ``_pushes``.
         """
         vx, vy, wz = twist
         a11 = a22 = _KEEP_WEIGHT
         a33 = _KEEP_WEIGHT * self._length2
         a12 = a13 = a23 = b1 = b2 = b3 = 0.0
         largest = 0.0
-        rows = [(i, l1, l2, l3, radius, 0.0) for i, l1, l2, l3, radius, _ in self._driven_fixed]
+        rows = [(i, l1, l2, l3, radius) for i, l1, l2, l3, radius, _ in self._driven_fixed]
         for i, joint, heading, sign, x, y, _, lateral, radius, driven in self._scrubbing:
             if driven and not joint.holding:
                 angle = joint.target if at_targets else angles[i]
                 c, s = math.cos(heading + sign * angle), math.sin(heading + sign * angle)
-                pushed = lateral * sign * joint.rate
-                rows.append((i, c, s, s * x - c * y - lateral, radius, pushed))
-        for i, l1, l2, l3, radius, pushed in rows:
-            gap = speeds[i] * radius + pushed - (l1 * vx + l2 * vy + l3 * wz)
+                rows.append((i, c, s, s * x - c * y - lateral, radius))
+        for i, l1, l2, l3, radius in rows:
+            gap = speeds[i] * radius - (l1 * vx + l2 * vy + l3 * wz)
             largest = max(largest, abs(gap))
             a11 += l1 * l1
             a12 += l1 * l2

@@ -59,10 +59,7 @@ class OneWheel(BaseCalculator):
             (i, w) for i, w in enumerate(geometry.wheels) if w.steered and w.driven
         )
         self._motors = DriveMotors(geometry)
-        w = self._wheel
-        self._steering = SteeringJoint(
-            w, (self._index,), w.max_acceleration * w.radius, self.options.hysteresis
-        )
+        self._steering = SteeringJoint(geometry.wheels, (self._index,), self.options.hysteresis)
 
     @classmethod
     def unsuited_reason(cls, geometry: BaseGeometry) -> str | None:

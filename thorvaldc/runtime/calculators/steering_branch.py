@@ -28,6 +28,7 @@ programming for limits of +-180 deg and independent random directions.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from math import atan2, remainder, sqrt
 
 from thorvaldc.runtime.calculators.base_geometry import WheelGeometry
@@ -40,13 +41,22 @@ HOLD_BELOW = 1e-3
 """Speed (m/s) of the steering axis below which the steering joint holds its angle."""
 RESUME_ABOVE = 2e-3
 """Speed (m/s) above which a steering joint that holds its angle follows the motion again."""
-LIMIT_TOLERANCE = 1e-4
-"""A steering angle beyond a limit by at most this angle (rad) is clamped to the limit."""
+LIMIT_TOLERANCE = 1e-9
+"""A steering angle beyond a limit by at most this angle (rad) is a rounding error.
+
+The angle is clamped to the limit.  The tolerance is larger than that of ``reachable_twists``.
+"""
 _HOLD2 = HOLD_BELOW**2
 _TOUCH = 1e-9
 """Share by which the motion of a contact point may miss the circle around the steering axis."""
 _TIE = 1e-9
 """Two costs of steering angles count as equal up to this difference (s)."""
+_PUSH_SHARE = 0.75
+"""Share of a drive's speed and acceleration that its steering joint may demand.
+
+A contact point beside the steering axis moves as the joint turns, and the drive must turn the wheel
+along.  The rest of the drive's speed and acceleration moves the robot.
+"""
 
 
 class SteeringJoint:
@@ -90,11 +100,15 @@ class SteeringJoint:
     )
 
     def __init__(
-        self, wheel: WheelGeometry, wheels: tuple[int, ...], max_accel: float, hysteresis: float
+        self, geometry: Sequence[WheelGeometry], wheels: tuple[int, ...], hysteresis: float
     ) -> None:
-        self.wheel = wheel
+        """Creates the joint at rest at the angle 0.
+
+        ``geometry``: geometry of all wheels of the robot.
+        """
+        self.wheel = wheel = geometry[wheels[0]]
         self.wheels = wheels
-        self.acceleration = max_accel
+        self.acceleration = min(geometry[i].max_acceleration * geometry[i].radius for i in wheels)
         self._hysteresis = hysteresis
         self._sign = wheel.sign
         self._has_trail = wheel.trail != 0.0
@@ -102,6 +116,11 @@ class SteeringJoint:
         self._upper = math.inf if wheel.upper is None else wheel.upper
         self._max_rate = wheel.max_rate if wheel.max_rate > 0.0 else math.inf
         self._max_rate_change = wheel.max_rate_change if wheel.max_rate_change > 0.0 else math.inf
+        for w in (geometry[i] for i in wheels):
+            if w.driven and w.lateral:
+                follows = _PUSH_SHARE * w.radius / abs(w.lateral)
+                self._max_rate = min(self._max_rate, follows * w.max_speed)
+                self._max_rate_change = min(self._max_rate_change, follows * w.max_acceleration)
         self.seconds_per_rad = 1.0 / self._max_rate
         self.reset(0.0)
 
@@ -198,7 +217,7 @@ class SteeringJoint:
         # Between free_low and free_high, the steering joint can make a quarter turn to both sides,
         # so the expected travel V is pi/4.
         free_low, free_high = lower + PI / 2.0, upper - PI / 2.0
-        best_cost, best_angle, best_direction, excess = math.inf, 0.0, 0.0, 0.0
+        best_cost, best_angle, best_direction = math.inf, 0.0, 0.0
         for direction, base in ((1.0, sign * (phi + lead)), (-1.0, sign * (phi - lead + PI))):
             # A wheel that rolls in the opposite direction must first reverse its wheel speed.
             opposite = -direction * speed
@@ -221,7 +240,7 @@ class SteeringJoint:
                     at, direction, best_angle, best_direction
                 ):
                     continue
-                best_cost, best_angle, best_direction, excess = cost, at, direction, c - at
+                best_cost, best_angle, best_direction = cost, at, direction
         if best_direction == 0.0:
             self.holding = True
             self.unreachable = True
@@ -230,9 +249,7 @@ class SteeringJoint:
         self.holding = False
         self.target = best_angle
         self._set_branch(best_direction)
-        if bend or excess:
-            v *= math.cos(lead - best_direction * sign * excess)
-        self.rolling = best_direction * v
+        self.rolling = best_direction * v * math.cos(lead)
 
     def _preferred(
         self, angle: float, direction: float, best_angle: float, best_direction: float

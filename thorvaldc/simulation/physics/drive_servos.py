@@ -13,14 +13,22 @@ away, and the wheel continues to push after a stop.  ``DriveServos`` adds two ru
 
 - Limit: the unlimited torque kp (s - q) - kv w stays between -T and T.  The set point s of a
   blocked wheel is thus never further ahead than T / kp.
-- Release: when the commanded speed becomes zero, the set point s follows the joint for
-  ``RELEASE_TIME``.  The drive servo brakes the wheel in this time, but does not push.  After this
-  time, the drive servo holds the position of the wheel.
+- Release: when the commanded speed becomes zero while a drive of the robot is above its release
+  torque, the set points s of all drives follow their joints for ``RELEASE_TIME``.  The drive servos
+  brake the wheels in this time, but do not push.  After this time, they hold the positions of the
+  wheels.
 
 A limit alone does not end the push, because a limited integrator keeps its value while the speed
 error is zero.  A drive servo cannot distinguish an obstacle from a slope: in both cases, the wheel
-stands under load.  The price of the release is that a robot rolls back on a slope after each stop,
-by 13 mm on 10 degrees, before the drive servos hold it.
+stands under load.  Only the size of the load tells them apart: at an obstacle, the torque grows
+until the drive is at its limit, or until the wheel spins.  With the weight G of the robot, the
+wheel radius r and n drives::
+
+    release torque = RELEASE_LOAD G r / n
+
+The price: on a slope of more than asin(RELEASE_LOAD), a robot rolls back by some centimetres before
+its drives hold it, and a robot that pushes against an obstacle with less than RELEASE_LOAD G
+continues to push.
 """
 
 from __future__ import annotations
@@ -29,8 +37,15 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
+from thorvaldc.model.statics.gravity import GRAVITY
+
 RELEASE_TIME = 0.3
-"""Time (s) after a stop command in which the set point of a drive follows the joint."""
+"""Time (s) after a stop command in which the set point of a loaded drive follows the joint."""
+RELEASE_LOAD = 0.3
+"""Share of the robot's weight as a driving force, above which the drives release it at a stop.
+
+The share is that of a slope of 17 degrees.
+"""
 
 
 class _Servo(NamedTuple):
@@ -41,6 +56,7 @@ class _Servo(NamedTuple):
     - ``stiffness``: kp in N m/rad.
     - ``damping``: kv in N m s/rad.
     - ``torque``: largest torque in N m.
+    - ``release``: release torque in N m.
     """
 
     actuator: int
@@ -50,6 +66,7 @@ class _Servo(NamedTuple):
     stiffness: float
     damping: float
     torque: float
+    release: float
 
 
 class ServoMemory:
@@ -57,7 +74,8 @@ class ServoMemory:
 
     - ``time``: simulated time (s) of the last call.
     - ``commands``: last commanded speed (rad/s) of each drive servo.
-    - ``stops``: time (s) of the last stop command of each drive servo.
+    - ``stops``: time (s) of the last stop command of each drive servo at which the robot was
+      under a large load.
     """
 
     def __init__(self, servos: int, time: float) -> None:
@@ -81,17 +99,31 @@ class DriveServos:
 
     def __init__(self, model: Any, data: Any, actuators: Iterable[int] | None = None) -> None:
         self._data = data
+        indices = [
+            int(i)
+            for i in (range(model.nu) if actuators is None else actuators)
+            if model.actuator_actadr[i] >= 0 and model.actuator_biasprm[i, 1] < 0.0
+        ]
+        bodies = [int(model.jnt_bodyid[model.actuator_trnid[i, 0]]) for i in indices]
+        roots = [int(model.body_rootid[body]) for body in bodies]
         self._servos = []
-        for i in range(model.nu) if actuators is None else actuators:
-            activation = int(model.actuator_actadr[i])
-            _, stiffness, damping = (-v for v in model.actuator_biasprm[i, :3].tolist())
-            if activation < 0 or stiffness <= 0.0:
-                continue
+        # Indices of the drives of the same robot, for each drive.
+        self._robots = [[k for k, other in enumerate(roots) if other == root] for root in roots]
+        for i, body, root in zip(indices, bodies, roots, strict=True):
             joint = int(model.actuator_trnid[i, 0])
-            position, speed = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-            torque = float(model.actuator_forcerange[i, 1])
+            _, stiffness, damping = (-v for v in model.actuator_biasprm[i, :3].tolist())
+            weight = float(model.body_subtreemass[root]) * GRAVITY
             self._servos.append(
-                _Servo(int(i), activation, position, speed, stiffness, damping, torque)
+                _Servo(
+                    i,
+                    int(model.actuator_actadr[i]),
+                    int(model.jnt_qposadr[joint]),
+                    int(model.jnt_dofadr[joint]),
+                    stiffness,
+                    damping,
+                    float(model.actuator_forcerange[i, 1]),
+                    RELEASE_LOAD * weight * _radius(model, body) / roots.count(root),
+                )
             )
         # Views of the MuJoCo arrays.  Creating a view takes several times as long as reading it.
         self._act, self._ctrl, self._qpos, self._qvel = data.act, data.ctrl, data.qpos, data.qvel
@@ -135,18 +167,20 @@ class DriveServos:
         memory.time = now
         commands, stops = memory.commands, memory.stops
         changed = False
-        for i, (actuator, activation, position, speed, kp, kv, limit) in enumerate(self._servos):
+        for i, servo in enumerate(self._servos):
+            actuator, activation, position, speed, kp, kv, limit, release = servo
             command = ctrl[actuator]
+            damping = kv * qvel[speed]
+            torque = kp * (act[activation] - qpos[position]) - damping
             if command != commands[i]:
-                if command == 0.0:
-                    stops[i] = now
+                if command == 0.0 and not -release < torque < release:
+                    for k in self._robots[i]:
+                        stops[k] = now
                 commands[i] = command
             if command == 0.0 and now < stops[i] + RELEASE_TIME:
                 act[activation] = qpos[position]
                 changed = True
                 continue
-            damping = kv * qvel[speed]
-            torque = kp * (act[activation] - qpos[position]) - damping
             if torque > limit:
                 act[activation] = qpos[position] + (limit + damping) / kp
                 changed = True
@@ -154,3 +188,11 @@ class DriveServos:
                 act[activation] = qpos[position] + (damping - limit) / kp
                 changed = True
         return changed
+
+
+def _radius(model: Any, body: int) -> float:
+    """Returns the radius (m) of a wheel: the largest extent of its colliding geoms."""
+    first = int(model.body_geomadr[body])
+    geoms = range(first, first + int(model.body_geomnum[body]))
+    colliding = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
+    return max((float(model.geom_size[g].max()) for g in colliding), default=0.0)

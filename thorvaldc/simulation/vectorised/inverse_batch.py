@@ -51,7 +51,7 @@ def tabulate_branch(wheel: WheelGeometry, hysteresis: float) -> BranchTable:
     """
 
     def half_turns(direction: float) -> int | None:
-        joint = SteeringJoint(wheel, (0,), math.inf, hysteresis)
+        joint = SteeringJoint((wheel,), (0,), hysteresis)
         joint.choose(math.cos(direction), math.sin(direction), 0.0, joint.angle, 0.0)
         if joint.unreachable:
             return None
@@ -211,19 +211,13 @@ class InverseBatch:
         if wheel.sign != 1.0:
             angle *= wheel.sign
         angle += turns
-        excess_angle = None
-        if angle.min() < joint.lower or angle.max() > joint.upper:
-            excess_angle = angle.copy()
-            np.clip(angle, joint.lower, joint.upper, out=angle)
-            excess_angle -= angle
+        np.clip(angle, joint.lower, joint.upper, out=angle)
         standing = unreachable
         if v.min() < RESUME_ABOVE:
             standing = v < RESUME_ABOVE
             if unreachable is not None:
                 unreachable &= ~standing
                 standing |= unreachable
-        if excess_angle is not None:
-            v *= np.cos(excess_angle)
         v *= signs
         if standing is not None:
             v[standing] = 0.0
