@@ -7,7 +7,7 @@ from pathlib import Path
 
 from thorvaldc.compiler.library import data_folder
 
-_NAME = re.compile(r"[a-z][a-z0-9_]*")
+_NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 
 
 def is_robot_name(name: str) -> bool:

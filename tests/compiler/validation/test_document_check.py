@@ -115,8 +115,8 @@ def only_diagnostic(text: str, kind: Kind = "robot") -> Diagnostic:
             "bad-id",
             "4:3",
             "`Front Left` is not a valid name",
-            "a name has lower-case letters, digits and `_`, and begins with a letter, "
-            "as in `front_left`",
+            "a name has lower-case letters, digits and `_`, begins with a letter, and has at most "
+            "64 characters, as in `front_left`",
         ),
         (
             ROBOT.replace("{type: x}", "{type: x, mount: a-b.c}"),

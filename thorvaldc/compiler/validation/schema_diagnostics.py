@@ -21,7 +21,10 @@ _TYPE_WORDS = {
 }
 _AUTO = ("^auto", "^(auto")
 _EXPRESSION = "^\\$\\{.*\\}$"
-_ID_HINT = "a name has lower-case letters, digits and `_`, and begins with a letter"
+_ID_HINT = (
+    "a name has lower-case letters, digits and `_`, begins with a letter, and has at most 64"
+    " characters"
+)
 
 
 def explain(error: Any, root: Node, kind: Kind, reported: set[Span], report: Report) -> None:
@@ -219,7 +222,7 @@ class _Explanation:
     def bad_name(self, name: str) -> None:
         entry = self._entries().get(name)
         fixed = re.sub(r"[^a-z0-9_]+", "_", name.lower()).strip("_")
-        is_valid = re.fullmatch(r"[a-z][a-z0-9_]*", fixed)
+        is_valid = re.fullmatch(r"[a-z][a-z0-9_]{0,63}", fixed)
         self.add(
             "bad-id",
             f"`{name}` is not a valid name",
