@@ -31,8 +31,8 @@ from thorvaldc.simulation.vectorised.calculator_batch import CalculatorBatch
 from thorvaldc.simulation.vectorised.odometry_batch import OdometryBatch
 
 RUNS = 200
-STRIDE = 5
-"""The study uses every fifth tick of the drive: ten joint states per second."""
+STRIDE = 2
+"""The study uses every second tick of the drive: 25 joint states per second."""
 LASTING = 2.0
 """Time constant (s) of errors that last some seconds."""
 BIASED = "wrong radii and zeros"

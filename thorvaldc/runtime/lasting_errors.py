@@ -40,7 +40,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import combinations_with_replacement
+from itertools import combinations
 
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointStates
@@ -74,8 +74,10 @@ class LastingErrors:
     def _forget(self) -> None:
         self._share = ZERO_COV
         self._sensitivities: list[Row3] = []  # S of each error
-        self._areas = _Areas()
         self._blocks = 0
+        self._areas: list[tuple[float, float]] = []  # A, as in _with_areas
+        self._areas_end: list[Row3] = []  # S at the last change of A
+        self._second_order = ZERO_COV  # E[q q']
         self._cross: Cov3 = ZERO_COV  # D
         self._correlated = ZERO_COV  # R
 
@@ -156,10 +158,12 @@ class LastingErrors:
             c23 += sy * sw
             c33 += sw * sw
         total = ((c11, c12, c13), (c12, c22, c23), (c13, c23, c33))
-        blocks, areas = self._blocks + 1, self._areas
+        areas, areas_end, second_order = self._areas, self._areas_end, self._second_order
+        blocks = self._blocks + 1
         if blocks % _BLOCKS_PER_AREA == 0:
-            areas = areas.grown(sensitivities)
-        total = se2.combine(total, areas.covariance)
+            areas, second_order = _with_areas(areas, areas_end, sensitivities)
+            areas_end = sensitivities
+        total = se2.combine(total, second_order)
         cross, correlated = self._cross, self._correlated
         if tau:
             adjoint = ((c, -s, y), (s, c, -x), (0.0, 0.0, elapsed))
@@ -173,59 +177,50 @@ class LastingErrors:
         if not math.isfinite(grown[0][0] + grown[1][1] + grown[2][2]):
             raise NotFiniteError("the joint states are out of all bounds")
         self._sensitivities, self._share = sensitivities, share
-        self._areas, self._blocks = areas, blocks
+        self._areas, self._areas_end, self._second_order = areas, areas_end, second_order
+        self._blocks = blocks
         self._cross, self._correlated = cross, correlated
         return grown
 
 
-class _Areas:
-    """Areas A between the yaw part and the position part of the sensitivities.
+def _with_areas(
+    areas: Sequence[tuple[float, float]], start: Sequence[Row3], end: Sequence[Row3]
+) -> tuple[list[tuple[float, float]], Cov3]:
+    """Returns the areas A after a change of the sensitivities, and the covariance E[q q'].
 
-    - ``covariance``: covariance E[q q'] of the second-order pose error.
+    - ``areas``: x and y part of A_ij before the change: first of i = j, then of i < j.  Empty at
+      the start of a drive.
+    - ``start``, ``end``: sensitivities before and after the change.
+
+    A change from S to T adds 1/4 (S_i^w T_j + S_j^w T_i - T_i^w S_j - T_j^w S_i) to A_ij.
     """
-
-    def __init__(
-        self, sensitivities: Sequence[Row3] = (), areas: Sequence[tuple[float, float]] = ()
-    ) -> None:
-        self._sensitivities = sensitivities
-        self._areas = areas
-        trace_x = trace_y = xx = xy = yy = 0.0
-        pairs = combinations_with_replacement(range(len(sensitivities)), 2)
-        for (i, j), (x, y) in zip(pairs, areas, strict=bool(areas)):
-            if i == j:
-                trace_x += x
-                trace_y += y
-            else:  # the symmetric matrix contains this element twice
-                xx += x * x
-                xy += x * y
-                yy += y * y
-            xx += x * x
-            xy += x * y
-            yy += y * y
-        # The rotation by 90 deg exchanges x and y.
-        q11, q22 = trace_y * trace_y + 2.0 * yy, trace_x * trace_x + 2.0 * xx
-        q12 = -trace_x * trace_y - 2.0 * xy
-        self.covariance: Cov3 = ((q11, q12, 0.0), (q12, q22, 0.0), (0.0, 0.0, 0.0))
-
-    def grown(self, end: Sequence[Row3]) -> _Areas:
-        """Returns the areas after the sensitivities have changed to ``end``.
-
-        A change from S to T adds 1/4 (S_i^w T_j + S_j^w T_i - T_i^w S_j - T_j^w S_i) to A_ij.
-        """
-        start = self._sensitivities or [(0.0, 0.0, 0.0)] * len(end)
-        areas: list[tuple[float, float]] = []
-        rows = combinations_with_replacement(zip(start, end, strict=True), 2)
-        old = self._areas or [(0.0, 0.0)] * (len(end) * (len(end) + 1) // 2)
-        for (((ax, ay, aw), (bx, by, bw)), ((cx, cy, cw), (dx, dy, dw))), (x, y) in zip(
-            rows, old, strict=True
-        ):
-            areas.append(
-                (
-                    x + 0.25 * (aw * dx + cw * bx - bw * cx - dw * ax),
-                    y + 0.25 * (aw * dy + cw * by - bw * cy - dw * ay),
-                )
-            )
-        return _Areas(end, areas)
+    n = len(end)
+    areas = areas or [(0.0, 0.0)] * (n * (n + 1) // 2)
+    changes = list(zip(start or [(0.0, 0.0, 0.0)] * n, end, strict=True))
+    new: list[tuple[float, float]] = []
+    trace_x = trace_y = xx = xy = yy = 0.0
+    for ((ax, ay, aw), (bx, by, bw)), (x, y) in zip(changes, areas[:n], strict=True):
+        x += 0.5 * (aw * bx - bw * ax)
+        y += 0.5 * (aw * by - bw * ay)
+        new.append((x, y))
+        trace_x += x
+        trace_y += y
+        xx += 0.5 * x * x
+        xy += 0.5 * x * y
+        yy += 0.5 * y * y
+    for (((ax, ay, aw), (bx, by, bw)), ((cx, cy, cw), (dx, dy, dw))), (x, y) in zip(
+        combinations(changes, 2), areas[n:], strict=True
+    ):
+        x += 0.25 * (aw * dx + cw * bx - bw * cx - dw * ax)
+        y += 0.25 * (aw * dy + cw * by - bw * cy - dw * ay)
+        new.append((x, y))
+        xx += x * x
+        xy += x * y
+        yy += y * y
+    # A is symmetric, so that tr(A A') is twice the sums.  The rotation by 90 deg exchanges x and y.
+    q11, q22 = trace_y * trace_y + 4.0 * yy, trace_x * trace_x + 4.0 * xx
+    q12 = -trace_x * trace_y - 4.0 * xy
+    return new, ((q11, q12, 0.0), (q12, q22, 0.0), (0.0, 0.0, 0.0))
 
 
 def _correlated(cross: Cov3, adjoint: Cov3, q: Cov3, ratio: float) -> tuple[Cov3, Cov3]:

@@ -289,32 +289,33 @@ class TwistEstimator:
         prior = (0.0, 0.0) if estimate.rank == 3 else self.prior
         fit = fit_twist(measurements, vx, vy, wz, self.squares, prior, states.yaw_rate)
         _, _, _, p11, p12, p13, p22, p23, p33, weighted = fit
-        errors: list[Row3] = []
-        scale = [0.0, 0.0, 0.0]
-
-        def add(g1: float, g2: float, g3: float) -> None:
-            """Adds the error P g of the twist about the centroid, converted to ``base_link``."""
-            ew = p13 * g1 + p23 * g2 + p33 * g3
-            ex = p11 * g1 + p12 * g2 + p13 * g3 + ym * ew
-            errors.append((ex, p12 * g1 + p22 * g2 + p23 * g3 - xm * ew, ew))
-
+        gradients: list[Row3] = []  # H' W m of each error
+        s1 = s2 = s3 = 0.0
         for wheel, (flags, c, s, x, y, _, _, v_l, v_t) in zip(self.wheels, weighted, strict=True):
             turn = s * x - c * y
             roll = c * vx + s * vy + turn * wz
             if wheel.flags & USE_ROLL and (radius_error or scale_error):
                 k = roll / v_l if flags else 0.0
+                s1, s2, s3 = s1 + k * c, s2 + k * s, s3 + k * turn
                 if radius_error:
-                    r = radius_error * k
-                    add(r * c, r * s, r * turn)
-                scale[0] += k * c
-                scale[1] += k * s
-                scale[2] += k * turn
+                    k *= radius_error
+                    gradients.append((k * c, k * s, k * turn))
             if wheel.flags & USE_SIDE and offset:
                 k = offset * roll / v_t if flags else 0.0
-                add(-k * s, k * c, k * (c * x + s * y))
+                gradients.append((-k * s, k * c, k * (c * x + s * y)))
         if scale_error:
-            add(*(scale_error * g for g in scale))
-        return errors
+            gradients.append((scale_error * s1, scale_error * s2, scale_error * s3))
+        # The error P g of the twist about the centroid is converted to base_link, as in _result.
+        r11, r12, r13 = p11 + ym * p13, p12 + ym * p23, p13 + ym * p33
+        r21, r22, r23 = p12 - xm * p13, p22 - xm * p23, p23 - xm * p33
+        return [
+            (
+                r11 * g1 + r12 * g2 + r13 * g3,
+                r21 * g1 + r22 * g2 + r23 * g3,
+                p13 * g1 + p23 * g2 + p33 * g3,
+            )
+            for g1, g2, g3 in gradients
+        ]
 
     def slips(self, states: JointStates, twist: Twist) -> tuple[tuple[float, float], ...]:
         """Returns the slip velocity of each wheel's contact over the ground, for a given twist.
