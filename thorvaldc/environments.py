@@ -33,6 +33,7 @@ def make(
     *,
     scenario: str | Path | None = None,
     library: Sequence[str | Path] = (),
+    trust: bool = False,
     **options: Any,
 ) -> RobotEnv:
     """Creates the Gymnasium environment of a robot, fleet or scenario file.
@@ -45,12 +46,15 @@ def make(
     file : path of a robot, fleet or scenario file.
     scenario : path of a scenario file.  The robots of ``file`` replace the robots of the scenario.
     library : additional library folders with module types.
+    trust : whether xacro files are expanded without restrictions, as trusted programs.
     options : keyword arguments of ``RobotEnv``.
     """
     from thorvaldc.simulation.gym.robot_env import RobotEnv
 
     folders = [Path(folder) for folder in library]
-    compilation = compile_file(scenario or file, library=folders, robot=file if scenario else None)
+    compilation = compile_file(
+        scenario or file, library=folders, robot=file if scenario else None, trust=trust
+    )
     if compilation.model is None:
         errors = "\n".join(
             f"{d.span}: {d.code.severity}[{d.code.number}]: {d.message}"

@@ -86,13 +86,18 @@ class BusAccess:
 
 
 def with_bus(
-    file: str, spec: str, store: str, library: Sequence[str], work: Callable[[BusAccess], int]
+    file: str,
+    spec: str,
+    store: str,
+    library: Sequence[str],
+    trust: bool,
+    work: Callable[[BusAccess], int],
 ) -> int:
     """Loads the robot, opens the CAN bus, calls ``work`` and returns the exit status of ``work``.
 
     If ``work`` raises a ``DiagnosticError``, the method prints the diagnostic.
     """
-    loaded = load_robot(file, library)
+    loaded = load_robot(file, library, trust)
     if loaded is None:
         return INPUT
     gc.enable()

@@ -42,6 +42,12 @@ Library = Annotated[
     list[str],
     typer.Option("--library", metavar="DIR", help="A folder with your modules; may be repeated."),
 ]
+Trust = Annotated[
+    bool,
+    typer.Option(
+        "--trust", help="Run xacro files without restrictions, as programs that you trust."
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Parameters = Annotated[
     str, typer.Option("--parameters", metavar="SET", help="A parameter set of the robot file.")

@@ -33,9 +33,10 @@ class LoadedRobot(NamedTuple):
         return show_report(self.locate(report), self.sources)
 
 
-def load_robot(file: str, library: Sequence[str]) -> LoadedRobot | None:
+def load_robot(file: str, library: Sequence[str], trust: bool) -> LoadedRobot | None:
     """Returns the robot model from a robot.yaml or model.json.
 
+    ``trust`` is whether xacro files of a robot.yaml are expanded without restrictions.
     If the robot file has errors, the function prints the errors and returns ``None``. Raises
     ``typer.BadParameter`` if the file contains a fleet or anything else but a robot. Raises
     ``OutsideError`` for a robot.yaml if the compiler is not installed.
@@ -51,7 +52,7 @@ def load_robot(file: str, library: Sequence[str]) -> LoadedRobot | None:
     # the compiler.
     from thorvaldc.cli.compiling import compile_and_show
 
-    compilation = compile_and_show(file, library)
+    compilation = compile_and_show(file, library, trust=trust)
     if compilation.model is None:
         return None
     if not isinstance(compilation.model, Robot):

@@ -127,6 +127,7 @@ def run_batch(
     robot: str | None,
     library: Sequence[str],
     *,
+    trust: bool,
     jobs: str,
     output: str,
     json: bool,
@@ -142,7 +143,7 @@ def run_batch(
     path = Path(output)
     if output and path.suffix.lower() not in SUFFIXES:
         raise typer.BadParameter(f"{output!r} does not end in .csv or .json", param_hint="'-o'")
-    batch = Batch(scenario, variations, robot=robot, library=library_folders(library))
+    batch = Batch(scenario, variations, robot=robot, library=library_folders(library), trust=trust)
     failed_compilation = batch.check()
     if failed_compilation is not None:
         return show_report(failed_compilation.report, failed_compilation.sources)

@@ -52,6 +52,7 @@ def compile_file(
     library: Sequence[Path] = (),
     robot: Path | str | None = None,
     changes: Sequence[Change] = (),
+    trust: bool = False,
 ) -> Compilation:
     """Compiles a robot, fleet or scenario file.
 
@@ -65,28 +66,31 @@ def compile_file(
     robot : path of a robot or fleet file.  The robots of the file replace the robots of a
         scenario.
     changes : new values for entries of a scenario document.
+    trust : whether xacro files are expanded without restrictions, as programs that the caller
+        trusts.  A robot file cannot state this.
     """
     path = Path(path)
     source = SourceFile(path, path.name or str(path), path.parent)
+    compile_one = partial(_compile, library=library, trust=trust)
     if source.kind == "scenario":
         # The module ``scenario_compilation`` is imported only for scenario files.
         from thorvaldc.compiler.scenario_compilation import compile_scenario
 
-        return compile_scenario(source, partial(_compile, library=library), robot, changes)
-    return _compile(source, library)
+        return compile_scenario(source, compile_one, robot, changes)
+    return compile_one(source)
 
 
-def _compile(source: SourceFile, library: Sequence[Path]) -> Compilation:
+def _compile(source: SourceFile, library: Sequence[Path], trust: bool) -> Compilation:
     """Compiles a robot or fleet file."""
     if source.kind == "fleet":
         # The module ``fleet_compilation`` is imported only for fleet files.
         from thorvaldc.compiler.fleet_compilation import compile_fleet
 
-        return compile_fleet(source, partial(_compile, library=library))
-    return compile_robot(source, library)
+        return compile_fleet(source, partial(_compile, library=library, trust=trust))
+    return compile_robot(source, library, trust)
 
 
-def compile_robot(source: SourceFile, library: Sequence[Path]) -> Compilation:
+def compile_robot(source: SourceFile, library: Sequence[Path], trust: bool = False) -> Compilation:
     """Runs the stages of the compiler, except ``emit``, for one robot file.
 
     Each stage of the compiler uses the valid part of the document, so that one run reports the
@@ -109,6 +113,7 @@ def compile_robot(source: SourceFile, library: Sequence[Path]) -> Compilation:
             sorted(_module_names(source.document) - _module_names(document)),
             modules_are_valid=_modules_are_valid(source),
             lock=lock,
+            trust=trust,
         )
         compilation.files.update(modules.files)
         design = read_design(document, report)

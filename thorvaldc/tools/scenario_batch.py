@@ -9,7 +9,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -104,10 +104,18 @@ class Batch:
         *,
         robot: Path | str | None = None,
         library: Sequence[Path] = (),
+        trust: bool = False,
     ) -> None:
         self.variations = variations
         self._jobs = [
-            _Job(number, str(scenario), changes, None if robot is None else str(robot), library)
+            _Job(
+                number,
+                str(scenario),
+                changes,
+                None if robot is None else str(robot),
+                library,
+                trust,
+            )
             for number, changes in enumerate(variations.runs(), 1)
         ]
 
@@ -164,13 +172,18 @@ class _Job:
     changes: tuple[Change, ...]
     robot: str | None
     library: Sequence[Path]
+    trust: bool
 
     def with_changes(self, changes: tuple[Change, ...]) -> _Job:
-        return _Job(self.number, self.scenario, changes, self.robot, self.library)
+        return replace(self, changes=changes)
 
     def compile(self) -> Compilation:
         return compile_file(
-            self.scenario, library=self.library, robot=self.robot, changes=self.changes
+            self.scenario,
+            library=self.library,
+            robot=self.robot,
+            changes=self.changes,
+            trust=self.trust,
         )
 
     def __call__(self) -> Run:

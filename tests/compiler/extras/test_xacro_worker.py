@@ -60,30 +60,6 @@ def test_a_file_that_hangs_is_stopped_and_the_next_is_read(
     assert [link.name for link in loaded.parts.links] == ["b"]
 
 
-# xacro forbids names with underscores, but not inside a lambda.
-OS = (
-    "(lambda: [c for c in ().__class__.__base__.__subclasses__() "
-    "if c.__name__ == '_wrap_close'][0].__init__.__globals__)()"
-)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="write limits require Linux")
-def test_a_file_that_escapes_finds_no_environment_and_cannot_write(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("SECRET_TOKEN", "squeamish")
-    out = tmp_path / "out.txt"
-    loaded = load_one(
-        tmp_path, f"<link name=\"${{{OS}['environ'].get('SECRET_TOKEN', 'none')}}\"/>"
-    )
-    assert [link.name for link in loaded.parts.links] == ["none"]
-    opened = f"{OS}['open']('{out}', 65)"  # O_WRONLY | O_CREAT
-    loaded = load_one(tmp_path, f"<link name=\"${{{OS}['write']({opened}, str(1).encode())}}\"/>")
-    assert loaded.codes == ["extra-expansion"]
-    assert "too large" in loaded.only.message
-    assert out.read_bytes() == b""
-
-
 def test_output_of_a_file_does_not_mix_with_the_answers(tmp_path: Path) -> None:
     body = "<link name='a${xacro.message(1)}'/>"
     body += "\n<xacro:property name='x' value='${xacro.warning(2)}'/>"

@@ -13,6 +13,7 @@ from thorvaldc.cli.options import (
     ScenarioFile,
     ScenarioRobot,
     Settings,
+    Trust,
     Variations,
 )
 from thorvaldc.cli.scenario_runs import plan_runs, run_batch
@@ -29,8 +30,11 @@ def batch(
     output: BatchOutput = "",
     json: Json = False,
     library: Library = [],  # noqa: B006
+    trust: Trust = False,
 ) -> int:
     planned = plan_runs(file, settings, draws, seed, from_document=variations or not settings)
     if planned is None:
         return INPUT
-    return run_batch(file, planned, robot or None, library, jobs=jobs, output=output, json=json)
+    return run_batch(
+        file, planned, robot or None, library, trust=trust, jobs=jobs, output=output, json=json
+    )

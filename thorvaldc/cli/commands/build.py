@@ -14,7 +14,7 @@ import typer
 from thorvaldc import __version__, backends
 from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
 from thorvaldc.cli.exits import OutsideError
-from thorvaldc.cli.options import Format, Library, ModelFiles, library_folders
+from thorvaldc.cli.options import Format, Library, ModelFiles, Trust, library_folders
 from thorvaldc.compiler.compilation import Compilation
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.compiler.writer import WriteError, write_build, write_locks
@@ -46,6 +46,7 @@ def build(
     ] = "",
     format: Format = "text",
     library: Library = [],  # noqa: B006
+    trust: Trust = False,
 ) -> int:
     check_format(format)
     targets = _parse_targets(target)
@@ -54,7 +55,7 @@ def build(
     builds: list[dict[str, Any]] = []
     file_by_folder: dict[str, str] = {}
     for file in files:
-        compilation = compile_file(file, library=folders)
+        compilation = compile_file(file, library=folders, trust=trust)
         contents = _emit(compilation, targets)
         pinned_locks = []
         if compilation.locks and not compilation.report.has_errors:

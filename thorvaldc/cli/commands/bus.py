@@ -21,6 +21,7 @@ from thorvaldc.cli.options import (
     RobotFile,
     Seed,
     Store,
+    Trust,
     check_physics,
     parse_seed,
 )
@@ -69,10 +70,11 @@ def bus(
     ] = False,
     json: Json = False,
     library: Library = [],  # noqa: B006
+    trust: Trust = False,
 ) -> int:
     check_physics(physics)
     number = parse_seed(seed)
-    loaded = load_robot(file, library)
+    loaded = load_robot(file, library, trust)
     if loaded is None:
         return INPUT
     robot = loaded.robot

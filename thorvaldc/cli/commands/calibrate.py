@@ -10,7 +10,7 @@ import typer
 from thorvaldc.cli.compiling import compile_and_show
 from thorvaldc.cli.diagnostic_output import message, print_json, report_of, show_report
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
-from thorvaldc.cli.options import Json, Library, Parameters
+from thorvaldc.cli.options import Json, Library, Parameters, Trust
 from thorvaldc.compiler.source.units import UnitError, parse_quantity
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
@@ -42,9 +42,10 @@ def calibrate(
     parameters: Parameters = "",
     json: Json = False,
     library: Library = [],  # noqa: B006
+    trust: Trust = False,
 ) -> int:
     metres = _parse_distance(distance) if distance else None
-    compilation = compile_and_show(robot, library)
+    compilation = compile_and_show(robot, library, trust=trust)
     model = compilation.model
     if model is None:
         return INPUT

@@ -12,7 +12,15 @@ from thorvaldc.cli.bus_access import BusAccess, with_bus
 from thorvaldc.cli.console_operator import agrees
 from thorvaldc.cli.diagnostic_output import count, message, print_json
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
-from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store, refuse_options
+from thorvaldc.cli.options import (
+    BusInterface,
+    Json,
+    Library,
+    RobotFile,
+    Store,
+    Trust,
+    refuse_options,
+)
 from thorvaldc.commissioning.commissioning_text import plan_as_json, plan_table
 from thorvaldc.commissioning.flash import Flash
 from thorvaldc.commissioning.journal import Journal, JournalFile
@@ -49,6 +57,7 @@ def flash(
     store: Store = "",
     json: Json = False,
     library: Library = [],  # noqa: B006
+    trust: Trust = False,
 ) -> int:
     modes = {"--apply": apply, "--resume": resume, "--rollback": rollback}
     selected = [option for option, is_set in modes.items() if is_set]
@@ -68,7 +77,7 @@ def flash(
         path = Path(journal or _default_journal(file, access))
         return _write(access, selected[0], path, plan, yes, json)
 
-    return with_bus(file, bus, store, library, work)
+    return with_bus(file, bus, store, library, trust, work)
 
 
 def _dry_run(access: BusAccess, json: bool) -> int:

@@ -15,7 +15,7 @@ from thorvaldc.can.interface import CanInterface
 from thorvaldc.can.open_interface import open_interface
 from thorvaldc.cli.diagnostic_output import print_json, report_of
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
-from thorvaldc.cli.options import Library, RobotFile, parse_duration, select_bus
+from thorvaldc.cli.options import Library, RobotFile, Trust, parse_duration, select_bus
 from thorvaldc.cli.robot_file import load_robot
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
@@ -57,13 +57,14 @@ def monitor(
         bool, typer.Option("--json", help="Print a line of JSON for each interval.")
     ] = False,
     library: Library = [],  # noqa: B006
+    trust: Trust = False,
 ) -> int:
     live = sys.stdout.isatty() and not json
     seconds = parse_duration(duration, "--duration", SHORTEST) if duration else math.inf
     period = LIVE_INTERVAL if live else INTERVAL
     if interval:
         period = parse_duration(interval, "--interval", SHORTEST)
-    loaded = load_robot(file, library)
+    loaded = load_robot(file, library, trust)
     if loaded is None:
         return INPUT
     try:

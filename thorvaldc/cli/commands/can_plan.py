@@ -5,7 +5,7 @@ from __future__ import annotations
 from thorvaldc.cli.bus_access import BusAccess, with_bus
 from thorvaldc.cli.diagnostic_output import print_json
 from thorvaldc.cli.exits import DONE, INPUT
-from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store
+from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store, Trust
 from thorvaldc.commissioning.commissioning_text import plan_as_json, plan_table
 
 
@@ -15,6 +15,7 @@ def plan(
     store: Store = "",
     json: Json = False,
     library: Library = [],  # noqa: B006
+    trust: Trust = False,
 ) -> int:
     def work(access: BusAccess) -> int:
         plan = access.make_plan()
@@ -24,4 +25,4 @@ def plan(
             print(plan_table(plan))
         return INPUT if plan.problems or plan.strangers else DONE
 
-    return with_bus(file, bus, store, library, work)
+    return with_bus(file, bus, store, library, trust, work)

@@ -10,7 +10,7 @@ import typer
 from thorvaldc.cli.bus_access import BusAccess, with_bus
 from thorvaldc.cli.diagnostic_output import message, print_json
 from thorvaldc.cli.exits import DONE, INPUT
-from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store
+from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store, Trust
 from thorvaldc.commissioning.commissioning_text import scan_notes, scan_table
 
 
@@ -23,6 +23,7 @@ def scan(
     store: Store = "",
     json: Json = False,
     library: Library = [],  # noqa: B006
+    trust: Trust = False,
 ) -> int:
     def work(access: BusAccess) -> int:
         scanner = access.scanner()
@@ -37,4 +38,4 @@ def scan(
         differs = any(entry.verdict != "ok" for entry in scan.entries)
         return INPUT if differs or scan.duplicates else DONE
 
-    return with_bus(file, bus, store, library, work)
+    return with_bus(file, bus, store, library, trust, work)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from thorvaldc.cli.bus_access import BusAccess, with_bus
 from thorvaldc.cli.diagnostic_output import count, message, print_json
 from thorvaldc.cli.exits import DONE, INPUT
-from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store
+from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store, Trust
 from thorvaldc.commissioning.commissioning_text import verification_table
 from thorvaldc.commissioning.verify import verify as verify_bus
 
@@ -17,6 +17,7 @@ def verify(
     store: Store = "",
     json: Json = False,
     library: Library = [],  # noqa: B006
+    trust: Trust = False,
 ) -> int:
     def work(access: BusAccess) -> int:
         verification = verify_bus(
@@ -34,4 +35,4 @@ def verify(
             print(f"{access.configuration.robot}: {count(differences, 'difference')}")
         return DONE if verification.passed else INPUT
 
-    return with_bus(file, bus, store, library, work)
+    return with_bus(file, bus, store, library, trust, work)

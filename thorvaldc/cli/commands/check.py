@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
-from thorvaldc.cli.options import Format, Library, ModelFiles, Strict, library_folders
+from thorvaldc.cli.options import Format, Library, ModelFiles, Strict, Trust, library_folders
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Fleet, Robot
 
@@ -15,12 +15,13 @@ def check(
     format: Format = "text",
     strict: Strict = False,
     library: Library = [],  # noqa: B006
+    trust: Trust = False,
 ) -> int:
     check_format(format)
     folders = library_folders(library)
     output = DiagnosticOutput(format, sys.stdout)
     for file in files:
-        compilation = compile_file(file, library=folders)
+        compilation = compile_file(file, library=folders, trust=trust)
         output.add(compilation.report, compilation.sources)
         if compilation.model is not None:
             output.result(f"{file}: {compilation.model.name}, {_summary(compilation.model)}")

@@ -16,6 +16,7 @@ from thorvaldc.cli.options import (
     Parameters,
     RobotFile,
     Seed,
+    Trust,
     parse_count,
     parse_seed,
 )
@@ -39,10 +40,11 @@ def faults(
     jobs: Jobs = "",
     json: Json = False,
     library: Library = [],  # noqa: B006
+    trust: Trust = False,
 ) -> int:
     processes = parse_count(jobs, "--jobs", 1) or processors()
     number = parse_seed(seed) or 0
-    loaded = load_robot(file, library)
+    loaded = load_robot(file, library, trust)
     if loaded is None:
         return INPUT
     gc.enable()

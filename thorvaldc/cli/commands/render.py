@@ -10,7 +10,14 @@ import typer
 from thorvaldc.cli.compiling import compile_and_show
 from thorvaldc.cli.diagnostic_output import show_report
 from thorvaldc.cli.exits import INPUT
-from thorvaldc.cli.options import Library, ModelFile, parse_record_time, parsed, refuse_options
+from thorvaldc.cli.options import (
+    Library,
+    ModelFile,
+    Trust,
+    parse_record_time,
+    parsed,
+    refuse_options,
+)
 from thorvaldc.cli.replays import arrangement
 from thorvaldc.cli.run_pictures import check_output, picture_errors
 from thorvaldc.compiler.pipeline import emit
@@ -52,6 +59,7 @@ def render(
         ),
     ] = "",
     library: Library = [],  # noqa: B006
+    trust: Trust = False,
 ) -> int:
     with picture_errors():  # before MuJoCo is imported
         check_pillow()
@@ -63,7 +71,7 @@ def render(
     time = parsed(at, parse_record_time, "--at")
     if output:
         check_output(output, ["png"], "--output")
-    compilation = compile_and_show(file, library)
+    compilation = compile_and_show(file, library, trust=trust)
     model = compilation.model
     if model is None:
         return INPUT

@@ -11,7 +11,7 @@ import typer
 
 from thorvaldc.cli.compiling import compile_and_show
 from thorvaldc.cli.exits import INPUT
-from thorvaldc.cli.options import Json, Library, Plot, ScenarioRobot, Video
+from thorvaldc.cli.options import Json, Library, Plot, ScenarioRobot, Trust, Video
 from thorvaldc.cli.replays import replay_run
 from thorvaldc.cli.run_pictures import RunPictures
 
@@ -32,9 +32,10 @@ def replay(
     video: Video = "",
     json: Json = False,
     library: Library = [],  # noqa: B006
+    trust: Trust = False,
 ) -> int:
     pictures = RunPictures(plot, video)
-    compilation = compile_and_show(file, library, robot or None)
+    compilation = compile_and_show(file, library, robot or None, trust=trust)
     if compilation.model is None:
         return INPUT
     return replay_run(compilation, compilation.model, source, pictures, record, json)

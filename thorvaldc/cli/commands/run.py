@@ -22,6 +22,7 @@ from thorvaldc.cli.options import (
     Physics,
     RobotFile,
     Seed,
+    Trust,
     check_physics,
     parse_duration,
     parse_seed,
@@ -75,6 +76,7 @@ def run(
     ] = "",
     json: Json = False,
     library: Library = [],  # noqa: B006
+    trust: Trust = False,
 ) -> int:
     seconds = parse_duration(duration, "--duration") if duration else math.inf
     check_physics(physics)
@@ -87,7 +89,7 @@ def run(
         raise typer.BadParameter("needs a --duration", param_hint="'--fast'")
     if fast:
         refuse_options({"--name": name}, "a run with --fast has no control channel")
-    loaded = load_robot(file, library)
+    loaded = load_robot(file, library, trust)
     if loaded is None:
         return INPUT
     report = Report()

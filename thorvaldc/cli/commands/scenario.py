@@ -19,6 +19,7 @@ from thorvaldc.cli.options import (
     Record,
     ScenarioFile,
     ScenarioRobot,
+    Trust,
     Video,
 )
 from thorvaldc.cli.run_pictures import RunPictures
@@ -46,6 +47,7 @@ def scenario(
     video: Video = "",
     json: Json = False,
     library: Library = [],  # noqa: B006
+    trust: Trust = False,
 ) -> int:
     changes: Sequence[Change] = ()
     if settings:
@@ -60,7 +62,7 @@ def scenario(
             )
         changes = only_changes
     pictures = RunPictures(plot, video)
-    compilation = compile_and_show(file, library, robot or None, changes)
+    compilation = compile_and_show(file, library, robot or None, changes, trust=trust)
     if compilation.model is None:
         return INPUT
     if compilation.scenario is None:

@@ -30,6 +30,7 @@ from thorvaldc.cli.options import (
     Plot,
     Record,
     Settings,
+    Trust,
     Variations,
     Video,
     parse_duration,
@@ -69,6 +70,7 @@ def sim(
     video: Video = "",
     json: Json = False,
     library: Library = [],  # noqa: B006
+    trust: Trust = False,
     scenario: Annotated[str, typer.Option("--scenario", metavar="FILE")] = "",
     junit: JUnit = "",
     settings: Settings = [],  # noqa: B006
@@ -81,12 +83,8 @@ def sim(
 ) -> int:
     seconds = parse_duration(duration, "--duration") if duration else 0.0
     drive_options = {"--duration": duration, "--twist": twist, "--ideal": ideal}
-    run_options: dict[str, str | bool] = {
-        "--open-loop": open_loop,
-        "--parameters": parameters,
-        "--junit": junit,
-        "--log": log,
-    }
+    run_options: dict[str, str | bool] = {"--open-loop": open_loop, "--parameters": parameters}
+    run_options |= {"--junit": junit, "--log": log}
     name, robot = scenario or file, file if scenario else None
     changes: Sequence[Change] = ()
     if settings or variations:
@@ -98,7 +96,9 @@ def sim(
             outputs = {"--record": record, "--plot": plot, "--video": video, "--replay": replay}
             reason = f"this is for one run, and there are {planned.size}"
             refuse_options({**drive_options, **run_options, **outputs}, reason)
-            return run_batch(name, planned, robot, library, jobs=jobs, output=output, json=json)
+            return run_batch(
+                name, planned, robot, library, trust=trust, jobs=jobs, output=output, json=json
+            )
         changes = only_changes
     else:
         batch_options = {"--draws": draws, "--seed": seed, "--jobs": jobs, "--output": output}
@@ -106,7 +106,7 @@ def sim(
     pictures = RunPictures(plot, video, ideal=ideal)
     if replay:
         refuse_options({**drive_options, **run_options}, "a replay takes the run from its record")
-    compilation = compile_and_show(name, library, robot, changes)
+    compilation = compile_and_show(name, library, robot, changes, trust=trust)
     if compilation.model is None:
         return INPUT
     if replay:
@@ -114,8 +114,7 @@ def sim(
     if compilation.scenario is not None:
         refuse_options(drive_options, "the scenario defines this")
         scenario_model = compilation.scenario
-        if open_loop:
-            scenario_model = replace(scenario_model, open_loop=True)
+        scenario_model = replace(scenario_model, open_loop=open_loop or scenario_model.open_loop)
         return run_scenario(
             compilation,
             scenario_model,

@@ -13,7 +13,7 @@ from thorvaldc.cli.diagnostic_output import report_of
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.hardware_warning import is_hardware, warn_once
 from thorvaldc.cli.installation import check_full_installation
-from thorvaldc.cli.options import Library
+from thorvaldc.cli.options import Library, Trust
 from thorvaldc.cli.robot_file import load_robot
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
@@ -80,6 +80,7 @@ def teleop(
         ),
     ] = "",
     library: Library = [],  # noqa: B006
+    trust: Trust = False,
 ) -> int:
     if bool(file) == bool(to):
         raise typer.BadParameter("name a robot's FILE, or a running driver with --to NAME")
@@ -91,7 +92,7 @@ def teleop(
         raise OutsideError("the keyboard needs a terminal, and standard input is none")
     gc.enable()
     with end_signals() as end_requested:
-        vehicle = _connect(to) if to else _start_driver(file, on, name, library)
+        vehicle = _connect(to) if to else _start_driver(file, on, name, library, trust)
         if vehicle is None:
             return INPUT
         try:
@@ -108,12 +109,12 @@ def _connect(name: str) -> Vehicle:
     return RemoteVehicle(ControlClient(name))
 
 
-def _start_driver(file: str, on: str, name: str, library: list[str]) -> Vehicle | None:
+def _start_driver(file: str, on: str, name: str, library: list[str], trust: bool) -> Vehicle | None:
     """Starts a base driver for the robot in this process.
 
     If the robot file has errors, the function prints the errors and returns ``None``.
     """
-    loaded = load_robot(file, library)
+    loaded = load_robot(file, library, trust)
     if loaded is None:
         return None
     robot = loaded.robot

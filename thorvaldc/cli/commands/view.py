@@ -12,7 +12,7 @@ import typer
 from thorvaldc.cli.compiling import compile_and_show
 from thorvaldc.cli.diagnostic_output import show_report
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
-from thorvaldc.cli.options import Library, ModelFile
+from thorvaldc.cli.options import Library, ModelFile, Trust
 from thorvaldc.cli.run_pictures import check_output
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.diagnostics import Report
@@ -32,10 +32,11 @@ def view(
         ),
     ] = "",
     library: Library = [],  # noqa: B006
+    trust: Trust = False,
 ) -> int:
     if output:
         check_output(output, ["html", "htm"], "--output")
-    compilation = compile_and_show(file, library)
+    compilation = compile_and_show(file, library, trust=trust)
     model = compilation.model
     if model is None:
         return INPUT

@@ -68,6 +68,7 @@ def load_extras(
     joints: Mapping[str, Span],
     attach: FindAttachment,
     report: Report,
+    trust: bool = False,
 ) -> ExtraParts:
     """Loads the xacro files in the section ``extras`` of a robot file.
 
@@ -78,6 +79,7 @@ def load_extras(
     - ``attach``: function that finds the mounting position of an entry.
     - ``report``: report that receives the errors.  If a xacro file has errors, some of its links
       and joints are missing in the result.
+    - ``trust``: whether the user trusts the xacro files as he trusts a program.
 
     If ``entries`` is empty, no worker process for xacro is started.
     """
@@ -91,7 +93,8 @@ def load_extras(
     joiner = ExtrasJoiner(dict(links), dict(joints), attach, report)
     requests = [ExpansionRequest(e.file, e.args, e.packages) for e in valid_entries]
     files: dict[str, Path] = {}
-    for entry, expanded_file in zip(valid_entries, expand(requests, paths), strict=True):
+    expanded_files = expand(requests, paths, trust=trust)
+    for entry, expanded_file in zip(valid_entries, expanded_files, strict=True):
         for name, file in expanded_file.files.items():
             installed = name.startswith("package://")
             files[name] = file if installed else relative_dir / os.path.relpath(file, base_dir)
@@ -233,6 +236,12 @@ _FAILURES = {
         "extra-package",
         "the package `{text}` cannot be found",
         "set its folder in the extras entry: packages: {{{text}: path/to/{text}}}",
+    ),
+    "forbidden": (
+        "extra-forbidden",
+        "not allowed in a xacro file: {text}",
+        "ROS packages and the robot's folder may be read; if you trust the authors of the file as "
+        "you trust the authors of a program, use the option --trust",
     ),
     "expression": ("extra-expansion", "xacro: {text}", None),
 }

@@ -29,6 +29,11 @@ from thorvaldc.compiler.extras import xacro_worker
 from thorvaldc.diagnostics import Span
 
 WALL_SECONDS = 20.0
+_ROOT = str(Path(xacro_worker.__file__).parents[3])
+_PROGRAM = (
+    f"import sys; sys.path.append({_ROOT!r}); "
+    "from thorvaldc.compiler.extras.xacro_worker import main; main()"
+)
 MAX_LINE_BYTES = 64 << 20
 
 
@@ -182,19 +187,51 @@ def _split(paths: str) -> list[str]:
     return [path for path in paths.split(os.pathsep) if path]
 
 
-def expand(requests: Sequence[ExpansionRequest], paths: DisplayPaths) -> list[ExpandedFile]:
+def readable_folders(
+    requests: Sequence[ExpansionRequest], folder: Path, search: dict[str, Sequence[str]]
+) -> list[str]:
+    """Returns the folders (absolute, without links) that the expansion of xacro files may read.
+
+    These are the folder of the robot file, the folders of the xacro files, the search paths of ROS
+    packages, and ROS packages beside and above these files.  The robot file alone cannot open other
+    folders: a folder outside of the folder of the robot file must have a file ``package.xml``.
+    """
+    folders = [folder]
+    for request in requests:
+        if request.file.suffix.lower() in (".xacro", ".urdf"):
+            folders.append(request.file.parent)
+        packages = [Path(package) for package in request.packages.values()]
+        folders += [package for package in packages if (package / "package.xml").is_file()]
+    for prefix in map(Path, search["ament"]):
+        # `colcon build --symlink-install` installs links to the sources.
+        folders += [prefix / "share", prefix.parent / "src", prefix.parent.parent / "src"]
+    folders += map(Path, search["ros"])
+    for above in {above for r in requests for above in r.file.absolute().parents}:
+        with contextlib.suppress(OSError):
+            near = [above, *(above / name for name in os.listdir(above))]
+            folders += [path for path in near if os.path.isfile(path / "package.xml")]
+    return sorted({os.path.realpath(path) for path in folders})
+
+
+def expand(
+    requests: Sequence[ExpansionRequest], paths: DisplayPaths, *, trust: bool = False
+) -> list[ExpandedFile]:
     """Expands several xacro files, and returns one result per xacro file in the same order.
 
     One worker process expands all xacro files, unless the process ends early.
+
+    - ``trust``: whether the user trusts the files as he trusts a program.  Their expressions and
+      file access are then not restricted.
     """
     search = search_paths()
+    folders = None if trust else readable_folders(requests, paths.folder, search)
     entries = [
         {"file": str(r.file), "args": r.args, "packages": r.packages, "search": search}
         for r in requests
     ]
     answers: list[dict[str, Any]] = []
     while len(answers) < len(entries):
-        answers += _run_worker(entries[len(answers) :])
+        answers += _run_worker(entries[len(answers) :], folders)
     roots = [*search["ament"], *search["ros"]]
     expanded_files: list[ExpandedFile] = []
     for answer, request in zip(answers, requests, strict=True):
@@ -207,7 +244,7 @@ def expand(requests: Sequence[ExpansionRequest], paths: DisplayPaths) -> list[Ex
     return expanded_files
 
 
-def _run_worker(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _run_worker(entries: list[dict[str, Any]], folders: list[str] | None) -> list[dict[str, Any]]:
     """Starts a worker process for xacro and returns its answers, one per xacro file.
 
     If the worker process ends early, the last answer describes the failure.  The xacro files after
@@ -221,7 +258,7 @@ def _run_worker(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
         for spec in (find_spec("xacro"), find_spec("yaml"))
         if spec is not None and spec.origin is not None
     ]
-    request = json.dumps({"path": path, "entries": entries}).encode()
+    request = json.dumps({"path": path, "folders": folders, "entries": entries}).encode()
     answers: list[dict[str, Any]] = []
     environment = {"LC_ALL": "C.UTF-8", "PYTHONHASHSEED": "0"}
     if "SYSTEMROOT" in os.environ:  # Windows cannot start a process without the variable SYSTEMROOT
@@ -230,7 +267,7 @@ def _run_worker(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
         # The Python options of the worker exclude the site packages, the folder of the user and the
         # folder of the script from the module path.  The Python option -B prevents the writing of
         # .pyc files.
-        [sys.executable, "-s", "-S", "-P", "-B", xacro_worker.__file__],
+        [sys.executable, "-s", "-S", "-P", "-B", "-c", _PROGRAM],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

@@ -1,11 +1,11 @@
-"""Expands xacro files in a separate process with limited time, memory and file access.
+"""Expands xacro files in a separate process with limited rights, time and memory.
 
-A xacro file contains Python expressions and can read any file.  For security, the compiler expands
-xacro files in a separate worker process.  The worker process has no environment variables, limited
-time and memory, and no right to write files.  The compiler sends one JSON request to the standard
-input of the worker process.  The worker process writes one line of JSON per xacro file to its
-standard output.  The worker imports only xacro and the standard library, because it cannot import
-``thorvaldc``.
+A xacro file contains Python expressions.  For security, the compiler expands xacro files in a
+separate worker process, which has no environment variables.  The rules of ``expression_rules``
+apply to each expression, the file may read only in the folders of the request, and ``containment``
+takes other rights from the process.  With the option ``--trust`` only time and memory are limited.
+The compiler sends one JSON request to the standard input of the worker process.  The worker process
+writes one line of JSON per xacro file to its standard output.
 
 The package xacro does not keep the line numbers of XML elements.  The class ``_Builder`` stores the
 position of each XML element as DOM user data.  A clone of an XML element keeps the position of the
@@ -18,17 +18,19 @@ the position of the XML element that causes the error.
 from __future__ import annotations
 
 import json
-import operator
 import os
 import re
 import sys
 import xml.dom.minidom
 from collections.abc import Callable, Iterator, Sequence
-from functools import reduce
 from pathlib import Path
 from typing import Any
 from xml.dom import expatbuilder
 from xml.parsers.expat import ExpatError
+
+from thorvaldc.compiler.containment import contain, limit_processor_time, set_limits
+from thorvaldc.compiler.extras import expression_rules
+from thorvaldc.compiler.extras.expression_rules import ForbiddenExpressionError
 
 Position = tuple[int, int, int]  # index of the file, line, column
 
@@ -42,8 +44,8 @@ _KEY = "position"
 class ExpansionError(Exception):
     """Raised if a xacro file cannot be expanded.
 
-    - ``kind``: kind of the error, which is ``xml``, ``root``, ``limit``, ``argument``, ``package``
-      or ``expression``.  The compiler reports a different diagnostic for each kind of error.
+    - ``kind``: kind of the error, which is ``xml``, ``root``, ``limit``, ``argument``, ``package``,
+      ``forbidden`` or ``expression``.  The compiler reports a different diagnostic for each kind.
     - ``text``: description of the error.
     - ``position``: position of the error, or ``None`` if it is unknown.
     """
@@ -144,11 +146,13 @@ class Expansion:
 
     - ``xacro``: the imported module xacro.
     - ``entry``: JSON object of the file in the request.
+    - ``folders``: folders in which the file may read, or ``None`` if the user trusts the file.
     """
 
-    def __init__(self, xacro: Any, entry: dict[str, Any]) -> None:
+    def __init__(self, xacro: Any, entry: dict[str, Any], folders: Sequence[str] | None) -> None:
         self.xacro = xacro
         self.entry = entry
+        self.folders = folders
         self.files: list[str] = []
         self.warnings: list[tuple[str, Position | None]] = []
         self.macros: dict[str, tuple[list[str], Position | None]] = {}
@@ -170,7 +174,7 @@ class Expansion:
         if inp is not None or filename is None:
             return inp
         try:
-            with open(filename, "rb") as file:
+            with self.open(filename, "rb") as file:
                 data = file.read(MAX_SOURCE_BYTES + 1)
         except OSError as error:
             # The error of a failed include belongs to the xacro file that contains the include.
@@ -190,6 +194,43 @@ class Expansion:
         except ExpatError as error:
             text = str(error).partition(": line")[0]
             raise ExpansionError("xml", text, (index, error.lineno, error.offset + 1)) from error
+
+    def open(self, filename: str, mode: str = "r") -> Any:
+        """Replaces the builtin ``open``, with which xacro reads YAML files."""
+        path = os.path.realpath(filename)
+        if self.folders is not None and not any(
+            path == folder or path.startswith(os.path.join(folder, "")) for folder in self.folders
+        ):
+            text = f"the file `{filename}` is outside of the folders that may be read"
+            raise ExpansionError("forbidden", text)
+        return open(path, mode)
+
+    def with_rules(self, function: Callable[..., Any], builtins: dict[str, Any]) -> Any:
+        """Returns a replacement of ``eval`` that applies ``expression_rules`` to an expression.
+
+        - ``function``: the original function, which evaluates expressions of a trusted file.
+        - ``builtins``: builtins of the expression.
+        """
+        x = self.xacro
+        read_attribute = expression_rules.attribute_reader(
+            x.YamlDictWrapper, x.YamlListWrapper, (x.NameSpace,)
+        )
+        functions = expression_rules.builtins_for(read_attribute, builtins)
+
+        def call(expression: str, symbols: Any, more: Any = None) -> Any:
+            try:
+                if self.folders is None:
+                    return function(expression, symbols, more)
+                code = expression_rules.compile_expression(expression)
+                symbols.update(__builtins__=functions)
+                return eval(code, symbols, more)
+            except SyntaxError as error:
+                raise ValueError(f"`{expression}` is not an expression: {error.msg}") from error
+            except ForbiddenExpressionError as error:
+                shown = expression if len(expression) < 100 else f"{expression[:100]}..."
+                raise ExpansionError("forbidden", f"`{shown}` uses {error}") from error
+
+        return call
 
     def with_position(self, function: Callable[..., Any], label: str = "") -> Callable[..., Any]:
         """Wraps a function of xacro whose first argument is an XML element.
@@ -340,6 +381,7 @@ class Expansion:
             substitution_args._eval_find = self.find
             substitution_args._eval_env = environment
             substitution_args._eval_dict.update(find=self.find, env=environment)
+            substitution_args.eval = self.with_rules(eval, expression_rules.BUILTINS)
             try:
                 return function(text)
             except self.xacro.XacroException as error:
@@ -376,6 +418,8 @@ class Expansion:
             "eval_extension": self.with_substitutions(x.eval_extension),
             "warning": self.warn,
             "error": self.warn,
+            "safe_eval": self.with_rules(x.safe_eval, {}),
+            "open": self.open,
         }
 
     def run(self) -> dict[str, Any]:
@@ -408,25 +452,27 @@ class Expansion:
         position contains the index of the xacro file in the list of files.
         """
         x = self.xacro
-        resolve, evaluate = x.Table._resolve_, x.safe_eval
+        resolve = x.Table._resolve_
         patches = self.patches()
         originals = {name: getattr(x, name) for name in patches}
         try:
             for name, value in patches.items():
                 setattr(x, name, value)
             x.Table._resolve_ = self.with_definition(resolve)
-            x.safe_eval = _with_syntax_errors(evaluate)
             # Expressions in a xacro file can call functions of xacro, as in `xacro.warning(...)`.
             functions = x._global_symbols
             dict.update(functions["xacro"], warning=self.warn, error=self.warn, message=_ignore)
-            dict.update(functions["python"], sum=_sum)
+            dict.update(functions["python"], sum=expression_rules.add_all)
+            if self.folders is not None:
+                dict.update(functions["python"], type=expression_rules.class_of)
+                dict.pop(functions["python"], "vars", None)  # gives all attributes of an object
             answer = self.run()
         except Exception as error:
             answer = {"failure": self.describe(error)}
         finally:
             for name, value in originals.items():
                 setattr(x, name, value)
-            x.Table._resolve_, x.safe_eval = resolve, evaluate
+            x.Table._resolve_ = resolve
         trail = [
             (position, text) for position, text in self.trail if position != self.error_position
         ]
@@ -461,26 +507,6 @@ class Expansion:
 
 def _ignore(*_: Any, **__: Any) -> str:
     return ""
-
-
-def _sum(values: Any, start: Any = 0) -> Any:
-    """Replaces the builtin ``sum``, whose rounding of floats depends on the version of Python."""
-    return reduce(operator.add, values, start)
-
-
-def _with_syntax_errors(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Wraps the function ``safe_eval`` of xacro, which evaluates a Python expression.
-
-    If the expression has a syntax error, raises ``ValueError`` with the expression in the message.
-    """
-
-    def call(expression: str, symbols: Any, more: Any = None) -> Any:
-        try:
-            return function(expression, symbols, more)
-        except SyntaxError as error:
-            raise ValueError(f"`{expression}` is not an expression: {error.msg}") from error
-
-    return call
 
 
 def _find_cause(error: BaseException | None, type_: type[Any]) -> Any:
@@ -537,39 +563,6 @@ def _encode(node: Any, root: Any) -> dict[str, Any]:
     return element | {"children": children, "text": " ".join(texts).strip()}
 
 
-def _set_limits() -> None:
-    """Limits the memory and the file access of the worker process.
-
-    On a system without the Python module ``resource``, memory and file access are not limited.
-    """
-    try:
-        import resource
-    except ImportError:
-        return
-    for name, value in (
-        ("RLIMIT_AS", MEMORY_BYTES),
-        ("RLIMIT_FSIZE", 0),  # the process cannot write to files
-        ("RLIMIT_CORE", 0),
-        ("RLIMIT_NOFILE", 128),
-    ):
-        try:
-            resource.setrlimit(getattr(resource, name), (value, value))
-        except (AttributeError, ValueError, OSError):
-            continue
-
-
-def _set_cpu_limit() -> None:
-    """Limits the processor time for the next xacro file to ``CPU_SECONDS`` (s)."""
-    try:
-        import resource
-
-        hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
-        limit = int(os.times().user + os.times().system) + CPU_SECONDS
-        resource.setrlimit(resource.RLIMIT_CPU, (limit, hard))
-    except (ImportError, ValueError, OSError):
-        return
-
-
 def main() -> None:
     """Reads one JSON request from stdin, and writes one line of JSON per xacro file to stdout."""
     answers = os.fdopen(os.dup(1), "wb")
@@ -580,13 +573,20 @@ def main() -> None:
     os.dup2(null, 2)
     request = json.load(sys.stdin.buffer)
     sys.path.extend(p for p in request["path"] if p not in sys.path)
-    import xacro
+    import xacro.substitution_args
+    import yaml  # noqa: F401  # imported by xacro in `load_yaml`
 
-    _set_limits()
+    xacro.open = open  # replaced by `Expansion.open`
+    folders = request["folders"]
+    if folders is None:
+        layers = {"limits": set_limits(MEMORY_BYTES)}
+    else:
+        modules = [os.path.dirname(os.__file__), *request["path"]]
+        layers = contain([*folders, *modules], MEMORY_BYTES)
     for entry in request["entries"]:
-        _set_cpu_limit()
+        limit_processor_time(CPU_SECONDS)
         os.chdir(os.path.dirname(entry["file"]))
-        answer = Expansion(xacro, entry).answer()
+        answer = Expansion(xacro, entry, folders).answer() | {"layers": layers}
         try:
             line = json.dumps(answer, allow_nan=False)
         except (RecursionError, MemoryError, ValueError):

@@ -60,6 +60,7 @@ def elaborate(
     *,
     modules_are_valid: bool = True,
     lock: Lock | None = None,
+    trust: bool = False,
 ) -> Robot | None:
     """Builds the model of a robot from a robot document.
 
@@ -73,9 +74,10 @@ def elaborate(
     invalid_modules : names of the modules that were removed from the document because of errors.
     modules_are_valid : false if any value in the section ``modules`` is invalid.
     lock : node ids of the last build.
+    trust : whether xacro files are expanded without restrictions.
     """
     instance = resolver.resolve(document, invalid_modules)
-    elaborator = _Elaborator(document, resolver, base_dir, report, files, lock or {})
+    elaborator = _Elaborator(document, resolver, base_dir, report, files, lock or {}, trust)
     return elaborator.elaborate(instance, modules_are_valid)
 
 
@@ -90,7 +92,9 @@ class _Elaborator:
         report: Report,
         files: dict[str, Path],
         lock: Lock,
+        trust: bool,
     ) -> None:
+        self.trust = trust
         self.document = document
         self.resolver = resolver
         self.base_dir = base_dir
@@ -121,7 +125,14 @@ class _Elaborator:
                 parts.add(leaf, hardware)
         parts.check_names(self.report)
         urdf_extensions = add_extras(
-            self.document, robot, hardware, parts, self.base_dir, self.files, self.report
+            self.document,
+            robot,
+            hardware,
+            parts,
+            self.base_dir,
+            self.files,
+            self.report,
+            self.trust,
         )
         if self.report.has_errors:
             self._check_buses(robot, parts)

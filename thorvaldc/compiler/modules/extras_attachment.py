@@ -26,6 +26,7 @@ def add_extras(
     base_dir: Path,
     files: dict[str, Path],
     report: Report,
+    trust: bool,
 ) -> tuple[str, ...]:
     """Adds the links, joints and meshes of the extras to the parts of the robot.
 
@@ -39,6 +40,7 @@ def add_extras(
     parts : links and joints of the robot.
     base_dir : folder of the robot file.
     files : the function adds each file that was read, by the name of the file in spans.
+    trust : whether xacro files are expanded without restrictions.
     """
     extras = document.get("extras")
     if extras is None or not isinstance(extras.value, tuple):
@@ -61,6 +63,7 @@ def add_extras(
         joints={joint.name: joint.span for joint in parts.joints},
         attach=attach,
         report=report,
+        trust=trust,
     )
     files.update(extra_parts.files)
     parts.links.extend(extra_parts.links)
