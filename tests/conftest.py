@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -38,10 +39,17 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+TESTS = Path(__file__).parent
+
+
 def _check_program(event: str, arguments: tuple[object, ...]) -> None:
     if event == "subprocess.Popen":
-        program = os.fsdecode(str(arguments[0]))
-        assert is_listed(program), f"{program} is not listed in tests/outside_tools.py"
+        caller = sys._getframe(1)
+        while caller.f_back is not None and caller.f_code.co_filename == subprocess.__file__:
+            caller = caller.f_back
+        if Path(caller.f_code.co_filename).is_relative_to(TESTS):  # not a library
+            program = os.fsdecode(str(arguments[0]))
+            assert is_listed(program), f"{program} is not listed in tests/outside_tools.py"
 
 
 sys.addaudithook(_check_program)

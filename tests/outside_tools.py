@@ -50,8 +50,7 @@ TOOLS = (
         lambda: all(map(ctypes.util.find_library, ("EGL", "EGL_mesa"))),
     ),
 )
-# Programs of every system, and what Python itself starts to find a library.
-ALWAYS_HERE = frozenset(["sh", "ldconfig", "gcc", "ld", "uname"])
+ALWAYS_HERE = frozenset(["sh"])  # programs of every system
 
 
 def path_of(name: str) -> str:
