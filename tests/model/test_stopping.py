@@ -11,6 +11,7 @@ import pytest
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import compiled
 from thorvaldc.model import Robot
+from thorvaldc.model.robot import ParameterSet
 from thorvaldc.model.stopping import (
     DRIVER_DEAD,
     KINDS,
@@ -69,6 +70,13 @@ def test_the_distance_is_that_of_the_reaction_and_the_ramp() -> None:
     assert 0.52 < bounds["driver_dead"].reaction < 0.54
     assert 0.12 < bounds["drive_dead"].reaction < 0.16
     assert shortest_watchdog(model) == 0.5
+
+
+def test_the_longest_times_of_all_parameter_sets() -> None:
+    slow = robot("command_timeout: 1 s")
+    quick = ParameterSet("quick", None, replace(slow.driver, command_timeout=0.2), slow.span)
+    both = replace(slow, parameter_sets=(quick,))
+    assert stop_bounds(both) == stop_bounds(slow)
 
 
 def test_a_slow_turn_lengthens_the_ramp() -> None:

@@ -92,8 +92,8 @@ DrivenWheels = Sequence[tuple[Wheel, Actuator]]
 def stop_bounds(robot: Robot, settings: DriverSettings | None = None) -> tuple[StopBound, ...]:
     """Returns the longest time and distance of each kind of stop, in the order of ``KINDS``.
 
-    ``settings``: settings of the base driver, by default those of the robot with the greatest
-    speed of all parameter sets.  The kinds ``driver_dead`` and ``drive_dead`` are missing for a
+    ``settings``: settings of the base driver; ``None``: the longest times and distances of the
+    robot's settings and of all its parameter sets.  The kinds ``driver_dead`` and ``drive_dead`` are missing for a
     robot without motor controllers on a bus, and the time is infinite if a drive has no watchdog.
     """
     choices = [settings] if settings else [robot.driver, *(p.driver for p in robot.parameter_sets)]
@@ -107,7 +107,10 @@ def stop_bounds(robot: Robot, settings: DriverSettings | None = None) -> tuple[S
             bound = StopBound(kind, reaction, reaction + stop.time, distance)
             other = bounds.get(kind, bound)
             bounds[kind] = StopBound(
-                kind, reaction, max(bound.time, other.time), max(bound.distance, other.distance)
+                kind,
+                max(bound.reaction, other.reaction),
+                max(bound.time, other.time),
+                max(bound.distance, other.distance),
             )
     return tuple(bounds.values())
 

@@ -144,6 +144,9 @@ class RoboteqScriptController(MotorController):
 
     @property
     def problem(self) -> str:
+        flagged = any(self._flags.values())
+        if not (flagged or self._deviating_since or self._homing_failed or self.error_code):
+            return ""  # the normal case, which is asked several times in each cycle
         problems = [
             name.replace("_", " ")
             for name, value in self._flags.items()
@@ -250,11 +253,10 @@ class RoboteqScriptController(MotorController):
                 targets.append((now, axis.target))
                 while targets[0][0] < now - DEVIATION_TIME:
                     targets.popleft()
-                speeds = [speed for _, speed in targets]
-                lowest, highest = min(speeds), max(speeds)
-                lowest -= max(RELATIVE_DEVIATION * abs(lowest), SPEED_DEVIATION)
-                highest += max(RELATIVE_DEVIATION * abs(highest), SPEED_DEVIATION)
-                deviates = not lowest <= axis.velocity <= highest
+                # The newest target is one of the targets, so that a speed near it is accepted.
+                deviates = abs(axis.velocity - axis.target) > SPEED_DEVIATION and not _is_between(
+                    axis.velocity, [speed for _, speed in targets]
+                )
                 # A deviation of a wheel speed may last only SPEED_DEVIATION_TIME, because all
                 # target speeds of the last DEVIATION_TIME seconds are already accepted.
                 since -= DEVIATION_TIME - SPEED_DEVIATION_TIME
@@ -378,3 +380,12 @@ class RoboteqScriptController(MotorController):
         if report is not None and value >= 1.0:
             self._set_periods[report.frame.name] = value / 1000.0
         return CanFrame(codec.cob_id, codec.encode([float(number), round(value)]))
+
+
+def _is_between(speed: float, targets: list[float]) -> bool:
+    """Checks whether ``speed`` is between the lowest and the highest of ``targets`` (rad/s), with a
+    tolerance."""
+    lowest, highest = min(targets), max(targets)
+    lowest -= max(RELATIVE_DEVIATION * abs(lowest), SPEED_DEVIATION)
+    highest += max(RELATIVE_DEVIATION * abs(highest), SPEED_DEVIATION)
+    return lowest <= speed <= highest

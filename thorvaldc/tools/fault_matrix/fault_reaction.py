@@ -11,6 +11,7 @@ from thorvaldc.model import Robot
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.runtime.time_gap import NORMAL_PERIODS
 from thorvaldc.tools.fault_matrix.fault_cases import (
     DRIVING,
     IDLE,
@@ -22,7 +23,6 @@ from thorvaldc.tools.fault_matrix.fault_cases import (
 )
 from thorvaldc.tools.fault_matrix.rehearsal import (
     FRESH,
-    SHORT_GAP,
     Rehearsal,
     RehearsalError,
     Weave,
@@ -202,7 +202,7 @@ class _Observation:
             not rehearsal.asked
             or rehearsal.now > self._disarmed_at + FRESH * rehearsal.base.period + 1e-6
             or rehearsal.driver_killed
-            or rehearsal.longest_gap > SHORT_GAP * rehearsal.base.period + 1e-6
+            or rehearsal.longest_gap > NORMAL_PERIODS * rehearsal.base.period + 1e-6
         ):
             self._authority = False
         if self._authority:

@@ -36,9 +36,6 @@ from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 LONGEST_START = 60.0
 """Longest time (s) from power-on until the robot is ready."""
-SHORT_GAP = 2.5
-"""Longest time between two control cycles, in periods, that does not make commands void."""
-
 FRESH = 3.0
 """Control cycles after which the end of a commanded motion must have reached the motors."""
 
