@@ -93,8 +93,9 @@ def stop_bounds(robot: Robot, settings: DriverSettings | None = None) -> tuple[S
     """Returns the longest time and distance of each kind of stop, in the order of ``KINDS``.
 
     ``settings``: settings of the base driver; ``None``: the longest times and distances of the
-    robot's settings and of all its parameter sets.  The kinds ``driver_dead`` and ``drive_dead`` are missing for a
-    robot without motor controllers on a bus, and the time is infinite if a drive has no watchdog.
+    robot's settings and of all its parameter sets.  The kinds ``driver_dead`` and ``drive_dead``
+    are missing for a robot without motor controllers on a bus, and the time is infinite if a drive
+    has no watchdog.
     """
     choices = [settings] if settings else [robot.driver, *(p.driver for p in robot.parameter_sets)]
     driven = driven_wheels(robot.wheels, robot.actuators)
