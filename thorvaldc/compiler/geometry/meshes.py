@@ -10,15 +10,20 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import json
 import math
+import os
 import re
+import signal
 import struct
+import subprocess
+import sys
 from collections.abc import Iterable
+from importlib.util import find_spec
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.diagnostics.interrupts import uninterrupted
 from thorvaldc.model import Mesh, Vec3
 
 # The STL reader of MuJoCo accepts at most 200 000 triangles.
@@ -26,6 +31,7 @@ MAX_TRIANGLES = 200_000
 MAX_FILE_BYTES = 64 * 1024 * 1024
 # Largest size of a mesh (m). A mesh file with a larger mesh probably has the unit mm.
 MAX_EXTENT = 20.0
+WORKER_SECONDS = 30.0  # limit of the process that reads a file with trimesh
 CONVERTED = ("dae", "glb", "gltf", "off", "ply")
 FORMATS = ("stl", "obj", *CONVERTED)
 
@@ -290,41 +296,60 @@ def _check_obj(data: bytes) -> tuple[bytes, bool] | _MeshError:
 
 
 def _convert(path: Path, data: bytes, suffix: str) -> tuple[bytes, bool] | _MeshError:
-    """Converts a mesh file of another format to binary STL, in metres and with the z axis up."""
-    # If the user presses Ctrl-C while trimesh imports an optional package, trimesh continues
-    # without the package.  Ctrl-C is therefore delayed until trimesh is imported.
-    with uninterrupted():
-        return _convert_by_trimesh(path, data, suffix)
+    """Converts a mesh file of another format to binary STL, in metres and with the z axis up.
 
-
-def _convert_by_trimesh(path: Path, data: bytes, suffix: str) -> tuple[bytes, bool] | _MeshError:
-    """Reads a mesh file with the package trimesh, and converts the mesh to binary STL."""
-    import logging
-    import warnings
-
-    try:
-        import trimesh
-    except ImportError:
+    Another process reads the file with the package trimesh, see ``mesh_worker``.
+    """
+    if find_spec("trimesh") is None:
         return _MeshError(
             "mesh-format",
             f"has the format `{suffix}`, which needs trimesh; it is not installed",
             "install trimesh and pycollada, or convert the mesh to STL",
         )
-    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
+    program = (
+        f"import sys; sys.path[:] = {sys.path!r}; "
+        "from thorvaldc.compiler.geometry.mesh_worker import main; main()"
+    )
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            corners = trimesh.load_scene(str(path), file_type=suffix).to_mesh().triangles
-            if suffix == "dae":
-                corners = corners @ _collada_axes(data)
-            rows = corners.reshape(-1, 9).tolist()
-    # The mesh file is empty or has another format than the file name suggests.
-    except (AttributeError, TypeError, LookupError):
-        return _invalid(f"is not a {suffix} file, or has no triangles")
-    except Exception as error:  # The mesh readers of trimesh raise exceptions of many types.
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
-        return _invalid(f"cannot be read as {suffix}: {reason}")
-    return _binary([((r[0], r[1], r[2]), (r[3], r[4], r[5]), (r[6], r[7], r[8])) for r in rows])
+        process = subprocess.run(
+            [sys.executable, "-S", "-B", "-c", program, str(path.absolute()), suffix],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            timeout=WORKER_SECONDS,
+            # One thread per process: the memory of a thread counts for the limit.
+            env={"OPENBLAS_NUM_THREADS": "1", "LC_ALL": "C.UTF-8"}
+            | {k: v for k, v in os.environ.items() if k == "SYSTEMROOT"},
+            start_new_session=True,  # Ctrl-C ends the compiler, which then ends the process
+        )
+    except subprocess.TimeoutExpired:
+        return _too_large(f"took longer than {WORKER_SECONDS:g} s to read")
+    line, _, triangles = process.stdout.partition(b"\n")
+    if process.returncode == -getattr(signal, "SIGXCPU", 24):
+        return _too_large("takes too long to read")
+    answer: dict[str, Any] = json.loads(line) if line else {"error": "MemoryError"}
+    if "error" in answer:
+        if answer["error"] == "MemoryError":
+            return _too_large("needs too much memory")
+        if answer["error"] == "format":
+            return _invalid(f"is not a {suffix} file, or has no triangles")
+        return _invalid(f"cannot be read as {suffix}: {answer['text'] or answer['error']}")
+    if answer["count"] > MAX_TRIANGLES:
+        return _too_large(f"has {answer['count']} triangles; at most {MAX_TRIANGLES} are read")
+    rows = struct.iter_unpack("<9d", triangles)
+    corners = [((r[0], r[1], r[2]), (r[3], r[4], r[5]), (r[6], r[7], r[8])) for r in rows]
+    if suffix != "dae":
+        return _binary(corners)
+    try:
+        x, y, z = _collada_axes(data)
+    except (ValueError, LookupError, SyntaxError) as error:  # XML errors are SyntaxErrors
+        return _invalid(f"cannot be read as {suffix}: {error}")
+
+    def point(p: Vec3) -> Vec3:
+        a, b, c = (0.0 + p[0] * x[i] + p[1] * y[i] + p[2] * z[i] for i in range(3))
+        return (a, b, c)
+
+    return _binary([(point(p), point(q), point(r)) for p, q, r in corners])
 
 
 def _collada_axes(data: bytes) -> list[list[float]]:
