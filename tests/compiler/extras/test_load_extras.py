@@ -323,3 +323,41 @@ def test_extensions_contain_no_absolute_path(tmp_path: Path) -> None:
     (text,) = loaded.parts.urdf_extensions
     assert "package://p/m.dae" in text
     assert str(tmp_path) not in text
+
+
+ARM = """
+<xacro:arg name="tf_prefix" default=""/>
+<xacro:property name="p" value="$(arg tf_prefix)"/>
+<link name="world"/>
+<joint name="${p}base_joint" type="fixed">
+  <origin xyz="0 0 0.1"/><parent link="world"/><child link="${p}base_link"/>
+</joint>
+<link name="${p}base_link">BODY</link>
+<joint name="${p}shoulder" type="revolute">
+  <limit lower="-1" upper="1" effort="10" velocity="1"/>
+  <parent link="${p}base_link"/><child link="${p}arm"/>
+</joint>
+<link name="${p}arm">INERTIAL</link>
+</robot>
+""".replace("BODY", BOX + INERTIAL).replace("INERTIAL", INERTIAL)
+
+
+def test_an_empty_link_world_stands_for_the_mounting_position(tmp_path: Path) -> None:
+    entries = (
+        "- {xacro: arm.xacro, args: {tf_prefix: left_}, parent: frame.top, xyz: [0, 0, 0.2]}\n"
+        "- {xacro: arm.xacro, args: {tf_prefix: right_}, parent: frame.side}\n"
+    )
+    loaded = load(tmp_path, entries, arm_xacro=HEAD + ARM)
+    assert loaded.codes == []
+    names = ["left_base_link", "left_arm", "right_base_link", "right_arm"]
+    assert [link.name for link in loaded.parts.links] == names
+    joint = loaded.joint("left_base_joint")
+    assert (joint.parent, joint.child) == ("frame_body", "left_base_link")
+    assert joint.pose.xyz == pytest.approx((0.0, 0.0, 0.8))
+    assert loaded.joint("right_base_joint").pose.xyz == pytest.approx((0.0, 1.0, 0.1))
+
+
+def test_a_second_base_link_names_the_argument_for_a_prefix(tmp_path: Path) -> None:
+    loaded = load(tmp_path, "- {xacro: arm.xacro}", arm_xacro=HEAD + ARM)
+    hints = [d.hint for d in loaded.report if d.code.name == "extra-name-duplicate"]
+    assert hints == ["set the argument `tf_prefix` of the xacro file: `args: {tf_prefix: ...}`"]

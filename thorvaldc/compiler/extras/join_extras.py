@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from thorvaldc.compiler.extras.urdf_reader import UrdfParts
 from thorvaldc.compiler.source.node import Node
@@ -30,6 +31,11 @@ class Attachment:
 FindAttachment = Callable[[str | None], Attachment | None]
 
 
+WORLD = "world"
+"""Link of the ground in Gazebo, Drake and MuJoCo; a robot with a link of this name cannot move."""
+_PREFIX_ARGUMENT = re.compile(r"(?i)prefix|^(name|robot_name|ns|namespace|device|camera_name)$")
+
+
 @dataclass(frozen=True, slots=True)
 class Placement:
     """Position on the robot at which the root links of a xacro file are mounted.
@@ -38,12 +44,22 @@ class Placement:
     - ``parent``: value of ``parent`` in the entry, or ``None`` for the root module of the robot.
     - ``pose``: pose of the root links relative to the mounting position of the parent.
     - ``placement_node``: first of the keys ``parent``, ``xyz`` and ``rpy`` that the entry contains.
+    - ``arguments``: names of the arguments that the xacro file has.
     """
 
     span: Span
     parent: Node | None
     pose: Pose
     placement_node: Node | None
+    arguments: Sequence[str] = ()
+
+    @property
+    def naming_hint(self) -> str:
+        """Hint for a name that exists already."""
+        prefix = next((name for name in self.arguments if _PREFIX_ARGUMENT.search(name)), None)
+        if prefix is None:
+            return "rename it; many macros have a parameter for the name or a prefix"
+        return f"set the argument `{prefix}` of the xacro file: `args: {{{prefix}: ...}}`"
 
 
 class ExtrasJoiner:
@@ -77,13 +93,14 @@ class ExtrasJoiner:
         - ``entry``: position of the root links on the robot.
         - ``parts``: links, joints and meshes of the file.
         """
-        links = self.new_file_links(parts.links)
-        joint_to = self.joints_by_child(parts.joints, links)
+        parts, is_mounted = self.without_world(entry, parts)
+        links = self.new_file_links(parts.links, entry)
+        joint_to = self.joints_by_child(parts.joints, links, entry)
         for mesh in parts.meshes:
             self.meshes.setdefault(mesh.name, mesh)
         self.extensions += parts.extensions
         roots = [link for link in links.values() if link.name not in joint_to]
-        mounts = self.mount(entry, roots)
+        mounts = self.mount(entry, roots) if roots or not is_mounted else []
         children: dict[str, list[Joint]] = {}
         for joint in (*mounts, *joint_to.values()):
             children.setdefault(joint.parent, []).append(joint)
@@ -111,7 +128,38 @@ class ExtrasJoiner:
             self.report_cycle(unreached[0], joint_to)
         self.check_masses(links, children)
 
-    def new_file_links(self, links: Sequence[Link]) -> dict[str, Link]:
+    def without_world(self, entry: Placement, parts: UrdfParts) -> tuple[UrdfParts, bool]:
+        """Returns the parts without an empty root link ``world``, and whether there was one.
+
+        Many descriptions of arms begin with this link, so that they can stand alone on the ground.
+        On a robot, the link stands for the mounting position: its joints begin there.
+        """
+        world = next((link for link in parts.links if link.name == WORLD), None)
+        if world is None:
+            return parts, False
+        is_root = all(joint.child != WORLD for joint in parts.joints)
+        if not is_root or world.inertial or world.visuals or world.collisions:
+            self.report.add(
+                "extra-world",
+                f"`{WORLD}` is the ground in simulators; a link of this name would fix the robot",
+                world.span,
+                hint="rename the link; only an empty link without a parent may be named so",
+            )
+            return parts, False
+        attachment = self.attachment(entry)
+        if attachment is None:
+            return replace(parts, links=(), joints=()), True
+        start = attachment.pose * entry.pose
+        joints = tuple(
+            replace(joint, parent=attachment.link, pose=(start * joint.pose).clean())
+            if joint.parent == WORLD
+            else joint
+            for joint in parts.joints
+        )
+        links = tuple(link for link in parts.links if link.name != WORLD)
+        return replace(parts, links=links, joints=joints), True
+
+    def new_file_links(self, links: Sequence[Link], entry: Placement) -> dict[str, Link]:
         """Returns the links that a xacro file adds to the robot, by name.
 
         A xacro file can refer to a link of the robot by an empty URDF link of the same name.  An
@@ -127,13 +175,13 @@ class ExtrasJoiner:
                     "extra-name-duplicate",
                     f"another link has the name `{link.name}`",
                     link.span,
-                    hint="rename it; many macros have a parameter for the name or a prefix",
+                    hint=entry.naming_hint,
                     labels=[Label(first, "first defined here")],
                 )
         return new
 
     def joints_by_child(
-        self, joints: Sequence[Joint], links: Mapping[str, Link]
+        self, joints: Sequence[Joint], links: Mapping[str, Link], entry: Placement
     ) -> dict[str, Joint]:
         """Returns the valid joints of a xacro file by the name of the child link.
 
@@ -149,7 +197,7 @@ class ExtrasJoiner:
                     "extra-name-duplicate",
                     f"another joint has the name `{joint.name}`",
                     joint.span,
-                    hint="rename it; many macros have a parameter for the name or a prefix",
+                    hint=entry.naming_hint,
                     labels=[Label(first, "first defined here")],
                 )
                 continue
@@ -181,6 +229,24 @@ class ExtrasJoiner:
             joint_to[joint.child] = joint
         return joint_to
 
+    def attachment(self, entry: Placement) -> Attachment | None:
+        """Returns the mounting position of a xacro file on the robot.
+
+        Returns ``None``, and reports an error, if the robot has no such position.
+        """
+        text = str(entry.parent.value) if entry.parent is not None else None
+        attachment = self.attach(text)
+        if attachment is None and text is not None and text in self.links:
+            attachment = Attachment(text, Pose())
+        if attachment is None:
+            self.report.add(
+                "extra-parent",
+                f"the robot has no module, port or link `{text}`",
+                entry.parent.span if entry.parent is not None else entry.span,
+                hint=did_you_mean(text or "", list(self.links)),
+            )
+        return attachment
+
     def mount(self, entry: Placement, roots: Sequence[Link]) -> list[Joint]:
         """Returns the fixed joints that mount the root links of a xacro file on the robot.
 
@@ -197,17 +263,8 @@ class ExtrasJoiner:
                     hint="remove them, or pass them as args if the file has such arguments",
                 )
             return []
-        text = str(entry.parent.value) if entry.parent is not None else None
-        attachment = self.attach(text)
-        if attachment is None and text is not None and text in self.links:
-            attachment = Attachment(text, Pose())
+        attachment = self.attachment(entry)
         if attachment is None:
-            self.report.add(
-                "extra-parent",
-                f"the robot has no module, port or link `{text}`",
-                entry.parent.span if entry.parent is not None else entry.span,
-                hint=did_you_mean(text or "", list(self.links)),
-            )
             return []
         mounts: list[Joint] = []
         for link in roots:

@@ -100,7 +100,7 @@ def load_extras(
             files[name] = file if installed else relative_dir / os.path.relpath(file, base_dir)
         parts = _read_parts(entry, expanded_file, report)
         if parts is not None:
-            joiner.add(entry.placement(), parts)
+            joiner.add(entry.placement(expanded_file.known_arguments), parts)
     joiner.check_mimics()
     return ExtraParts(
         tuple(joiner.new_links),
@@ -128,8 +128,8 @@ class _Entry:
         file_node = self.node.get("xacro")
         return file_node.span if file_node is not None else self.node.span
 
-    def placement(self) -> Placement:
-        return Placement(self.span, self.parent, self.pose, self.placement_node)
+    def placement(self, arguments: Sequence[str]) -> Placement:
+        return Placement(self.span, self.parent, self.pose, self.placement_node, arguments)
 
     @staticmethod
     def read(node: Node, base_dir: Path, paths: DisplayPaths, report: Report) -> _Entry | None:
