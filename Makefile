@@ -13,7 +13,7 @@ JOBS   ?= auto
 help:
 	@echo "make demo      compile every example and drive it in simulation"
 	@echo "make test      lint, types, layer rules and tests"
-	@echo "make test-matrix  a part of the tests with the oldest and newest Python and dependencies"
+	@echo "make test-matrix  golden files with the oldest and newest Python and dependencies"
 	@echo "make chaos     random missions with faults: make chaos SEEDS=0:1000 JOBS=2 (docs/chaos.md)"
 	@echo "make bench     measure; prints a table and writes bench.json"
 	@echo "make golden    rewrite the tests' golden files and tables (review the diff)"
