@@ -15,6 +15,8 @@ from thorvaldc.compiler.extras.xacro_expand import (
     ExpansionRequest,
     expand,
 )
+from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.model import Robot
 
 SECRET = "squeamish"
 CLASSES = "().__class__.__base__.__subclasses__()"
@@ -235,6 +237,27 @@ def test_the_diagnostic_names_line_reason_and_option(tmp_path: Path) -> None:
     assert loaded.only.span.line == 4
     assert loaded.only.span.file == "a.xacro"
     assert "--trust" in (loaded.only.hint or "")
+
+
+def test_only_the_caller_can_trust_a_file(tmp_path: Path) -> None:
+    robot = tmp_path / "robot.yaml"
+    text = (
+        "thorvaldc: 1\nname: robot\nmodules:\n"
+        "  frame: {type: frame/tube_rectangular, params: {length: 1.1, width: 0.9}}\n"
+    )
+    for port in ("front_left", "front_right", "rear_left", "rear_right"):
+        text += f"  m_{port}: {{type: assembly/steered_drive, mount: frame.{port}}}\n"
+    text += "extras:\n  - {xacro: a.xacro}\n"
+    robot.write_text(text, encoding="utf-8")
+    body = "<link name='${(lambda: ().__class__ and \"mast\")()}'/></robot>"
+    (tmp_path / "a.xacro").write_text(HEAD + body, encoding="utf-8")
+    assert [d.code.name for d in compile_file(robot).report] == ["extra-forbidden"]
+    trusted = compile_file(robot, trust=True).model
+    assert isinstance(trusted, Robot)
+    assert "mast" in [link.name for link in trusted.links]
+    for stated in ("trust: true\n" + text, text.replace("a.xacro}", "a.xacro, trust: true}")):
+        robot.write_text(stated, encoding="utf-8")
+        assert compile_file(robot).model is None
 
 
 def test_a_robot_file_opens_no_folder_outside_of_its_own(tmp_path: Path) -> None:

@@ -159,6 +159,28 @@ def test_a_small_file_of_nested_instances_is_stopped(
     assert time.monotonic() - start < 15.0
 
 
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ("f 1 2 9", "a vertex that does not exist (line 7)"),
+        ("f 1 2 -9", "a vertex that does not exist (line 7)"),
+        ("f 0 1 2", "a vertex that does not exist (line 7)"),
+        ("f 1 2", "a vertex that does not exist (line 7)"),
+        ("f 1 2 x", "not a list of vertices (line 7)"),
+        ("v 1e39 0 0", "too large for a float32"),
+    ],
+)
+def test_an_obj_file_that_mujoco_cannot_read(tmp_path: Path, more: str, words: str) -> None:
+    vertices = "".join(f"v {x} {y} {z}\n" for x, y, z in P)
+    text = vertices + "f 1/1 3//1 -3\nf 1 2 4 # the base\n"
+    mesh, report = load(write(tmp_path / "good.obj", text))
+    assert mesh is not None, [d.message for d in report]
+    mesh, report = load(write(tmp_path / "bad.obj", text + more + "\n"))
+    assert mesh is None
+    assert names(report) == ["mesh-invalid"]
+    assert words in next(d.message for d in report)
+
+
 def test_ply_is_converted(tmp_path: Path) -> None:
     ply = "ply\nformat ascii 1.0\nelement vertex 4\n"
     ply += "".join(f"property float {a}\n" for a in "xyz")

@@ -32,6 +32,7 @@ MAX_FILE_BYTES = 64 * 1024 * 1024
 # Largest size of a mesh (m). A mesh file with a larger mesh probably has the unit mm.
 MAX_EXTENT = 20.0
 WORKER_SECONDS = 30.0  # limit of the process that reads a file with trimesh
+MAX_FLOAT32 = 3.4028234e38
 CONVERTED = ("dae", "glb", "gltf", "off", "ply")
 FORMATS = ("stl", "obj", *CONVERTED)
 
@@ -267,7 +268,7 @@ def _check_obj(data: bytes) -> tuple[bytes, bool] | _MeshError:
     Returns the content of the OBJ file without references to material files.  The second return
     value is true if a coordinate of the mesh has a magnitude of 8 m or more.
     """
-    vertices = faces = 0
+    vertices = faces = highest = highest_line = 0
     largest = 0.0
     lines: list[bytes] = []
     for number, line in enumerate(data.split(b"\n"), start=1):
@@ -278,7 +279,17 @@ def _check_obj(data: bytes) -> tuple[bytes, bool] | _MeshError:
             continue
         lines.append(line)
         if word == [b"f"]:
-            faces += len(line.split()) - 3
+            face = line.partition(b"#")[0].split()[1:]
+            faces += len(face) - 2
+            try:
+                # A face refers to vertices by position; negative numbers count from the last one.
+                indices = [int(corner.split(b"/", 1)[0]) for corner in face]
+            except ValueError:
+                return _invalid(f"has a face that is not a list of vertices (line {number})")
+            if len(indices) < 3 or 0 in indices or min(indices) < -vertices:
+                return _invalid(f"has a face with a vertex that does not exist (line {number})")
+            if max(indices) > highest:
+                highest, highest_line = max(indices), number
         elif word == [b"v"]:
             vertices += 1
             try:
@@ -290,6 +301,10 @@ def _check_obj(data: bytes) -> tuple[bytes, bool] | _MeshError:
                 return _invalid(f"has a coordinate that is not a finite number (line {number})")
     if vertices < 4 or faces < 2:
         return _invalid(f"has {vertices} vertices and {faces} triangles and is not a solid")
+    if highest > vertices:
+        return _invalid(f"has a face with a vertex that does not exist (line {highest_line})")
+    if largest > MAX_FLOAT32:
+        return _invalid("has a coordinate that is too large for a float32")
     if faces > MAX_TRIANGLES:
         return _too_large(f"has {faces} triangles; at most {MAX_TRIANGLES} are read")
     return b"\n".join(lines), largest >= 8.0
