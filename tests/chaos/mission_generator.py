@@ -130,6 +130,10 @@ class MissionGenerator:
             parts = [draw.uniform(-3.0, 3.0) * linear, 0.0, draw.uniform(-3.0, 3.0) * angular]
         return [round(part, 2) for part in parts]
 
+    def fast_twist(self) -> list[float]:
+        """Returns a twist at top speed, which no permission for a slower motion covers."""
+        return [self.draw.choice((1, -1)) * self.robot.driver.max_linear_velocity, 0.0, 0.0]
+
     def _mission(self, begin: float, end: float) -> Iterator[ChaosEvent]:
         """Yields an ordinary mission: arm, drive, pause, stop, reset, and drive again."""
         draw = self.draw
@@ -180,6 +184,9 @@ class MissionGenerator:
         draw = self.draw
         name = draw.choice([lock.name for lock in self.robot.twist_locks])
         yield _call(at, "guard", "lock", name=name, locked=True)
+        if draw.random() < 0.4:  # a source as loud as the stop drives
+            values = {"source": LOUD_SOURCE, "twist": self.fast_twist(), "seconds": 1.0}
+            yield ChaosEvent(at + 0.1, "drive", {"client": "nav", **values, "rate": 20.0})
         if draw.random() < 0.7:
             client = draw.choice(("guard", "guard", "stranger"))
             yield _call(at + draw.uniform(0.05, 1.0), client, "lock", name=name, locked=False)
@@ -231,7 +238,7 @@ class MissionGenerator:
             yield ChaosEvent(at, "raw", {"client": "hostile", "text": text, "times": times})
         elif kind == 1:
             source = draw.choice(("teleop_joy", "teleop_joy", "auto_nav", LOUD_SOURCE))
-            values = {"source": source, "twist": self.twist(), "seconds": 1.0, "rate": 50.0}
+            values = {"source": source, "twist": self.fast_twist(), "seconds": 1.0, "rate": 50.0}
             yield ChaosEvent(at, "drive", {"client": "hostile", **values})
         elif kind == 2:
             yield _call(at, "hostile", "release_safety_stop")
