@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from thorvaldc.backends.colors_and_meshes import mesh_files
-from thorvaldc.backends.mjcf_robot import WORLD, RobotWriter, body_names
+from thorvaldc.backends.mjcf_robot import RobotWriter
 from thorvaldc.backends.mjcf_scene import add_home, add_surroundings
 from thorvaldc.backends.mjcf_sections import ModelSections
 from thorvaldc.backends.mjcf_world import add_world
@@ -48,15 +48,6 @@ class Mjcf(StaticsBackend):
                 robot.span,
                 "the URDF has them",
             )
-        for link in robot.links:
-            if link.name == WORLD and not robot.namespace:
-                yield Diagnostic(
-                    CODES["mjcf-name-reserved"],
-                    f"MuJoCo keeps the name `{WORLD}` for the ground; in MJCF the link is "
-                    f"`{body_names(robot)[WORLD]}`",
-                    link.span,
-                    "rename it in the extra, or give the robot a `namespace`",
-                )
 
     def emit_with_statics(self, robot: Robot, statics: Statics) -> dict[str, bytes]:
         tree = JointTree(robot.links, robot.joints)

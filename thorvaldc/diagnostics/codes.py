@@ -205,7 +205,6 @@ _TABLE: tuple[Code, ...] = (
     _warning("TV546", "controller-without-motor", "a controller drives no motor"),
     # 6xx: backends
     _note("TV601", "urdf-only-element", "an element of an extra is written to URDF only"),
-    _warning("TV602", "mjcf-name-reserved", "the name of a link is reserved in MJCF"),
     _warning("TV620", "dbc-text", "a text contains characters that a DBC file cannot represent"),
     # 7xx: library and extras
     _error("TV701", "library-missing", "a library folder does not exist"),
