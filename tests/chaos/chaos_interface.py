@@ -12,6 +12,10 @@ if TYPE_CHECKING:
     from tests.chaos.chaos_world import ChaosWorld
 
 
+LONGEST_JUMP = 1.0
+"""Largest shift (s) of the time of a frame: python-can's interfaces limit its age to 1 s."""
+
+
 class ChaosInterface(VirtualTimeInterface):
     """The CAN interface of the driver, in whose ``send`` the driver may stall."""
 
@@ -22,12 +26,9 @@ class ChaosInterface(VirtualTimeInterface):
         return super().send(frame, timeout)
 
     def jump(self, seconds: float) -> None:
-        """Shifts the times of waiting frames, as a wall clock that is set.
-
-        The interfaces of python-can limit the age of a frame to 1 s.
-        """
+        """Shifts the times of waiting frames, as a wall clock that is set."""
         now = self.timeline.now
-        lowest = now - to_ns(1.0)
+        lowest = now - to_ns(LONGEST_JUMP)
         moved = [
             received._replace(time=min(max(received.time - to_ns(seconds), lowest), now))
             for received in self.received

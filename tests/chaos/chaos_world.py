@@ -11,9 +11,10 @@ from typing import Any
 
 from tests.chaos.chaos_client import ChaosClient
 from tests.chaos.chaos_commissioning import Technician, delivered_ids
-from tests.chaos.chaos_interface import ChaosInterface
+from tests.chaos.chaos_interface import LONGEST_JUMP, ChaosInterface
 from tests.chaos.chaos_problems import (
     EMPTY_BATTERY,
+    FALSE_REPORTS,
     IMPEDING,
     LATCHED,
     LYING,
@@ -437,6 +438,10 @@ class ChaosWorld:
     def act_clock_jump(self, seconds: float) -> None:
         for interface in self.interfaces.values():
             interface.jump(seconds)
+        for problem in self.problems.values():
+            # The driver counts reports by the times of their reception.
+            if problem.kind == FALSE_REPORTS and problem.notice is not None:
+                problem.notice += min(abs(seconds), LONGEST_JUMP)
 
     def act_master_bus_off(self, bus: str) -> None:
         if bus in self.interfaces and self.alive:
