@@ -13,7 +13,7 @@ from pathlib import Path
 from tests.chaos.chaos_robots import ROBOTS
 from tests.chaos.mission_generator import MissionGenerator
 from tests.chaos.schedule import Schedule
-from tests.chaos.seed_runner import Outcome, run_schedule
+from tests.chaos.seed_runner import Outcome, run_here, run_schedule
 from tests.chaos.shrinker import Shrinker
 from tests.chaos.taken_out import TAKEN_OUT
 
@@ -33,6 +33,9 @@ def main() -> int:
     parser.add_argument("--stop", type=int, default=0, metavar="N", help="end after N violations")
     parser.add_argument("--print", action="store_true", help="print the schedule of each seed")
     parser.add_argument("--folder", type=Path, help="write shrunk scripts into this folder")
+    parser.add_argument(
+        "--warm", type=int, default=0, metavar="N", help="run N missions first, for PyPy's compiler"
+    )
     parser.add_argument("scripts", nargs="*", type=Path, help="scripts to replay")
     options = parser.parse_args()
     if options.without == "all":
@@ -41,6 +44,8 @@ def main() -> int:
         TAKEN_OUT[options.without]()
     if options.scripts:
         return _replay(options.scripts)
+    for seed in range(-options.warm, 0):
+        run_here(MissionGenerator(seed).schedule())
     first, _, end = options.seeds.partition(":")
     seeds = range(int(first), int(end) if end else int(first) + 1)
     children = []
