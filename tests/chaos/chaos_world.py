@@ -34,7 +34,7 @@ from tests.chaos.invariants import (
     check_commands,
     check_stored,
 )
-from tests.chaos.permission import Permission
+from tests.chaos.permission import Permission, wheel_speed
 from tests.chaos.schedule import DELIVERED, POWER_ON, READY, ChaosEvent, Schedule
 from tests.robots import SPAN
 from thorvaldc.can.nanoseconds import to_ns
@@ -58,6 +58,8 @@ CALL_TIME = 0.045
 """s that a person waits for the effect of a call."""
 REST_TIME = 0.3
 """s between the end of all faults and the first act of the person; devices boot in this time."""
+LATE_FRAME_TIME = 0.04
+"""s until the next command replaces a command that was sent late."""
 RECOVERIES = 4
 RECOVERY_TWIST = Twist(0.3, 0.0, 0.0)
 RECOVERED_SPEED = 0.15
@@ -111,6 +113,7 @@ class ChaosWorld:
         self._start_wrong = False
         self._numbers = 0
         self._forged_until = -math.inf
+        self._late_frame, self._late_frame_until = 0.0, -math.inf
         self._recovering = False
         self._encoder_jumped = False
         self._battery_empty = 0.0
@@ -184,9 +187,9 @@ class ChaosWorld:
         )
 
     def forged_level(self, now: float) -> float:
-        """Returns the speed (m/s) that forged commands may cause."""
+        """Returns the speed (m/s) that forged commands, or a command sent late, may cause."""
         if now > self._forged_until:
-            return 0.0
+            return self._late_frame if now <= self._late_frame_until else 0.0
         actuators = [self.robot.actuator_of(w.spin_joint) for w in self.robot.wheels]
         return max(a.max_velocity for a in actuators if a is not None) * 0.5
 
@@ -273,7 +276,11 @@ class ChaosWorld:
     def stall_while_sending(self) -> None:
         if self._stall_in_sending:
             seconds, self._stall_in_sending = self._stall_in_sending, 0.0
+            permitted = self.permission.twist(self.now)
             self._hang(seconds)
+            # No program can take back the frame that it is about to send when it is stopped.
+            self._late_frame = wheel_speed(self.robot, permitted, *self.limits)
+            self._late_frame_until = self.now + LATE_FRAME_TIME
 
     def _hang(self, seconds: float) -> None:
         self.driver_hangs = True

@@ -4,7 +4,7 @@ A motion is permitted while all of this is true.  The rules are those of docs/dr
 
 - The driver was armed after it became ready, and no fault, stop, restart or long gap came since.
 - The twist was sent by the connection that holds its source, and it is fresh.
-- After a gap in the control cycle, zero was commanded (or nothing for the time-out) before.
+- After a gap in the control cycle, the source has commanded zero before.
 - No stop lock with a higher priority is set.
 
 The rules are permissive where the outcome depends on the order within a control cycle.
@@ -36,6 +36,7 @@ class _Source:
     time: float = -math.inf
     attempt: float = -math.inf
     """Time (s) of the last twist of the holder, also if it was void."""
+    awaits_zero: bool = False
 
     def is_held(self, now: float) -> bool:
         return now - self.attempt <= self.timeout + 1e-6
@@ -63,7 +64,6 @@ class Permission:
     locks: dict[str, set[str]] = field(default_factory=dict)
     """Connections that have set each active lock, by name of the lock."""
     living: set[str] = field(default_factory=set)
-    _after_gap: bool = False
     _arming_until: float = -math.inf
     _moves_before_arming: bool = False
     _void_at: float = -math.inf
@@ -93,7 +93,7 @@ class Permission:
         gap = now - self._last_cycle
         self._last_cycle = now
         if gap > SHORT_GAP * self.period + 1e-6:
-            self._void(now)
+            self._void()
         if gap >= self.long_gap:
             self.disarm()
 
@@ -102,14 +102,14 @@ class Permission:
         if starts:
             self.must_reset = False
         if not drives:
-            self.armed, self.zero_first, self._after_gap = False, True, False
-            self._void_at = now
+            self.armed, self.zero_first, self._void_at = False, True, now
         elif self._arming_until >= now:
             self._arming_until = -math.inf
             self.armed, self.must_reset = True, False
-            self.zero_first, self._after_gap = self._moves_before_arming, False
-            self._void_at = now
-        if drives and not self._after_gap and not self._is_moving(now):
+            self.zero_first, self._void_at = self._moves_before_arming, now
+            for source in self.sources.values():
+                source.awaits_zero = False
+        if drives and not self._is_moving(now):
             self.zero_first = False
 
     def _is_moving(self, now: float) -> bool:
@@ -119,10 +119,9 @@ class Permission:
             for s in self.sources.values()
         )
 
-    def _void(self, now: float) -> None:
-        self.zero_first, self._after_gap, self._void_at = True, True, now
+    def _void(self) -> None:
         for source in self.sources.values():
-            source.time = -math.inf
+            source.time, source.awaits_zero = -math.inf, True
 
     def sends_twist(self, client: str, source: str, twist: Twist, now: float) -> None:
         entry = self.sources.get(source)
@@ -131,7 +130,12 @@ class Permission:
         other = entry.client not in ("", client) and entry.client in self.living
         if other and entry.is_held(now):
             return
-        entry.client, entry.twist, entry.time, entry.attempt = client, twist, now, now
+        entry.client, entry.attempt = client, now
+        if twist == ZERO_TWIST:
+            entry.awaits_zero = False
+        elif entry.awaits_zero:
+            return
+        entry.twist, entry.time = twist, now
         if twist != ZERO_TWIST:
             self._last_motion = now
         elif self._selected(now) is entry:
