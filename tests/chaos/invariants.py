@@ -50,8 +50,8 @@ NOTICE = {
 }
 """Longest time (s) from an injected fault until the driver no longer reports that it can drive."""
 MARGIN = 0.1
-SURPLUS = 7
-"""False reports that are noticed at the latest, with one that follows a late true report."""
+SURPLUS = 8
+"""Number of false reports that are noticed at the latest, if they have the period of the report."""
 SAMPLING_TIME = 0.12
 """s between two counts of the same report."""
 

@@ -308,6 +308,9 @@ class MissionGenerator:
     def forged(self, at: float) -> Iterator[ChaosEvent]:
         """A second master or false reports."""
         draw = self.draw
+        # Two equal frames that begin at the same instant are one frame for everybody on the bus.
+        cycle = min(bus.sync_period for bus in self.robot.buses)
+        at = cycle * (at // cycle + draw.uniform(0.15, 0.85))
         bus, node = draw.choice(self.controllers)
         ids = [f.cob_id for f in bus.frames if f.kind in ("pdo", "sync", "nmt", "heartbeat")]
         cob_id = draw.choice(ids)

@@ -107,11 +107,22 @@ class NodeWatchdog:
     def take_heartbeat(self, cob_id: int, data: bytes, time: float) -> None:
         """Stores a heartbeat of a node.
 
-        After a boot-up message, the driver of the node is reset.
+        After a boot-up message, the driver of the node is reset.  So it is after heartbeats were
+        missing, or if a running node is suddenly not operational: the node may have restarted while
+        its boot-up message was lost, for example because the driver itself was off the bus.  It has
+        then lost its zero position.
         """
         if not data:
             return
-        name, state = self.heartbeat_frames[cob_id].producer, heartbeat_state(data)
+        definition = self.heartbeat_frames[cob_id]
+        name, state = definition.producer, heartbeat_state(data)
+        last = self._heartbeats.get(name)
+        if last is not None and definition.period is not None:
+            controller = self._controllers[name]
+            was_missing = time - last.time > _heartbeat_limit(controller, definition.period)
+            stopped = time > self._started_at and last.state == NmtState.OPERATIONAL != state
+            if was_missing or stopped:
+                controller.handle_restart()
         if state == NmtState.INITIALISING:
             self._controllers[name].handle_restart()
             self._restarted.add(name)
