@@ -359,5 +359,6 @@ def test_an_empty_link_world_stands_for_the_mounting_position(tmp_path: Path) ->
 
 def test_a_second_base_link_names_the_argument_for_a_prefix(tmp_path: Path) -> None:
     loaded = load(tmp_path, "- {xacro: arm.xacro}", arm_xacro=HEAD + ARM)
-    hints = [d.hint for d in loaded.report if d.code.name == "extra-name-duplicate"]
+    assert loaded.codes == ["extra-name-duplicate"]
+    hints = [d.hint for d in loaded.report]
     assert hints == ["set the argument `tf_prefix` of the xacro file: `args: {tf_prefix: ...}`"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 from thorvaldc.compiler.extras.urdf_reader import UrdfParts
@@ -62,6 +62,11 @@ class Placement:
         return f"set the argument `{prefix}` of the xacro file: `args: {{{prefix}: ...}}`"
 
 
+def has_content(link: Link) -> bool:
+    """Returns ``True`` if a link has a mass or a shape; another link only names a frame."""
+    return bool(link.inertial or link.visuals or link.collisions)
+
+
 class ExtrasJoiner:
     """Adds the links and joints of xacro files (extras) to a robot, one file after the other.
 
@@ -95,7 +100,8 @@ class ExtrasJoiner:
         """
         parts, is_mounted = self.without_world(entry, parts)
         links = self.new_file_links(parts.links, entry)
-        joint_to = self.joints_by_child(parts.joints, links, entry)
+        duplicates = {link.name for link in parts.links if has_content(link)} & self.links.keys()
+        joint_to = self.joints_by_child(parts.joints, links, duplicates, entry)
         for mesh in parts.meshes:
             self.meshes.setdefault(mesh.name, mesh)
         self.extensions += parts.extensions
@@ -138,7 +144,7 @@ class ExtrasJoiner:
         if world is None:
             return parts, False
         is_root = all(joint.child != WORLD for joint in parts.joints)
-        if not is_root or world.inertial or world.visuals or world.collisions:
+        if not is_root or has_content(world):
             self.report.add(
                 "extra-world",
                 f"`{WORLD}` is the ground in simulators; a link of this name would fix the robot",
@@ -170,7 +176,7 @@ class ExtrasJoiner:
             first = new[link.name].span if link.name in new else self.links.get(link.name)
             if first is None:
                 new[link.name] = link
-            elif link.name in new or link.inertial or link.visuals or link.collisions:
+            elif link.name in new or has_content(link):
                 self.report.add(
                     "extra-name-duplicate",
                     f"another link has the name `{link.name}`",
@@ -181,11 +187,16 @@ class ExtrasJoiner:
         return new
 
     def joints_by_child(
-        self, joints: Sequence[Joint], links: Mapping[str, Link], entry: Placement
+        self,
+        joints: Sequence[Joint],
+        links: Mapping[str, Link],
+        duplicates: Set[str],
+        entry: Placement,
     ) -> dict[str, Joint]:
         """Returns the valid joints of a xacro file by the name of the child link.
 
         - ``links``: links that the xacro file defines, by name.
+        - ``duplicates``: names of links that the xacro file and the robot define.
         """
         joint_to: dict[str, Joint] = {}
         names: dict[str, Span] = {}
@@ -214,6 +225,8 @@ class ExtrasJoiner:
                     )
             if not ends_exist:
                 continue
+            if joint.child in duplicates:
+                continue  # the name of the link has been reported
             first_parent = joint_to[joint.child].span if joint.child in joint_to else None
             if joint.child not in links:
                 first_parent = self.links[joint.child]
