@@ -102,7 +102,7 @@ def test_params_can_have_every_quantity() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_mappings_allow_only_defined_keys(kind: Kind) -> None:
     """A mapping has only the defined keys, or names of the pattern of the language."""
-    free = {"args", "packages"}  # names from xacro files
+    free = {"args", "env", "packages"}  # names from xacro files
 
     def walk(schema: Any, name: str) -> Iterator[str]:
         if isinstance(schema, list):

@@ -238,6 +238,7 @@ _TABLE: tuple[Code, ...] = (
     _warning("TV762", "extra-warning", "xacro reports a warning about an extra"),
     _error("TV763", "extra-forbidden", "a xacro file does something that is not allowed"),
     _error("TV768", "extra-world", "a link of an extra has the name of the ground"),
+    _error("TV769", "extra-environment", "an extra needs an environment variable that is not set"),
     # 8xx: runtime, simulation and commissioning
     _error("TV801", "calculator-unsuited", "the base calculator cannot drive this robot"),
     _error("TV802", "calculator-option", "an option of the base calculator is invalid"),

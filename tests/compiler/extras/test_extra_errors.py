@@ -31,7 +31,7 @@ from tests.compiler.extras.xacro_files import (
         ("\n<xacro:lazer name='a'/>", "extra-expansion", 4, "lazer"),
         ("\n<xacro:include filename='none.xacro'/>", "extra-expansion", 4, "none.xacro"),
         ("<link name='$(arg size)'/>", "extra-argument", 3, "`size`"),
-        ("<link name='$(env HOME)'/>", "extra-expansion", 3, "HOME"),
+        ("<link name='$(env HOME)'/>", "extra-environment", 3, "HOME"),
         ("<link name='${open(1)}'/>", "extra-expansion", 3, "open"),
         ("<link/>", "extra-element", 3, "name"),
         ("<link name='a'><visual/></link>", "extra-element", 3, "geometry"),
@@ -192,6 +192,15 @@ def test_an_unused_argument_is_a_warning(tmp_path: Path) -> None:
     assert loaded.only.hint == "did you mean `height`?"
     assert loaded.only.span is not None
     assert loaded.only.span.file == "robot.yaml"
+
+
+def test_an_environment_variable_is_missing_or_unused(tmp_path: Path) -> None:
+    body = '<link name="a_$(env ROS_VERSION)"/>'
+    missing = load_one(tmp_path, body, ", env: {ROS_VERSON: 2}").only
+    assert "env: {ROS_VERSION: ...}" in (missing.hint or "")
+    unused = load_one(tmp_path, body, ", env: {ROS_VERSION: 2, ROS_DISTRO: x}").only
+    assert unused.code.name == "extra-argument-unused"
+    assert "environment variable `ROS_DISTRO`" in unused.message
 
 
 def test_placement_of_a_file_without_root_links_is_a_warning(tmp_path: Path) -> None:

@@ -82,6 +82,23 @@ def test_a_sensor_macro_with_parent_and_origin_block(tmp_path: Path) -> None:
     )
 
 
+def test_a_file_reads_the_environment_variables_of_its_entry_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DISTRO", "of the user")
+    body = """
+<xacro:property name="version" value="$(env ROS_VERSION)"/>
+<xacro:if value="${version == 2}"><link name="ros_2"/></xacro:if>
+<xacro:if value="$(env USE_SIM)"><link name="simulated"/></xacro:if>
+<link name="distro_$(optenv ROS_DISTRO none)"/>
+<link name="version_$(optenv ROS_VERSION none)"/>
+"""
+    loaded = load_one(tmp_path, body, ", env: {ROS_VERSION: 2, USE_SIM: true}")
+    assert loaded.codes == []
+    names = [link.name for link in loaded.parts.links]
+    assert names == ["ros_2", "simulated", "distro_none", "version_2"]
+
+
 CAMERA = (
     HEAD.replace("<robot", '<robot xmlns:sensor="http://example.com/sensor"')
     + """

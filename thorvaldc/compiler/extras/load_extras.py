@@ -19,6 +19,7 @@ from thorvaldc.compiler.extras.join_extras import (
     FindAttachment,
     Placement,
 )
+from thorvaldc.compiler.extras.ros_packages import find_package
 from thorvaldc.compiler.extras.urdf_elements import call_labels
 from thorvaldc.compiler.extras.urdf_reader import UrdfParts, read_urdf
 from thorvaldc.compiler.extras.xacro_expand import (
@@ -31,7 +32,6 @@ from thorvaldc.compiler.extras.xacro_expand import (
     expand,
     search_paths,
 )
-from thorvaldc.compiler.extras.xacro_worker import find_package
 from thorvaldc.compiler.geometry.meshes import load_mesh
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.units import UnitError, parse_quantity
@@ -91,7 +91,7 @@ def load_extras(
     all_entries = [_Entry.read(node, base_dir, paths, report) for node in entries]
     valid_entries = [entry for entry in all_entries if entry is not None]
     joiner = ExtrasJoiner(dict(links), dict(joints), attach, report)
-    requests = [ExpansionRequest(e.file, e.args, e.packages) for e in valid_entries]
+    requests = [ExpansionRequest(e.file, e.args, e.packages, e.env) for e in valid_entries]
     files: dict[str, Path] = {}
     expanded_files = expand(requests, paths, trust=trust)
     for entry, expanded_file in zip(valid_entries, expanded_files, strict=True):
@@ -118,6 +118,7 @@ class _Entry:
     node: Node
     file: Path
     args: dict[str, str]
+    env: dict[str, str]
     packages: dict[str, str]
     parent: Node | None
     pose: Pose
@@ -149,14 +150,12 @@ class _Entry:
                 hint="the path is relative to the robot file",
             )
             return None
-        args = node.get("args")
         packages = node.get("packages")
         return _Entry(
             node,
             file,
-            {k: _text(v) for k, v in args.value.items()}
-            if args is not None and isinstance(args.value, dict)
-            else {},
+            _texts(node.get("args")),
+            _texts(node.get("env")),
             _package_folders(packages, base_dir, paths, report),
             node.get("parent"),
             Pose.from_xyz_rpy(
@@ -186,8 +185,14 @@ def _package_folders(
     return folders
 
 
+def _texts(node: Node | None) -> dict[str, str]:
+    """Returns the values of xacro arguments or environment variables in the robot file as texts."""
+    if node is None or not isinstance(node.value, dict):
+        return {}
+    return {name: _text(value) for name, value in node.value.items()}
+
+
 def _text(node: Node) -> str:
-    """Returns the value of a xacro argument in the robot file as text."""
     if isinstance(node.value, bool):
         return "true" if node.value else "false"
     return "" if node.value is None else str(node.value)
@@ -232,6 +237,11 @@ _FAILURES = {
         "add it to the entry: args: {{{text}: ...}}, or define a default: "
         '<xacro:arg name="{text}" default="..."/>',
     ),
+    "environment": (
+        "extra-environment",
+        "the xacro file requires the environment variable `{text}`, which is not set",
+        "add it to the entry: env: {{{text}: ...}}; the file reads no other environment variables",
+    ),
     "package": (
         "extra-package",
         "the package `{text}` cannot be found",
@@ -255,17 +265,7 @@ def _read_parts(entry: _Entry, expanded: ExpandedFile, report: Report) -> UrdfPa
         return None
     for text, span in expanded.warnings:
         report.add("extra-warning", f"xacro: {text}", span or entry.span, labels=[file_label])
-    for name in expanded.unused_arguments:
-        args = entry.node.get("args")
-        argument = args.get(name) if args is not None else None
-        known = expanded.known_arguments
-        report.add(
-            "extra-argument-unused",
-            f"the xacro file does not use the argument `{name}`",
-            argument.where if argument is not None else entry.span,
-            hint=did_you_mean(name, [a for a in known if a not in entry.args])
-            or "its arguments are " + (", ".join(f"`{a}`" for a in known) or "none"),
-        )
+    _report_unused(entry, expanded, report)
     if not any(element.tag != "material" for element in expanded.elements):
         _report_empty(entry, expanded.macros, report)
         return None
@@ -283,6 +283,24 @@ def _read_parts(entry: _Entry, expanded: ExpandedFile, report: Report) -> UrdfPa
     folders = {**expanded.packages, **entry.packages}
     extensions = tuple(_without_folders(xml, folders, paths) for xml in parts.extensions)
     return replace(parts, extensions=extensions)
+
+
+def _report_unused(entry: _Entry, expanded: ExpandedFile, report: Report) -> None:
+    """Reports arguments and environment variables of the entry that the xacro file does not use."""
+    for key, noun, unused, known in (
+        ("args", "argument", expanded.unused_arguments, expanded.known_arguments),
+        ("env", "environment variable", expanded.unused_environment, expanded.known_environment),
+    ):
+        stated = entry.node.get(key)
+        for name in unused:
+            value = stated.get(name) if stated is not None else None
+            report.add(
+                "extra-argument-unused",
+                f"the xacro file does not use the {noun} `{name}`",
+                value.where if value is not None else entry.span,
+                hint=did_you_mean(name, [a for a in known if a not in (*entry.args, *entry.env)])
+                or f"its {noun}s are " + (", ".join(f"`{a}`" for a in known) or "none"),
+            )
 
 
 def _report_failure(

@@ -20,7 +20,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -105,6 +105,7 @@ class ExpandedFile:
     - ``warnings``: tuples (text, source span) of the warnings of xacro.
     - ``unused_arguments``: names of the arguments that the robot file sets but xacro does not read.
     - ``known_arguments``: names of the arguments that xacro reads.
+    - ``unused_environment``, ``known_environment``: the same for environment variables.
     - ``packages``: folder of each ROS package that the file refers to.
     - ``paths``: converter of absolute paths to file names in messages.
     - ``files``: path of each file that xacro read, by the name of the file in source spans.
@@ -116,6 +117,8 @@ class ExpandedFile:
     warnings: tuple[tuple[str, Span | None], ...]
     unused_arguments: tuple[str, ...]
     known_arguments: tuple[str, ...]
+    unused_environment: tuple[str, ...]
+    known_environment: tuple[str, ...]
     packages: dict[str, str]
     paths: DisplayPaths
     files: dict[str, Path]
@@ -127,12 +130,14 @@ class ExpansionRequest:
 
     - ``file``: absolute path of the xacro file.
     - ``args``: xacro arguments by name.
+    - ``env``: environment variables by name; the file reads no others.
     - ``packages``: absolute path of the folder of each ROS package that the robot file names.
     """
 
     file: Path
     args: dict[str, str]
     packages: dict[str, str]
+    env: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +231,13 @@ def expand(
     search = search_paths()
     folders = None if trust else readable_folders(requests, paths.folder, search)
     entries = [
-        {"file": str(r.file), "args": r.args, "packages": r.packages, "search": search}
+        {
+            "file": str(r.file),
+            "args": r.args,
+            "env": r.env,
+            "packages": r.packages,
+            "search": search,
+        }
         for r in requests
     ]
     answers: list[dict[str, Any]] = []
@@ -387,6 +398,8 @@ def _decode(answer: dict[str, Any], paths: DisplayPaths) -> ExpandedFile:
         tuple((paths.text(text), span(position)) for text, position in answer.get("warnings", ())),
         tuple(answer.get("unused", ())),
         tuple(answer.get("known", ())),
+        tuple(answer.get("unused_env", ())),
+        tuple(answer.get("known_env", ())),
         answer.get("packages", {}),
         paths,
         {paths.name(file): Path(file) for file in files},

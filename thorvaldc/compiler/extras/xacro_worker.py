@@ -23,7 +23,6 @@ import re
 import sys
 import xml.dom.minidom
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any
 from xml.dom import expatbuilder
 from xml.parsers.expat import ExpatError
@@ -31,6 +30,7 @@ from xml.parsers.expat import ExpatError
 from thorvaldc.compiler.containment import contain, limit_processor_time, set_limits
 from thorvaldc.compiler.extras import expression_rules
 from thorvaldc.compiler.extras.expression_rules import ForbiddenExpressionError
+from thorvaldc.compiler.extras.ros_packages import find_package
 
 Position = tuple[int, int, int]  # index of the file, line, column
 
@@ -44,8 +44,9 @@ _KEY = "position"
 class ExpansionError(Exception):
     """Raised if a xacro file cannot be expanded.
 
-    - ``kind``: kind of the error, which is ``xml``, ``root``, ``limit``, ``argument``, ``package``,
-      ``forbidden`` or ``expression``.  The compiler reports a different diagnostic for each kind.
+    - ``kind``: kind of the error, which is ``xml``, ``root``, ``limit``, ``argument``,
+      ``environment``, ``package``, ``forbidden`` or ``expression``.  The compiler reports a
+      different diagnostic for each kind.
     - ``text``: description of the error.
     - ``position``: position of the error, or ``None`` if it is unknown.
     """
@@ -54,46 +55,6 @@ class ExpansionError(Exception):
         super().__init__(text)
         self.kind = kind
         self.position = position
-
-
-def find_package(
-    name: str,
-    packages: dict[str, str],
-    search: dict[str, Sequence[str]],
-    near: str,
-) -> str | None:
-    """Returns the folder of a ROS package, or ``None`` if the package is not found.
-
-    Search order for a ROS package:
-
-    1. the folders in ``packages``, which the robot file sets
-    2. the folders ``share/<name>`` in the install prefixes ``search["ament"]``
-    3. the folders ``search["ros"]``, which are packages or contain packages
-    4. the parent folders of the file ``near``, and the subfolders of these folders
-    """
-    if name in packages:
-        return packages[name]
-    for prefix in search["ament"]:
-        folder = os.path.join(prefix, "share", name)
-        if os.path.isdir(folder):
-            return folder
-    for root in search["ros"]:
-        for folder in (root, os.path.join(root, name)):
-            if os.path.basename(folder) == name and os.path.isdir(folder):
-                return folder
-    for above in Path(near).absolute().parents:
-        if above.name == name:
-            return str(above)
-        if (above / "package.xml").is_file():
-            declared = re.search(
-                r"<name>\s*([^<\s]+)\s*</name>",
-                (above / "package.xml").read_text("utf-8", "replace"),
-            )
-            if declared is not None and declared[1] == name:
-                return str(above)
-        if (above / name / "package.xml").is_file():
-            return str(above / name)
-    return None
 
 
 class _PositionKeeper:
@@ -121,7 +82,8 @@ class _Builder(expatbuilder.ExpatBuilderNS):
 
 
 class _Arguments(dict[str, str]):
-    """Arguments of a xacro file, with a record of the argument names that xacro reads."""
+    """Arguments or environment variables of a xacro file, with a record of the names that xacro
+    reads."""
 
     def __init__(self, arguments: dict[str, str]) -> None:
         super().__init__(arguments)
@@ -159,6 +121,7 @@ class Expansion:
         self.called: dict[str, None] = {}
         self.properties: dict[str, Position | None] = {}
         self.packages: dict[str, str] = {}
+        self.environment = _Arguments(entry["env"])
         self.error_position: Position | None = None
         # Xacro includes, macro calls and property definitions that lead to an error.
         self.trail: list[tuple[Position, str]] = []
@@ -368,19 +331,27 @@ class Expansion:
     def with_substitutions(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Wraps ``eval_extension`` of xacro, which evaluates a substitution ``$(...)``.
 
-        The xacro substitution ``$(find)`` then calls ``find_package``.  The xacro substitution
-        ``$(env)`` raises an error, because the worker process has no environment variables.
+        The xacro substitution ``$(find)`` then calls ``find_package``.  The xacro substitutions
+        ``$(env)`` and ``$(optenv)`` read the variables that the robot file states; the worker
+        process itself has no environment variables.
         """
 
-        def environment(name: str) -> str:
-            raise ExpansionError("expression", f"$(env {name}): the environment is not passed on")
+        def required(name: str) -> str:
+            if name not in self.environment:
+                raise ExpansionError("environment", name)
+            return self.environment[name]
+
+        def optional(name: str, default: str = "") -> str:
+            self.environment.used[name] = None
+            return self.environment.get(name, default)
 
         def call(text: str) -> Any:
             from xacro import substitution_args
 
             substitution_args._eval_find = self.find
-            substitution_args._eval_env = environment
-            substitution_args._eval_dict.update(find=self.find, env=environment)
+            substitution_args._eval_env = required
+            substitution_args._eval_optenv = optional
+            substitution_args._eval_dict.update(find=self.find, env=required, optenv=optional)
             substitution_args.eval = self.with_rules(eval, expression_rules.BUILTINS)
             try:
                 return function(text)
@@ -443,6 +414,8 @@ class Expansion:
             "elements": [_encode(child, root) for child in children],
             "unused": [name for name in self.entry["args"] if name not in arguments.used],
             "known": list(arguments.used),
+            "unused_env": [n for n in self.entry["env"] if n not in self.environment.used],
+            "known_env": list(self.environment.used),
         }
 
     def answer(self) -> dict[str, Any]:

@@ -1,0 +1,48 @@
+"""Finds the folders of ROS packages."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+
+def find_package(
+    name: str,
+    packages: dict[str, str],
+    search: dict[str, Sequence[str]],
+    near: str,
+) -> str | None:
+    """Returns the folder of a ROS package, or ``None`` if the package is not found.
+
+    Search order for a ROS package:
+
+    1. the folders in ``packages``, which the robot file sets
+    2. the folders ``share/<name>`` in the install prefixes ``search["ament"]``
+    3. the folders ``search["ros"]``, which are packages or contain packages
+    4. the parent folders of the file ``near``, and the subfolders of these folders
+    """
+    if name in packages:
+        return packages[name]
+    for prefix in search["ament"]:
+        folder = os.path.join(prefix, "share", name)
+        if os.path.isdir(folder):
+            return folder
+    for root in search["ros"]:
+        for folder in (root, os.path.join(root, name)):
+            if os.path.basename(folder) == name and os.path.isdir(folder):
+                return folder
+    for above in Path(near).absolute().parents:
+        if above.name == name:
+            return str(above)
+        if (above / "package.xml").is_file():
+            declared = re.search(
+                r"<name>\s*([^<\s]+)\s*</name>",
+                (above / "package.xml").read_text("utf-8", "replace"),
+            )
+            if declared is not None and declared[1] == name:
+                return str(above)
+        if (above / name / "package.xml").is_file():
+            return str(above / name)
+    return None
