@@ -37,6 +37,8 @@ LYING = (
 )
 """Kinds of injected faults that falsify what the motors report, without notice at first."""
 EMPTY_BATTERY = "battery_charge of a device"
+FASTEST_CONSTANTS = 0.1
+"""Period (s) of the report of constants while the driver waits for them."""
 LATCHED = ("second_master",)
 """Kinds of problems that must be noticed, even if they were short."""
 
@@ -46,12 +48,14 @@ class Problem:
     """An injected fault in effect.
 
     - ``since``: time (s) of its start;
-    - ``notice``: longest time (s) until the driver notices it, or ``None`` if it need not.
+    - ``notice``: longest time (s) until the driver notices it, or ``None`` if it need not;
+    - ``delay``: time (s) by which frames are late.
     """
 
     kind: str
     since: float
     notice: float | None = None
+    delay: float = 0.0
     ended: bool = False
     noticed: bool = False
 
@@ -77,7 +81,10 @@ def notice_time(robot: Robot, kind: str, fault: BusFault) -> float | None:
         return NOTICE.get(kind)
     bus = next(bus for bus in robot.buses if bus.name == fault.bus)
     drives = {node.name for node in bus.nodes if node.channels}
-    reports = {f.cob_id for f in bus.frames if f.producer in drives and f.period}
-    if fault.cob_id not in reports or not fault.period:
+    reports = {f.cob_id: f.period for f in bus.frames if f.producer in drives and f.period}
+    period = reports.get(fault.cob_id or 0)
+    if period is None or not fault.period:
         return None  # a single frame, or the report of no motor controller
+    if period > fault.period >= FASTEST_CONSTANTS:
+        return None  # the driver itself lets the motor controller report constants at this rate
     return false_reports_notice(fault.period)

@@ -116,6 +116,9 @@ class ChaosWorld:
         self._late_frame, self._late_frame_until = 0.0, -math.inf
         self._recovering = False
         self._encoder_jumped = False
+        """``True`` after a jump that the driver has not seen: it was off, or the encoder frozen.
+
+        Nobody notices such a jump before the next homing."""
         self._battery_empty = 0.0
         self._injector = FaultInjector(self.simulated, BusFaults((), seed=seed))
         self._motors = [
@@ -173,8 +176,10 @@ class ChaosWorld:
             return True
         return any(problem.kind in IMPEDING for problem in self.problems.values())
 
-    def has_problem(self, kind: str) -> bool:
-        return any(problem.kind == kind for problem in self.problems.values())
+    @property
+    def frame_delay(self) -> float:
+        """Longest time (s) by which a frame on a bus is late."""
+        return max((problem.delay for problem in self.problems.values()), default=0.0)
 
     @property
     def late_cycle(self) -> bool:
@@ -305,6 +310,8 @@ class ChaosWorld:
             problem.noticed = problem.noticed or not base_state.drives
             if problem.ended and (problem.noticed or problem.kind not in LATCHED):
                 del self.problems[number]
+        if any(axis.jump for axis in runner.base._axes):
+            self._encoder_jumped = False
         for client in self.clients.values():
             client.notice_end()
         self.state_check.check(now)
@@ -472,9 +479,9 @@ class ChaosWorld:
         remove = self._injector._start(fault)
         problem = problem_kind(self.robot, fault)
         number = self._open_problem(problem, notice_time(self.robot, problem, fault))
-        if kind == "encoder_jump" and not (self.alive and self.runner.state.drives):
-            # No driver sees the jump, and the drive does not notice it before the next homing.
-            self._encoder_jumped = True
+        if kind == "late_frames":
+            self.problems[number].delay = fault.latency
+        self._encoder_jumped |= kind == "encoder_jump"
         self._targets[number] = target
         device = self.simulated.devices.get(node or "")
         original = device.nonvolatile.get("node_id") if device is not None else None

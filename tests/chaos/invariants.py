@@ -29,11 +29,8 @@ AFTER_IMPEDIMENT = 0.2
 """s after which the driver controls the drives again, when a hindrance has ended."""
 SPEED_TOLERANCE, SPEED_SHARE = 0.04, 1.06
 """Wheel speeds (m/s) that count as standing, and the tolerance of the permitted speed."""
-BLOCKED_SHARE = 1.3
-"""Tolerance while a motor is blocked.
-
-A blocked steering joint turns the robot: one wheel is faster than asked for, another one slower.
-"""
+LONGEST_DELAY = 1.0
+"""Longest time (s) by which an injected fault delays frames."""
 SIGMAS = 5.0
 POSE_TOLERANCE = 0.03
 """m and rad."""
@@ -84,7 +81,10 @@ class MotionInvariant:
     world: ChaosWorld
     envelope: float = 0.0
     _recent: deque[tuple[float, float]] = field(default_factory=deque)
+    _impeded_since: float = math.inf
     _impeded_until: float = -math.inf
+    _delay: float = 0.0
+    """Longest time (s) by which frames are late during the present hindrance."""
     _ramp_start: float = 0.0
     """Speed (m/s) of the envelope at the start of its last fall."""
     _rest_time: float = -math.inf
@@ -112,9 +112,15 @@ class MotionInvariant:
         recent = self._recent
         recent.append((now, level))
         if world.impeded:
-            self._impeded_until = now + AFTER_IMPEDIMENT
-        reaction = self.watchdog if now < self._impeded_until else self.reaction
-        while recent and recent[0][0] < now - max(self.watchdog, self.turn_time):
+            # A frame that is late keeps the watchdog of a drive from acting.
+            self._delay = max(self._delay, world.frame_delay)
+            self._impeded_since = min(self._impeded_since, now)
+            self._impeded_until = now + AFTER_IMPEDIMENT + self._delay
+        elif now >= self._impeded_until:
+            self._impeded_since, self._delay = math.inf, 0.0
+        watchdog = self.watchdog + self._delay
+        reaction = watchdog if now < self._impeded_until else self.reaction
+        while recent and recent[0][0] < now - max(self.watchdog + LONGEST_DELAY, self.turn_time):
             recent.popleft()
         if level == 0.0:
             self._rest_time = now
@@ -125,12 +131,16 @@ class MotionInvariant:
         share = 1.0 if level == 0.0 else TURN_SHARE
         if highest >= self.envelope:
             self.envelope = self._ramp_start = highest
+        elif 0.0 <= now - self._impeded_since <= watchdog:
+            pass  # the drives hold their last speed until their watchdogs end the motion
         else:
+            if level > 0.0:
+                # A stop that begins later has the stated time from the speed at that instant.
+                self._ramp_start = self.envelope
             fall = share * self._ramp_start * CHECK_PERIOD / self.ramp_time
             self.envelope = max(highest, self.envelope - fall)
         speed = world.true_speed()
-        share = BLOCKED_SHARE if world.has_problem("blocked_motor") else SPEED_SHARE
-        if speed > share * self.envelope + SPEED_TOLERANCE:
+        if speed > SPEED_SHARE * self.envelope + SPEED_TOLERANCE:
             raise Violation(
                 "unasked motion",
                 now,

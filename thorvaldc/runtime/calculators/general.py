@@ -32,7 +32,7 @@ from typing import Self
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, Noise
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
-from thorvaldc.runtime.calculators.linear_algebra import solve3
+from thorvaldc.runtime.calculators.linear_algebra import least_squares3, solve3
 from thorvaldc.runtime.calculators.motor_limits import DriveMotors
 from thorvaldc.runtime.calculators.reachable_twists import ReachableTwists
 from thorvaldc.runtime.calculators.skid_steering import SkidSteering
@@ -499,7 +499,8 @@ class General(BaseCalculator):
 
         The weight lambda grows to infinity as the largest steering error decreases to ``_ALIGNED``.
         The resulting twist is therefore a continuous function of the steering error.  The resulting
-        twist is not larger than ``target``.
+        twist is not larger than ``target``, and no wheel is faster than the fastest wheel of
+        ``target``.
 
         - ``misalignment``: largest steering error (rad), more than ``_ALIGNED``.
         - ``pushes``: wheel speeds (rad/s) of turning steering joints, see ``_pushes``.
@@ -544,6 +545,7 @@ class General(BaseCalculator):
             twist = twist.scaled(1.0 / math.sqrt(excess))
         vx, vy, wz = twist
         speeds = list(self._zeros)
+        fastest = limit = 0.0
         for (i, joint, _, _, x, y, _, lateral, radius, driven), (c, s) in zip(
             self._scrubbing, directions, strict=True
         ):
@@ -553,6 +555,11 @@ class General(BaseCalculator):
             if not joint.holding:
                 v += c * (vx - wz * y) + s * (vy + wz * x)
             speeds[i] = v / radius
+            fastest = max(fastest, abs(v))
+            corner = math.hypot(target.vx - target.wz * y, target.vy + target.wz * x)
+            limit = max(limit, corner + abs(lateral * target.wz))
+        if fastest > limit:
+            twist, speeds = twist.scaled(limit / fastest), [v * limit / fastest for v in speeds]
         if self._driven_fixed:
             self._set_fixed_speeds(twist, speeds, 1.0)
         twist, speeds = self._motors.limit_speeds(twist, speeds, pushes)
@@ -571,29 +578,17 @@ class General(BaseCalculator):
         ``speeds`` are without ``_pushes``.
         """
         vx, vy, wz = twist
-        a11 = a22 = _KEEP_WEIGHT
-        a33 = _KEEP_WEIGHT * self._length2
-        a12 = a13 = a23 = b1 = b2 = b3 = 0.0
-        largest = 0.0
         rows = [(i, l1, l2, l3, radius) for i, l1, l2, l3, radius, _ in self._driven_fixed]
         for i, joint, heading, sign, x, y, _, lateral, radius, driven in self._scrubbing:
             if driven and not joint.holding:
                 angle = joint.target if at_targets else angles[i]
                 c, s = math.cos(heading + sign * angle), math.sin(heading + sign * angle)
                 rows.append((i, c, s, s * x - c * y - lateral, radius))
-        for i, l1, l2, l3, radius in rows:
-            gap = speeds[i] * radius - (l1 * vx + l2 * vy + l3 * wz)
-            largest = max(largest, abs(gap))
-            a11 += l1 * l1
-            a12 += l1 * l2
-            a13 += l1 * l3
-            a22 += l2 * l2
-            a23 += l2 * l3
-            a33 += l3 * l3
-            b1 += l1 * gap
-            b2 += l2 * gap
-            b3 += l3 * gap
-        if largest < _SAME_SPEED:
+        gaps = [
+            (l1, l2, l3, speeds[i] * radius - (l1 * vx + l2 * vy + l3 * wz))
+            for i, l1, l2, l3, radius in rows
+        ]
+        if max((abs(gap) for _, _, _, gap in gaps), default=0.0) < _SAME_SPEED:
             return twist
-        dx, dy, dw = solve3(a11, a12, a13, a22, a23, a33, b1, b2, b3)
+        dx, dy, dw = least_squares3(gaps, _KEEP_WEIGHT, _KEEP_WEIGHT * self._length2)
         return Twist(vx + dx, vy + dy, wz + dw)
