@@ -12,7 +12,6 @@ from thorvaldc.can.lss import Identity
 from thorvaldc.model.bus import Bus, Node
 from thorvaldc.model.robot import Robot
 
-CANOPEN = "canopen"
 PARKING = range(112, 127)
 """Node ids that are used only temporarily, while a flash exchanges the ids of nodes."""
 STATUSWORDS = (0x6041, 0x6841)
@@ -156,7 +155,7 @@ def _node_configuration(bus: Bus, node: Node) -> NodeConfiguration:
         module=node.module,
         protocol=node.protocol,
         id=node.id,
-        canopen=node.id_space == CANOPEN,
+        canopen=node.is_canopen,
         lss=node.lss,
         sdo=any(frame.kind == "sdo" for frame in sent),
         drive=bool(node.channels),

@@ -203,6 +203,7 @@ _TABLE: tuple[Code, ...] = (
     _warning("TV544", "motor-without-controller", "a motor is not connected to a controller"),
     _note("TV545", "robot-without-controller", "no motor of the robot has a motor controller"),
     _warning("TV546", "controller-without-motor", "a controller drives no motor"),
+    _error("TV580", "can-signal-floating-point", "a floating-point signal has a wrong format"),
     # 6xx: backends
     _note("TV601", "urdf-only-element", "an element of an extra is written to URDF only"),
     _warning("TV620", "dbc-text", "a text contains characters that a DBC file cannot represent"),

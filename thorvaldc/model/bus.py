@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 
 from thorvaldc.diagnostics import Span
@@ -21,6 +22,10 @@ OBJECT_TYPES = {
     "unsigned32": (0x0007, 32),
 }
 CIA_402 = 402
+CANOPEN = "canopen"
+"""Id space of the CANopen node ids.  A node in another id space is no CANopen device."""
+FLOAT32_MAX = (2.0 - 2.0**-23) * 2.0**127
+"""Largest finite number of IEEE 754 with 32 bits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -28,11 +33,13 @@ class Signal(Element):
     """A little-endian field of a CAN frame: physical value = raw value * scale + offset.
 
     - ``start``, ``length``: the first bit and the number of bits of the signal.
+    - ``signed``: true if the raw value is an integer in two's complement.
     - ``unit``: unit of the physical value, rad or rad/s for a signal that belongs to a joint.
     - ``joint``: name of the joint that the signal belongs to, or ``None``.
     - ``multiplexer``: true if the signal selects which other signals the frame contains.
     - ``selected_by``: values of the multiplexer with which the frame contains the signal.
     - ``choices``: pairs of a raw value and its name.
+    - ``floating_point``: true if the raw value is a number after IEEE 754 with 32 or 64 bits.
     """
 
     name: str
@@ -49,6 +56,17 @@ class Signal(Element):
     selected_by: tuple[int, ...] = ()
     choices: tuple[tuple[int, str], ...] = ()
     description: str = ""
+    floating_point: bool = False
+
+    @property
+    def raw_range(self) -> tuple[float, float]:
+        """The lowest and the highest finite raw value, integers unless ``floating_point``."""
+        if self.floating_point:
+            greatest = FLOAT32_MAX if self.length == 32 else sys.float_info.max
+            return -greatest, greatest
+        if self.signed:
+            return -(1 << self.length - 1), (1 << self.length - 1) - 1
+        return 0, (1 << self.length) - 1
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -128,7 +146,7 @@ class Node(Element):
     - ``id``: the number of the node, unique within the ``id_space``. The id is 0 if the device has
       no id, such as a device that the base driver does not control.
     - ``id_space``: name of a group of ids. The ids of batteries and the node ids of CANopen nodes
-      are separate groups. The name of the group is empty if the device has no id.
+      (``CANOPEN``) are separate groups. The name of the group is empty if the device has no id.
     - ``automatic``: true if the compiler chose the id. The lock file of the robot stores the node
       ids that the compiler chose.
     - ``vendor_id``, ``product_code``, ``revision_number``: values of the CANopen object 0x1018.
@@ -166,6 +184,11 @@ class Node(Element):
     bitrates: tuple[int, ...] = ()
     objects: tuple[ObjectValue, ...] = ()
     command_watchdog: float | None = None
+
+    @property
+    def is_canopen(self) -> bool:
+        """True if the id of the node is a CANopen node id."""
+        return self.id_space == CANOPEN
 
     @property
     def is_cia402(self) -> bool:

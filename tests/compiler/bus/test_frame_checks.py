@@ -45,6 +45,24 @@ def bench() -> Bench:
         ("{a: {start: 0, length: 8, choices: {on_: 256}}}", 8, "can-choice-range"),
         ("{a: {start: 0, length: 8, signed: true, choices: {on_: 128}}}", 8, "can-choice-range"),
         ("{a: {start: 0, length: 8, scale: 0}}", 8, "can-scale"),
+        ("{a: {start: 0, length: 64, floating_point: true}}", 8, ""),
+        ("{a: {start: 4, length: 32, floating_point: true, scale: -2}}", 8, ""),
+        ("{a: {start: 0, length: 33, floating_point: true}}", 8, "can-signal-floating-point"),
+        (
+            "{a: {start: 0, length: 32, floating_point: true, signed: true}}",
+            8,
+            "can-signal-floating-point",
+        ),
+        (
+            "{a: {start: 0, length: 32, floating_point: true, choices: {on_: 1}}}",
+            8,
+            "can-signal-floating-point",
+        ),
+        (
+            "{a: {start: 0, length: 32, floating_point: true, multiplexer: true}}",
+            8,
+            "can-signal-floating-point",
+        ),
         (
             "{m: {start: 0, length: 8, multiplexer: true},"
             " a: {start: 8, length: 8, selected_by: [1]},"

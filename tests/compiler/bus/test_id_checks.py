@@ -165,6 +165,22 @@ def test_foreign_frame_over_the_full_expansion(
         assert line(2) in places
 
 
+@pytest.mark.parametrize("cob_id", [0x000, 0x001, 0x07F, 0x080, 0x101, 0x601, 0x705, 0x7E4, 0x7FF])
+@pytest.mark.parametrize(
+    ("kind", "allowed"), [("pdo", True), ("broadcast", True), ("relay", False)]
+)
+def test_identifiers_of_canopen_on_a_bus_without_canopen(
+    bench: Bench, kind: str, allowed: bool, cob_id: int
+) -> None:
+    """Another protocol may use every identifier; a foreign device may still be a CANopen device."""
+    text = simple(cob_id=cob_id, kind=kind).replace("id_space: canopen", "id_space: mine")
+    bench.add("my/other", 6, text=text, wires={"motor": MOTORS[0]})
+    (bus,) = bench.build()
+    refused = not allowed and cob_id != 0x080
+    assert [d.code.name for d in bench.report] == ["can-cob-id-restricted"] * refused
+    assert [f.kind for f in bus.frames] == [kind], "no frame of a CANopen master"
+
+
 def test_two_frames_of_one_device(bench: Bench) -> None:
     text = simple() + "    b: {cob_id: 0x190, kind: pdo, direction: report, length: 1}\n"
     bench.add("my/twice", 6, text=text, wires={"motor": MOTORS[0]})

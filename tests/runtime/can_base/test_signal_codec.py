@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import struct
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,9 +13,10 @@ import pytest
 
 from tests.robots import SPAN
 from tests.runtime.can_base.test_can_base import drives, four_wheels
+from thorvaldc.backends.can.dbc import dbc_text
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model import Robot
-from thorvaldc.model.bus import FrameDefinition, Signal
+from thorvaldc.model.bus import FLOAT32_MAX, Bus, FrameDefinition, Signal
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
 
@@ -99,3 +101,65 @@ def test_codecs_share_no_state() -> None:
     second = replace(first, signals=(Signal("a", 0, 16, scale=2.0),))
     assert FrameCodec(first).decode(b"\2\0" + bytes(6)) == [2]
     assert FrameCodec(second).decode(b"\2\0" + bytes(6)) == [4]
+
+
+VELOCITY = Signal("velocity", 0, 32, scale=-2.0, offset=1.0, floating_point=True)
+FLOAT_FRAMES = {
+    "two": (VELOCITY, Signal("torque", 32, 32, floating_point=True)),
+    "swapped": (Signal("torque", 32, 32, floating_point=True), VELOCITY),
+    "double": (Signal("position", 0, 64, floating_point=True),),
+    "with integers": (VELOCITY, Signal("feed", 32, 16, True, 0.001), Signal("more", 48, 16)),
+    "between bits": (Signal("flag", 3, 1), Signal("torque", 9, 32, floating_point=True)),
+}
+
+
+@pytest.mark.parametrize("signals", FLOAT_FRAMES.values(), ids=FLOAT_FRAMES)
+def test_floating_point_signals_agree_with_cantools(signals: tuple[Signal, ...]) -> None:
+    definition = frame(*signals)
+    codec = FrameCodec(definition)
+    text = dbc_text(Bus("main", 500_000, 0.02, (), (definition,), SPAN))
+    message = cantools.database.load_string(text, "dbc").get_message_by_frame_id(0x181)
+    numbers = random.Random(5)
+    for _ in range(50):
+        values = {
+            s.name: numbers.uniform(0.0, 1.0) * 10.0 ** numbers.randint(0, 4) for s in signals
+        }
+        data = codec.encode_named(values)
+        theirs = message.decode(data, decode_choices=False)
+        assert codec.decode_named(data) == pytest.approx(theirs, rel=1e-12)
+        for signal in signals:
+            if signal.floating_point:
+                assert theirs[signal.name] == pytest.approx(values[signal.name], rel=1e-6, abs=1e-6)
+                assert message.get_signal_by_name(signal.name).is_float
+
+
+def test_a_floating_point_signal_is_limited_to_finite_numbers() -> None:
+    codec = FrameCodec(frame(Signal("a", 0, 32, minimum=-1e300, floating_point=True), length=4))
+    assert codec.decode(codec.encode([1e200])) == [FLOAT32_MAX]
+    assert codec.decode(codec.encode([-1e200])) == [-FLOAT32_MAX]
+    limited = FrameCodec(frame(Signal("a", 0, 32, maximum=2.5, floating_point=True), length=4))
+    assert limited.decode(limited.encode([3.0])) == [2.5]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_received_number_that_is_not_finite_is_an_error(value: float) -> None:
+    codec = FrameCodec(frame(Signal("vel", 0, 32, floating_point=True), length=4))
+    data = struct.pack("<f", value)
+    assert not codec.is_finite(data)
+    with pytest.raises(ValueError, match=f"vel is {value}"):
+        codec.decode(data)
+
+
+def test_a_signal_that_is_not_selected_may_be_anything() -> None:
+    codec = FrameCodec(
+        frame(
+            Signal("kind", 0, 8, multiplexer=True),
+            Signal("a", 32, 32, selected_by=(1,), floating_point=True),
+            Signal("b", 32, 32, selected_by=(2,)),
+        )
+    )
+    data = b"\2\0\0\0" + struct.pack("<f", math.nan)
+    assert codec.is_finite(data)
+    assert codec.decode_named(data)["b"] == 0x7FC00000
+    with pytest.raises(ValueError, match="a is nan"):
+        codec.decode(b"\1" + data[1:])

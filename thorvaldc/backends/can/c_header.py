@@ -71,10 +71,10 @@ def _frame(frame: FrameDefinition) -> Iterator[tuple[str, str, str]]:
 
 def _signal(frame: str, signal: Signal) -> Iterator[tuple[str, str, str]]:
     name = f"{frame}_{signal.name}"
-    sign = "signed" if signal.signed else "unsigned"
+    kind = "floating point" if signal.floating_point else "signed" if signal.signed else "unsigned"
     about = f", joint {signal.joint}" if signal.joint is not None else ""
     yield f"{name}_start", f"{signal.start}u", ""
-    yield f"{name}_bits", f"{signal.length}u", sign
+    yield f"{name}_bits", f"{signal.length}u", kind
     yield f"{name}_scale", _number(signal.scale), f"{_plain(signal.unit) or 'no unit'}{about}"
     if signal.offset:
         yield f"{name}_offset", _number(signal.offset), _plain(signal.unit)

@@ -14,7 +14,7 @@ from thorvaldc.model import Robot
 from thorvaldc.model.robot import Actuator, Bus, Channel, FrameDefinition, Joint, Node, Signal
 
 FORMAT = "thorvaldc-canmap"
-VERSION = 2
+VERSION = 3
 JOINT_UNITS = ("rad", "rad/s")
 Motors = dict[str, tuple[Actuator, Joint]]
 _ENCODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
@@ -132,6 +132,7 @@ def _signal(signal: Signal) -> dict[str, Any]:
         "start": signal.start,
         "length": signal.length,
         "signed": signal.signed,
+        "floating_point": signal.floating_point,
         "scale": signal.scale,
         "offset": signal.offset,
         "unit": signal.unit,

@@ -116,6 +116,7 @@ def _dbc_signals(db: Any, frame: FrameDefinition) -> list[Any]:
                     _number(signal.scale),
                     _number(signal.offset),
                     {raw: _plain(name) for raw, name in signal.choices} or None,
+                    signal.floating_point,
                 ),
                 minimum=low,
                 maximum=high,
@@ -139,12 +140,7 @@ def _limits(signal: Signal) -> tuple[float | None, float | None]:
     """
     if signal.minimum is None and signal.maximum is None:
         return None, None
-    first, last = (
-        (-1 << signal.length - 1, 1 << signal.length - 1)
-        if signal.signed
-        else (0, 1 << signal.length)
-    )
-    ends = sorted(raw * signal.scale + signal.offset for raw in (first, last - 1))
+    ends = sorted(raw * signal.scale + signal.offset for raw in signal.raw_range)
     return (
         ends[0] if signal.minimum is None else signal.minimum,
         ends[1] if signal.maximum is None else signal.maximum,

@@ -16,7 +16,6 @@ from thorvaldc.can.canopen import HEARTBEAT, NMT, SYNC, NmtCommand
 from thorvaldc.compiler.bus.bus_checks import LOAD_WARNING, check_bus, late_frames
 from thorvaldc.compiler.bus.device_frames import heartbeat
 from thorvaldc.compiler.bus.device_sections import (
-    CANOPEN,
     MASTER,
     MASTER_HEARTBEAT_PERIOD,
     MASTER_ID,
@@ -212,7 +211,7 @@ def _master_frames(
 
     On a bus without CANopen nodes, the master sends no NMT, SYNC and heartbeat frames.
     """
-    nodes = tuple(d.node.name for d in placed if d.node.id_space == CANOPEN)
+    nodes = tuple(d.node.name for d in placed if d.node.is_canopen)
     if not nodes:
         return
     yield FrameDefinition(

@@ -270,6 +270,7 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
             tuple(integer(scope, item, 0) for item in items(get("selected_by"))),
             tuple((integer(scope, raw, 0), choice) for choice, raw in entries(get("choices"))),
             scope.text(get("description")),
+            scope.boolean(get("floating_point"), False),
         )
         if wire is not None and wire.actuator.encoder_offset and signal.unit == "rad":
             signal = _calibrated(signal, wire, commands)

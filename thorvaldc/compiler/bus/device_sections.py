@@ -13,7 +13,6 @@ from thorvaldc.model.robot import Actuator, FrameDefinition, Node
 MASTER = "master"
 MASTER_ID = 127
 MASTER_HEARTBEAT_PERIOD = 0.1  # s
-CANOPEN = "canopen"
 
 
 class Wire(NamedTuple):

@@ -11,6 +11,7 @@ from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.robot import Signal
 
 ROUNDING = 1e-9
+FLOAT_LENGTHS = (32, 64)  # lengths (bits) of the floating-point formats of IEEE 754
 
 
 def check_channels(device: Device, frame: Node, report: Report) -> None:
@@ -66,6 +67,7 @@ def check_layout(
     return all(
         (
             len(inside) == len(signals),
+            _floats_fit(inside, span_of, report),
             _choices_fit(inside, span_of, report),
             _selectors_fit(inside, span_of, report),
             _bits_are_apart(inside, span_of, report),
@@ -73,10 +75,40 @@ def check_layout(
     )
 
 
+def _floats_fit(signals: Sequence[Signal], span_of: dict[str, Span], report: Report) -> bool:
+    """Checks that a floating-point signal has a length of IEEE 754 and no keys of an integer."""
+    fits = True
+    for signal in signals:
+        if not signal.floating_point:
+            continue
+        integer_keys = {
+            "signed": signal.signed,
+            "choices": signal.choices,
+            "multiplexer": signal.multiplexer,
+        }
+        unsuited = [key for key, stated in integer_keys.items() if stated]
+        if signal.length not in FLOAT_LENGTHS:
+            text = f"has {signal.length} bits; a floating-point number has 32 or 64"
+        elif unsuited:
+            text = f"is a floating-point number, but has `{unsuited[0]}`, which is for integers"
+        else:
+            continue
+        fits = False
+        report.add(
+            "can-signal-floating-point",
+            f"the signal `{signal.name}` {text}",
+            span_of[signal.name],
+            hint=f"remove `{unsuited[0]}`"
+            if signal.length in FLOAT_LENGTHS
+            else "write `length: 32`, or remove `floating_point`",
+        )
+    return fits
+
+
 def _choices_fit(signals: Sequence[Signal], span_of: dict[str, Span], report: Report) -> bool:
     fits = True
     for signal in signals:
-        low, high = raw_range(signal)
+        low, high = signal.raw_range
         for raw, choice in signal.choices:
             if not low <= raw <= high:
                 fits = False
@@ -111,7 +143,7 @@ def _selectors_fit(signals: Sequence[Signal], span_of: dict[str, Span], report: 
                 hint="mark the signal that selects with `multiplexer: true`",
             )
             continue
-        low, high = raw_range(selectors[0])
+        low, high = selectors[0].raw_range
         for value in signal.selected_by:
             if not low <= value <= high:
                 fits = False
@@ -177,13 +209,6 @@ def _masks_are_apart(signals: Sequence[Signal]) -> bool:
     return not any(always & mask for mask in selected.values())
 
 
-def raw_range(signal: Signal) -> tuple[int, int]:
-    """Returns the smallest and the largest raw value of a CAN signal."""
-    if signal.signed:
-        return -(1 << (signal.length - 1)), (1 << (signal.length - 1)) - 1
-    return 0, (1 << signal.length) - 1
-
-
 def check_scales(
     device: Device, frame: Node, signals: Sequence[tuple[Signal, str | None]], report: Report
 ) -> None:
@@ -213,7 +238,10 @@ def check_scales(
         slack = ROUNDING * max(abs(joint_range[0]), abs(joint_range[1]))
         if low <= joint_range[0] + slack and joint_range[1] - slack <= high:
             continue
-        field = f"{signal.length} {'signed' if signal.signed else 'unsigned'} bits"
+        kind = (
+            "floating-point" if signal.floating_point else "signed" if signal.signed else "unsigned"
+        )
+        field = f"{signal.length} {kind} bits"
         report.add(
             "can-scale",
             f"`{signal.name}` has the range {low:.4g} to {high:.4g} {signal.unit}; the joint "
@@ -239,7 +267,7 @@ def _joint_range(wire: Wire, unit: str) -> tuple[float, float] | None:
 
 
 def _physical_range(signal: Signal) -> tuple[float, float]:
-    ends = sorted(raw * signal.scale + signal.offset for raw in raw_range(signal))
+    ends = sorted(raw * signal.scale + signal.offset for raw in signal.raw_range)
     low = ends[0] if signal.minimum is None else max(ends[0], signal.minimum)
     high = ends[1] if signal.maximum is None else min(ends[1], signal.maximum)
     return low, high

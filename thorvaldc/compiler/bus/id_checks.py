@@ -93,9 +93,16 @@ def check_serials(placed: Sequence[Placed], report: Report) -> None:
 
 
 def check_restricted(placed: Sequence[Placed], report: Report) -> None:
+    """Reports an error for a frame with an identifier that CANopen reserves.
+
+    On a bus without CANopen nodes the modules may use all identifiers.  Relayed frames may not,
+    because a foreign device can belong to a CANopen network of its own.
+    """
+    canopen = any(device.node.is_canopen for device in placed)
+    checked = ("pdo", "broadcast", "relay") if canopen else ("relay",)
     for device in placed:
         for frame in device.frames:
-            if frame.kind not in ("pdo", "broadcast", "relay"):
+            if frame.kind not in checked:
                 continue
             for low, high in RESTRICTED:
                 if low <= frame.cob_id <= high:

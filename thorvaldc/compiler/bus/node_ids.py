@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 from thorvaldc.compiler.bus.device_frames import channel_names, frames_of
 from thorvaldc.compiler.bus.device_sections import (
-    CANOPEN,
     MASTER_ID,
     BusSpec,
     Device,
@@ -30,6 +29,7 @@ from thorvaldc.compiler.source import node as source
 from thorvaldc.compiler.source.units import UnitError, parse_any
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.model.bus import CANOPEN
 from thorvaldc.model.robot import Channel, FrameDefinition, Node, Scalar
 
 # Default number of missed heartbeats after which a CANopen node counts as lost, if the module

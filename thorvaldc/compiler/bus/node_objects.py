@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 
 from thorvaldc.can.canopen import SYNC
 from thorvaldc.compiler.bus.device_sections import (
-    CANOPEN,
     MASTER,
     MASTER_ID,
     Device,
@@ -38,7 +37,7 @@ def objects_of(
     Returns an empty tuple if the CANopen node has no SDO service, because object dictionary entries
     are written by SDO.
     """
-    if node.id_space != CANOPEN or not any(f.kind == "sdo" for f in frames):
+    if not node.is_canopen or not any(f.kind == "sdo" for f in frames):
         return ()
     objects: dict[tuple[int, int], tuple[ObjectValue, Span]] = {}
     for entry, span in (*_own(device, report), *_derived(device, node, frames, report)):

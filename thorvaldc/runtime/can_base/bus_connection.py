@@ -61,7 +61,8 @@ class BusConnection:
 
     - ``outbox``: frames that are sent once, when a cycle has room for the frame;
     - ``not_sent``: number of frames that the CAN interface did not accept;
-    - ``malformed``: number of received frames that were too short.
+    - ``malformed``: number of received frames that were too short, or had a number that is not
+      finite.
     """
 
     def __init__(self, robot: Robot, bus: Bus, interface: CanInterface, *, threaded: bool) -> None:
@@ -119,7 +120,7 @@ class BusConnection:
         self._handled: dict[int, int] = {}
         # Only a master sends NMT, SYNC, the heartbeat of the master, commands and SDO requests.  If
         # such a frame is received, another master is on the bus.
-        self._master_names = {NMT: "NMT", SYNC: "SYNC", **_master_frames(bus)}
+        self._master_names = _master_frames(bus)
         event_ids = {
             *self._master_names,
             *self.relay.from_device,
@@ -164,8 +165,10 @@ class BusConnection:
             handled[cob_id] = frame.number
             try:
                 handler(frame.data, frame.time)
+                self.watchdog.malformed_since.pop(cob_id, None)
             except ValueError:
                 self.malformed += 1
+                self.watchdog.malformed_since.setdefault(cob_id, frame.time)
 
     def _handle_event(self, event: Event) -> None:
         time, cob_id, data = event
@@ -256,7 +259,7 @@ class BusConnection:
     def queue_nmt(
         self, command: NmtCommand, controllers: Sequence[MotorController] | None = None
     ) -> None:
-        """Queues an NMT command for each motor controller in ``controllers``.
+        """Queues an NMT command for each CANopen motor controller in ``controllers``.
 
         If ``controllers`` is ``None``, the command is queued for all motor controllers.
 
@@ -264,7 +267,8 @@ class BusConnection:
         master.
         """
         for controller in controllers if controllers is not None else self.controllers:
-            self.outbox.append(CanFrame(NMT, nmt_message(command, controller.node.id)))
+            if controller.node.is_canopen:
+                self.outbox.append(CanFrame(NMT, nmt_message(command, controller.node.id)))
 
     def queue_setting(self, controller: MotorController, name: str, value: float) -> None:
         """Queues the frame that changes a setting of a motor controller.
@@ -399,10 +403,12 @@ class BusConnection:
 def _master_frames(bus: Bus) -> dict[int, str]:
     """Returns a description of each frame that only the master may send, by COB-ID.
 
-    Frames that the base driver relays to foreign devices are excluded, because a foreign device may
-    have a master of its own.
+    NMT and SYNC belong to the master only on a bus with CANopen nodes.  Frames that the base driver
+    relays to foreign devices are excluded, because a foreign device may have a master of its own.
     """
     names: dict[int, str] = {}
+    if any(node.is_canopen for node in bus.nodes):
+        names = {NMT: "NMT", SYNC: "SYNC"}
     for frame in bus.frames:
         if frame.producer != MASTER:
             continue

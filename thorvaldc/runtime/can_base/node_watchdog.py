@@ -85,6 +85,10 @@ class NodeWatchdog:
         self.heartbeat_frames = {frame.cob_id: frame for frame in heartbeats}
         self._heartbeat_of = {frame.producer: frame for frame in heartbeats}
         self._reports = {name: _reports(bus, name) for name in self._controllers}
+        self.malformed_since: dict[int, float] = {}
+        """Time (s) of the first of the malformed frames in a row, by COB-ID.
+
+        A malformed report counts as missing: its values are unknown."""
         self._heartbeats: dict[str, Heartbeat] = {}
         self._restarted: set[str] = set()
         self._boot_ups: dict[str, int] = {}
@@ -175,8 +179,11 @@ class NodeWatchdog:
 
     def has_all_reports(self, controller: MotorController) -> bool:
         """Returns ``True`` if each periodic report of the motor controller was received at least
-        once."""
-        return all(r.cob_id in self._latest for r in self._reports[controller.node.name])
+        once, and the newest of each is not malformed."""
+        return all(
+            r.cob_id in self._latest and r.cob_id not in self.malformed_since
+            for r in self._reports[controller.node.name]
+        )
 
     def is_in_state(self, controller: MotorController, state: NmtState, since: float) -> bool:
         """Returns ``True`` if the newest heartbeat of a node reports the NMT state ``state`` and
@@ -212,9 +219,12 @@ class NodeWatchdog:
                 return f"its NMT state is {nmt_state_text(heartbeat.state)}, not operational"
         for report in self._reports[name]:
             frame = self._latest.get(report.cob_id)
-            age = now - max(since, -math.inf if frame is None else frame.time)
+            malformed_since = self.malformed_since.get(report.cob_id, math.inf)
+            received_at = -math.inf if frame is None else min(frame.time, malformed_since)
+            age = now - max(since, received_at)
             if age / report.period > REPORT_TIMEOUT:
-                return f"no {report.name} for {age * 1000:.0f} ms"
+                valid = "valid " if malformed_since < math.inf else ""
+                return f"no {valid}{report.name} for {age * 1000:.0f} ms"
         return ""
 
 

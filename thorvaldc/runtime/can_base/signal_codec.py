@@ -6,7 +6,7 @@ import math
 import struct
 from collections.abc import Mapping, Sequence
 
-from thorvaldc.model.bus import FrameDefinition, Signal
+from thorvaldc.model.bus import FrameDefinition
 
 _FORMATS = {
     (8, False): "B",
@@ -19,15 +19,17 @@ _FORMATS = {
     (64, True): "q",
 }
 """Format letters of ``struct`` for integers, by length (bits) and ``True`` for signed."""
+_FLOAT_FORMATS = {32: "f", 64: "d"}
+"""Format letters of ``struct`` for floating-point numbers, by length (bits)."""
 
 
 class FrameCodec:
     """Encodes and decodes the signals of one CAN frame definition.
 
     All CAN signals are little endian.  The physical value of a CAN signal is ``raw * scale +
-    offset``, where ``raw`` is the integer in the data of the CAN frame.  Lists of signal values
-    have the order of ``frame.signals``.  The physical value of a CAN signal with scale 1 and offset
-    0 is an integer.
+    offset``, where ``raw`` is the number in the data of the CAN frame.  Lists of signal values have
+    the order of ``frame.signals``.  The physical value of an integer CAN signal with scale 1 and
+    offset 0 is an integer.
 
     A CAN frame whose signals start and end at byte boundaries is converted by one fast call of
     ``struct``.  A CAN frame with other signals is converted with shifts and masks.
@@ -46,12 +48,17 @@ class FrameCodec:
             for i, s in enumerate(frame.signals)
             if s.scale != 1.0 or s.offset != 0.0
         )
-        self._raw_ranges = tuple(_raw_range(signal) for signal in frame.signals)
+        self._raw_ranges = tuple(signal.raw_range for signal in frame.signals)
         self._bounds = tuple((s.minimum, s.maximum) for s in frame.signals)
         self._struct, self._order = _compile_struct(frame)
         self._fields = tuple(
             (s.start, (1 << s.length) - 1, 1 << s.length - 1 if s.signed else 0)
             for s in frame.signals
+        )
+        self._floats = tuple(
+            (i, f"<{_FORMATS[s.length, False]}", f"<{_FLOAT_FORMATS[s.length]}")
+            for i, s in enumerate(frame.signals)
+            if s.floating_point
         )
         self._multiplexer = next((i for i, s in enumerate(frame.signals) if s.multiplexer), None)
 
@@ -60,7 +67,8 @@ class FrameCodec:
 
         The returned list also contains the values of signals that the multiplexer signal does not
         select.  Surplus bytes in the data of the CAN frame are ignored.  Raises ``ValueError`` if
-        ``data`` is shorter than the CAN frame definition.
+        ``data`` is shorter than the CAN frame definition, or if a floating-point signal is NaN or
+        infinite.
         """
         if len(data) < self.length:
             raise ValueError(f"{self.frame.name} has {len(data)} bytes, not {self.length}")
@@ -73,25 +81,49 @@ class FrameCodec:
             # The expression `(x ^ sign) - sign` extends the sign bit of a signed integer field.
             # For an unsigned integer field `sign` is 0.
             values = [((bits >> start & mask) ^ sign) - sign for start, mask, sign in self._fields]
+            for i, integer, float_format in self._floats:
+                (values[i],) = struct.unpack(float_format, struct.pack(integer, values[i]))
+        for i, _, _ in self._floats:
+            if not math.isfinite(values[i]) and self._is_selected(i, values):
+                raise ValueError(f"{self.frame.name}: {self.names[i]} is {values[i]}")
         for i, scale, offset in self._linear:
             values[i] = values[i] * scale + offset
         return values
+
+    def is_finite(self, data: bytes) -> bool:
+        """Returns whether no floating-point signal in the data of a CAN frame is NaN or infinite.
+
+        ``data`` must not be shorter than the CAN frame definition.
+        """
+        if not self._floats:
+            return True
+        try:
+            self.decode(data)
+        except ValueError:
+            return False
+        return True
 
     def decode_named(self, data: bytes) -> dict[str, float]:
         """Returns the physical values of the signals in the data of a CAN frame by signal name.
 
         If the CAN frame has a multiplexer signal, only the signals that the multiplexer selects are
-        returned.  Raises ``ValueError`` if ``data`` is shorter than the CAN frame definition.
+        returned.  Raises the same ``ValueError`` as ``decode``.
         """
         values = self.decode(data)
         if self._multiplexer is None:
             return dict(zip(self.names, values, strict=True))
-        choice = values[self._multiplexer]
         return {
-            signal.name: value
-            for signal, value in zip(self._signals, values, strict=True)
-            if not signal.selected_by or choice in signal.selected_by
+            name: value
+            for i, (name, value) in enumerate(zip(self.names, values, strict=True))
+            if self._is_selected(i, values)
         }
+
+    def _is_selected(self, index: int, values: Sequence[float]) -> bool:
+        """Returns whether a CAN frame with the signal values ``values`` contains a signal."""
+        selected_by = self._signals[index].selected_by
+        if not selected_by or self._multiplexer is None:
+            return True
+        return values[self._multiplexer] in selected_by
 
     def encode(self, values: Sequence[float]) -> bytes:
         """Returns the data of a CAN frame with the given signal values.
@@ -100,7 +132,7 @@ class FrameCodec:
         outside the limits of the CAN signal is replaced by the nearest limit.  Raises
         ``ValueError`` if a signal value is NaN or infinite, because no limit is a safe replacement.
         """
-        raw = []
+        raw: list[float] = []
         for value, signal, (lowest, highest), (minimum, maximum) in zip(
             values, self._signals, self._raw_ranges, self._bounds, strict=True
         ):
@@ -110,19 +142,22 @@ class FrameCodec:
                 value = minimum
             if maximum is not None and value > maximum:
                 value = maximum
-            rounded = round((value - signal.offset) / signal.scale)
+            number = (value - signal.offset) / signal.scale
+            rounded = number if signal.floating_point else round(number)
             # Conditional expressions are used because min() and max() would be slower.
             raw.append(lowest if rounded < lowest else highest if rounded > highest else rounded)
         if self._struct is not None:
             if self._order is not None:
-                sorted_raw = [0] * len(raw)
+                sorted_raw: list[float] = [0] * len(raw)
                 for number, position in zip(raw, self._order, strict=True):
                     sorted_raw[position] = number
                 raw = sorted_raw
             return self._struct.pack(*raw)
         bits = 0
+        for i, integer, float_format in self._floats:
+            (raw[i],) = struct.unpack(integer, struct.pack(float_format, raw[i]))
         for number, (start, mask, _) in zip(raw, self._fields, strict=True):
-            bits |= (number & mask) << start
+            bits |= (int(number) & mask) << start
         return bits.to_bytes(self.length, "little")
 
     def encode_named(self, values: Mapping[str, float]) -> bytes:
@@ -131,13 +166,6 @@ class FrameCodec:
         The raw value of a CAN signal that is missing in ``values`` is 0.
         """
         return self.encode([values.get(s.name, s.offset) for s in self._signals])
-
-
-def _raw_range(signal: Signal) -> tuple[int, int]:
-    """Returns the lowest and the highest integer that the bits of a CAN signal can represent."""
-    if signal.signed:
-        return -(1 << signal.length - 1), (1 << signal.length - 1) - 1
-    return 0, (1 << signal.length) - 1
 
 
 def _compile_struct(frame: FrameDefinition) -> tuple[struct.Struct | None, tuple[int, ...] | None]:
@@ -151,7 +179,11 @@ def _compile_struct(frame: FrameDefinition) -> tuple[struct.Struct | None, tuple
     text, end = "<", 0
     for i in by_start:
         signal = frame.signals[i]
-        letter = _FORMATS.get((signal.length, signal.signed))
+        letter = (
+            _FLOAT_FORMATS.get(signal.length)
+            if signal.floating_point
+            else _FORMATS.get((signal.length, signal.signed))
+        )
         if letter is None or signal.start % 8 or signal.start < 8 * end:
             return None, None
         text += "x" * (signal.start // 8 - end) + letter

@@ -48,6 +48,7 @@ class _FrameRecord:
         self.codec = codec
         self.count = 0
         self.too_short = 0
+        self.not_finite = 0
         self.data = b""
         self.complete = False
         self.times: deque[float] = deque(maxlen=GAPS + 1)
@@ -73,6 +74,8 @@ class _FrameRecord:
         self.times.append(time)
         if self.codec is not None and len(data) < self.codec.length:
             self.too_short += 1
+        elif self.codec is not None and not self.codec.is_finite(data):
+            self.not_finite += 1
         else:
             self.data, self.complete = data, True
 
@@ -288,6 +291,8 @@ def _problem(frame: FrameDefinition, record: _FrameRecord, age: float) -> str:
     """Returns a message about missing or wrong CAN frames with one identifier, or an empty text."""
     if record.too_short:
         return f"{record.too_short} of {record.count} too short"
+    if record.not_finite:
+        return f"{record.not_finite} of {record.count} with a number that is not finite"
     expected = frame.period
     if expected is None:
         return ""
