@@ -240,6 +240,9 @@ _TABLE: tuple[Code, ...] = (
     _error("TV763", "extra-forbidden", "a xacro file does something that is not allowed"),
     _error("TV768", "extra-world", "a link of an extra has the name of the ground"),
     _error("TV769", "extra-environment", "an extra needs an environment variable that is not set"),
+    _warning("TV770", "extra-visual-mesh", "a mesh of an extra cannot be shown"),
+    _note("TV771", "extra-inertia-computed", "the inertia of a link is computed from its shapes"),
+    _warning("TV772", "extra-mesh-open", "a link gets no mass, because its mesh is not closed"),
     # 8xx: runtime, simulation and commissioning
     _error("TV801", "calculator-unsuited", "the base calculator cannot drive this robot"),
     _error("TV802", "calculator-option", "an option of the base calculator is invalid"),

@@ -199,6 +199,11 @@ class Inertial:
         xx, yy, zz, xy, xz, yz = self.inertia
         return ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
 
+    def with_mass(self, mass: float) -> Inertial:
+        """Return the body with another density, so that its mass is ``mass`` in kg."""
+        xx, yy, zz, xy, xz, yz = (mass / self.mass * value for value in self.inertia)
+        return Inertial(mass, self.com, (xx, yy, zz, xy, xz, yz))
+
     def transformed(self, pose: Pose) -> Inertial:
         """Return the mass and inertia of the body in the outer frame of ``pose``.
 

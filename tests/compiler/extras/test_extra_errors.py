@@ -126,7 +126,8 @@ from tests.compiler.extras.xacro_files import (
         ),
         (mesh("\nnone.stl"), "mesh-missing", 3, "none.stl"),
         (mesh("http://x.y/none.stl"), "mesh-missing", 3, "http"),
-        (mesh("a.blend"), "mesh-format", 3, "blend"),
+        (mesh("a.blend"), "extra-visual-mesh", 3, "blend"),
+        (mesh("a.blend").replace("visual", "collision"), "mesh-format", 3, "blend"),
     ],
 )
 def test_an_error_has_its_code_and_line(

@@ -330,7 +330,8 @@ class ExtrasJoiner:
                         "extra-massless",
                         f"link `{joint.child}` moves on joint `{joint.name}` and has no mass",
                         links[joint.child].span,
-                        hint="give it an <inertial>, or make the joint fixed",
+                        hint="give it an <inertial>, make the joint fixed, or state a `density` in "
+                        "the entry of the file",
                         labels=[Label(joint.span, "the joint")],
                     )
 

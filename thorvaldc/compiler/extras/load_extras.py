@@ -122,6 +122,7 @@ class _Entry:
     packages: dict[str, str]
     parent: Node | None
     pose: Pose
+    density: float | None  # of links without <inertial>, in kg/m^3
     placement_node: Node | None  # first of the keys parent, xyz and rpy that the entry contains
 
     @property
@@ -162,6 +163,7 @@ class _Entry:
                 _vector(node.get("xyz"), "length", report),
                 _vector(node.get("rpy"), "angle", report),
             ).clean(),
+            _density(node.get("density"), report),
             node.get("parent") or node.get("xyz") or node.get("rpy"),
         )
 
@@ -207,21 +209,35 @@ def _vector(node: Node | None, quantity: str, report: Report) -> Vec3:
     """
     if node is None or not isinstance(node.value, tuple) or len(node.value) != 3:
         return (0.0, 0.0, 0.0)
-    values: list[float] = []
-    for item in node.value:
-        if isinstance(item.value, str):
-            try:
-                values.append(parse_quantity(item.value, quantity))
-            except UnitError as error:
-                report.add(error.code, error.message, item.span, hint=error.hint)
-                values.append(0.0)
-        elif isinstance(item.value, (int, float)):
-            values.append(float(item.value))
-    return (values[0], values[1], values[2]) if len(values) == 3 else (0.0, 0.0, 0.0)
+    x, y, z = (_quantity(item, quantity, report) or 0.0 for item in node.value)
+    return (x, y, z)
+
+
+def _density(node: Node | None, report: Report) -> float | None:
+    """Returns the density of an entry in kg/m^3, or ``None``."""
+    density = _quantity(node, "density", report) if node is not None else None
+    if node is None or density is None or density > 0.0:
+        return density
+    report.add("extra-number", f"the density must be greater than 0, not {density:g}", node.span)
+    return None
+
+
+def _quantity(node: Node, quantity: str, report: Report) -> float | None:
+    """Returns a quantity of the robot file in SI units; an error in it is reported."""
+    if isinstance(node.value, str):
+        try:
+            return parse_quantity(node.value, quantity)
+        except UnitError as error:
+            report.add(error.code, error.message, node.span, hint=error.hint)
+    elif isinstance(node.value, (int, float)):
+        return float(node.value)
+    return None
 
 
 # -- from an expanded file to parts -------------------------------------------------
 
+# Errors of mesh files that exist.  A mesh for the eye is then replaced.
+_UNREADABLE = ("mesh-format", "mesh-invalid", "mesh-large")
 # Errors of the xacro expansion: kind of error -> (name of the diagnostic code, message, hint).
 _FAILURES = {
     "xml": ("extra-xml", "the xacro file is not well-formed XML: {text}", None),
@@ -272,14 +288,28 @@ def _read_parts(entry: _Entry, expanded: ExpandedFile, report: Report) -> UrdfPa
     stem = re.sub(r"\W+", "_", entry.file.name.split(".")[0].lower())
     search = search_paths()
 
-    def load(name: str, element: Element, scale: Vec3) -> Mesh | None:
+    def load(name: str, element: Element, scale: Vec3, is_visual: bool) -> Mesh | None:
         path = _mesh_path(name, element, entry, search, report)
         if path is None:
             return None
-        return load_mesh(path, element.span, report, display=paths.name(str(path)), scale=scale)
+        diagnostics = Report()
+        display = paths.name(str(path))
+        mesh = load_mesh(path, element.span, diagnostics, display=display, scale=scale)
+        for d in diagnostics:
+            if is_visual and d.code.name in _UNREADABLE:
+                report.add(
+                    "extra-visual-mesh",
+                    f"{d.message}; the collision shapes of the link or a small box are shown",
+                    d.span,
+                    hint=d.hint,
+                    labels=call_labels(element),
+                )
+            else:
+                report.put(d)
+        return mesh
 
     macros = [macro.name for macro in expanded.macros]
-    parts = read_urdf(expanded.elements, f"extras.{stem}", load, report, macros)
+    parts = read_urdf(expanded.elements, f"extras.{stem}", load, report, macros, entry.density)
     folders = {**expanded.packages, **entry.packages}
     extensions = tuple(_without_folders(xml, folders, paths) for xml in parts.extensions)
     return replace(parts, extensions=extensions)

@@ -7,11 +7,12 @@ shows the line of the element in the xacro file.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from thorvaldc.compiler.extras.urdf_elements import ELEMENTS, EXTENSIONS, ElementReader
 from thorvaldc.compiler.extras.xacro_expand import Element
+from thorvaldc.compiler.geometry.solids import solid_of_shapes
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import (
     Box,
@@ -50,7 +51,9 @@ _COMMON_COLORS: dict[str, RGBA] = {
     "yellow": (0.9, 0.8, 0.0, 1.0),
 }
 
-MeshLoader = Callable[[str, Element, Vec3], Mesh | None]
+MeshLoader = Callable[[str, Element, Vec3, bool], Mesh | None]
+# Edge length of the box that stands for a mesh that cannot be read, in m.
+_PLACEHOLDER = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,27 +72,36 @@ def read_urdf(
     load_mesh: MeshLoader,
     report: Report,
     macros: Collection[str] = (),
+    density: float | None = None,
 ) -> UrdfParts:
     """Converts the URDF element ``<robot>`` to links and joints of the robot model.
 
     - ``module``: name that identifies the extra in the model.
     - ``load_mesh``: function that loads the mesh file of an element.  The arguments of
-      ``load_mesh`` are the file name, the URDF element and the scale factors.
+      ``load_mesh`` are the file name, the URDF element, the scale factors and whether the mesh is
+      only for the eye.  It reports an error, or for the eye a warning, and returns ``None``.
     - ``report``: report that receives the errors.
     - ``macros``: names of the xacro macros in the file, for hints about elements without prefix.
+    - ``density``: density in kg/m^3 of links without ``<inertial>``, or ``None``.
     """
-    return _Reader(module, load_mesh, report, macros).read(elements)
+    return _Reader(module, load_mesh, report, macros, density).read(elements)
 
 
 class _Reader(ElementReader):
     """Converts the URDF elements of one xacro file to links and joints."""
 
     def __init__(
-        self, module: str, load_mesh: MeshLoader, report: Report, macros: Collection[str]
+        self,
+        module: str,
+        load_mesh: MeshLoader,
+        report: Report,
+        macros: Collection[str],
+        density: float | None,
     ) -> None:
         super().__init__(report, macros)
         self.module = module
         self.load_mesh = load_mesh
+        self.density = density
         self.materials: dict[str, RGBA] = {}
         self.meshes: dict[str, Mesh] = {}
 
@@ -127,36 +139,62 @@ class _Reader(ElementReader):
     def link(self, element: Element) -> Link | None:
         name = self.text(element, "name")
         self.check_content(element)
-        inertial: Inertial | None = None
         visuals: list[Visual] = []
         collisions: list[Collision] = []
+        unread: list[tuple[Pose, RGBA]] = []  # visual meshes that cannot be read
         for child in element.children:
-            if child.tag == "inertial":
-                inertial = self.inertial(child, name or "")
-            elif child.tag in ("visual", "collision"):
+            if child.tag in ("visual", "collision"):
                 self.check_content(child)
                 pose = self.pose(child)
                 shape = self.geometry(child)
                 color = self.color(child)
                 if shape is None:
-                    continue
-                if child.tag == "visual":
+                    unread += [(pose, color)] if child.tag == "visual" else []
+                elif child.tag == "visual":
                     visuals.append(Visual(shape, pose, color))
                 else:
                     collisions.append(Collision(shape, pose))
+        inertial = self.inertial(element, name or "", visuals, collisions)
+        if unread and collisions:
+            visuals += [Visual(c.shape, c.pose, unread[0][1]) for c in collisions]
+        elif unread:
+            box = Box((_PLACEHOLDER, _PLACEHOLDER, _PLACEHOLDER))
+            visuals += [Visual(box, pose, color) for pose, color in unread]
         if name is None:
             return None
         return Link(name, self.module, inertial, tuple(visuals), tuple(collisions), element.span)
 
-    def inertial(self, element: Element, link: str) -> Inertial | None:
+    def inertial(
+        self,
+        link_element: Element,
+        link: str,
+        visuals: Sequence[Visual],
+        collisions: Sequence[Collision],
+    ) -> Inertial | None:
+        """Returns the mass and inertia of a link in its frame.
+
+        What the URDF element does not state is computed from the shapes of the link, see
+        ``computed_inertial``.
+        """
+        element = link_element.find("inertial")
+        if element is None:
+            if self.density is None:
+                return None
+            return self.computed_inertial(link_element, link, visuals, collisions, None)
         self.check_content(element)
         pose = self.pose(element)
         mass_element, inertia_element = element.find("mass"), element.find("inertia")
-        if mass_element is None or inertia_element is None:
-            missing = "mass" if mass_element is None else "inertia"
-            self.add("extra-element", f"<inertial> of link `{link}` has no <{missing}>", element)
+        if mass_element is None:
+            self.add("extra-element", f"<inertial> of link `{link}` has no <mass>", element)
             return None
-        mass, entries = self.numbers(mass_element), self.numbers(inertia_element)
+        mass = self.numbers(mass_element)
+        if inertia_element is None:
+            if mass is None or mass["value"] <= 0.0:
+                return None
+            body = self.computed_inertial(element, link, visuals, collisions, mass["value"])
+            stated_com = body is not None and element.find("origin") is not None
+            return replace(body, com=pose.xyz).clean() if body and stated_com else body
+        entries = self.numbers(inertia_element)
         if mass is None or entries is None:
             return None
         tensor = tuple(entries[name] for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))
@@ -180,6 +218,50 @@ class _Reader(ElementReader):
             return None
         return inertial.transformed(pose).clean() if inertial.mass > 0.0 else None
 
+    def computed_inertial(
+        self,
+        element: Element,
+        link: str,
+        visuals: Sequence[Visual],
+        collisions: Sequence[Collision],
+        mass: float | None,
+    ) -> Inertial | None:
+        """Computes the inertia of a link from its collision shapes, or from its visual shapes.
+
+        - ``element``: URDF element that does not state the inertia.
+        - ``mass``: mass in kg, or ``None`` for the density of the entry.
+        """
+        density = self.density if mass is None and self.density is not None else 1.0
+        for noun, shapes in (("collision", collisions), ("visual", visuals)):
+            body = solid_of_shapes(((s.shape, s.pose) for s in shapes), density, self.meshes)
+            if body is None:
+                continue
+            volume = body.mass / density
+            body = body.with_mass(mass) if mass is not None else body
+            what = "inertia" if mass is not None else "mass and inertia"
+            self.add(
+                "extra-inertia-computed",
+                f"the {what} of link `{link}` are those of its {noun} shapes: {volume:.3g} m^3 "
+                f"with {body.mass / volume:.4g} kg/m^3 are {body.mass:.3g} kg",
+                element,
+            )
+            return body.clean()
+        if mass is not None:
+            self.add(
+                "extra-element",
+                f"<inertial> of link `{link}` has no <inertia>",
+                element,
+                "it can be computed only from boxes, cylinders, spheres and closed meshes",
+            )
+        elif visuals or collisions:
+            self.add(
+                "extra-mesh-open",
+                f"link `{link}` gets no mass from the density: its meshes are not closed",
+                element,
+                "close the meshes, or give the link an <inertial>",
+            )
+        return None
+
     def geometry(self, owner: Element) -> Shape | None:
         geometry = owner.find("geometry")
         if geometry is None or not geometry.children:
@@ -196,7 +278,7 @@ class _Reader(ElementReader):
             return None
         values = self.numbers(shape)
         if shape.tag == "mesh":
-            return self.mesh(shape, values)
+            return self.mesh(shape, values, owner.tag == "visual")
         if values is None:
             return None
         if shape.tag == "box":
@@ -205,11 +287,13 @@ class _Reader(ElementReader):
             return Cylinder(clean(values["radius"]), clean(values["length"]))
         return Sphere(clean(values["radius"]))
 
-    def mesh(self, element: Element, values: dict[str, Any] | None) -> MeshShape | None:
+    def mesh(
+        self, element: Element, values: dict[str, Any] | None, is_visual: bool
+    ) -> MeshShape | None:
         file_name = self.text(element, "filename")
         if file_name is None or values is None:
             return None
-        mesh = self.load_mesh(file_name, element, values["scale"])
+        mesh = self.load_mesh(file_name, element, values["scale"], is_visual)
         if mesh is None:
             return None
         self.meshes.setdefault(mesh.name, mesh)

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from thorvaldc.compiler.geometry.meshes import load_mesh
+from thorvaldc.compiler.geometry.solids import uniform_solid
 from thorvaldc.compiler.modules.scope import Scope, hint_of_known
 from thorvaldc.compiler.modules.value_reader import items
 from thorvaldc.compiler.source.node import Node
@@ -166,25 +167,3 @@ class LinkShapeReader:
             hint=f'write "#rrggbb" or a name of the palette; {known}',
         )
         return (0.5, 0.5, 0.5, 1.0)
-
-
-def uniform_solid(shape: Shape, mass: float, wall: float | None = None) -> Inertial:
-    """Returns the inertia of a body of uniform density about the centre of the body.
-
-    Reference for the formulas: Meriam and Kraige, Engineering Mechanics: Dynamics, table D/4.  A
-    cylinder with a ``wall`` thickness (m) is a tube.  The inertia of a mesh is not computed and is
-    returned as 0.
-    """
-    if isinstance(shape, Box):
-        x, y, z = shape.size
-        ixx, iyy, izz = (mass / 12 * v for v in (y * y + z * z, x * x + z * z, x * x + y * y))
-    elif isinstance(shape, Cylinder):
-        inner_radius = max(shape.radius - wall, 0.0) if wall is not None else 0.0
-        squares = shape.radius**2 + inner_radius**2
-        ixx = iyy = mass * (3 * squares + shape.length**2) / 12
-        izz = mass * squares / 2
-    elif isinstance(shape, Sphere):
-        ixx = iyy = izz = 0.4 * mass * shape.radius**2
-    else:
-        ixx = iyy = izz = 0.0
-    return Inertial(mass, (0.0, 0.0, 0.0), (ixx, iyy, izz, 0.0, 0.0, 0.0))
