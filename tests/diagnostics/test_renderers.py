@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from thorvaldc.diagnostics import CODES, Label, Report, Span
+from thorvaldc.diagnostics import CODES, Label, Proposal, Report, Span
 from thorvaldc.diagnostics.explain import UnknownCode, explain, find_code
 from thorvaldc.diagnostics.renderers import FORMATS, render, render_text
 
@@ -152,6 +152,7 @@ def test_json() -> None:
         "hint": "change one",
         "span": {"file": "f.yaml", "line": 3, "column": 10, "end_line": 3, "end_column": 11},
         "labels": [],
+        "fixes": [],
     }
     assert document["diagnostics"][2]["span"] is None
     assert "builds" not in json.loads(render(sample_report(), "json"))
@@ -194,6 +195,22 @@ def test_sarif() -> None:
     assert related["message"]["text"] == "here"
     assert related["physicalLocation"]["region"]["startLine"] == 9
     assert "locations" not in third
+
+
+def test_fixes_in_json_and_sarif() -> None:
+    report = Report()
+    report.add("unknown-value", "no", at(3, 10, 3, 11), hint=Proposal("write `x`", "x"))
+    report.add("missing-key", "no", at(4, 1, 4, 2), hint="advice only")
+    fixed, advised = json.loads(render(report, "json"))["diagnostics"]
+    span = {"file": "f.yaml", "line": 3, "column": 10, "end_line": 3, "end_column": 11}
+    assert fixed["fixes"] == [{"text": "x", "span": span, "is_example": False}]
+    assert advised["fixes"] == []
+    fixed, advised = json.loads(render(report, "sarif"))["runs"][0]["results"]
+    region = {"startLine": 3, "startColumn": 10, "endLine": 3, "endColumn": 11}
+    ((change,),) = [fix["artifactChanges"] for fix in fixed["fixes"]]
+    assert change["artifactLocation"] == {"uri": "f.yaml"}
+    assert change["replacements"] == [{"deletedRegion": region, "insertedContent": {"text": "x"}}]
+    assert "fixes" not in advised
 
 
 @pytest.mark.parametrize("format", FORMATS)

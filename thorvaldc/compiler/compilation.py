@@ -119,6 +119,9 @@ class Compilation:
                     diagnostic,
                     span=with_user_path(span) if span is not None else None,
                     labels=tuple(labels),
+                    fixes=tuple(
+                        replace(fix, span=with_user_path(fix.span)) for fix in diagnostic.fixes
+                    ),
                 )
             )
         return located

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from thorvaldc.diagnostics.codes import CODES
-from thorvaldc.diagnostics.report import Diagnostic, Span
+from thorvaldc.diagnostics.report import Diagnostic, Proposal, Span
 
 
 class DiagnosticError(Exception):
@@ -20,4 +20,5 @@ class DiagnosticError(Exception):
         self, code: str, message: str, span: Span | None = None, *, hint: str | None = None
     ) -> None:
         super().__init__(message)
-        self.diagnostic = Diagnostic(CODES[code], message, span, hint)
+        fixes = hint.fixes(span) if isinstance(hint, Proposal) and span is not None else ()
+        self.diagnostic = Diagnostic(CODES[code], message, span, hint, fixes=fixes)

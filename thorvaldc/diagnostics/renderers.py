@@ -169,6 +169,10 @@ def _json(diagnostic: Diagnostic) -> dict[str, Any]:
         "labels": [
             {"text": label.text, "span": _json_span(label.span)} for label in diagnostic.labels
         ],
+        "fixes": [
+            {"text": fix.text, "span": _json_span(fix.span), "is_example": fix.is_example}
+            for fix in diagnostic.fixes
+        ],
     }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import enum
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -51,6 +52,64 @@ class Label:
 
 
 @dataclass(frozen=True, slots=True)
+class Fix:
+    """A change of an input file that removes a diagnostic, for the quick fixes of editors.
+
+    - ``span``: text to replace.  A span of length zero is a position at which text is inserted.
+    - ``text``: new text.
+    - ``is_example``: whether ``text`` contains an example value that the user has to adapt.
+    """
+
+    span: Span
+    text: str
+    is_example: bool = False
+
+
+class Proposal(str):
+    """A hint that proposes a concrete change of the input file.
+
+    A hint that is plain text is advice only.
+
+    - ``replacements``: new text of the source span, for each alternative in the hint.
+    - ``span``: source span to replace, if it differs from the source span of the diagnostic.
+    - ``word``: the misspelled word for which ``replacements`` contains known words.
+    - ``is_example``: whether the replacements are examples that the user has to adapt.
+    """
+
+    replacements: tuple[str, ...]
+    span: Span | None
+    word: str
+    is_example: bool
+
+    def __new__(
+        cls,
+        hint: str,
+        *replacements: str,
+        span: Span | None = None,
+        word: str = "",
+        is_example: bool = False,
+    ) -> Proposal:
+        proposal = super().__new__(cls, hint)
+        proposal.replacements = replacements
+        proposal.span = span
+        proposal.word = word
+        proposal.is_example = is_example
+        return proposal
+
+    def within(self, text: str) -> Proposal:
+        """Returns the hint for a misspelled word that is a part of ``text``."""
+        pattern = rf"(?<!\w){re.escape(self.word)}(?!\w)" if self.word[-1:].isalnum() else None
+        match = re.search(pattern, text) if pattern else None
+        start = match.start() if match else text.find(self.word)
+        end = start + len(self.word)
+        return Proposal(str(self), *(text[:start] + new + text[end:] for new in self.replacements))
+
+    def fixes(self, span: Span) -> tuple[Fix, ...]:
+        """Returns the proposed changes of a diagnostic at ``span``."""
+        return tuple(Fix(self.span or span, new, self.is_example) for new in self.replacements)
+
+
+@dataclass(frozen=True, slots=True)
 class Diagnostic:
     """An error, warning or note about an input file.
 
@@ -59,6 +118,7 @@ class Diagnostic:
     - ``span``: source span of the invalid value, or ``None`` if the input is not a file.
     - ``hint``: advice for the user.
     - ``labels``: further source spans with texts.
+    - ``fixes``: changes of the input file that remove the diagnostic; the user chooses one.
     """
 
     code: Code
@@ -66,6 +126,7 @@ class Diagnostic:
     span: Span | None = None
     hint: str | None = None
     labels: tuple[Label, ...] = ()
+    fixes: tuple[Fix, ...] = ()
 
     @property
     def severity(self) -> Severity:
@@ -95,14 +156,15 @@ class Report:
         - ``code``: name of the diagnostic code, such as ``"can-id-duplicate"``.
         - ``message``: one sentence with the value, the limit and the unit.
         - ``span``: source span of the invalid value.
-        - ``hint``: advice for the user.
+        - ``hint``: advice for the user.  A ``Proposal`` contains changes of the input file.
         - ``labels``: further source spans with texts.
 
         If the report already contains an equal diagnostic, the report does not change.  For
         example, a mistake in a module document is reported once, although a robot has nine modules
         of this type.
         """
-        self.put(Diagnostic(CODES[code], message, span, hint, tuple(labels)))
+        fixes = hint.fixes(span) if isinstance(hint, Proposal) and span is not None else ()
+        self.put(Diagnostic(CODES[code], message, span, hint, tuple(labels), fixes))
 
     def put(self, diagnostic: Diagnostic) -> None:
         """Adds a diagnostic, unless the report already contains an equal diagnostic."""
@@ -110,7 +172,7 @@ class Report:
         if user is not None and span is not None and span.file != user.span.file:
             if span.file.startswith("<"):  # the project's library: the user cannot change it
                 labels = (Label(span, "found here"), *labelled.labels)
-                labelled = replace(labelled, span=user.span, labels=labels)
+                labelled = replace(labelled, span=user.span, labels=labels, fixes=())
             else:
                 labelled = replace(labelled, labels=(*labelled.labels, user))
         self._diagnostics.setdefault(diagnostic, labelled)

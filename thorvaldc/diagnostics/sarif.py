@@ -10,7 +10,7 @@ from thorvaldc import __version__
 from thorvaldc.diagnostics import explain
 from thorvaldc.diagnostics.codes import Code
 from thorvaldc.diagnostics.excerpt import json_text
-from thorvaldc.diagnostics.report import Diagnostic, Report, Span
+from thorvaldc.diagnostics.report import Diagnostic, Fix, Report, Span
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 
@@ -76,18 +76,27 @@ def _result(diagnostic: Diagnostic, index: dict[str, int]) -> dict[str, Any]:
             }
             for number, label in enumerate(diagnostic.labels, 1)
         ]
+    if diagnostic.fixes:
+        result["fixes"] = [_fix(fix) for fix in diagnostic.fixes]
     return result
 
 
+def _fix(fix: Fix) -> dict[str, Any]:
+    replacement = {"deletedRegion": _region(fix.span), "insertedContent": {"text": fix.text}}
+    location = {"uri": _uri(fix.span.file)}
+    return {"artifactChanges": [{"artifactLocation": location, "replacements": [replacement]}]}
+
+
 def _physical_location(span: Span) -> dict[str, Any]:
+    return {"artifactLocation": {"uri": _uri(span.file)}, "region": _region(span)}
+
+
+def _region(span: Span) -> dict[str, int]:
     return {
-        "artifactLocation": {"uri": _uri(span.file)},
-        "region": {
-            "startLine": span.line,
-            "startColumn": span.column,
-            "endLine": span.end_line,
-            "endColumn": span.end_column,
-        },
+        "startLine": span.line,
+        "startColumn": span.column,
+        "endLine": span.end_line,
+        "endColumn": span.end_column,
     }
 
 

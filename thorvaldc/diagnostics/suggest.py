@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from thorvaldc.diagnostics.report import Proposal
+
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """Returns the known word most similar to ``word``, or ``None`` if no word is similar.
@@ -24,13 +26,20 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
     return by_normal[close[0]] if close else None
 
 
-def did_you_mean(word: str, known: Iterable[str], otherwise: str | None = None) -> str | None:
+def did_you_mean(
+    word: str, known: Iterable[str], otherwise: str | None = None, *, fixable: bool = True
+) -> str | None:
     """Returns the hint ``did you mean `x`?`` for a misspelled word.
 
-    If no known word is similar to the misspelled word, returns the text ``otherwise``.
+    The hint is a ``Proposal`` to replace the source span of the diagnostic by the known word.  If
+    the source span is not that of the word, ``fixable`` is false and the hint is plain text.  If no
+    known word is similar to the misspelled word, returns the text ``otherwise``.
     """
     known_word = nearest(word, known)
-    return f"did you mean `{known_word}`?" if known_word is not None else otherwise
+    if known_word is None:
+        return otherwise
+    hint = f"did you mean `{known_word}`?"
+    return Proposal(hint, known_word, word=word) if fixable else hint
 
 
 def _normal(word: str) -> str:

@@ -168,7 +168,7 @@ def test_billion_laughs_document_is_an_error() -> None:
         ('a: "x\n', "yaml-syntax", "f.yaml:1:4"),
         ("a: b: c\n", "yaml-syntax", "f.yaml:1:5"),
         ("a: @x\n", "yaml-syntax", "f.yaml:1:4"),
-        ("a: 1\n b: 2\n", "yaml-syntax", "f.yaml:2:3"),
+        ("a: 1\n b: 2\n", "yaml-syntax", "f.yaml:2:1"),
         ("a:\n\tb: 1\n", "yaml-tab", "f.yaml:2:1"),
         ("a: x\x01y\n", "yaml-character", "f.yaml:1:5"),
         ("a: x\u2028y\n", "yaml-character", "f.yaml:1:5"),

@@ -124,7 +124,7 @@ def only_diagnostic(text: str, kind: Kind = "robot") -> Diagnostic:
             "bad-id",
             "4:23",
             "`a-b.c` is not a path of names",
-            "write names joined by dots, as in `frame.front_left`",
+            "write names joined by dots, as in `a_b.c`",
         ),
         (
             ROBOT.replace("{type: x}", "{type: x, mount: {parent: b, xyz: [0, 0]}}"),
@@ -180,7 +180,7 @@ def only_diagnostic(text: str, kind: Kind = "robot") -> Diagnostic:
             "missing-key",
             "3:52",
             "`mass` requires `source` in the same mapping",
-            "add it, as in `source: estimated: proportions in figure 3 of the paper`",
+            'add it, as in `source: "estimated: proportions in figure 3 of the paper"`',
         ),
         (
             MODULE + "links: {a: {parts: [{color: red}]}}\n",

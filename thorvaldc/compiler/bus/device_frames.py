@@ -23,8 +23,9 @@ from thorvaldc.compiler.bus.device_sections import (
 )
 from thorvaldc.compiler.bus.frame_checks import check_channels, check_layout, check_scales
 from thorvaldc.compiler.modules.scope import Scope
+from thorvaldc.compiler.source.edits import insertion
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics import Label, Proposal, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.bus import OBJECT_TYPES
 from thorvaldc.model.robot import FrameDefinition, Signal
@@ -87,7 +88,9 @@ def frames_of(
                 "can-period",
                 f"the frame `{key}` is synchronous, so its period must be the control cycle",
                 (node.get("period") or node.get("synchronous") or node).span,
-                hint="write `period: cycle`",
+                hint=Proposal("write `period: cycle`", "cycle")
+                if node.get("period") is not None
+                else insertion("add `period: cycle`", node, "period", "cycle", is_example=False),
             )
         if number is not None and not sends and not synchronous and period == sync_period:
             period = _by_timer(sync_period)

@@ -220,7 +220,7 @@ class ExtrasJoiner:
                         "extra-link-unknown",
                         f"joint `{joint.name}` names the {end} link `{name}`, which does not exist",
                         joint.span,
-                        hint=did_you_mean(name, [*links, *self.links])
+                        hint=did_you_mean(name, [*links, *self.links], fixable=False)
                         or "links of the robot have names such as frame_body: <module>_<link>",
                     )
             if not ends_exist:
@@ -347,5 +347,5 @@ class ExtrasJoiner:
                     "extra-link-unknown",
                     f"joint `{joint.name}` mimics `{joint.mimic.joint}`, which does not exist",
                     joint.span,
-                    hint=did_you_mean(joint.mimic.joint, list(self.joints)),
+                    hint=did_you_mean(joint.mimic.joint, list(self.joints), fixable=False),
                 )

@@ -394,7 +394,9 @@ def _expression_hint(text: str, macros: Sequence[Macro]) -> str | None:
         return None
     names = [macro.name for macro in macros]
     if names:
-        return did_you_mean(unknown[1], names) or f"the macros are {', '.join(names)}"
+        return (
+            did_you_mean(unknown[1], names, fixable=False) or f"the macros are {', '.join(names)}"
+        )
     return "no macro is defined; include the file that defines it first"
 
 

@@ -134,7 +134,7 @@ class ElementReader:
         elif tag in self.macros:
             hint = f"call a macro with the prefix: <xacro:{tag} ...>"
         else:
-            hint = did_you_mean(tag, ELEMENTS[parent].children)
+            hint = did_you_mean(tag, ELEMENTS[parent].children, fixable=False)
         self.add(
             "extra-left-out", f"unknown element <{tag}> in <{parent}> is ignored", element, hint
         )
@@ -154,7 +154,8 @@ class ElementReader:
         for name in element.attributes:
             if name not in attributes and not name.startswith("xmlns"):
                 message = f"unknown attribute `{name}` of <{element.tag}> is ignored"
-                self.add("extra-left-out", message, element, did_you_mean(name, attributes))
+                hint = did_you_mean(name, attributes, fixable=False)
+                self.add("extra-left-out", message, element, hint)
 
     def text(self, element: Element, name: str) -> str | None:
         """Returns the value of a required text attribute of a URDF element."""

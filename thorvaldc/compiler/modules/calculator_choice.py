@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.model.robot import CalculatorChoice, Robot
 
 
@@ -49,5 +47,8 @@ def check_calculator(robot: Robot, document: Node, report: Report) -> None:
     options = choice.get("options") if choice is not None else None
     for problem in calculators.calculator_errors(robot):
         option = options.get(problem.option) if options is not None and problem.option else None
+        diagnostic = problem.diagnostic
         span = (option or name or choice or document).span
-        report.put(replace(problem.diagnostic, span=span))
+        if option is not None and isinstance(diagnostic.hint, Proposal):
+            span = option.where  # the name of the option is misspelled
+        report.add(diagnostic.code.name, diagnostic.message, span, hint=diagnostic.hint)

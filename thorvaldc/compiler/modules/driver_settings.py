@@ -19,7 +19,7 @@ from thorvaldc.compiler.geometry.wheel_geometry import contact_point
 from thorvaldc.compiler.modules.value_reader import ValueReader, entries
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
-from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.robot import (
     AUTOMATIC,
@@ -271,13 +271,18 @@ class DriverSettingsReader:
         quantity = QUANTITIES[LIMITS[key]]
         if node is not None and stated <= 0:
             self._report_not_positive(key, stated, node)
+        lowered = _rounded_down(motor_limit)
         if node is not None and stated > motor_limit * (1 + self._tolerance):
             self._report.add(
                 "driver-limit-too-high",
                 f"`{key}` is {quantity.format_value(stated)}; the slowest module allows "
                 f"{quantity.format_value(motor_limit)}",
                 node.span,
-                hint="lower it, or leave it out to use the limit of the modules",
+                hint=Proposal(
+                    f"use `{quantity.format_value(lowered)}`, or leave it out to use the limit of"
+                    " the modules",
+                    quantity.format_value(lowered),
+                ),
             )
         return _finite(min(stated, motor_limit))
 
@@ -316,6 +321,14 @@ def _report_not_positive(key: str, value: float, node: Node | None, report: Repo
 def _arming(node: Node | None) -> str:
     """Returns whether a robot must be armed; the schema check has reported other values."""
     return AUTOMATIC if node is not None and node.value == AUTOMATIC else REQUIRED
+
+
+def _rounded_down(value: float) -> float:
+    """Returns the value rounded down to three significant digits."""
+    if not 0.0 < value < math.inf:
+        return value
+    step = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return math.floor(value / step) * step
 
 
 def _finite(value: float) -> float:

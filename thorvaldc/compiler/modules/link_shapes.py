@@ -10,7 +10,7 @@ from thorvaldc.compiler.geometry.solids import uniform_solid
 from thorvaldc.compiler.modules.scope import Scope, hint_of_known
 from thorvaldc.compiler.modules.value_reader import items
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.model.robot import Box, Collision, Cylinder, Mesh, MeshShape, Shape, Sphere, Visual
 from thorvaldc.model.spatial import Inertial
 
@@ -164,6 +164,8 @@ class LinkShapeReader:
             "color-unknown",
             f"`{text}` is not a colour",
             node.span if node is not None else None,
-            hint=f'write "#rrggbb" or a name of the palette; {known}',
+            hint=known
+            if isinstance(known, Proposal)
+            else f'write "#rrggbb" or a name of the palette; {known}',
         )
         return (0.5, 0.5, 0.5, 1.0)

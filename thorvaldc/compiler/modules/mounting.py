@@ -5,6 +5,7 @@ from __future__ import annotations
 from thorvaldc.compiler.modules.instance import Instance, Mount, last_name
 from thorvaldc.compiler.modules.references import References
 from thorvaldc.compiler.modules.scope import hint_of_known
+from thorvaldc.compiler.source.edits import removal
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.model.spatial import Pose
@@ -70,7 +71,7 @@ class Mounting:
                     "mount-without-hardware",
                     f"`{child.path}` has no body that could be mounted",
                     node.where,
-                    hint="leave `mount` out",
+                    hint=removal("leave `mount` out", child.entry, "mount"),
                 )
                 continue
             mounted_leaf = child if child.is_leaf else self.root_of(child, child.entry)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from thorvaldc.compiler.modules.instance import Instance
 from thorvaldc.compiler.modules.scope import hint_of_known
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics import Proposal, Report
 
 
 class References:
@@ -50,7 +50,7 @@ class References:
                 "module-unknown",
                 f"there is no module `{names[0]}`{assembly}",
                 node.span,
-                hint=hint_of_known(names[0], list(inside.children)),
+                hint=hint_of_known(names[0], list(inside.children), reference),
             )
         return None
 
@@ -91,12 +91,15 @@ class References:
                 first = next(iter(available), None)
                 message = f"`{reference}` is a module, not a {word}"
                 hint = f"name its {word}: `{reference}.{first}`" if first else "it has none"
+                if first:
+                    hint = Proposal(hint, f"{reference}.{first}", is_example=True)
             elif rest[0] in available:
                 message = f"`{part.path}.{rest[0]}` is a {word}; nothing can follow it"
-                hint = f"write `{reference.removesuffix('.' + '.'.join(rest[1:]))}`"
+                shorter = reference.removesuffix("." + ".".join(rest[1:]))
+                hint = Proposal(f"write `{shorter}`", shorter)
             else:
                 message = f"`{part.path}` has no part `{rest[0]}`"
-                hint = hint_of_known(rest[0], [*part.children, *available])
+                hint = hint_of_known(rest[0], [*part.children, *available], reference)
             self.report.add(f"{word}-unknown", message, node.span, hint=hint)
             return None
         name = rest[0]
@@ -105,7 +108,7 @@ class References:
                 f"{word}-unknown",
                 f"`{part.path}` ({part.type.name if part.type else ''}) has no {word} `{name}`",
                 node.span,
-                hint=hint_of_known(name, list(available)),
+                hint=hint_of_known(name, list(available), reference),
             )
             return None
         if not part.is_leaf:

@@ -16,6 +16,7 @@ from thorvaldc.compiler.modules.mounting import Mounting
 from thorvaldc.compiler.modules.references import References
 from thorvaldc.compiler.modules.scope import NONE, ModuleChoice, Scope, hint_of_known
 from thorvaldc.compiler.modules.value_reader import INVALID, entries
+from thorvaldc.compiler.source.edits import removal
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
 
@@ -205,7 +206,7 @@ class Resolver:
                 "can-without-device",
                 f"`{assembly.path}` has no controller that could take this address",
                 assembly.can.where,
-                hint="leave `can` out, or choose a controller",
+                hint=removal("leave `can` out, or choose a controller", assembly.entry, "can"),
             )
             return
         child.can = assembly.can
@@ -257,7 +258,7 @@ class Resolver:
                             "can-without-device",
                             f"`{leaf.path}` is not a device on a bus",
                             node.where,
-                            hint=f"leave `{key}` out",
+                            hint=removal(f"leave `{key}` out", leaf.entry, key),
                         )
                 continue
             assembly = leaf.parent or leaf

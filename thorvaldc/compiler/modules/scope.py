@@ -21,9 +21,11 @@ from thorvaldc.compiler.modules.value_reader import (
     entries,
     items,
 )
+from thorvaldc.compiler.source.edits import insertion
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any
-from thorvaldc.diagnostics import Label, Report
+from thorvaldc.diagnostics import Label, Proposal, Report
 from thorvaldc.diagnostics.suggest import did_you_mean
 
 NONE = "none"
@@ -34,14 +36,18 @@ MAX_CHOICES = 12  # Greatest depth of modules that are chosen by parameters of o
 WHEEL_SIZES = ("radius", "width")
 
 
-def hint_of_known(word: str, known: list[str]) -> str:
+def hint_of_known(word: str, known: list[str], text: str | None = None) -> str:
     """Returns a hint for an error message about an unknown word.
 
     The hint suggests the known word with the most similar spelling.  If no known word is similar,
-    the hint lists all known words.
+    the hint lists all known words.  ``text``: the text of the document that contains the word, if
+    it differs from the word.
     """
     all_words = "known: " + ", ".join(f"`{k}`" for k in known) if known else "there are none"
-    return did_you_mean(word, known) or all_words
+    hint = did_you_mean(word, known)
+    if text is not None and isinstance(hint, Proposal):
+        return hint.within(text)
+    return hint or all_words
 
 
 class ModuleChoice(Mapping[str, Any]):
@@ -243,7 +249,7 @@ class Scope(ValueReader):
                     "param-missing",
                     f"`{self.module.name}` needs a value for `{name}`",
                     self._entry.where,
-                    hint=f"add `params: {{{name}: ...}}`: {_text(declaration, 'description')}",
+                    hint=_missing_param_hint(name, declaration, self._entry),
                 )
             return INVALID
         value = self._typed(default, declaration, is_default=True)
@@ -403,6 +409,20 @@ class Scope(ValueReader):
 def _text(node: Node, key: str) -> str:
     entry = node.get(key)
     return str(entry.value) if entry is not None else ""
+
+
+def _missing_param_hint(name: str, declaration: Node, entry: Node) -> str:
+    """Returns the hint to add a value for a parameter to the entry of a module."""
+    choices = items(declaration.get("choices"))
+    quantity = QUANTITIES.get(_text(declaration, "quantity"))
+    example = str(choices[0].value) if choices else quantity.example if quantity else ""
+    hint = f"add `params: {{{name}: {example or '...'}}}`: {_text(declaration, 'description')}"
+    if not example or not isinstance(entry.value, dict):
+        return hint
+    params = entry.get("params")
+    if params is not None and isinstance(params.value, dict):
+        return insertion(hint, params, name, example, is_example=True)
+    return insertion(hint, entry, "params", f"{{{name}: {example}}}", is_example=True)
 
 
 def _kind(declaration: Node) -> str:

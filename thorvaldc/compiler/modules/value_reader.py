@@ -16,7 +16,7 @@ from thorvaldc.compiler.source.expressions import ExpressionError, evaluate
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_quantity
-from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.model.spatial import Pose, Vec3
 
 # Least and greatest absolute value of every physical quantity in SI units, except 0.  Squares and
@@ -88,7 +88,11 @@ class ValueReader(Mapping[str, Any]):
         try:
             return evaluate(value[2:-1], self)
         except ExpressionError as error:
-            self.report.add(error.code, error.message, node.span, hint=error.hint)
+            hint = error.hint
+            if isinstance(hint, Proposal) and hint.word:
+                whole = hint.within(value)
+                hint = Proposal(hint, *(f'"{text}"' for text in whole.replacements))
+            self.report.add(error.code, error.message, node.span, hint=hint)
         except ReferenceCycleError as error:
             self.report.add("expression-cycle", f"the value needs {error}", node.span)
         except InvalidNameError:
@@ -136,7 +140,11 @@ class ValueReader(Mapping[str, Any]):
                 "angle-in-radians",
                 f"`{value:g}` without a unit is an angle of {value:g} rad, more than a full turn",
                 node.span,
-                hint=f"write `{value:g} deg` if degrees are meant, else `{value:g} rad`",
+                hint=Proposal(
+                    f"write `{value:g} deg` if degrees are meant, else `{value:g} rad`",
+                    f"{value:g} deg",
+                    f"{value:g} rad",
+                ),
             )
         unit = probable_unit(value, quantity) if self.on_robot else ""
         if unit:
@@ -147,7 +155,11 @@ class ValueReader(Mapping[str, Any]):
                 f"`{number}` without a unit is {kind} of {number} {kind.unit}, which is unusual on"
                 " a robot",
                 node.span,
-                hint=f"write `{number} {unit}` if {unit} is meant, else `{number} {kind.unit}`",
+                hint=Proposal(
+                    f"write `{number} {unit}` if {unit} is meant, else `{number} {kind.unit}`",
+                    f"{number} {unit}",
+                    f"{number} {kind.unit}",
+                ),
             )
 
     def _bounded(self, value: float, node: Node, default: float) -> float:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from thorvaldc.compiler.modules.bounded_quantities import BoundedQuantities
 from thorvaldc.compiler.scenario.obstacle_reader import ObstacleReader
 from thorvaldc.compiler.scenario.zone_reader import CELLS_PER_WAVE, MAX_CELLS, read_zones
+from thorvaldc.compiler.source.edits import insertion, removal
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Ground, Robot, World
@@ -69,10 +70,11 @@ def _ground(node: Node, quantities: BoundedQuantities, report: Report) -> Ground
                 "conflicting-keys",
                 f"`{key}` has no effect on ground of type `{ground_type}`",
                 entry.where,
-                hint=f"leave it out, or choose `type: {suitable_type}`",
+                hint=removal(f"leave it out, or choose `type: {suitable_type}`", node, key),
             )
     if ground_type == "slope" and node.get("angle") is None:
-        report.add("missing-key", "a slope has no `angle`", node.where, hint="add `angle: 10 deg`")
+        hint = insertion("add `angle: 10 deg`", node, "angle", "10 deg", is_example=True)
+        report.add("missing-key", "a slope has no `angle`", node.where, hint=hint)
     amplitude, wavelength, seed, size = 0.0, 1.0, 0, DEFAULT_SIZE
     if ground_type == "rough":
         amplitude = quantities(node, "amplitude", "length", 0.02, least=0.0, most=1.0)

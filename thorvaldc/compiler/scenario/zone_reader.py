@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 from thorvaldc.compiler.modules.bounded_quantities import BoundedQuantities
 from thorvaldc.compiler.modules.value_reader import items
+from thorvaldc.compiler.source.edits import removal
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Zone
@@ -70,7 +71,7 @@ def _check_keys(zone_node: Node, report: Report) -> None:
                 "conflicting-keys",
                 f"`{key}` has no effect in a zone without `{base}`",
                 entry.where,
-                hint=f"leave it out, or add `{base}`",
+                hint=removal(f"leave it out, or add `{base}`", zone_node, key),
             )
 
 

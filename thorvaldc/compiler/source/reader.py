@@ -15,11 +15,11 @@ from typing import Any
 
 import yaml
 
-from thorvaldc.compiler.source import yaml_errors
+from thorvaldc.compiler.source import lookalikes, yaml_errors
 from thorvaldc.compiler.source.input_file import read_bytes
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.scalars import key_kind, plain_scalar
-from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics import Label, Proposal, Report, Span
 
 MAX_BYTES = 1_000_000
 MAX_VALUES = 100_000
@@ -86,6 +86,7 @@ def compose(
     return root
 
 
+_COLON_WITHOUT_SPACE = re.compile(r"([a-z_][a-z0-9_]*):(\S.*)")
 _EMPTY_HINT = "a document starts with `thorvaldc: 1`"
 
 # -- characters -------------------------------------------------------------------
@@ -141,8 +142,13 @@ def _decode(data: bytes, file: str, report: Report) -> str | None:
             "yaml-character",
             f"{name} (U+{ord(match[0]):04X}) is not allowed in YAML",
             _span_at(text, match.start(), file),
-            hint="remove it, or write it as an escape in double quotes",
+            hint=Proposal("remove it, or write it as an escape in double quotes", ""),
         )
+        return None
+    space = None if text.isascii() else lookalikes.STRUCTURAL_SPACE.search(text)
+    if space is not None:
+        index = space.start(space.lastgroup or 0)
+        lookalikes.report_space(text[index], _span_at(text, index, file), report)
         return None
     return text
 
@@ -278,7 +284,10 @@ class _Reader:
         span = self._span(raw)
         if raw.style:
             return Node(raw.value, span, key_span, True)
-        return Node(plain_scalar(raw.value, span, self.report), span, key_span)
+        text = raw.value
+        if not text.isascii():
+            text = lookalikes.corrected(text, span, self.report)
+        return Node(plain_scalar(text, span, self.report), span, key_span)
 
     def _span(self, raw: Any) -> Span:
         start, end = raw.start_mark, raw.end_mark
@@ -311,6 +320,8 @@ class _Reader:
             entry_span = self._span(raw_key)
             key = self._key(raw_key, entry_span)
             last = self.node(raw_value, entry_span)
+            if key is not None and ":" in key:
+                key, last = self._without_missing_space(raw_key, key, last)
             if key is None:
                 continue
             if key in values:
@@ -326,6 +337,27 @@ class _Reader:
             values[key] = last
         span = self._collection_span(raw, last.span if last else None)
         return Node(values, span, key_span)
+
+    def _without_missing_space(self, raw_key: Any, key: str, value: Node) -> tuple[str, Node]:
+        """Reports an entry without a space after the colon, such as ``{type:frame/tube}``.
+
+        Returns the most likely key and value of the entry.
+        """
+        match = _COLON_WITHOUT_SPACE.fullmatch(key)
+        if match is None or raw_key.style or value.value is not None:
+            return key, value
+        span = self._span(raw_key)
+        column = span.column + match.end(1)
+        after_colon = Span(self.file, span.line, column + 1, span.line, column + 1)
+        self.report.add(
+            "yaml-syntax",
+            "a space is missing after this `:`",
+            Span(self.file, span.line, column, span.line, column + 1),
+            hint=Proposal(f"write `{match[1]}: {match[2]}`", " ", span=after_colon),
+        )
+        key_span = Span(self.file, span.line, span.column, span.line, column)
+        value_span = Span(self.file, span.line, column + 1, *span[3:5])
+        return match[1], Node(plain_scalar(match[2], value_span, self.report), value_span, key_span)
 
     def _key(self, raw: Any, key_span: Span) -> str | None:
         """Returns the text of a YAML mapping key, or ``None`` if the key is invalid.
@@ -345,6 +377,8 @@ class _Reader:
             self._report_tag(raw)
         if raw.style:
             return text
+        if not text.isascii():
+            text = lookalikes.corrected(text, key_span, self.report)
         if text == "<<":
             self.report.add(
                 "yaml-merge-key",
@@ -355,11 +389,16 @@ class _Reader:
             return None
         kind = key_kind(text)
         if kind is not None:
+            hint: str | None = None
+            if kind != "a number" and text:
+                hint = Proposal(f'if this is the name, write `"{text}"`', f'"{text}"')
+            elif text:
+                hint = "a name begins with a letter"
             self.report.add(
                 "yaml-key-not-text",
                 f"the key `{text}` is {kind}; expected text" if text else "a key is empty",
                 key_span,
-                hint=f'if this is the name, write `"{text}"`' if text else None,
+                hint=hint,
             )
         return text
 

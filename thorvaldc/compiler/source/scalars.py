@@ -11,7 +11,7 @@ import math
 import re
 
 from thorvaldc.compiler.source.node import Value
-from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics import Proposal, Report, Span
 
 _INTEGER = re.compile(r"[-+]?[0-9]+")
 _FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?")
@@ -54,7 +54,9 @@ def plain_scalar(text: str, span: Span, report: Report) -> Value:
             "yaml-ambiguous-word",
             f"`{text}` is a truth value for some YAML readers and text for others",
             span,
-            hint=f'write `{"true" if truth else "false"}`, or `"{text}"` for text',
+            hint=_alternatives(
+                "write `{}`, or `{}` for text", "true" if truth else "false", f'"{text}"'
+            ),
         )
         return truth if len(text) > 1 else text
     return text
@@ -69,7 +71,7 @@ def _number(text: str, span: Span, report: Report) -> Value:
                 "yaml-leading-zero",
                 f"`{text}` starts with 0: octal for some YAML readers, decimal for others",
                 span,
-                hint=f'write `{decimal}`, `0o{decimal}` for octal, or `"{text}"` for text',
+                hint=_leading_zero_hint(text, decimal),
             )
             if len(decimal) > 20:
                 return 0
@@ -93,6 +95,19 @@ def _number(text: str, span: Span, report: Report) -> Value:
     return text
 
 
+def _alternatives(hint: str, *replacements: str) -> Proposal:
+    return Proposal(hint.format(*replacements), *replacements)
+
+
+def _leading_zero_hint(text: str, decimal: str) -> Proposal:
+    sign = "-" if text[0] == "-" else ""
+    if "8" in decimal or "9" in decimal or sign:
+        return _alternatives("write `{}`, or `{}` for text", sign + decimal, f'"{text}"')
+    return _alternatives(
+        "write `{}`, `{}` for octal, or `{}` for text", decimal, f"0o{decimal}", f'"{text}"'
+    )
+
+
 def _too_large(text: str, span: Span, report: Report) -> Value:
     shown = text if len(text) <= 40 else text[:37] + "..."
     report.add(
@@ -102,6 +117,13 @@ def _too_large(text: str, span: Span, report: Report) -> Value:
         hint="integers have 64 bits; other numbers are at most 1.8e308",
     )
     return 0
+
+
+def is_plain_text(text: str) -> bool:
+    """Returns whether every YAML reader reads an unquoted scalar as text."""
+    if text in _WORDS or text in _AMBIGUOUS:
+        return False
+    return not (_INTEGER.fullmatch(text) or _FLOAT.fullmatch(text) or text.startswith("0"))
 
 
 def key_kind(text: str) -> str | None:

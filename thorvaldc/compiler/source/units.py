@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 import math
 import re
+from collections.abc import Iterable
 from typing import NoReturn
 
 from thorvaldc.compiler.source.unit_table import (
@@ -28,6 +29,7 @@ from thorvaldc.compiler.source.unit_table import (
     Quantity,
     Unit,
 )
+from thorvaldc.diagnostics import Proposal
 from thorvaldc.diagnostics.suggest import nearest
 
 __all__ = ["QUANTITIES", "UnitError", "describe", "parse_any", "parse_quantity", "parse_unit"]
@@ -43,10 +45,18 @@ class UnitError(Exception):
     - ``message``: message of the diagnostic.
     - ``hint``: hint of the diagnostic.
     - ``code``: name of the diagnostic, ``bad-quantity`` or ``wrong-dimension``.
+    - ``unknown``: the unknown unit, if there is one.
     """
 
-    def __init__(self, message: str, hint: str | None = None, code: str = "bad-quantity") -> None:
+    def __init__(
+        self,
+        message: str,
+        hint: str | None = None,
+        code: str = "bad-quantity",
+        unknown: str = "",
+    ) -> None:
         super().__init__(message)
+        self.unknown = unknown
         self.message = message
         self.hint = hint
         self.code = code
@@ -68,7 +78,7 @@ def parse_quantity(text: str, quantity: str) -> float:
         return value
     raise UnitError(
         f"`{_shorten(text)}` is {describe(unit.dimension)}; expected {kind}",
-        f"write it as in `{kind.example}`",
+        Proposal(f"write it as in `{kind.example}`", kind.example, is_example=True),
         "wrong-dimension",
     )
 
@@ -107,6 +117,8 @@ _NUMBER = re.compile(r"([+-]?)(?:(\d+)(?:\.(\d*))?|\.(\d+))(?:[eE]([+-]?\d+))?(?
 _NUMBER_BEFORE_UNIT = re.compile(
     r"([+-]?)(?:(\d+)(?:\.(\d*))?|\.(\d+))(?:[eE]([+-]?\d+))?", re.ASCII
 )
+_QUOTIENT = re.compile(r"/\s*(\d+(?:\.\d*)?)\s*([^\d/].*)?")
+_SEPARATED = re.compile(r"([+-]?\d+)([,._' ])(\d+)(?![,._'\d])(.*)")
 _SECOND_NUMBER = re.compile(r"(?!1\s*/)[,._']?\d")
 
 
@@ -117,7 +129,10 @@ def _parse(text: str, kind: Quantity | None) -> tuple[float, Unit | None]:
     for every kind of quantity.
     """
     shown = _shorten(text)
-    example = f"write a number with a unit, as in `{kind.example if kind else '650 mm'}`"
+    example_value = kind.example if kind else "650 mm"
+    example = Proposal(
+        f"write a number with a unit, as in `{example_value}`", example_value, is_example=True
+    )
     if len(text) > _MAX_TEXT:
         raise UnitError(f"`{shown}` is too long for a quantity", example)
     stripped = text.strip().replace("\N{MINUS SIGN}", "-")
@@ -133,14 +148,62 @@ def _parse(text: str, kind: Quantity | None) -> tuple[float, Unit | None]:
     if rest[0] == ":":
         return _ratio(mantissa, exponent, rest[1:].strip(), shown), PLAIN
     if rest[0] == "/":
+        quotient = _QUOTIENT.fullmatch(rest)
+        if quotient is not None:
+            raise UnitError(
+                f"`{shown}` is a quotient of two numbers", _quotient_hint(number[0], quotient, kind)
+            )
         rest = "1" + rest  # `1/s`
     elif _SECOND_NUMBER.match(rest):
         raise UnitError(
             f"`{shown}` is not a quantity: the number is interrupted after `{number[0]}`",
-            "write digits without separators and `.` as decimal point, as in `1500.5 mm`",
+            _separator_hint(stripped),
         )
-    unit = _parse_unit(rest)
+    unit = _parse_unit_after_number(rest, text, kind)
     return _value(mantissa, exponent, unit, shown), unit
+
+
+def _parse_unit_after_number(rest: str, text: str, kind: Quantity | None) -> Unit:
+    """Parses the unit ``rest`` of the quantity ``text``.
+
+    For an unknown unit, the hint contains the whole quantity with a similar unit of the expected
+    kind.
+    """
+    try:
+        return _parse_unit(rest)
+    except UnitError as error:
+        hint = error.hint
+        if kind is not None and error.unknown == rest:
+            hint = _unit_hint(rest, kind)
+        if isinstance(hint, Proposal):
+            hint = hint if hint.is_example else hint.within(text)
+        raise UnitError(error.message, hint, error.code) from None
+
+
+def _quotient_hint(number: str, quotient: re.Match[str], kind: Quantity | None) -> str:
+    """Returns the hint for a quantity such as ``42/1`` or ``1/2 m``."""
+    divisor, unit = quotient.groups()
+    if not unit and (kind is None or kind.unit == "1"):
+        return Proposal(f"write a ratio as in `{number}:{divisor}`", f"{number}:{divisor}")
+    if float(divisor) == 0.0:
+        return "write one number and a unit"
+    decimal = f"{float(number) / float(divisor):.12g} {unit or ''}".strip()
+    return Proposal(f"write one number, as in `{decimal}`", decimal)
+
+
+def _separator_hint(text: str) -> str:
+    """Returns the hint for a number with separators, such as ``10,5 deg`` or ``1_500 mm``."""
+    hint = "write digits without separators and `.` as decimal point"
+    separated = _SEPARATED.fullmatch(text)
+    if separated is None:
+        return f"{hint}, as in `1500.5 mm`"
+    whole, separator, decimals, unit = separated.groups()
+    decimal, joined = f"{whole}.{decimals}{unit}", f"{whole}{decimals}{unit}"
+    if separator != ",":
+        return Proposal(f"{hint}: `{joined}`", joined)
+    if len(decimals) != 3:
+        return Proposal(f"{hint}: `{decimal}`", decimal)
+    return Proposal(f"{hint}: `{decimal}` or `{joined}`", decimal, joined)
 
 
 def _mantissa(number: re.Match[str], shown: str) -> tuple[int, int]:
@@ -350,20 +413,47 @@ def _raise_error(text: str, part: str) -> NoReturn:
             f"`{_shorten(text)}` is not a unit: `{_shorten(part)}` is not valid there",
             "write units as in `N m`, `m/s^2` or `kg m^2`",
         )
-    raise UnitError(f"unknown unit `{_shorten(part or text)}`", _unit_hint(part or text))
+    name = part or text
+    raise UnitError(f"unknown unit `{_shorten(name)}`", _unit_hint(name), unknown=name)
 
 
 _JOINED = re.compile(r"(kg|g|kN|mN|N)(m|mm|cm|s|ms)")  # such as `kgm^2` without a space
 
 
-def _unit_hint(name: str) -> str:
-    for known in COMMON:
+def _one_letter_off(name: str, units: Iterable[str]) -> str | None:
+    """Returns the first unit with the length and the first letter of ``name`` that differs from
+    ``name`` in one letter.
+    """
+    for unit in units:
+        if len(unit) == len(name) > 1 and unit[0] == name[0]:
+            differences = [a for a, b in zip(unit, name, strict=True) if a != b]
+            if len(differences) == 1:
+                return unit
+    return None
+
+
+def _unit_hint(name: str, kind: Quantity | None = None) -> str:
+    """Returns the hint for an unknown unit.
+
+    - ``kind``: expected kind of quantity.  The hint proposes only units of this kind.
+    """
+    common: Iterable[str] = COMMON
+    if kind is not None:
+        common = [kind.unit, *(u for u in COMMON if _parse_unit(u).dimension in kind.dimensions)]
+    for known in common:
         if known.casefold() == name.casefold():
-            return f"did you mean `{known}`?"
+            return Proposal(f"did you mean `{known}`?", known, word=name)
     joined = _JOINED.fullmatch(name)
     if joined:
-        return f"put a space between units: `{joined[1]} {joined[2]}`"
-    similar = nearest(name, COMMON)
+        spaced = f"{joined[1]} {joined[2]}"
+        return Proposal(f"put a space between units: `{spaced}`", spaced, word=name)
+    if kind is not None and name in PREFIXES and kind.unit.partition("/")[0] in PREFIXABLE:
+        return Proposal(f"did you mean `{name}{kind.unit}`?", name + kind.unit, word=name)
+    similar = _one_letter_off(name, common) if kind is not None else None
+    similar = similar or nearest(name, common)
     if similar is not None:
-        return f"did you mean `{similar}`?"
+        return Proposal(f"did you mean `{similar}`?", similar, word=name)
+    if kind is not None:
+        hint = f"write {kind} as in `{kind.example}`"
+        return Proposal(hint, kind.example, is_example=True)
     return "write units as in `mm`, `kg`, `deg`, `rpm`, `N m` or `m/s^2`"

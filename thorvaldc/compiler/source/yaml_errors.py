@@ -13,7 +13,8 @@ from typing import Any
 
 import yaml
 
-from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.compiler.source.yaml_causes import find_cause
+from thorvaldc.diagnostics import Label, Proposal, Report, Span
 
 _EXPRESSION = 'inside `{...}` and `[...]` an expression must be quoted, as in `"${width}"`'
 
@@ -131,12 +132,21 @@ def explain(error: yaml.MarkedYAMLError, text: str, file: str, report: Report) -
         return
     labels: list[Label] = []
     hint: str | None
+    is_flow = opened is not None and context.startswith("while parsing a flow")
+    started = _span(opened, lines, file) if opened is not None else span
+    if not (is_flow and _is_unclosed(lines, started, span)):
+        first = started.line if "parsing a block" not in context else span.line
+        cause = find_cause(problem, lines, span, first)
+        if cause is not None:
+            detected = cause.labels(span)
+            report.add(cause.code, cause.message, cause.span, hint=cause.hint, labels=detected)
+            return
     if "end of stream" in problem and opened is not None:
         message, hint = "the text in quotes that starts here has no end", "add the closing quote"
         span = _span(opened, lines, file)
     elif "cannot start any token" in problem:
         message = f"unquoted text cannot start with `{character}`"
-        hint = "put it in quotes"
+        hint = _quotes_hint(line, span)
     else:
         for yaml_message, plain_message, advice in _MESSAGES:
             if yaml_message in problem:
@@ -144,8 +154,8 @@ def explain(error: yaml.MarkedYAMLError, text: str, file: str, report: Report) -
                 break
         else:
             message, hint = f"invalid YAML: {problem}", None
-        if opened is not None and context.startswith("while parsing a flow"):
-            start = _span(opened, lines, file)
+        if is_flow:
+            start = started
             if "${" in line:
                 hint = _EXPRESSION
             if _is_unclosed(lines, start, span):
@@ -155,6 +165,16 @@ def explain(error: yaml.MarkedYAMLError, text: str, file: str, report: Report) -
             else:
                 labels.append(Label(start, "opened here"))
     report.add("yaml-syntax", message, span, hint=hint, labels=labels)
+
+
+def _quotes_hint(line: str, span: Span) -> str:
+    """Returns the hint to put the rest of a line in quotes."""
+    value = line[span.column - 1 :].rstrip()
+    if not value or any(character in value for character in '"\\,#]}'):
+        return "put it in quotes"
+    end = span.column + len(value)
+    whole = Span(span.file, span.line, span.column, span.line, end)
+    return Proposal("put it in quotes", f'"{value}"', span=whole)
 
 
 def _is_unclosed(lines: list[str], opened: Span, stopped: Span) -> bool:

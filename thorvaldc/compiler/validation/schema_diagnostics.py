@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from thorvaldc.compiler.source.edits import insertion, yaml_text
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.units import QUANTITIES
-from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics import Label, Proposal, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.schema.documents import Kind
 
@@ -165,10 +166,13 @@ class _Explanation:
 
     def _missing_key_hint(self, key: str) -> str:
         schema = self.schema.get("properties", {}).get(key, {})
-        example = next(iter(schema.get("examples", [])), schema.get("const"))
-        if isinstance(example, str | int | float) and not isinstance(example, bool):
-            return f"add it, as in `{key}: {example}`"
-        return f"add `{key}`"
+        example = _example(schema)
+        if example is None and "const" in schema:
+            example = yaml_text(schema["const"])
+        if example is None:
+            return f"add `{key}`"
+        hint = f"add it, as in `{key}: {example}`"
+        return insertion(hint, self.node, key, example, is_example="const" not in schema)
 
     def _dependentrequired(self) -> None:
         entries = self._entries()
@@ -221,13 +225,11 @@ class _Explanation:
 
     def bad_name(self, name: str) -> None:
         entry = self._entries().get(name)
-        fixed = re.sub(r"[^a-z0-9_]+", "_", name.lower()).strip("_")
-        is_valid = re.fullmatch(r"[a-z][a-z0-9_]{0,63}", fixed)
         self.add(
             "bad-id",
             f"`{name}` is not a valid name",
             entry.where if entry is not None else self.start,
-            f"{_ID_HINT}, as in `{fixed}`" if is_valid else _ID_HINT,
+            _id_hint(name),
         )
 
     # -- values --------------------------------------------------------------------------
@@ -236,6 +238,10 @@ class _Explanation:
         if self.node.value is None:
             example = self.example_hint()
             hint = f"remove the key, or give it a value{f', {example}' if example else ''}"
+            if isinstance(example, Proposal):
+                end = self.node.span  # the position after the colon
+                text = f" {example.replacements[0]}"
+                hint = Proposal(hint, text, span=end, is_example=True)
             self.add("wrong-type", f"{self.value_name} has no value", self.start, hint)
         else:
             self.wrong_type()
@@ -246,7 +252,9 @@ class _Explanation:
 
     def example_hint(self) -> str | None:
         example = _example(self.schema)
-        return f"as in `{example}`" if example is not None else None
+        if example is None:
+            return None
+        return Proposal(f"as in `{example}`", example, is_example=True)
 
     def _enum(self, values: list[Any] | None = None) -> None:
         values = values if values is not None else list(self.error.validator_value)
@@ -276,7 +284,7 @@ class _Explanation:
             "language-version",
             f"version {_actual(self.node)} of the language is not supported",
             self.node.span if self.node.value is not None else self.start,
-            f"write `thorvaldc: {version}`, or use a newer compiler",
+            Proposal(f"write `thorvaldc: {version}`, or use a newer compiler", str(version)),
         )
 
     def _anyof(self) -> None:
@@ -310,17 +318,12 @@ class _Explanation:
                 "or `derived:`",
             )
         elif "\\." in pattern or pattern.startswith("^[A-Za-z"):
-            self.add(
-                "bad-id",
-                f"`{text}` is not a path of names",
-                span,
-                "write names joined by dots, as in `frame.front_left`",
-            )
+            self.add("bad-id", f"`{text}` is not a path of names", span, _path_hint(text))
         else:
             expected = (
                 "name or mapping" if isinstance(types, list) and "object" in types else "name"
             )
-            self.add("bad-id", f"`{text}` is not a valid {expected}", span, _ID_HINT)
+            self.add("bad-id", f"`{text}` is not a valid {expected}", span, _id_hint(text))
 
     def _minlength(self) -> None:
         self.add("wrong-length", f"{self.value_name} is empty text", self.node.span)
@@ -356,6 +359,21 @@ class _Explanation:
         self.add("wrong-type", f"{self.value_name} does not match the schema", self.start)
 
 
+def _id_hint(name: str) -> str:
+    fixed = re.sub(r"[^a-z0-9_]+", "_", name.strip().lower()).strip("_")
+    if re.fullmatch(r"[a-z][a-z0-9_]{0,63}", fixed) is None:
+        return _ID_HINT
+    return Proposal(f"{_ID_HINT}, as in `{fixed}`", fixed)
+
+
+def _path_hint(text: str) -> str:
+    fixed = ".".join(re.findall(r"[a-z0-9_]+", text.lower().replace("-", "_")))
+    hint = "write names joined by dots, as in"
+    if re.fullmatch(r"[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)+", fixed) is None:
+        return f"{hint} `frame.front_left`"
+    return Proposal(f"{hint} `{fixed}`", fixed)
+
+
 def _expected(schema: dict[str, Any]) -> str:
     """Returns the types of value that a schema allows, such as ``a length or a mapping``."""
     quantity = schema.get("x-quantity")
@@ -387,24 +405,11 @@ def _example(schema: dict[str, Any]) -> str | None:
     examples = schema.get("examples")
     if not examples or (isinstance(examples[0], str) and examples[0].startswith("${")):
         return None
-    shown = _yaml_text(examples[0])
-    # Without quotes, YAML would read a text such as 0x10 as a number.
-    return f'"{shown}"' if isinstance(examples[0], str) and shown.startswith("0x") else shown
-
-
-def _yaml_text(value: Any) -> str:
-    """Returns a Python value as YAML text in one line."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{k}: {_yaml_text(v)}" for k, v in value.items()) + "}"
-    if isinstance(value, list):
-        return "[" + ", ".join(_yaml_text(item) for item in value) + "]"
-    return str(value)
+    return yaml_text(examples[0])
 
 
 def _text(node: Node) -> str:
-    text = _yaml_text(node.value)
+    text = node.value if isinstance(node.value, str) else yaml_text(node.value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 

@@ -6,6 +6,7 @@ import dataclasses
 import json
 from typing import Any
 
+from thorvaldc.diagnostics import Proposal
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
@@ -95,7 +96,7 @@ def calculator_errors(robot: Robot) -> list[CalculatorError]:
     if reason is not None:
         text = f"base calculator `{cls.name}` cannot drive {robot.name}: {reason}"
         hint = (
-            "use base_calculator: general, which drives any arrangement of wheels"
+            Proposal("use `general`, which drives any arrangement of wheels", "general")
             if cls.name != "general"
             else "give the robot a wheel with a motor"
         )

@@ -244,7 +244,7 @@ def _columns_match(table: Table, robot: Robot, groups: Sequence[str], report: Re
             "record-robot",
             f"the record of {robot.name} has a column `{unknown}`",
             table.span_of(unknown),
-            hint=did_you_mean(unknown, known, other_robot),
+            hint=did_you_mean(unknown, known, other_robot, fixable=False),
         )
     elif missing is not None:
         report.add(

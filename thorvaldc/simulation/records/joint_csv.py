@@ -230,7 +230,7 @@ def _joints_match(header: Sequence[str], display: str, robot: Robot, report: Rep
                 "joint-log-joint",
                 f"{robot.name} has no joint `{joint}`",
                 cell_span(display, 1, line, first),
-                hint=did_you_mean(joint, needed, "is it the log of another robot?"),
+                hint=did_you_mean(joint, needed, "is it the log of another robot?", fixable=False),
             )
             matches = False
     for name, quantities in (

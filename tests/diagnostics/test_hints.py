@@ -1,0 +1,84 @@
+"""Applies the change that each hint proposes, and checks the files again.
+
+The documents are those of the case files.  A diagnostic with fixes proposes a concrete change; a
+diagnostic without fixes gives advice only.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.diagnostics.test_cases import cases, run_case, write
+from thorvaldc.diagnostics import Diagnostic, Fix, Severity
+
+# Commands that need seconds.  Their diagnostics are about runs, and propose no change of a file.
+SLOW = ("sim", "drive", "calibrate", "demo", "can")
+CONCRETE = re.compile(r"did you mean `|^as in `|, as in `|write `[^`]*`|^add it")
+# Hints about XML files, or about a change at another place that the diagnostic does not know.
+ADVICE = {
+    "extra-argument",
+    "extra-left-out",
+    "extra-link-unknown",
+    "expression-syntax",
+    "expression-value",
+    "import-missing",
+    "joint-log-joint",
+}
+
+
+def apply(fix: Fix) -> None:
+    """Replaces the text at the source span of a fix in the working folder."""
+    path = Path(fix.span.file)
+    lines = [*path.read_bytes().decode("utf-8").splitlines(keepends=True), ""]
+
+    def offset(line: int, column: int) -> int:
+        return sum(map(len, lines[: line - 1])) + column - 1
+
+    text = "".join(lines)
+    start = offset(fix.span.line, fix.span.column)
+    end = offset(fix.span.end_line, fix.span.end_column)
+    path.write_bytes((text[:start] + fix.text + text[end:]).encode())
+
+
+def shown(diagnostic: Diagnostic) -> tuple[str, str]:
+    return diagnostic.code.name, diagnostic.message
+
+
+@pytest.mark.parametrize("case", [c for c in cases() if c.values[0].get("run") not in SLOW])
+def test_fixes(case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    entry = case.get("entry", "robot.yaml")
+    write(case["files"], tmp_path)
+    monkeypatch.chdir(tmp_path)
+    before = run_case(case, entry)
+    known = {shown(d) for d in before}
+    for diagnostic in before:
+        clean = []
+        for fix in diagnostic.fixes:
+            write(case["files"], tmp_path)
+            apply(fix)
+            after = run_case(case, entry)
+            left = [d for d in after if shown(d) == shown(diagnostic)]
+            assert not left, f"{diagnostic.hint} does not remove: {diagnostic.message}"
+            new = [d for d in after if d.severity is Severity.ERROR and shown(d) not in known]
+            if fix.is_example:
+                # An example has the right shape; the user adapts its value to the robot.
+                new = [d for d in new if d.code.number < "TV3"]
+            clean.append(new)
+        # A hint can have alternatives, such as a truth value or a text.  At least one of them
+        # causes no new error.
+        assert not clean or [] in clean, f"{diagnostic.hint}: {list(map(shown, clean[0]))}"
+
+
+@pytest.mark.parametrize("case", [c for c in cases() if c.values[0].get("run") not in SLOW])
+def test_concrete_hints_have_fixes(
+    case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(case["files"], tmp_path)
+    monkeypatch.chdir(tmp_path)
+    for diagnostic in run_case(case, case.get("entry", "robot.yaml")):
+        if CONCRETE.search(diagnostic.hint or "") and diagnostic.code.name not in ADVICE:
+            assert diagnostic.fixes, f"{diagnostic.code.name}: {diagnostic.hint}"
