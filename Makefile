@@ -8,13 +8,14 @@ READY  ?= .venv/.ready
 JOBS   ?= auto
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test test-matrix lint types chaos bench golden pictures clean distclean
+.PHONY: help setup demo test test-matrix lint types chaos mutants bench golden pictures clean distclean
 
 help:
 	@echo "make demo      compile every example and drive it in simulation"
 	@echo "make test      lint, types, layer rules and tests"
 	@echo "make test-matrix  golden files with the oldest and newest Python and dependencies"
 	@echo "make chaos     random missions with faults: make chaos SEEDS=0:1000 JOBS=2 (docs/chaos.md)"
+	@echo "make mutants   do the tests notice small changes of the code? LAYER=can NUMBER=20 SEED=1"
 	@echo "make bench     measure; prints a table and writes bench.json"
 	@echo "make golden    rewrite the tests' golden files and tables (review the diff)"
 	@echo "make pictures  render the examples' pictures"
@@ -60,6 +61,10 @@ test-matrix: $(READY)
 SEEDS ?= 0:200
 chaos: $(READY)
 	$(BIN)/python -m tests.chaos --seeds $(SEEDS) --jobs $(JOBS:auto=1) $(CHAOS)
+
+mutants: $(READY)
+	$(BIN)/python tools/mutants.py --number $(or $(NUMBER),10) --seed $(or $(SEED),1) \
+	  --jobs $(JOBS:auto=1) $(addprefix --layer ,$(LAYER))
 
 # The library to compare with comes into the environment of the first bench, not of every test.
 bench: $(READY)
