@@ -18,6 +18,7 @@ from thorvaldc.commissioning.planner import make_plan
 from thorvaldc.commissioning.scan_result import ScanResult
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.model import Robot
+from thorvaldc.model.bus_quirks import Quirk
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.device_description import NODE_ID, PARAMETERS
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
@@ -138,11 +139,14 @@ class Bench:
         timing: Timing | None = None,
         torn: bool = False,
         still: bool = True,
+        quirks: Iterable[Quirk] = (),
     ) -> None:
         self.robot = robot
         self.bus = robot.buses[0]
         self.configuration: BusConfiguration = configuration_of(robot, self.bus)
-        self.simulated = SimulatedRobot(robot, delivered=delivered, nonvolatile=memory)
+        self.simulated = SimulatedRobot(
+            robot, delivered=delivered, nonvolatile=memory, quirks=quirks
+        )
         for device in self.simulated.devices.values():
             device.torn_writes = torn
         self.wire = self.simulated.wire()

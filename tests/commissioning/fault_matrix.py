@@ -54,10 +54,10 @@ CASES = (
     Case("a drive receives nothing", _fault("lost_frames", share=1.0)),
     Case("one frame in ten is destroyed", _fault("noise", None, share=0.1)),
 )
-PHASES = {"scanning": 160, "addresses": 390, "values": 450}
+PHASES = {"scanning": 160, "addresses": 376, "values": 436}
 """Frame of the flash, counted from its start, in the middle of which the fault begins."""
-LONGEST = 7.0
-"""s: longest time until the flash stops, with 5 s for a node to start and further requests."""
+LONGEST = 10.0
+"""s: longest time until the flash stops (5 s for a node to start, and further requests)."""
 
 
 class ManualFaultInjector(FaultInjector):

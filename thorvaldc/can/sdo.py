@@ -104,6 +104,19 @@ def upload_segment_request(toggle: int) -> bytes:
     return bytes([ClientCommand.UPLOAD_SEGMENT << 5 | toggle << _TOGGLE_BIT]) + bytes(7)
 
 
+def segmented_download_request(index: int, subindex: int, length: int) -> bytes:
+    """Returns the SDO request to write a value of ``length`` bytes in segments."""
+    command = ClientCommand.INITIATE_DOWNLOAD << 5 | SIZE_INDICATED
+    return HEADER.pack(command, index, subindex) + length.to_bytes(4, "little")
+
+
+def last_download_segment_request(toggle: int, data: bytes) -> bytes:
+    """Returns the SDO request with the last segment of a download, up to 7 bytes."""
+    command = ClientCommand.DOWNLOAD_SEGMENT << 5 | toggle << _TOGGLE_BIT
+    command |= (SEGMENT_LENGTH - len(data)) << 1 | _LAST_SEGMENT
+    return bytes([command]) + data.ljust(SEGMENT_LENGTH, b"\0")
+
+
 def is_expedited(response: bytes) -> bool:
     """Returns ``True`` if an SDO upload response contains the value of the object."""
     return bool(response[0] & EXPEDITED)
@@ -159,13 +172,14 @@ def download_response(index: int, subindex: int) -> bytes:
     return HEADER.pack(_DOWNLOAD_RESPONSE, index, subindex) + bytes(4)
 
 
-def upload_response(index: int, subindex: int, value: bytes) -> bytes:
+def upload_response(index: int, subindex: int, value: bytes, segmented: bool = False) -> bytes:
     """Returns the response of an SDO server to an upload request.
 
     The SDO response contains an object value of 1 to 4 bytes.  If the object value has another
-    length, the SDO response contains only the number of bytes, and the value is sent in segments.
+    length, or if ``segmented`` is ``True``, the SDO response contains only the number of bytes, and
+    the value is sent in segments.
     """
-    if 1 <= len(value) <= 4:
+    if 1 <= len(value) <= 4 and not segmented:
         command = _UPLOAD_RESPONSE | _expedited(value)
         return HEADER.pack(command, index, subindex) + value.ljust(4, b"\0")
     command = _UPLOAD_RESPONSE | SIZE_INDICATED
@@ -201,11 +215,21 @@ class AbortCode(enum.IntEnum):
     OBJECT_UNKNOWN = 0x06020000
     NOT_MAPPABLE = 0x06040041
     MAPPING_TOO_LONG = 0x06040042
+    PARAMETER_INCOMPATIBLE = 0x06040043
+    DEVICE_INCOMPATIBLE = 0x06040047
+    HARDWARE_ERROR = 0x06060000
     LENGTH_WRONG = 0x06070010
+    TOO_LONG = 0x06070012
+    TOO_SHORT = 0x06070013
     SUBINDEX_UNKNOWN = 0x06090011
     VALUE_RANGE = 0x06090030
+    VALUE_TOO_HIGH = 0x06090031
+    VALUE_TOO_LOW = 0x06090032
+    GENERAL_ERROR = 0x08000000
     STORE_REFUSED = 0x08000020
+    LOCAL_CONTROL = 0x08000021
     STATE_REFUSED = 0x08000022
+    NO_DATA = 0x08000024
 
 
 _ABORT_TEXTS: dict[int, str] = {
@@ -218,6 +242,16 @@ _ABORT_TEXTS: dict[int, str] = {
     AbortCode.OBJECT_UNKNOWN: "the object does not exist",
     AbortCode.NOT_MAPPABLE: "the object cannot be mapped to a PDO",
     AbortCode.MAPPING_TOO_LONG: "the mapped objects are longer than a PDO",
+    AbortCode.PARAMETER_INCOMPATIBLE: "the value contradicts another parameter",
+    AbortCode.DEVICE_INCOMPATIBLE: "the device is internally incompatible",
+    AbortCode.HARDWARE_ERROR: "a hardware error prevents the access",
+    AbortCode.TOO_LONG: "the data type does not match: too many bytes",
+    AbortCode.TOO_SHORT: "the data type does not match: too few bytes",
+    AbortCode.VALUE_TOO_HIGH: "the value is too high",
+    AbortCode.VALUE_TOO_LOW: "the value is too low",
+    AbortCode.GENERAL_ERROR: "general error",
+    AbortCode.LOCAL_CONTROL: "the device is under local control",
+    AbortCode.NO_DATA: "no data available",
     AbortCode.LENGTH_WRONG: "the data type does not match: wrong length",
     AbortCode.SUBINDEX_UNKNOWN: "the subindex does not exist",
     AbortCode.VALUE_RANGE: "the value is out of range",

@@ -34,7 +34,8 @@ def start_virtual_robot(
     if seed is None:
         seed = script.seed if script is not None else 0
     base = make_mujoco_base(robot, file, report) if physics == "mujoco" else None
-    simulated = SimulatedRobot(robot, seed=seed, base=base)
+    quirks = script.quirks if script is not None else ()
+    simulated = SimulatedRobot(robot, seed=seed, base=base, quirks=quirks)
     if script is not None:
         FaultInjector(simulated, script, _show_injected_fault)
     simulated.power_on()

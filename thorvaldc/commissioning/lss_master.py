@@ -12,29 +12,40 @@ node id of a device with a known identity:
     17     store                      ----->   17 00    after the write to its memory
     04 00  switch all to WAITING      ----->   a first id takes effect now
 
-An LSS fastscan finds the identity of a device without node id.  A fastscan request contains the
-known bits of the identity and the position of the bit to check.  In the fastscan request the bit to
-check is 0.  All LSS slaves whose identities match the bits of a fastscan request respond.  If no
-LSS slave responds to a fastscan request, the checked bit of the identity is 1.  Fastscan messages
-for each of the four numbers of the identity, from bit 31 to bit 0:
+An LSS fastscan finds the identities of devices without node id.  A fastscan request contains the
+index of a part of the identity (0 to 3), a number, and the position of its lowest valid bit.  All
+LSS slaves respond whose part of the identity begins with the same bits as the number:
 
-    51 number, bit, part, part        ----->   4F  some identity has 0 at this bit: keep it
-                                      ----->   --  no identity has 0: set this bit in ``number``
-    51 number, 0, part, next part     ----->   4F  confirms the part; the slaves go to ``next part``
+    51 0, 80h, 0, 0                   ----->   4F  some slave has no node id; all are at part 0
+    51 number, bit, part, part        ----->   4F  some identity begins with these bits
+                                      ----->   --  no identity begins with these bits
+    51 number, 0, part, part + 1      ----->   4F  the slaves with this number go to the next part
 
-Exactly one LSS slave is in the CONFIGURATION state after the fastscan, because identities are
-unique.  In the last confirmation request of a fastscan the field ``next part`` is 0.  An LSS
-fastscan needs one request to start and 4 x (32 + 1) = 132 further requests.
+The master searches the binary tree of the numbers of one part, and then the tree of the next part
+for each number that it has found.  If no identity continues with the bit 0, an identity continues
+with the bit 1.  The master does not ask for identities that it knows already.  Each unknown
+identity needs 1 or 2 requests for each of its 128 bits.
+
+The standard fastscan ends with a request that switches the slave that was found to the
+CONFIGURATION state, in which it shall not respond to further fastscan requests.  The search does
+not use this request, because a slave of CANopenNode in the CONFIGURATION state responds to every
+fastscan request, whatever the number.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Collection, Iterator
 
 from thorvaldc.can import lss
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.lss import Identity
 from thorvaldc.commissioning.bus_master import BusMaster
+
+LAST_PART = 3
+"""Index of the last part of the identity, the serial number."""
+MAXIMUM_SLAVES = 126
+"""Largest number of devices without node id for which the master searches."""
 
 
 class LssError(Exception):
@@ -105,26 +116,61 @@ class LssMaster:
         """Starts an LSS fastscan.  Returns ``True`` if an LSS slave without node id responds."""
         return self._fastscan_request(0, lss.FASTSCAN_START, 0, 0)
 
-    def fastscan(self) -> Identity | None:
-        """Returns the identity of an LSS slave without node id, or ``None`` if all slaves have a
-        node id.
+    def find_without_id(self, known: Collection[Identity]) -> list[Identity]:
+        """Returns the identities of all LSS slaves without node id, except those in ``known``.
 
-        The LSS slave found by the fastscan stays in the configuration state.  Raises ``LssError``
-        if the responses of the LSS slaves contradict each other.  Each LSS request waits for the
-        full time-out, because a late response would be counted as a response to the next request.
+        All LSS slaves must be in the waiting state, and remain there.  Raises ``LssError`` if the
+        responses of the LSS slaves contradict each other.  Each LSS request waits for the full
+        time-out, because a late response would be counted as a response to the next request.
         """
         if not self.has_unconfigured_slave():
-            return None
-        numbers = []
-        for part in range(4):
-            number = 0
-            for bit in range(31, -1, -1):
-                if not self._fastscan_request(number, bit, part, part):
-                    number |= 1 << bit
-            if not self._fastscan_request(number, 0, part, (part + 1) % 4):
+            return []
+        if self._fastscan_request(0, 0, LAST_PART, LAST_PART):
+            raise LssError("a device without id responds to every fastscan request")
+        return [identity for identity in self._identities((), known) if identity not in known]
+
+    def _identities(
+        self, first: tuple[int, ...], known: Collection[Identity]
+    ) -> Iterator[Identity]:
+        """Yields the identities of the LSS slaves without node id that begin with the numbers
+        ``first``.
+
+        The identities in ``known`` are among them.
+        """
+        part = len(first)
+        self.has_unconfigured_slave()  # all slaves go back to part 0
+        for position, number in enumerate(first):
+            if not self._fastscan_request(number, 0, position, position + 1):
                 raise LssError("a device without id does not confirm its identity")
-            numbers.append(number)
-        return Identity(*numbers)
+        present = {identity[part] for identity in known if identity[:part] == first}
+        for count, number in enumerate(list(self._numbers(part, 0, 32, present)), 1):
+            if count > MAXIMUM_SLAVES:
+                raise LssError(f"more than {MAXIMUM_SLAVES} devices without id respond")
+            if part == LAST_PART:
+                vendor, product, revision = first
+                yield Identity(vendor, product, revision, number)
+            else:
+                yield from self._identities((*first, number), known)
+
+    def _numbers(self, part: int, start: int, bit: int, known: Collection[int]) -> Iterator[int]:
+        """Yields the numbers of one part of the identity that begin with the bits of ``start``.
+
+        ``bit``: position of the lowest valid bit of ``start``.  ``known``: numbers that exist.
+        """
+        if bit == 0:
+            if start not in known and not self._fastscan_request(start, 0, part, part):
+                raise LssError("a device without id does not confirm its identity")
+            yield start
+            return
+        bit -= 1
+        low, high = start, start | 1 << bit
+        low_exists = any(number >> bit == low >> bit for number in known)
+        low_exists = low_exists or self._fastscan_request(low, bit, part, part)
+        if low_exists:
+            yield from self._numbers(part, low, bit, known)
+        high_exists = any(number >> bit == high >> bit for number in known) or not low_exists
+        if high_exists or self._fastscan_request(high, bit, part, part):
+            yield from self._numbers(part, high, bit, known)
 
     # -- inside -----------------------------------------------------------------------------
 

@@ -60,7 +60,6 @@ TEXTS = (0x1008, 0x1009, 0x100A)
 SURPLUS = "more answers than requests"
 LAST_SCANNED_ID = 126
 """Highest scanned node id; node id 127 belongs to the master."""
-MAXIMUM_DEVICES = 126
 PROGRESS_STEP = 8
 
 Progress = Callable[[str, int, int], None]
@@ -268,16 +267,22 @@ class Scanner:
         self.lss.switch_to_waiting()
         if not self.lss.has_unconfigured_slave():
             return
-        for device in self._findings.by_name.values():
-            # An LSS slave does not respond to a fastscan in the configuration state.  Devices that
-            # are already known are therefore switched to the LSS configuration state.
-            if device.id == UNCONFIGURED and device.identity is not None:
-                self.lss.select(device.identity)
-        devices = self._findings.without_id
-        while len(devices) < MAXIMUM_DEVICES and (identity := self.lss.fastscan()) is not None:
-            self._progress("looking for devices without id", len(devices), 0)
-            devices.append(FoundDevice(UNCONFIGURED, identity))
-        self.lss.switch_to_waiting()
+        selected = self._findings.by_name
+        known = [
+            device.identity
+            for device in selected.values()
+            if device.id == UNCONFIGURED and device.identity is not None
+        ]
+        if known and all(node.name in selected for node in self.configuration.nodes if node.lss):
+            return  # the slaves that respond are these devices, and no node is missing
+        self._progress("looking for devices without id", 0, 1)
+        try:
+            identities: Sequence[Identity | None] = self.lss.find_without_id(known)
+        except LssError:
+            identities = [None]  # a device without id is there, and its identity is unknown
+        without_id = self._findings.without_id
+        without_id += [FoundDevice(UNCONFIGURED, identity) for identity in identities]
+        self._progress("looking for devices without id", 1, 1)
 
     # -- result -----------------------------------------------------------------------------
 

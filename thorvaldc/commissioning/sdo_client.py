@@ -13,8 +13,8 @@ from thorvaldc.can.canopen import SDO_REQUEST, SDO_RESPONSE
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.bus_master import BusMaster
 
-LONGEST_TEXT = 256
-"""Length (bytes) after which the client stops reading a text."""
+LONGEST_VALUE = 256
+"""Length (bytes) after which the client stops reading a value."""
 
 
 class SdoAborted(Exception):
@@ -37,6 +37,7 @@ class SdoMultipleResponses(Exception):
 
     def __init__(self, count: int) -> None:
         super().__init__(f"{count} answers to one request")
+        self.count = count
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,12 +63,23 @@ class SdoClient:
     ) -> list[UploadResponse]:
         """Sends an SDO request to read an object, and returns all responses.
 
-        The data of an SDO response is the value of the object if the value has up to 4 bytes.  The
-        data of an SDO response is the length of the object if the value is longer, such as a text.
+        The data of an SDO response is the value of the object if the node sends the value in the
+        response, or if only one node responds.  Several nodes cannot send their values in segments,
+        so the data is then the length of the object.
         """
         request = sdo.upload_request(index, subindex)
         frames = self._request(node, request, timeout, self.master.timing.settle)
-        return [_upload_response(frame.data) for frame in frames]
+        responses = [_upload_response(frame.data) for frame in frames]
+        if len(responses) != 1 or responses[0].abort is not None:
+            return responses
+        try:
+            return [UploadResponse(self._value(node, frames[0].data))]
+        except SdoAborted as error:
+            return [UploadResponse(abort=error.code)]
+        except SdoTimeout:
+            return [UploadResponse(abort=sdo.AbortCode.TIMED_OUT)]
+        except SdoMultipleResponses as error:
+            return responses * error.count
 
     def read_number(self, node: int, index: int, subindex: int, type_name: str) -> int:
         """Reads an object that is a number from a node.
@@ -75,34 +87,18 @@ class SdoClient:
         Raises ``SdoAborted`` if the node refuses the SDO request.  Raises ``SdoTimeout`` if no node
         responds, or ``SdoMultipleResponses`` if more than one node responds.
         """
-        response = _upload_response(
-            self._single_response(node, sdo.upload_request(index, subindex))
-        )
-        if response.abort is not None:
-            raise SdoAborted(response.abort)
-        return sdo.decode_number(type_name, response.data)
+        response = self._single_response(node, sdo.upload_request(index, subindex))
+        _raise_abort(response)
+        return sdo.decode_number(type_name, self._value(node, response))
 
     def read_text(self, node: int, index: int) -> str:
         """Reads an object that is a text from a node.
-
-        A text of more than 4 bytes is read in segments.
 
         Raises the same exceptions as the method ``read_number``.
         """
         response = self._single_response(node, sdo.upload_request(index, 0))
         _raise_abort(response)
-        if sdo.is_expedited(response):
-            return _text(sdo.expedited_data(response))
-        data, toggle = b"", 0
-        while len(data) < LONGEST_TEXT:
-            request = sdo.upload_segment_request(toggle)
-            response = self._single_response(node, request, segment=True)
-            _raise_abort(response)
-            data += sdo.segment_data(response)
-            if sdo.is_last_segment(response):
-                break
-            toggle ^= 1
-        return _text(data)
+        return self._value(node, response).decode("latin-1").rstrip("\0")
 
     def write_number(
         self,
@@ -113,15 +109,41 @@ class SdoClient:
         value: int,
         timeout: float | None = None,
     ) -> None:
-        """Writes an object that is a number to a node, by an expedited SDO download.
+        """Writes an object that is a number to a node.
 
-        Raises the same exceptions as the method ``read_number``.
+        The number is written by an expedited SDO download.  If the node does not know this
+        download, the number is written in one segment.  Raises the same exceptions as the method
+        ``read_number``.
         """
         data = sdo.encode_number(type_name, value)
         request = sdo.download_request(index, subindex, data)
-        _raise_abort(self._single_response(node, request, timeout))
+        response = self._single_response(node, request, timeout)
+        if sdo.abort_code(response) == sdo.AbortCode.COMMAND_UNKNOWN:
+            request = sdo.segmented_download_request(index, subindex, len(data))
+            _raise_abort(self._single_response(node, request))
+            request = sdo.last_download_segment_request(0, data)
+            response = self._single_response(node, request, timeout, segment=True)
+        _raise_abort(response)
 
     # -- inside -----------------------------------------------------------------------------
+
+    def _value(self, node: int, response: bytes) -> bytes:
+        """Returns the value of an object from the first response to an upload request.
+
+        A node sends values of more than 4 bytes, and some nodes send all values, in segments.
+        """
+        if sdo.is_expedited(response):
+            return sdo.expedited_data(response)
+        data, toggle = b"", 0
+        while len(data) < LONGEST_VALUE:
+            request = sdo.upload_segment_request(toggle)
+            segment = self._single_response(node, request, segment=True)
+            _raise_abort(segment)
+            data += sdo.segment_data(segment)
+            if sdo.is_last_segment(segment):
+                break
+            toggle ^= 1
+        return data
 
     def _single_response(
         self, node: int, request: bytes, timeout: float | None = None, segment: bool = False
@@ -167,7 +189,3 @@ def _raise_abort(response: bytes) -> None:
     abort = sdo.abort_code(response)
     if abort is not None:
         raise SdoAborted(abort)
-
-
-def _text(data: bytes) -> str:
-    return data.decode("latin-1").rstrip("\0")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from thorvaldc.diagnostics import Span
+from thorvaldc.model.bus_quirks import Quirk
 
 
 class FaultKind(NamedTuple):
@@ -99,9 +100,11 @@ class BusFault:
 class BusFaults:
     """A list of faults to inject into the simulated CAN buses of a robot.
 
+    - ``quirks``: quirks of all simulated CANopen devices;
     - ``seed``: seed of the random number generator of the faults.
     """
 
     faults: tuple[BusFault, ...]
     seed: int = 0
     description: str = ""
+    quirks: tuple[Quirk, ...] = ()

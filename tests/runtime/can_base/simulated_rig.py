@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
+from thorvaldc.model.bus_quirks import Quirk
 from thorvaldc.runtime.base_interface import BaseHandle
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
@@ -32,10 +33,11 @@ class Rig:
         base: BaseHandle | None = None,
         power: bool = True,
         drives: Robot | None = None,
+        quirks: Iterable[Quirk] = (),
     ) -> None:
         """``drives``: robot whose devices are on the bus; ``None``: those of ``robot``."""
         self.robot = robot
-        self.simulated = SimulatedRobot(drives or robot, seed=seed, base=base)
+        self.simulated = SimulatedRobot(drives or robot, seed=seed, base=base, quirks=quirks)
         if power:
             self.simulated.power_on()
         self.interfaces = {

@@ -89,7 +89,12 @@ def bus(
         if number is None:
             number = script.seed if script is not None else 0
         simulated = SimulatedRobot(
-            robot, seed=number, base=base, delivered=delivered, nonvolatile=memory
+            robot,
+            seed=number,
+            base=base,
+            delivered=delivered,
+            nonvolatile=memory,
+            quirks=script.quirks if script is not None else (),
         )
     except DiagnosticError as error:
         return loaded.show(report_of(error))

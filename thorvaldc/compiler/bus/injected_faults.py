@@ -14,6 +14,7 @@ from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.bus import Bus
 from thorvaldc.model.bus import Node as Device
 from thorvaldc.model.bus_faults import FAULT_KINDS, BusFault, BusFaults, FaultKind
+from thorvaldc.model.bus_quirks import Quirk
 from thorvaldc.model.robot import Robot
 
 LONGEST = 86400.0
@@ -35,7 +36,14 @@ def read_bus_faults(document: Node, robot: Robot, report: Report) -> BusFaults:
         tuple(_Reader(robot, quantities, report).injected_faults(document.get("faults"))),
         seed.value if seed is not None and isinstance(seed.value, int) else 0,
         scope.text(document.get("description")),
+        tuple(_quirks(document.get("quirks"))),
     )
+
+
+def _quirks(names: Node | None) -> Iterator[Quirk]:
+    for node in names.value if names is not None and isinstance(names.value, tuple) else ():
+        if node.value in tuple(Quirk):
+            yield Quirk(node.value)
 
 
 class _Reader:

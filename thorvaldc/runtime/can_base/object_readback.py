@@ -23,8 +23,9 @@ class ObjectReadback:
     """Reads object dictionary entries of a node one after another, and compares the values with the
     robot file.
 
-    All object dictionary entries are numbers of up to 4 bytes, so each entry is read with one
-    expedited SDO transfer.  The comparison of the object dictionary ends at the first mismatch.
+    All object dictionary entries are numbers of up to 4 bytes.  A node sends such a number in the
+    response to the upload request, or in one segment afterwards.  The comparison of the object
+    dictionary ends at the first mismatch.
     The values in the object dictionary are never changed.
     """
 
@@ -41,6 +42,8 @@ class ObjectReadback:
         self._remaining = list(expected)[::-1]
         self._requested_at: float | None = None
         self._tries = 0
+        self._next_is_segment = False
+        """The node has announced the value, and sends it in a segment at the next request."""
 
     @property
     def finished(self) -> bool:
@@ -51,6 +54,9 @@ class ObjectReadback:
 
         Returns ``None`` while an SDO response is awaited, and after the comparison has finished.
         """
+        if self._next_is_segment and self._requested_at is None:
+            self._requested_at = now
+            return CanFrame(self.request, sdo.upload_segment_request(0))
         waiting = self._requested_at is not None and now - self._requested_at < ANSWER_TIME
         if self.finished or waiting:
             return None
@@ -60,6 +66,7 @@ class ObjectReadback:
             return None
         self._tries += 1
         self._requested_at = now
+        self._next_is_segment = False
         return CanFrame(self.request, sdo.upload_request(expected.index, expected.subindex))
 
     def take_response(self, data: bytes) -> None:
@@ -70,18 +77,24 @@ class ObjectReadback:
         if self.finished or self._requested_at is None or len(data) < 8:
             return
         expected = self._remaining[-1]
-        if struct.unpack_from("<HB", data, 1) != (expected.index, expected.subindex):
-            return
         abort_code = sdo.abort_code(data)
+        is_segment = self._next_is_segment and abort_code is None
+        object_key = struct.unpack_from("<HB", data, 1)
+        if not is_segment and object_key != (expected.index, expected.subindex):
+            return
         if abort_code is not None:
             self.problem = f"{_label(expected)} cannot be read: {sdo.abort_text(abort_code)}"
             return
-        value = sdo.decode_number(expected.type, data[4:8])
+        if not is_segment and not sdo.is_expedited(data):
+            self._next_is_segment, self._requested_at = True, None
+            return
+        content = sdo.segment_data(data) if is_segment else data[4:8]
+        value = sdo.decode_number(expected.type, content)
         if value != expected.value:
             self.problem = f"{_label(expected)} is {value}, but the robot file has {expected.value}"
             return
         self._remaining.pop()
-        self._requested_at, self._tries = None, 0
+        self._requested_at, self._tries, self._next_is_segment = None, 0, False
 
 
 class SupervisedNode(NamedTuple):

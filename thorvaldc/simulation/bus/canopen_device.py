@@ -20,6 +20,7 @@ from thorvaldc.can.canopen import Emergency, NmtCommand, NmtState
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.sdo import AbortCode
+from thorvaldc.model.bus_quirks import Quirk
 from thorvaldc.simulation.bus.device_description import (
     NODE_ID,
     PARAMETERS,
@@ -90,6 +91,7 @@ class CanopenDevice(SimulatedDevice):
         self.pdos: PdoSet | None = None
         self.lss: LssSlave | None = None
         self._sdo = SdoServer(self.objects, self._respond)
+        self._quirks = description.quirks
         self._pending_id = node_id
         self._pending_rate = bitrate
         self._history: list[int] = []
@@ -201,12 +203,16 @@ class CanopenDevice(SimulatedDevice):
             self._start_lss(self.description.serial)
         if self.node_id == lss.UNCONFIGURED:
             return
-        self.objects = objects = ObjectDictionary()
+        quirks = self._quirks
+        self.objects = objects = ObjectDictionary(length_aborts=Quirk.LENGTH_ABORTS in quirks)
         self._add_standard_objects(objects)
         self.add_objects(objects)
         self.pdos = self.make_pdos(objects)
+        if self.pdos is not None:
+            self.pdos.apply_quirks(quirks)
         objects.restore(self.nonvolatile.get(PARAMETERS, {}))
-        self._sdo = SdoServer(objects, self._respond)
+        segmented = Quirk.SEGMENTED_TRANSFERS in quirks
+        self._sdo = SdoServer(objects, self._respond, segmented=segmented)
         self.handlers[canopen.NMT] = self._nmt
         self.handlers[canopen.SYNC] = self._sync
         self.handlers[canopen.SDO_REQUEST + self.node_id] = self._sdo_request
@@ -230,6 +236,7 @@ class CanopenDevice(SimulatedDevice):
             activate=self._activate_rate,
             store=self._store_lss,
             left=self._lss_left,
+            responds_when_selected=Quirk.LSS_RESPONDS_WHEN_SELECTED in self._quirks,
         )
         self.lss = slave
         self.handlers[lss.REQUEST] = lambda frame: slave.request(frame.data)
@@ -248,16 +255,23 @@ class CanopenDevice(SimulatedDevice):
         for position in range(HISTORY):
             objects.add(0x1003, position + 1, Entry("u32", read=partial(self._error, position)))
         sync = canopen.SYNC
-        objects.add(0x1005, 0, Entry("u32", sync, "rw", lower=sync, upper=sync))
+        cob_access = "ro" if Quirk.FIXED_COB_IDS in self._quirks else "rw"
+        objects.add(0x1005, 0, Entry("u32", sync, cob_access, lower=sync, upper=sync))
         objects.add(0x1008, 0, Entry("text", description.name, "const"))
         objects.add(0x1009, 0, Entry("text", description.hardware, "const"))
         objects.add(0x100A, 0, Entry("text", description.software, "const"))
         objects.add_record(0x1010, Entry("u32", 1, "rw", read=lambda: 1, write=self._save))
         objects.add_record(0x1011, Entry("u32", 1, "rw", read=lambda: 1, write=self._load_defaults))
         emcy = canopen.EMCY + self.node_id
-        objects.add(0x1014, 0, Entry("u32", emcy, "rw", lower=emcy, upper=emcy))
+        objects.add(0x1014, 0, Entry("u32", emcy, cob_access, lower=emcy, upper=emcy))
         objects.add(0x1015, 0, Entry("u16", 0, "rw", stored=True))
-        objects.add_record(0x1016, *(Entry("u32", 0, "rw", stored=True) for _ in range(CONSUMERS)))
+        objects.add_record(
+            0x1016,
+            *(
+                Entry("u32", 0, "rw", stored=True, write=partial(self._check_consumer, number))
+                for number in range(1, CONSUMERS + 1)
+            ),
+        )
         period = round(description.heartbeat_period * 1000.0)
         objects.add(0x1017, 0, Entry("u16", period, "rw", stored=True))
         identity = [description.vendor, description.product, description.revision]
@@ -364,6 +378,15 @@ class CanopenDevice(SimulatedDevice):
                 return (value & 0xFFFF) / 1000.0
         return 0.0
 
+    def _check_consumer(self, number: int, value: Any) -> DelayedWrite | None:
+        """Checks a new value of entry ``number`` of object 0x1016."""
+        others = [self.objects[0x1016, i].value for i in range(1, CONSUMERS + 1) if i != number]
+        producers = {other >> 16 & 0x7F for other in others if other & 0xFFFF}
+        is_duplicate = value & 0xFFFF and value >> 16 & 0x7F in producers
+        if Quirk.ONE_CONSUMER_PER_NODE in self._quirks and is_duplicate:
+            raise SdoAbort(AbortCode.PARAMETER_INCOMPATIBLE)
+        return None
+
     def _check_heartbeats(self) -> None:
         """Reports the nodes whose heartbeat is missing.
 
@@ -401,6 +424,8 @@ class CanopenDevice(SimulatedDevice):
         return len(self._history)
 
     def _error(self, position: int) -> int:
+        if Quirk.ERROR_HISTORY_ABORTS in self._quirks and position >= len(self._history):
+            raise SdoAbort(AbortCode.NO_DATA)
         return self._history[position] if position < len(self._history) else 0
 
     def _clear_errors(self, value: Any) -> DelayedWrite | None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from thorvaldc.can import lss
+from thorvaldc.model.bus_quirks import Quirk
 from thorvaldc.simulation.bus.object_dictionary import parameter_name
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ class DeviceDescription:
     * ``heartbeat_period``: period of the heartbeat (s).
     * ``bitrates``: supported bitrates (bit/s).
     * ``operational_at_start``: true if the device enters OPERATIONAL without an NMT command.
+    * ``quirks``: deviations from the default behaviour.
     """
 
     device_type: int = 0
@@ -37,6 +39,7 @@ class DeviceDescription:
     heartbeat_period: float = 0.1
     bitrates: tuple[int, ...] = tuple(lss.BITRATES.values())
     operational_at_start: bool = False
+    quirks: frozenset[Quirk] = frozenset()
 
     @classmethod
     def from_specification(
@@ -63,6 +66,7 @@ class DeviceDescription:
             name=name,
             heartbeat_period=0.0 if factory_state else specification.heartbeat_period,
             bitrates=node.bitrates or tuple(lss.BITRATES.values()),
+            quirks=specification.quirks,
         )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 from thorvaldc.can.canopen import HEARTBEAT
 from thorvaldc.model import Actuator, Robot
 from thorvaldc.model.bus import Bus, FrameDefinition, Node
+from thorvaldc.model.bus_quirks import Quirk
 from thorvaldc.simulation.bus.simulated_motors import IdealMotor, MotorModel
 from thorvaldc.simulation.bus.wire import Wire
 
@@ -31,6 +32,7 @@ class DeviceSpecification:
       bus.
     * ``nonvolatile``: values that replace values in the non-volatile memory of the device, such as
       ``node_id`` or ``bitrate``.
+    * ``quirks``: quirks of the device, if it is a CANopen device.
     """
 
     robot: Robot
@@ -42,6 +44,7 @@ class DeviceSpecification:
     seed: int = 0
     delivered: bool = False
     nonvolatile: Mapping[str, Any] = field(default_factory=dict)
+    quirks: frozenset[Quirk] = frozenset()
 
     @property
     def sent(self) -> list[FrameDefinition]:

@@ -23,6 +23,9 @@ from collections.abc import Callable
 from thorvaldc.can import lss
 from thorvaldc.can.lss import UNCONFIGURED, Identity
 
+_SELECTING = {lss.SWITCH_STATE_SELECTIVE[-1]: lss.SELECTED, lss.FASTSCAN: lss.SLAVE_IDENTIFIED}
+"""Requests that select a slave in the state WAITING, with their responses."""
+
 
 class LssSlave:
     """The LSS services of one simulated device.
@@ -36,6 +39,9 @@ class LssSlave:
     - ``store(done)`` stores the pending values and then calls ``done(code)``, with the code 0 for
       success.
     - ``left()`` handles the end of the state CONFIGURATION.
+
+    If ``responds_when_selected`` is true, the slave responds in the state CONFIGURATION to every
+    fastscan request and to the last request of every selective switch, as CANopenNode does.
     """
 
     def __init__(
@@ -49,6 +55,7 @@ class LssSlave:
         activate: Callable[[float], None],
         store: Callable[[Callable[[int], None]], None],
         left: Callable[[], None],
+        responds_when_selected: bool = False,
     ) -> None:
         self.identity = identity
         self.configuring = False
@@ -59,6 +66,7 @@ class LssSlave:
         self._activate = activate
         self._store = store
         self._left = left
+        self._responds_when_selected = responds_when_selected
         # Each LSS service counts the parts of the device identity that have matched.
         self._selected = 0
         self._identified = 0
@@ -75,6 +83,8 @@ class LssSlave:
         number: int = struct.unpack_from("<I", data, 1)[0]
         if command == lss.SWITCH_STATE_GLOBAL:
             self._switch(data[1] == lss.CONFIGURATION)
+        elif self.configuring and self._responds_when_selected and command in _SELECTING:
+            self._answer(_SELECTING[command])
         elif command in lss.SWITCH_STATE_SELECTIVE:
             self._select(lss.SWITCH_STATE_SELECTIVE.index(command), number)
         elif command in lss.IDENTIFY_REMOTE_SLAVE:

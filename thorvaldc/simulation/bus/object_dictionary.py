@@ -103,19 +103,21 @@ class Entry:
     def decode(self, data: bytes) -> Any:
         """Decodes the value of an object dictionary entry from received bytes.
 
-        Raises ``SdoAbort`` if the number of received bytes is wrong.
+        A number must have the right number of bytes.
         """
         if self.kind == "text":
             return data.decode("latin-1")
-        if len(data) != self.size:
-            raise SdoAbort(AbortCode.LENGTH_WRONG)
         return struct.unpack(_FORMATS[self.kind], data)[0]
 
 
 class ObjectDictionary:
-    """The entries of a CANopen object dictionary, by index and subindex."""
+    """The entries of a CANopen object dictionary, by index and subindex.
 
-    def __init__(self) -> None:
+    ``length_aborts``: true if the abort code tells whether a value is too long or too short.
+    """
+
+    def __init__(self, *, length_aborts: bool = False) -> None:
+        self._length_aborts = length_aborts
         self._entries: dict[tuple[int, int], Entry] = {}
         self._indices: dict[int, None] = {}
 
@@ -133,6 +135,9 @@ class ObjectDictionary:
         self.add(index, 0, Entry("u8", len(entries), "const"))
         for subindex, entry in enumerate(entries, 1):
             self.add(index, subindex, entry)
+
+    def remove(self, index: int, subindex: int) -> None:
+        del self._entries[index, subindex]
 
     def __getitem__(self, key: tuple[int, int]) -> Entry:
         """Returns the object dictionary entry with the given index and subindex.
@@ -167,7 +172,16 @@ class ObjectDictionary:
         entry = self[index, subindex]
         if entry.access in ("ro", "const"):
             raise SdoAbort(AbortCode.READ_ONLY)
+        self.check_length(entry, len(data))
         return entry.set(entry.decode(data))
+
+    def check_length(self, entry: Entry, length: int) -> None:
+        """Raises ``SdoAbort`` if the value of the entry cannot have ``length`` bytes."""
+        if entry.size in (0, length):
+            return
+        if not self._length_aborts:
+            raise SdoAbort(AbortCode.LENGTH_WRONG)
+        raise SdoAbort(AbortCode.TOO_LONG if length > entry.size else AbortCode.TOO_SHORT)
 
     def parameters(self) -> dict[str, Any]:
         """Returns the values of the object dictionary entries in non-volatile memory.

@@ -4,7 +4,7 @@ Objects of the object dictionary that configure PDO number n.  The base index is
 and 0x1800 for a TPDO:
 
     base + n - 1           sub 1 COB-ID (bit 31: switched off), sub 2 transmission type,
-                           sub 5 event timer in ms
+                           sub 3 inhibit time in 100 us, sub 5 event timer in ms
     base + 0x200 + n - 1   sub 0 number of mapped entries, then index << 16 | subindex << 8 | bits
 
 Order in which a master must change the mapping of a PDO:
@@ -20,17 +20,20 @@ The device aborts the SDO transfers if the master changes the mapping in another
 The transmission type of a TPDO defines when the device sends the TPDO.  A TPDO with the
 transmission type 0 is sent at the next SYNC message if the data changed.  A TPDO with a
 transmission type n from 1 to 240 is sent at every n-th SYNC message.  A TPDO with a transmission
-type above 240 is sent after an event or when the event timer ends.
+type above 240 is sent after an event or when the event timer ends, but not earlier
+than the inhibit time after it was sent last.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.sdo import AbortCode
+from thorvaldc.model.bus_quirks import Quirk
 from thorvaldc.simulation.bus.object_dictionary import (
     DelayedWrite,
     Entry,
@@ -42,6 +45,10 @@ INVALID = 1 << 31
 SYNCHRONOUS = 240
 """Highest synchronous transmission type."""
 EVENT_DRIVEN = 255
+INHIBIT_UNIT = 100e-6
+"""Unit (s) of the inhibit time of a TPDO."""
+LONG_INHIBIT_TIME = 500
+"""Inhibit time (in ``INHIBIT_UNIT``) with ``Quirk.INHIBIT_TIMES``."""
 _SLOTS = 8
 """Largest number of mapped entries of a PDO."""
 
@@ -73,14 +80,15 @@ class _ConfiguredPdo:
         self.last: bytes | None = None
         """Data that the PDO sent last."""
         base = 0x1800 if transmit else 0x1400
-        index = base + pdo.number - 1
+        self.index = index = base + pdo.number - 1
+        """Index of the communication parameters of the PDO in the object dictionary."""
         self.cob = Entry("u32", pdo.cob_id, "rw", write=self._check_cob, stored=True)
         self.type = Entry("u8", pdo.transmission, "rw", stored=True)
         self.event = Entry("u16", pdo.event_ms, "rw", stored=True)
         objects.add(index, 0, Entry("u8", 5, "const"))
         objects.add(index, 1, self.cob)
         objects.add(index, 2, self.type)
-        objects.add(index, 3, Entry("u16", 0, "rw", stored=True))
+        self.inhibit = objects.add(index, 3, Entry("u16", 0, "rw", stored=True))
         objects.add(index, 5, self.event)
         mapping = [index << 16 | sub << 8 | bits for index, sub, bits in pdo.mapping]
         self.count = Entry(
@@ -177,10 +185,21 @@ class PdoSet:
 
         The function ``send`` sends a CAN frame and has the arguments identifier and data.
         """
+        self._objects = objects
         self._send = send
         self.received = [_ConfiguredPdo(pdo, False, objects) for pdo in received]
         self.sent = [_ConfiguredPdo(pdo, True, objects) for pdo in sent]
         self._next_event = [0.0] * len(self.sent)
+        self._sent_at = [-math.inf] * len(self.sent)
+
+    def apply_quirks(self, quirks: frozenset[Quirk]) -> None:
+        """Changes the factory settings of the PDOs as the quirks of the device say."""
+        for pdo in self.sent:
+            if Quirk.INHIBIT_TIMES in quirks:
+                pdo.inhibit.value = LONG_INHIBIT_TIME
+            if Quirk.NO_INHIBIT_TIMES in quirks:
+                pdo.inhibit.value = 0
+                self._objects.remove(pdo.index, 3)
 
     def receive(self, frame: CanFrame) -> bool:
         """Handles a received CAN frame.
@@ -259,10 +278,13 @@ class PdoSet:
             period = pdo.event.value / 1000.0
             if period and now + 1e-9 < self._next_event[index]:
                 continue
+            if now + 1e-9 < self._sent_at[index] + pdo.inhibit.value * INHIBIT_UNIT:
+                continue
             data = pdo.pack()
             if not period and data == pdo.last:
                 continue
             pdo.last = data
+            self._sent_at[index] = now
             late = now - self._next_event[index]
             self._next_event[index] = (now if late > period else self._next_event[index]) + period
             self._send(cob_id, data)

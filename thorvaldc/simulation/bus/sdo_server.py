@@ -15,10 +15,18 @@ class SdoServer:
 
     The function ``respond`` sends a response to the SDO client.  The server aborts a block transfer
     with the abort code "command unknown".  An SDO client then uses a segmented transfer instead of
-    a block transfer.  A new SDO request ends an unfinished SDO transfer.
+    a block transfer.  A new SDO request ends an unfinished SDO transfer.  If ``segmented`` is true,
+    the server transfers short values in segments too, and refuses expedited downloads.
     """
 
-    def __init__(self, objects: ObjectDictionary, respond: Callable[[bytes], None]) -> None:
+    def __init__(
+        self,
+        objects: ObjectDictionary,
+        respond: Callable[[bytes], None],
+        *,
+        segmented: bool = False,
+    ) -> None:
+        self._segmented = segmented
         self._objects = objects
         self._respond = respond
         self._object = (0, 0)
@@ -59,6 +67,8 @@ class SdoServer:
         self._upload = self._download = None
         index, subindex = self._object = struct.unpack_from("<HB", data, 1)
         if data[0] & EXPEDITED:
+            if self._segmented:
+                raise SdoAbort(AbortCode.COMMAND_UNKNOWN)
             value = sdo.expedited_data(data)
             if not data[0] & SIZE_INDICATED and self._object in self._objects:
                 value = value[: self._objects[self._object].size or 4]
@@ -67,8 +77,8 @@ class SdoServer:
             entry = self._objects[self._object]
             size_indicated = data[0] & SIZE_INDICATED
             self._size = struct.unpack_from("<I", data, 4)[0] if size_indicated else None
-            if self._size is not None and entry.size and self._size != entry.size:
-                raise SdoAbort(AbortCode.LENGTH_WRONG)
+            if self._size is not None:
+                self._objects.check_length(entry, self._size)
             self._download, self._toggle = bytearray(), 0
             delayed = None
         self._respond_after(delayed, sdo.download_response(*self._object))
@@ -97,9 +107,9 @@ class SdoServer:
         self._upload = self._download = None
         index, subindex = self._object = struct.unpack_from("<HB", data, 1)
         value = self._objects.upload(index, subindex)
-        if not 1 <= len(value) <= 4:
+        if self._segmented or not 1 <= len(value) <= 4:
             self._upload, self._toggle = value, 0
-        self._respond(sdo.upload_response(index, subindex, value))
+        self._respond(sdo.upload_response(index, subindex, value, self._segmented))
 
     def _upload_segment(self, data: bytes) -> None:
         if self._upload is None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.model import Actuator, Robot
 from thorvaldc.model.bus import Bus, Node
+from thorvaldc.model.bus_quirks import Quirk
 from thorvaldc.model.require_bus import require_bus
 from thorvaldc.runtime.base_interface import BaseHandle
 from thorvaldc.simulation.bus.device_specification import DeviceSpecification
@@ -38,6 +39,7 @@ class SimulatedRobot:
         base: BaseHandle | None = None,
         delivered: bool = False,
         nonvolatile: Mapping[str, Mapping[str, Any]] | None = None,
+        quirks: Iterable[Quirk] = (),
     ) -> None:
         """Creates a simulated device for each node of the robot.
 
@@ -46,6 +48,7 @@ class SimulatedRobot:
         * ``delivered``: true if all devices are in the factory state.
         * ``nonvolatile``: values in the non-volatile memory by node name, for example
           ``{"fl_drive": {"node_id": 2}}``.  These values override the values from the robot model.
+        * ``quirks``: quirks of all simulated CANopen devices.
 
         Raises ``DiagnosticError`` (``bus-missing``) if the robot has no bus.
         """
@@ -58,6 +61,7 @@ class SimulatedRobot:
         self.motors: dict[str, MotorModel] = {}
         self._base_motors = None if base is None else BaseMotors(robot, base)
         self._delivered = delivered
+        self._quirks = frozenset(quirks)
         for bus in robot.buses:
             self.wires[bus.name] = Wire(self.timeline, bus.bitrate, seed=seed)
             for node in bus.nodes:
@@ -136,6 +140,7 @@ class SimulatedRobot:
                 self.seed,
                 self._delivered,
                 nonvolatile,
+                self._quirks,
             )
         )
         self.devices[name] = device
