@@ -124,7 +124,8 @@ from tests.compiler.extras.xacro_files import (
             4,
             "between 0 and 1",
         ),
-        (mesh("\nnone.stl"), "mesh-missing", 3, "none.stl"),
+        (mesh("\nnone.stl"), "extra-visual-mesh", 3, "none.stl"),
+        (mesh("\nnone.stl").replace("visual", "collision"), "mesh-missing", 3, "none.stl"),
         (mesh("http://x.y/none.stl"), "mesh-missing", 3, "http"),
         (mesh("a.blend"), "extra-visual-mesh", 3, "blend"),
         (mesh("a.blend").replace("visual", "collision"), "mesh-format", 3, "blend"),
@@ -148,7 +149,7 @@ def test_an_error_in_a_macro_has_a_label_at_the_call(tmp_path: Path) -> None:
     )
     outer = HEAD + '<xacro:include filename="m.xacro"/>\n<xacro:m n="1"/></robot>'
     loaded = load(tmp_path, "- xacro: a.xacro", a_xacro=outer, m_xacro=inner)
-    assert loaded.codes == ["mesh-missing"]
+    assert loaded.codes == ["extra-visual-mesh"]
     assert str(loaded.only.span).startswith("m.xacro:5:")
     loaded = load(
         tmp_path,

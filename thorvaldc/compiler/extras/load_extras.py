@@ -36,6 +36,7 @@ from thorvaldc.compiler.geometry.meshes import load_mesh
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.units import UnitError, parse_quantity
 from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics.grouping import grouped
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Joint, Link, Mesh, Pose, Vec3
 
@@ -85,6 +86,21 @@ def load_extras(
     """
     if not entries:
         return ExtraParts()
+    diagnostics = Report()
+    parts = _load(entries, base_dir, links, joints, attach, diagnostics, trust)
+    report.extend(grouped(diagnostics))
+    return parts
+
+
+def _load(
+    entries: Sequence[Node],
+    base_dir: Path,
+    links: Mapping[str, Span],
+    joints: Mapping[str, Span],
+    attach: FindAttachment,
+    report: Report,
+    trust: bool,
+) -> ExtraParts:
     relative_dir, base_dir = base_dir, base_dir.absolute()
     display = str(Path(entries[0].span.file).parent)
     paths = DisplayPaths(base_dir, "" if display == "." else display, {})
@@ -236,8 +252,8 @@ def _quantity(node: Node, quantity: str, report: Report) -> float | None:
 
 # -- from an expanded file to parts -------------------------------------------------
 
-# Errors of mesh files that exist.  A mesh for the eye is then replaced.
-_UNREADABLE = ("mesh-format", "mesh-invalid", "mesh-large")
+# Errors of mesh files.  A mesh that is only for the eye is then replaced.
+_UNREADABLE = ("mesh-missing", "mesh-format", "mesh-invalid", "mesh-large")
 # Errors of the xacro expansion: kind of error -> (name of the diagnostic code, message, hint).
 _FAILURES = {
     "xml": ("extra-xml", "the xacro file is not well-formed XML: {text}", None),
