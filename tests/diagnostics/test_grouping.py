@@ -22,7 +22,7 @@ def test_a_macro_that_is_called_often_gives_one_warning(tmp_path: Path) -> None:
     assert "(14 places; also `size`)" in loaded.only.message
     assert str(loaded.only.span).startswith("a.xacro:5:")
     lines = [(label.span.line, label.text) for label in loaded.only.labels]
-    assert lines == [(8, "in the macro called here"), (9, "and here"), (10, "and here")]
+    assert lines == [(7, "in the macro called here"), (8, "and here"), (9, "and here")]
 
 
 def test_errors_are_not_grouped(tmp_path: Path) -> None:
