@@ -18,9 +18,11 @@ from thorvaldc.diagnostics import Diagnostic, Fix, Severity
 # Commands that need seconds.  Their diagnostics are about runs, and propose no change of a file.
 SLOW = ("sim", "drive", "calibrate", "demo", "can")
 CONCRETE = re.compile(r"did you mean `|^as in `|, as in `|write `[^`]*`|^add it")
-# Hints about XML files, or about a change at another place that the diagnostic does not know.
+# Hints about files that are not YAML, or about another place than that of the diagnostic.
 ADVICE = {
+    "can-signal-floating-point",
     "extra-argument",
+    "extra-environment",
     "extra-left-out",
     "extra-link-unknown",
     "expression-syntax",

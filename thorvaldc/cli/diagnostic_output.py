@@ -16,6 +16,7 @@ import typer
 
 from thorvaldc.cli.exits import DONE, INPUT, OUTSIDE
 from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.codes import STRUCTURE
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.renderers import render, render_text
 from thorvaldc.model.finite_json import finite
@@ -75,7 +76,9 @@ class DiagnosticOutput:
             counts += [count(warnings, "warning")] * (warnings > 0)
             if counts:
                 files = count(self._file_count, "file")
-                print(f"{' and '.join(counts)} in {files}", file=self.stream)
+                structural = any(d.code.number[2] in STRUCTURE for d in self._all.errors)
+                more = "; more checks follow when they are corrected" if structural else ""
+                print(f"{' and '.join(counts)} in {files}{more}", file=self.stream)
         elif self.format != "text":
             text = render(self._all, self.format, self._sources, builds=builds)
             if text:

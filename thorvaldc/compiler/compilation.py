@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from thorvaldc.compiler.consequences import without_consequences
 from thorvaldc.compiler.library import BUILTIN_LIBRARY
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
@@ -156,7 +157,8 @@ class Compilation:
             self.locks.update(part.locks)
         if source.document is not None:
             self.source_sha256 = _hash_sources(self.files, parts, lock_file)
-        for stage_report in (source.shape, report.excluding_spans_of(source.shape)):
+        later = without_consequences(source.shape, report.excluding_spans_of(source.shape))
+        for stage_report in (source.shape, later):
             self.report.extend(self.located(stage_report))
         for name, path in self.files.items():
             is_builtin = name.startswith(BUILTIN_LIBRARY)

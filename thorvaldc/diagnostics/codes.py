@@ -20,6 +20,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+STRUCTURE = "1237"
+"""First digits of errors in the structure of a document, in whose presence checks are left out."""
+
 
 @dataclass(frozen=True, slots=True)
 class Code:

@@ -241,7 +241,6 @@ modules:
         ("bad-id", 2),
         ("wrong-dimension", 3),
         ("unknown-key", 3),
-        ("missing-key", 5),
         ("unknown-key", 5),
         ("wrong-type", 5),
         ("bad-id", 6),

@@ -7,7 +7,7 @@ from thorvaldc.compiler.modules.references import References
 from thorvaldc.compiler.modules.scope import hint_of_known
 from thorvaldc.compiler.source.edits import removal
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Label, Report
+from thorvaldc.diagnostics import Label, Proposal, Report
 from thorvaldc.model.spatial import Pose
 
 
@@ -119,11 +119,15 @@ class Mounting:
             return None
         part, rest = part_and_rest
         if rest:
+            hint = hint_of_known(rest[0], list(part.children), reference)
+            key = parent.key_span
+            if part.type is not None and rest[0] in part.type.section("ports") and key is not None:
+                hint = Proposal(f"`{reference}` is a port: write `port: ...`", "port", span=key)
             self.report.add(
                 "module-unknown",
                 f"`{part.path}` has no part `{rest[0]}`",
                 parent.span,
-                hint=hint_of_known(rest[0], list(part.children)),
+                hint=hint,
             )
             return None
         leaf = part if part.is_leaf else self.root_of(part, part.entry)

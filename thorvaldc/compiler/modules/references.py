@@ -8,6 +8,15 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Proposal, Report
 
 
+def _port_hint(inside: Instance, reference: str) -> Proposal | None:
+    """Returns the hint for a reference such as ``front_left``, which lacks the name of a module."""
+    for name, child in inside.children.items():
+        for port in child.type.section("ports") if child.type is not None else ():
+            if reference in (port, f"{name}_{port}", f"{name}{port}"):
+                return Proposal(f"did you mean `{name}.{port}`?", f"{name}.{port}")
+    return None
+
+
 class References:
     """Finds the module, port or motor that a dotted reference names.
 
@@ -50,7 +59,8 @@ class References:
                 "module-unknown",
                 f"there is no module `{names[0]}`{assembly}",
                 node.span,
-                hint=hint_of_known(names[0], list(inside.children), reference),
+                hint=_port_hint(inside, reference)
+                or hint_of_known(names[0], list(inside.children), reference),
             )
         return None
 

@@ -268,6 +268,8 @@ class Scope(ValueReader):
             # parameter is `none`.
             if is_default:
                 return None
+            if node.value is None:
+                return INVALID  # The schema check has already reported the missing value.
             self.report.add(
                 "wrong-type",
                 f"`{node.value}` is not a value of this parameter",

@@ -14,7 +14,7 @@ from thorvaldc.compiler.modules.value_reader import ValueReader, entries
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
-from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics import Label, Proposal, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.robot import Actuator, Joint, Wheel
 from thorvaldc.model.spatial import add, clean
@@ -193,9 +193,17 @@ def _checked_radius(measured: Measured, nominal: float, wheel: str, report: Repo
         f"{nominal * 1000:.6g} mm, and a difference of more than {MAX_RADIUS_CHANGE:.0%} means "
         "another wheel",
         measured.span,
-        hint="calibrate again, or correct the wheel's module",
+        hint=_radius_hint(measured.value, nominal),
     )
     return nominal
+
+
+def _radius_hint(radius: float, nominal: float) -> str:
+    for factor, reason in ((0.001, "a radius in mm needs its unit"), (0.5, "this is the diameter")):
+        if abs(factor * radius - nominal) <= MAX_RADIUS_CHANGE * nominal:
+            text = f"{factor * radius * 1000:.6g} mm"
+            return Proposal(f"write `{text}` if {reason}", text)
+    return "calibrate again, or correct the wheel's module"
 
 
 def raise_axles(
@@ -257,7 +265,7 @@ def calibrate_steering(
                 f"the steering offset of `{wheel.name}` is {math.degrees(offset):.6g} deg; "
                 f"it must be within +-{math.degrees(MAX_STEERING_OFFSET):.0f} deg",
                 span,
-                hint="home the steering first, then calibrate",
+                hint="home the steering first, then calibrate; a number without a unit is in rad",
             )
         elif joint in offset_by_joint and offset_by_joint[joint].value != offset:
             first = offset_by_joint[joint]

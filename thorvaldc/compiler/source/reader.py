@@ -15,7 +15,7 @@ from typing import Any
 
 import yaml
 
-from thorvaldc.compiler.source import lookalikes, yaml_errors
+from thorvaldc.compiler.source import lookalikes, split_values, yaml_errors
 from thorvaldc.compiler.source.input_file import read_bytes
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.scalars import key_kind, plain_scalar
@@ -336,6 +336,8 @@ class _Reader:
                 continue
             values[key] = last
         span = self._collection_span(raw, last.span if last else None)
+        if raw.flow_style:
+            values = split_values.joined(values, self.report)
         return Node(values, span, key_span)
 
     def _without_missing_space(self, raw_key: Any, key: str, value: Node) -> tuple[str, Node]:

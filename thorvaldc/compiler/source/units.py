@@ -119,6 +119,7 @@ _NUMBER_BEFORE_UNIT = re.compile(
 )
 _QUOTIENT = re.compile(r"/\s*(\d+(?:\.\d*)?)\s*([^\d/].*)?")
 _SEPARATED = re.compile(r"([+-]?\d+)([,._' ])(\d+)(?![,._'\d])(.*)")
+_OTHER_BRACES = re.compile(r"\$\{([^{}]+)|\{\{([^{}]+)\}\}|\$([a-z_]\w*)")  # of other tools
 _SECOND_NUMBER = re.compile(r"(?!1\s*/)[,._']?\d")
 
 
@@ -140,6 +141,12 @@ def _parse(text: str, kind: Quantity | None) -> tuple[float, Unit | None]:
     if number is None:
         if not stripped:
             raise UnitError("the text is empty; expected a quantity", example)
+        braces = _OTHER_BRACES.fullmatch(stripped)
+        if braces is not None:
+            text = f'"${{{(braces[1] or braces[2] or braces[3]).strip()}}}"'
+            raise UnitError(
+                f"`{shown}` is not an expression", Proposal(f"write an expression as {text}", text)
+            )
         raise UnitError(f"`{shown}` is not a quantity: it does not begin with a number", example)
     rest = stripped[number.end() :].strip()
     mantissa, exponent = _mantissa(number, shown)

@@ -36,6 +36,9 @@ _NO_SPACE = re.compile(rf"( *(?:- )?)({_WORD}):(\S.*)")
 _EQUALS = re.compile(rf"( *(?:- )?)({_WORD})( *= *)(\S.*)")
 _ENTRY = re.compile(rf"( *(?:- )?{_WORD}: +)([^\s\"'\[{{|>&*!#].*)")
 _CONFLICT = re.compile(r"(<<<<<<<|=======|>>>>>>>|\|\|\|\|\|\|\|)( .*)?$")
+_OTHER_COMMENT = re.compile(r" *(//|/\*|--|;|%)(?: |$)")
+_MAPPING_IN_PARENTHESES = re.compile(rf"\(({_WORD}: .*)\)")
+_ENTRIES = re.compile(rf"{_WORD}: [^,]+(, *{_WORD}: .*)+")
 _KEY_BEFORE = re.compile(rf"\s({_WORD})\s*$")
 
 
@@ -49,7 +52,7 @@ def find_cause(problem: str, lines: list[str], detected: Span, started: int) -> 
     """
     search = _Search(lines, detected, min(started, detected.line))
     methods = [method for text, method in _METHODS.items() if text in problem]
-    for method in (_Search.conflict, _Search.quote, *methods):
+    for method in (_Search.conflict, _Search.quote, _Search.comment, *methods):
         cause = method(search)
         if cause is not None:
             return cause
@@ -105,6 +108,18 @@ class _Search:
                 return Cause(message, span, hint, "yaml-character")
         return None
 
+    def comment(self) -> Cause | None:
+        for number in range(min(self.started, self.before()), self.detected.line + 1):
+            match = _OTHER_COMMENT.match(self.text(number))
+            if match:
+                span = self.span(number, match.start(1), match.end(1))
+                return Cause(
+                    f"`{match[1]}` does not start a comment in YAML",
+                    span,
+                    Proposal("write `#`", "#"),
+                )
+        return None
+
     def key_without_colon(self, number: int) -> Cause | None:
         """Returns the cause if the line ``number`` is a key without a colon."""
         text = self.text(number).partition(" #")[0].rstrip()
@@ -154,6 +169,14 @@ class _Search:
         entry = _ENTRY.fullmatch(self.line)
         if entry is None or ": " not in entry[2]:
             return None
+        inner = _MAPPING_IN_PARENTHESES.fullmatch(entry[2])
+        inner_text = inner[1] if inner else entry[2] if _ENTRIES.fullmatch(entry[2]) else ""
+        if inner_text:
+            value = self.span(self.detected.line, entry.start(2), entry.end(2))
+            hint = Proposal(
+                "write a mapping in one line in braces", f"{{{inner_text}}}", span=value
+            )
+            return Cause("a `:` is not allowed here", self.detected, hint)
         quoted = '"' + entry[2].replace("\\", "\\\\").replace('"', '\\"') + '"'
         value = self.span(self.detected.line, entry.start(2), entry.end(2))
         hint = Proposal("quote text that contains `: `", quoted, span=value)
@@ -167,6 +190,19 @@ class _Search:
             message = f"this `{self.line[column]}` closes nothing"
             return Cause(message, span, Proposal("remove it", ""))
         before = self.line[:column].rstrip()
+        if before[-1:] == '"':
+            for number in range(self.detected.line - 1, 0, -1):
+                start = self.text(number).find('"')
+                if self.text(number).count('"') % 2 and "#" not in self.text(number):
+                    span = self.span(number, start, start + 1)
+                    return Cause("the closing quote is missing", span, 'add the closing `"`')
+        if self.line.lstrip().startswith("- ") and not before:
+            dash = _indentation(self.line)
+            return Cause(
+                "an element of a list between the keys of a mapping",
+                self.span(self.detected.line, dash, dash + 2),
+                Proposal("remove the `-`", ""),
+            )
         if before[-1:] in ("'", '"'):
             message = f"text after the closing `{before[-1]}`"
             hint = "write `''` for a quote inside single quotes, or use double quotes around it"

@@ -37,8 +37,8 @@ _MESSAGES: tuple[tuple[str, str, str], ...] = (
     ),
     (
         "did not find expected '-' indicator",
-        "expected the next element of the list",
-        "the elements of one list start with `-` in the same column",
+        "a key between the elements of a list",
+        "all elements of a list start with `-` in the same column; the keys of a mapping do not",
     ),
     (
         "block sequence entries are not allowed",
@@ -56,7 +56,7 @@ _MESSAGES: tuple[tuple[str, str, str], ...] = (
         "",
     ),
     ("did not find expected node content", "a value is missing here", ""),
-    ("found unexpected ':'", "a space is missing after this `:`", "write `key: value`"),
+    ("found unexpected ':'", "a value or a space is missing after this `:`", "write `key: value`"),
     (
         "found undefined alias",
         "no anchor has this name",

@@ -5,18 +5,37 @@ from __future__ import annotations
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 
+_SCENARIO_KEYS = ("duration", "script", "world", "expect")
+
 
 def is_scenario(document: Node | None) -> bool:
-    """Returns whether a YAML document is a scenario."""
-    return document is not None and document.get("scenario") is not None
+    """Returns whether a YAML document is a scenario.
+
+    A document with robots and with other keys of a scenario is a scenario without a name.
+    """
+    if document is None:
+        return False
+    if document.get("scenario") is not None:
+        return True
+    has_robots = document.get("robots") is not None or document.get("fleet") is not None
+    return has_robots and any(document.get(key) is not None for key in _SCENARIO_KEYS)
 
 
 def is_fleet(document: Node | None) -> bool:
     """Returns whether a YAML document has the key ``robots``.
 
-    Fleet documents and scenario documents have the key ``robots``.
+    Fleet documents and scenario documents have the key ``robots``.  A document without modules, in
+    which another key contains robots, is a fleet with a misspelled key.
     """
-    return document is not None and document.get("robots") is not None
+    if document is None or document.get("robots") is not None:
+        return document is not None
+    entries = document.value if isinstance(document.value, dict) else {}
+    return document.get("modules") is None and any(map(_contains_robots, entries.values()))
+
+
+def _contains_robots(node: Node) -> bool:
+    entries = node.value if isinstance(node.value, dict) else {}
+    return bool(entries) and all(entry.get("robot") is not None for entry in entries.values())
 
 
 # Kinds of documents that a user may pass instead of a robot, fleet or scenario document.  Each kind

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from typing import Any
 
 from thorvaldc.compiler.source.edits import insertion, yaml_text
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.units import QUANTITIES
+from thorvaldc.compiler.validation.misspelt_keys import meant_key, misspelt_keys
 from thorvaldc.diagnostics import Label, Proposal, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.schema.documents import Kind
@@ -38,6 +40,13 @@ def explain(error: Any, root: Node, kind: Kind, reported: set[Span], report: Rep
     """
     path = list(error.absolute_path)
     node, schema = _find(root, path), error.schema
+    if isinstance(node.value, dict) and set(node.value) == {"value", "unit"}:
+        text = f"{_text(node.value['value'])} {_text(node.value['unit'])}"
+        if node.span not in reported:
+            reported.add(node.span)
+            message = "expected a number with a unit, got a mapping with `value` and `unit`"
+            report.add("wrong-type", message, node.span, hint=Proposal(f"write `{text}`", text))
+        return
     explanation = _Explanation(node, path, schema, error, kind, reported, report)
     if "propertyNames" in error.absolute_schema_path:
         explanation.bad_name(str(error.instance))
@@ -134,10 +143,10 @@ class _Explanation:
                 )
 
     def _key_hint(self, key: str, properties: dict[str, Any]) -> str | None:
-        absent = [name for name in properties if name not in self._entries()]
-        similar = did_you_mean(key, absent)
-        if similar is not None:
-            return similar
+        meant = self._misspelt().get(key)
+        meant = meant or meant_key(key, self._entries(), properties, ())
+        if meant is not None:
+            return Proposal(f"did you mean `{meant}`?", meant, word=key)
         for name, inner in properties.items():
             if key in inner.get("properties", {}):
                 return f"`{key}` belongs under `{name}`"
@@ -145,13 +154,25 @@ class _Explanation:
             return "parameters of the module's type belong under `params`"
         return "known keys are " + ", ".join(f"`{name}`" for name in properties)
 
+    def _misspelt(self) -> dict[str, str]:
+        """Returns the missing required key that each unknown key of the YAML mapping means."""
+        properties = self.schema.get("properties")
+        if not properties:
+            return {}
+        required = list(self.schema.get("required", ()))
+        if self.kind == "scenario" and not self.path:
+            required.append("robots")
+        return misspelt_keys(self._entries(), properties, required)
+
     def _entries(self) -> dict[str, Node]:
         return self.node.value if isinstance(self.node.value, dict) else {}
 
     def _required(self) -> None:
         entries = self._entries()
+        # A misspelled key is reported as an unknown key, and not also as a missing key.
+        misspelt = set(self._misspelt().values())
         for key in self.error.validator_value:
-            if key in entries or f"'{key}'" not in self.error.message:
+            if key in entries or f"'{key}'" not in self.error.message or key in misspelt:
                 continue
             span = self.start
             # `self.add` reports one error per source span, but several keys can be missing in a
@@ -248,7 +269,18 @@ class _Explanation:
 
     def wrong_type(self) -> None:
         message = f"expected {_expected(self.schema)}, got {_actual(self.node)}"
-        self.add("wrong-type", message, self.node.span, self.example_hint())
+        self.add("wrong-type", message, self.node.span, self._corrected() or self.example_hint())
+
+    def _corrected(self) -> str | None:
+        """Returns the hint with the value in the expected form, or ``None`` if it is not known."""
+        value = self.node.value
+        if self.schema.get("type") == "array" or "array" in self.schema.get("type", ()):
+            elements = _elements(value)
+            if elements is not None:
+                return Proposal(f"write `{elements}`", elements)
+        if isinstance(value, str) and "/" in value and self.schema.get("required") == ["type"]:
+            return Proposal(f"write `{{type: {value}}}`", f"{{type: {value}}}")
+        return None
 
     def example_hint(self) -> str | None:
         example = _example(self.schema)
@@ -329,6 +361,18 @@ class _Explanation:
         self.add("wrong-length", f"{self.value_name} is empty text", self.node.span)
 
     def _minitems(self) -> None:
+        value = self.node.value
+        if isinstance(value, tuple) and len(value) == 1:
+            elements = _elements(value[0].value)
+            if elements is not None:
+                self.add(
+                    "wrong-length",
+                    f"the elements of {self.value_name} are not separated by commas",
+                    self.node.span,
+                    Proposal(f"write `{elements}`", elements),
+                )
+                self.reported.add(value[0].span)
+                return
         minimum, maximum = self.schema.get("minItems"), self.schema.get("maxItems")
         count = len(self.node.value) if isinstance(self.node.value, tuple) else 0
         plural = "" if count == 1 else "s"
@@ -359,8 +403,23 @@ class _Explanation:
         self.add("wrong-type", f"{self.value_name} does not match the schema", self.start)
 
 
+def _elements(value: object) -> str | None:
+    """Returns a list in YAML of the numbers in a text or in the keys x, y and z, or ``None``."""
+    if isinstance(value, dict) and list(value) in (["x", "y", "z"], ["roll", "pitch", "yaw"]):
+        texts = [_text(node) for node in value.values()]
+    elif isinstance(value, str):
+        texts = [text for text in re.split(r"[\s;,()\[\]]+", value) if text]
+        if len(texts) < 2 or not all(re.fullmatch(r"[-+]?[\d.]+", text) for text in texts):
+            return None
+    else:
+        return None
+    return f"[{', '.join(texts)}]"
+
+
 def _id_hint(name: str) -> str:
-    fixed = re.sub(r"[^a-z0-9_]+", "_", name.strip().lower()).strip("_")
+    german = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "å": "aa", "ø": "oe"})
+    latin = unicodedata.normalize("NFKD", name.strip().lower().translate(german))
+    fixed = re.sub(r"[^a-z0-9_]+", "_", re.sub(r"[\u0300-\u036f]", "", latin)).strip("_")
     if re.fullmatch(r"[a-z][a-z0-9_]{0,63}", fixed) is None:
         return _ID_HINT
     return Proposal(f"{_ID_HINT}, as in `{fixed}`", fixed)

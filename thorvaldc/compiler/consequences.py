@@ -1,0 +1,72 @@
+"""Holds back diagnostics that probably follow from another error in the same report.
+
+A misspelled key, for example, removes a module.  The robot then stands on three wheels, which is
+not a mistake of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from thorvaldc.diagnostics import Diagnostic, Label, Report, Severity
+from thorvaldc.diagnostics.codes import STRUCTURE
+
+_WIRING = {"can-bus-unknown", "channel-unknown", "motor-conflict", "channel-role"}
+# Codes of 1xx to 3xx and 7xx whose cause is often another error in the structure.
+_CONSEQUENCES = {"root-missing", "root-ambiguous", "scenario-robots-missing", "calibration-wheel"}
+# Checks of the physics of the whole robot.
+_PHYSICS = {
+    *("link-massless", "no-wheels", "wheel-off-ground", "wheels-overlap", "unstable"),
+    *("no-free-motion", "twist-uncontrolled", "slope-too-steep", "frame-height"),
+}
+_UNUSED_ARGUMENT = "extra-argument-unused"  # a warning that names the cause of an error
+
+
+def without_consequences(shape: Report, later: Report) -> Report:
+    """Returns the diagnostics of ``later`` that do not follow from errors in the structure.
+
+    - ``shape``: errors of the document against the schema.
+    - ``later``: diagnostics of the stages after the schema check.
+    """
+    causes = [d for d in (*shape.errors, *later.errors) if is_structural(d)]
+    remaining = Report()
+    if causes:
+        remaining.extend(d for d in later if not _follows(d, causes))
+    else:
+        remaining.extend(later)
+    return _grouped(remaining)
+
+
+def is_structural(diagnostic: Diagnostic) -> bool:
+    """Returns whether a diagnostic is an error in the structure of a document."""
+    code = diagnostic.code
+    return (
+        diagnostic.severity is Severity.ERROR
+        and (code.number[2] in STRUCTURE or code.name in _WIRING)
+        and code.name not in _CONSEQUENCES
+    )
+
+
+def _follows(diagnostic: Diagnostic, causes: list[Diagnostic]) -> bool:
+    code = diagnostic.code
+    if code.name in _CONSEQUENCES:
+        return any(cause.code.number < "TV304" for cause in causes)
+    if diagnostic.severity is Severity.ERROR:
+        return code.name in _PHYSICS
+    return code.number >= "TV4" and code.name != _UNUSED_ARGUMENT
+
+
+def _grouped(report: Report) -> Report:
+    """Returns a report in which references to one missing module are one diagnostic."""
+    by_message: dict[str, list[Diagnostic]] = {}
+    for diagnostic in report:
+        if diagnostic.code.name == "module-unknown" and not diagnostic.fixes:
+            by_message.setdefault(diagnostic.message, []).append(diagnostic)
+    grouped = Report()
+    for diagnostic in report:
+        same = by_message.get(diagnostic.message, [diagnostic])
+        if diagnostic is same[0]:
+            others = tuple(Label(d.span, "also here") for d in same[1:] if d.span is not None)
+            labelled = replace(diagnostic, labels=(*diagnostic.labels, *others))
+            grouped.put(labelled if others else diagnostic)
+    return grouped
