@@ -50,6 +50,9 @@ TOOLS = (
         lambda: all(map(ctypes.util.find_library, ("EGL", "EGL_mesa"))),
     ),
 )
+DCFGEN = Path(__file__).parents[1] / ".venv/dcfgen/bin/dcfgen"
+"""Reads the configuration of ros2_canopen; a Python program with old dependencies.  ``.ci/run``
+installs it in an environment of its own."""
 ALWAYS_HERE = frozenset(["sh"])  # programs of every system
 
 
@@ -62,6 +65,15 @@ def path_of(name: str) -> str:
     if not tool.is_here():
         without(f"{name} is not installed (Debian: {tool.packages})")
     path = shutil.which(name) or shutil.which("google-chrome")
+    assert path is not None
+    return path
+
+
+def path_of_dcfgen() -> str:
+    """Returns the path of ``dcfgen``; the test is skipped without it, as in ``path_of``."""
+    path = str(DCFGEN) if DCFGEN.exists() else shutil.which("dcfgen")
+    if path is None:
+        without("dcfgen is not installed (.ci/run shows how)")
     assert path is not None
     return path
 

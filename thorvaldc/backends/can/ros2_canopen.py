@@ -1,30 +1,44 @@
-"""The file `bus.yml` for ros2_canopen, with the nodes, their DCFs and heartbeats.
+"""The file `bus.yml` for ros2_canopen, with the nodes, their DCFs, heartbeats and object values.
 
 `bus.yml` turns on heartbeats, because heartbeats are off by default in ros2_canopen. Without
 heartbeats, the drives continue to run when the CANopen master stops working.
+
+The tool `dcfgen` of ros2_canopen writes the SDO downloads that configure a node at each start into
+a binary file. `dcfgen` takes the parameter values of a DCF as values that the node already has, and
+writes only the values of `bus.yml`. In the sections `rpdo:` and `tpdo:` it leaves out the values
+that are equal to those of the DCF. The section `sdo:` therefore contains all values, those of the
+PDOs too, in the order in which CiA 301 permits to write them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
-from thorvaldc.backends.can.dcf import described
-from thorvaldc.model.bus import Bus, Node
+from thorvaldc.backends.can.dcf import RPDOS, TPDOS, described
+from thorvaldc.model.bus import Bus, Node, ObjectValue
 
 # Maps the unit of a CAN signal to the name of the physical quantity in ros2_canopen.
 SCALES = {"rad": "pos", "rad/s": "vel"}
 MODES = {1: "position_mode", 8: "position_mode", 3: "velocity_mode", 9: "velocity_mode"}
 NO_TEXT = ("true", "false", "null", "yes", "no", "on", "off", "y", "n")
 MODE_OF_OPERATION, AXIS = 0x6060, 0x800
+MAPPING = 0x200
+"""Distance of the index of a PDO mapping from the index of the communication parameters."""
+SWITCHED_OFF = 1 << 31
+"""Bit in the COB-ID of a PDO that is switched off."""
+AXES_SINCE = "0.3.3"
+"""First version of ros2_canopen with several axes of a drive (`num_channels`, `channels`)."""
 
 
 def bus_yml(bus: Bus) -> str:
     """Return the text of the file `bus.yml` for a CAN bus.
 
-    The DCF of a CANopen node contains the settings of the node that are not in `bus.yml`.
+    The tools of ros2_canopen read the data types of the objects from the DCF of a CANopen node.
     """
     lines = [
         "# Made by thorvaldc; changes are lost. Never tried on physical hardware.",
+        *_least_version(bus),
         "options:",
         '  dcf_path: "@BUS_CONFIG_PATH@"',
         "",
@@ -41,6 +55,11 @@ def bus_yml(bus: Bus) -> str:
     for node in described(bus):
         lines += [f"  {_key(node.name)}:", *(f"    {line}" for line in _node(bus, node))]
     return "\n".join(lines) + "\n"
+
+
+def _least_version(bus: Bus) -> Iterator[str]:
+    if any(node.is_cia402 and len(node.channels) > 1 for node in described(bus)):
+        yield f"# Drives with several axes need ros2_canopen {AXES_SINCE} or newer."
 
 
 def _master_heartbeat(bus: Bus) -> Iterator[str]:
@@ -79,6 +98,43 @@ def _node(bus: Bus, node: Node) -> Iterator[str]:
     yield "mandatory: true"
     if node.is_cia402:
         yield from _axes(bus, node)
+    yield from _downloads(node)
+
+
+def _downloads(node: Node) -> Iterator[str]:
+    """Yield the lines of `bus.yml` with the values that ros2_canopen writes to a node."""
+    values = [entry for entry in node.objects if entry.access == "rw" and entry.value is not None]
+    communication = [entry for entry in values if entry.index in (*RPDOS, *TPDOS)]
+    pdos = dict.fromkeys(entry.index for entry in communication)
+    mappings = range(RPDOS.start, TPDOS.stop + MAPPING)
+    downloads = [entry for entry in values if entry.index not in mappings]
+    for index in pdos:
+        downloads += _pdo_downloads(index, values)
+    if downloads:
+        yield "sdo:"
+    for entry in downloads:
+        value = f"0x{entry.value:X}" if entry.index in mappings else f"{entry.value}"
+        key = f"index: 0x{entry.index:04X}, sub_index: {entry.subindex}"
+        yield f"  - {{{key}, value: {value}}}  # {entry.name}"
+
+
+def _pdo_downloads(index: int, values: Sequence[ObjectValue]) -> Iterator[ObjectValue]:
+    """Yield the values of a PDO, whose communication parameters are at `index`, in writing order.
+
+    The PDO is switched off, and its mapping is empty, while its other values are written.
+    """
+    parameters = [entry for entry in values if entry.index == index]
+    mapping = [entry for entry in values if entry.index == index + MAPPING]
+    cob_ids = [entry for entry in parameters if entry.subindex == 1]
+    counts = [entry for entry in mapping if entry.subindex == 0]
+    for entry in cob_ids:
+        yield replace(entry, value=(entry.value or 0) | SWITCHED_OFF, name=f"{entry.name}: off")
+    yield from (entry for entry in parameters if entry not in cob_ids)
+    for entry in counts:
+        yield replace(entry, value=0, name=f"{entry.name}: none")
+    yield from (entry for entry in mapping if entry not in counts)
+    yield from counts
+    yield from cob_ids
 
 
 def _axes(bus: Bus, node: Node) -> Iterator[str]:
