@@ -116,9 +116,11 @@ class ChaosWorld:
         self._late_frame, self._late_frame_until = 0.0, -math.inf
         self._recovering = False
         self._encoder_jumped = False
-        """``True`` after a jump that the driver has not seen: it was off, or the encoder frozen.
+        """``True`` from a jump until the driver that has seen it has homed the joint.
 
-        Nobody notices such a jump before the next homing."""
+        Nobody notices a jump of a frozen encoder, or while no driver runs, before the next homing,
+        and no later driver knows what an earlier one has seen."""
+        self._jump_seen = False
         self._battery_empty = 0.0
         self._injector = FaultInjector(self.simulated, BusFaults((), seed=seed))
         self._motors = [
@@ -253,7 +255,7 @@ class ChaosWorld:
         self._note_resets(self.runner.driver)
         self.odometry.invalidate()
         self.permission.driver_restarted()
-        self.alive, self.driver_hangs = True, False
+        self.alive, self.driver_hangs, self._jump_seen = True, False, False
         self.hung_until = self.now
         for client in self.clients.values():
             client.stream = None
@@ -310,8 +312,10 @@ class ChaosWorld:
             problem.noticed = problem.noticed or not base_state.drives
             if problem.ended and (problem.noticed or problem.kind not in LATCHED):
                 del self.problems[number]
-        if any(axis.jump for axis in runner.base._axes):
-            self._encoder_jumped = False
+        axes = runner.base._axes
+        self._jump_seen |= any(axis.jump for axis in axes)
+        if self._jump_seen and all(axis.homed and not axis.jump for axis in axes):
+            self._jump_seen = self._encoder_jumped = False
         for client in self.clients.values():
             client.notice_end()
         self.state_check.check(now)
