@@ -255,8 +255,10 @@ def test_examples(path: Path) -> None:
         shown = [s for s in frame.signals if not s.selected_by or 2 in s.selected_by]
         assert list(read) == [s.name for s in sorted(shown, key=lambda s: s.start)]
         for signal in shown:
-            raw = word >> signal.start & ((1 << signal.length) - 1)
-            if signal.signed and raw >> (signal.length - 1):
+            raw: float = word >> signal.start & ((1 << signal.length) - 1)
+            if signal.floating_point:
+                (raw,) = struct.unpack_from("<f", data, signal.start // 8)
+            elif signal.signed and raw >= 1 << (signal.length - 1):
                 raw -= 1 << signal.length
             assert read[signal.name] == pytest.approx(raw * signal.scale + signal.offset, rel=1e-12)
 

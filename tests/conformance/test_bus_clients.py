@@ -81,6 +81,8 @@ def test_canopen_reads_the_values_of_the_dcfs_from_running_nodes(
     simulated.run(0.3)  # all nodes have booted
     channel = str(tmp_path / "bus.sock")
     listed = list(nodes(robot))
+    if not listed:
+        return  # a bus without CANopen nodes
     with serving(simulated.timeline, {channel: simulated.wire()}), canopen.Network() as network:
         network.connect(interface="thorvaldc_sim", channel=channel)
         for node in (listed[0], listed[-1]):
@@ -110,6 +112,8 @@ def test_our_codec_and_cantools_agree(robot: Robot, database: Any) -> None:
                 at = chooser.start // 8
                 choice = draw.choice([raw for s in frame.signals for raw in s.selected_by])
                 data = data[:at] + bytes([choice]) + data[at + 1 :]
+            if not codec.is_finite(data):
+                continue
             theirs = message.decode(data, decode_choices=False, scaling=True)
             ours = codec.decode_named(data)
             assert ours == pytest.approx(theirs, rel=1e-12), frame.name

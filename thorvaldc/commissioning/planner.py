@@ -135,6 +135,8 @@ def _find_obstacles(
             problems += problem
             continue
         node = configuration.node(entry.node)
+        if node.drive and not node.canopen:
+            notes.append(f"{node.name} is no CANopen node; its id and settings are not written")
         if entry.verdict == OK:
             evidence = dict(scan.duplicates).get(node.id) if node.canopen else None
             if evidence:

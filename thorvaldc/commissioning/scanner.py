@@ -41,6 +41,7 @@ from thorvaldc.commissioning.sdo_client import (
     SdoMultipleResponses,
     SdoTimeout,
 )
+from thorvaldc.diagnostics.error import DiagnosticError
 
 PERIODS = 3.2
 """Listening time in periods of the slowest heartbeat.
@@ -90,8 +91,10 @@ class Scanner:
         If ``values`` is ``True``, the scan also reads the object values that the required
         configuration contains.  If ``texts`` is ``True``, the scan also reads the device names,
         hardware versions and software versions.  Raises ``DiagnosticError`` (``bus-other-master``)
-        if another master is on the bus.
+        if another master is on the bus, and ``bus-not-canopen`` if none of its motor controllers is
+        a CANopen node.
         """
+        self._require_canopen()
         self._listen()
         if self.master.masters:
             raise other_master_error(list(self.master.masters))
@@ -102,6 +105,24 @@ class Scanner:
         if nodes:
             self._find_devices_without_id()
         return self._evaluate(values)
+
+    def _require_canopen(self) -> None:
+        """Raises an error before any frame is sent to motor controllers with another protocol.
+
+        On their bus the identifiers of CANopen have another meaning: an SDO request to node 13 is a
+        velocity command to the node 48 of CANSimple.
+        """
+        nodes = self.configuration.nodes
+        others = [node for node in nodes if node.drive and not node.canopen]
+        if others and not any(node.canopen for node in nodes):
+            names = ", ".join(f"{node.name} ({node.protocol})" for node in others)
+            raise DiagnosticError(
+                "bus-not-canopen",
+                f"no node of the bus `{self.configuration.bus}` is a CANopen node, so no frame was "
+                f"sent: {names}",
+                hint="set ids and settings with the tool of the manufacturer; `can scan` without "
+                "--active and `can monitor` show the frames of the nodes",
+            )
 
     def again(self, previous: ScanResult, *, values: bool = True) -> ScanResult:
         """Scans again the devices in the scan result ``previous``, after a reset of the nodes."""

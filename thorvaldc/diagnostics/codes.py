@@ -207,6 +207,7 @@ _TABLE: tuple[Code, ...] = (
     _note("TV545", "robot-without-controller", "no motor of the robot has a motor controller"),
     _warning("TV546", "controller-without-motor", "a controller drives no motor"),
     _error("TV580", "can-signal-floating-point", "a floating-point signal has a wrong format"),
+    _error("TV581", "bus-not-canopen", "no node of a bus can be configured over CANopen"),
     # 6xx: backends
     _note("TV601", "urdf-only-element", "an element of an extra is written to URDF only"),
     _warning("TV620", "dbc-text", "a text contains characters that a DBC file cannot represent"),

@@ -159,6 +159,7 @@ class Node(Element):
       master.
     - ``command_watchdog``: time in s without commands after which the program of the node stops the
       motors, or ``None``. The time cannot be changed over the bus.
+    - ``watchdog_coasts``: true if this program does not brake, so that the motors coast.
     - ``bitrates``: the supported bit rates in bit/s. An empty list of bit rates means that the node
       supports any bit rate.
     - ``objects``: required values of the object dictionary, sorted by index and subindex.
@@ -184,6 +185,7 @@ class Node(Element):
     bitrates: tuple[int, ...] = ()
     objects: tuple[ObjectValue, ...] = ()
     command_watchdog: float | None = None
+    watchdog_coasts: bool = False
 
     @property
     def is_canopen(self) -> bool:

@@ -27,7 +27,8 @@ the last heartbeat of the master (object 0x1016), or with the last command (``co
 The driver does not judge silence in at most ``LATE_CYCLES`` late cycles.
 
 Assumptions: the wheels do not slip, the ground is level, and the wheels follow the ramps.  A drive
-without power does not brake; then the other wheels decelerate the robot.
+without power does not brake; then the other wheels decelerate the robot.  A drive whose watchdog
+only takes the torque away (``watchdog_coasts``) has no bound after the death of the driver.
 """
 
 from __future__ import annotations
@@ -94,8 +95,8 @@ def stop_bounds(robot: Robot, settings: DriverSettings | None = None) -> tuple[S
 
     ``settings``: settings of the base driver; ``None``: the longest times and distances of the
     robot's settings and of all its parameter sets.  The kinds ``driver_dead`` and ``drive_dead``
-    are missing for a robot without motor controllers on a bus, and the time is infinite if a drive
-    has no watchdog.
+    are missing for a robot without motor controllers on a bus.  The time and the distance of
+    ``driver_dead`` are infinite if a drive has no watchdog, or coasts after it.
     """
     choices = [settings] if settings else [robot.driver, *(p.driver for p in robot.parameter_sets)]
     driven = driven_wheels(robot.wheels, robot.actuators)
@@ -106,6 +107,8 @@ def stop_bounds(robot: Robot, settings: DriverSettings | None = None) -> tuple[S
             stop = ramp(driven, choice)
             distance = stop.speed * reaction + stop.distance if stop.speed > 0.0 else 0.0
             bound = StopBound(kind, reaction, reaction + stop.time, distance)
+            if kind == DRIVER_DEAD and coasting_nodes(robot):
+                bound = StopBound(kind, reaction, math.inf, math.inf)
             other = bounds.get(kind, bound)
             bounds[kind] = StopBound(
                 kind,
@@ -140,6 +143,11 @@ def watchdog_time(node: Node) -> float | None:
     """
     times = (node.heartbeat_consumer_time, node.command_watchdog)
     return min((time for time in times if time is not None), default=None)
+
+
+def coasting_nodes(robot: Robot) -> list[Node]:
+    """Returns the motor controllers whose motors coast if the base driver dies."""
+    return [node for _, node in motor_nodes(robot) if node.watchdog_coasts]
 
 
 def driven_wheels(

@@ -66,6 +66,7 @@ def _node(node: Node, motors: Motors, frames: list[FrameDefinition]) -> dict[str
         "heartbeat_timeout": node.heartbeat_timeout,
         "heartbeat_consumer_time": node.heartbeat_consumer_time,
         "command_watchdog": node.command_watchdog,
+        "watchdog_coasts": node.watchdog_coasts,
         "bitrates": list(node.bitrates),
         "properties": dict(node.properties),
         "channels": [_channel(node, channel, motors, frames) for channel in node.channels],

@@ -324,6 +324,7 @@ def _node(
         else None,
         heartbeat_consumer_time=time("heartbeat_consumer_time"),
         command_watchdog=time("command_watchdog"),
+        watchdog_coasts=scope.boolean(can.get("watchdog_coasts"), False),
         bitrates=tuple(
             round(scope.quantity(node, "bitrate")) for node in items(can.get("bitrates"))
         ),

@@ -31,6 +31,7 @@ from thorvaldc.model.stopping import (
     DrivenWheels,
     Ramp,
     StopBound,
+    coasting_nodes,
     driven_wheels,
     driver_ramp,
     motor_nodes,
@@ -118,7 +119,11 @@ def check_stopping_distance(robot: Robot, node: Node | None, report: Report) -> 
     speed = math.floor(100.0 * min(_speed(robot, bound, distance) for bound in bounds)) / 100.0
     reached = "any distance" if math.isinf(worst.distance) else f"up to {worst.distance:.3g} m"
     fixed = _fixed_watchdog(robot) if worst.kind == DRIVER_DEAD else ""
-    remedy = f"`max_linear_velocity: {speed:g} m/s`" if speed > 0.0 else "faster brakes"
+    remedy = (
+        f"`max_linear_velocity: {speed:g} m/s`"
+        if speed > 0.0
+        else "drives that brake by themselves"
+    )
     report.add(
         "stopping-distance",
         f"the robot needs {reached} to stop {_CAUSES[worst.kind]}{fixed}; "
@@ -129,6 +134,9 @@ def check_stopping_distance(robot: Robot, node: Node | None, report: Report) -> 
 
 
 def _fixed_watchdog(robot: Robot) -> str:
+    coasting = coasting_nodes(robot)
+    if coasting:
+        return f" (the watchdog of `{coasting[0].module}` lets its motor coast)"
     times = [n.command_watchdog for _, n in motor_nodes(robot) if n.command_watchdog is not None]
     if not times:
         return ""
@@ -137,6 +145,8 @@ def _fixed_watchdog(robot: Robot) -> str:
 
 def _speed(robot: Robot, bound: StopBound, distance: float) -> float:
     """Returns the speed (m/s) from which a kind of stop keeps the stopping distance."""
+    if math.isinf(bound.distance):
+        return 0.0
     by_driver = bound.kind in (COMMAND_TIMEOUT, STOP_LOCK)
     driven = driven_wheels(robot.wheels, robot.actuators)
     ramp = (driver_ramp if by_driver else quick_stop_ramp)(driven, robot.driver)

@@ -78,11 +78,7 @@ class Wiring(NamedTuple):
 
     def _device(self, leaf: Instance, can: Node) -> Device:
         wires: list[Wire] = []
-        channels = leaf.entry.get("channels")
-        entries = (
-            channels.value if channels is not None and isinstance(channels.value, dict) else {}
-        )
-        for channel, node in entries.items():
+        for channel, node in leaf.wiring.items():
             wire = self._wire(leaf, channel, node)
             if wire is not None:
                 wires.append(wire)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from thorvaldc.compiler.library import ModuleType
 from thorvaldc.compiler.modules.scope import Scope
+from thorvaldc.compiler.modules.value_reader import entries
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Span
 from thorvaldc.model.spatial import Pose
@@ -69,6 +70,22 @@ class Instance:
     def is_complete(self) -> bool:
         """True if all modules inside an assembly or robot could be created."""
         return not self.failed and all(child.is_complete for child in self.children.values())
+
+    @property
+    def wiring(self) -> dict[str, Node]:
+        """References to the motors of a motor controller, by channel.
+
+        A list in the key `channels` has the motors in the order of the channels of the module type.
+        List elements without a channel have their number as a name, for example ``3``.
+        """
+        channels = self.entry.get("channels")
+        if channels is None or not isinstance(channels.value, tuple):
+            return entries(channels)
+        names = list(self.type.section("channels")) if self.type is not None else []
+        return {
+            names[i] if i < len(names) else str(i + 1): node
+            for i, node in enumerate(channels.value)
+        }
 
     def leaves(self) -> Iterator[Instance]:
         """Yields all modules inside an assembly or robot that are not assemblies, in the order of

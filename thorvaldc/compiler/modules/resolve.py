@@ -262,7 +262,7 @@ class Resolver:
                         )
                 continue
             assembly = leaf.parent or leaf
-            for node in entries(channels).values():
+            for node in leaf.wiring.values():
                 reference = assembly.scope.text(node)
                 if reference:
                     self.references.find_motor(assembly, reference, node)

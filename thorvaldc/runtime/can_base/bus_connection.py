@@ -311,10 +311,10 @@ class BusConnection:
         """Yields the CAN frames of this control cycle that are not sent in every cycle.
 
         NMT commands and other queued CAN frames are sent first.  After the queued CAN frames, SDO
-        requests are sent, and then occasional frames of the motor controllers in turn.  At most
-        ``OCCASIONAL_DRIVING`` CAN frames are yielded if ``driving`` is ``True``, else at most
-        ``OCCASIONAL_AT_REST`` CAN frames.  If ``commands`` is ``False``, no occasional frames of
-        the motor controllers are yielded.
+        requests are sent, and then occasional frames and queries of the motor controllers in turn.
+        At most ``OCCASIONAL_DRIVING`` CAN frames are yielded if ``driving`` is ``True``, else at
+        most ``OCCASIONAL_AT_REST`` CAN frames.  If ``commands`` is ``False``, no occasional frames
+        of the motor controllers are yielded, only their queries.
         """
         room = OCCASIONAL_DRIVING if driving else OCCASIONAL_AT_REST
         while room > 0 and self.outbox:
@@ -334,10 +334,12 @@ class BusConnection:
                 yield request
         count = len(self.controllers)
         for i in range(count):
-            if room <= 0 or not commands:
+            if room <= 0:
                 break
             controller = self.controllers[(self._next_controller + i) % count]
-            frame = controller.occasional_frame(intent, now)
+            frame = controller.occasional_frame(intent, now) if commands else None
+            if frame is None:
+                frame = controller.query_frame(now)
             if frame is not None:
                 room -= 1
                 self._next_controller = (self._next_controller + i + 1) % count

@@ -113,6 +113,10 @@ class MotorController(abc.ABC):
     motor controller node.
     """
 
+    checks_watchdog = False
+    """``True`` if the driver reads the watchdog of a device that is no CANopen device again and
+    again, and reports a problem within 3 s after it was switched off."""
+
     def __init__(self, robot: Robot, bus: Bus, node: Node) -> None:
         self.robot = robot
         self.node = node
@@ -136,6 +140,15 @@ class MotorController(abc.ABC):
         """Returns a CAN frame that is not sent in every control cycle, or ``None``.
 
         Only a few occasional CAN frames can be sent on each bus in a control cycle.
+        """
+        return None
+
+    def query_frame(self, now: float) -> CanFrame | None:
+        """Returns a CAN frame that asks the device for its identity or a setting, or ``None``.
+
+        The CAN frame must not change anything in the device, because it is also sent before the
+        device was compared with the robot file.  The driver of a CANopen device needs no queries:
+        ``CanBase`` reads the ``expected_objects``.
         """
         return None
 

@@ -16,19 +16,19 @@ drive profile CiA 402.  PDOs of the Thorvald script and the script variables tha
 The Thorvald script on the Roboteq controller does not confirm motor commands.  The Thorvald script
 stops the wheels 0.5 s after the last motor command with a new sequence number.  To detect a motor
 that does not follow its commands, the driver compares the measured joint motion with the commands
-(``_supervise``).
+(``MotionSupervision``).
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Iterator, Mapping
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model.bus import Bus, Node, ObjectValue
 from thorvaldc.model.robot import Robot
-from thorvaldc.runtime.can_base.motor_controller import STANDING, Axis, Intent, MotorController
+from thorvaldc.runtime.can_base.motion_supervision import MotionSupervision
+from thorvaldc.runtime.can_base.motor_controller import Axis, Intent, MotorController
 
 # Operating modes of a channel of the Roboteq motor controller.
 DRIVE, HOME, DECOUPLED = 0, 1, 2
@@ -41,16 +41,6 @@ FAST_CONSTANTS = 100
 """Period (ms) of TPDO 4 while the motors are off or homing; the normal period is seconds."""
 STOP_TIME = 2.0
 """Time (s) after a quick stop after which the motors have no torque, even if a wheel turns."""
-DEVIATION_TIME = 0.5
-"""Time (s) for which a motor may deviate from its target, longer than ramps and delays."""
-SPEED_DEVIATION_TIME = 0.1
-"""Time (s) for which a wheel speed may match no target of the last ``DEVIATION_TIME``.
-
-A bump in the ground disturbs the wheel speed for a shorter time."""
-RELATIVE_DEVIATION, SPEED_DEVIATION = 0.5, 0.3
-"""Largest deviation of a wheel speed: share of the target, or speed (rad/s) if this is more."""
-ANGLE_DEVIATION = 0.2
-"""Largest deviation (rad) of a standing steering joint from its target angle."""
 _EXPECTED_OBJECTS = (0x1017, 0x1018)
 """Compared objects: heartbeat period and identity.  The script fixes all other objects."""
 
@@ -72,10 +62,9 @@ class RoboteqScriptController(MotorController):
         self._homing_failed = False
         self._stopped_at: float | None = None
         self._home_count = 0
-        self._deviating_since: dict[str, float] = {}
+        self._supervision = MotionSupervision(self.axes)
         self._set_periods: dict[str, float] = {}
         """Periods (s) of reports that were set by ``setting_frame``, by frame name."""
-        self._recent_targets: dict[str, deque[tuple[float, float]]] = {}
         channels: list[Axis | None] = [self.axis_of(channel.name) for channel in node.channels]
         self._first, self._second = (*channels, None, None)[:2]
         for name, handler in (
@@ -145,7 +134,7 @@ class RoboteqScriptController(MotorController):
     @property
     def problem(self) -> str:
         flagged = any(self._flags.values())
-        if not (flagged or self._deviating_since or self._homing_failed or self.error_code):
+        if not (flagged or self._supervision.deviates or self._homing_failed or self.error_code):
             return ""  # the normal case, which is asked several times in each cycle
         problems = [
             name.replace("_", " ")
@@ -156,11 +145,7 @@ class RoboteqScriptController(MotorController):
             problems = ["controller not ok"]
         if self._homing_failed:
             problems.append("the home switch was not found")
-        problems += [
-            f"the {axis.channel} does not follow its target"
-            for axis in self.axes
-            if axis.time - self._deviating_since.get(axis.channel, math.inf) > DEVIATION_TIME
-        ]
+        problems += self._supervision.problems
         if self.error_code:
             problems.append(f"emergency {self.error_code:#06x}")
         return ", ".join(problems)
@@ -231,40 +216,6 @@ class RoboteqScriptController(MotorController):
         self.error_code = 0
         self._homing_failed = False
 
-    def _supervise(self, follows: bool, now: float) -> None:
-        """Detects motors that deviate from their target speeds or target angles, and stores the
-        start time of each deviation.
-
-        A wheel speed follows its target speed with a ramp and a delay.  A wheel speed is accepted
-        if it is between the lowest and the highest target speed of the last ``DEVIATION_TIME``
-        seconds.  A steering joint deviates if it stands still and has not reached its target angle.
-        """
-        for axis in self.axes:
-            if not follows:
-                self._deviating_since.pop(axis.channel, None)
-                self._recent_targets.pop(axis.channel, None)
-                continue
-            since = axis.time
-            if axis.steering:
-                away = abs(axis.position - axis.target) > ANGLE_DEVIATION
-                deviates = away and abs(axis.velocity) < STANDING
-            else:
-                targets = self._recent_targets.setdefault(axis.channel, deque())
-                targets.append((now, axis.target))
-                while targets[0][0] < now - DEVIATION_TIME:
-                    targets.popleft()
-                # The newest target is one of the targets, so that a speed near it is accepted.
-                deviates = abs(axis.velocity - axis.target) > SPEED_DEVIATION and not _is_between(
-                    axis.velocity, [speed for _, speed in targets]
-                )
-                # A deviation of a wheel speed may last only SPEED_DEVIATION_TIME, because all
-                # target speeds of the last DEVIATION_TIME seconds are already accepted.
-                since -= DEVIATION_TIME - SPEED_DEVIATION_TIME
-            if deviates:
-                self._deviating_since.setdefault(axis.channel, since)
-            else:
-                self._deviating_since.pop(axis.channel, None)
-
     # -- commands ----------------------------------------------------------------------------------
 
     def cyclic_frames(self, intent: Intent, now: float) -> list[CanFrame]:
@@ -274,7 +225,7 @@ class RoboteqScriptController(MotorController):
         elif self._stopped_at is None:
             self._stopped_at = now
             self.hold()
-        self._supervise(follows and self._modes == (DRIVE, DRIVE), now)
+        self._supervision.update(follows and self._modes == (DRIVE, DRIVE), now)
         self._sequence = self._sequence % 0x7FFFFFFF + 1
         frames = [self._speed_frame("rpdo1", self._first, follows)]
         second = self._second
@@ -380,12 +331,3 @@ class RoboteqScriptController(MotorController):
         if report is not None and value >= 1.0:
             self._set_periods[report.frame.name] = value / 1000.0
         return CanFrame(codec.cob_id, codec.encode([float(number), round(value)]))
-
-
-def _is_between(speed: float, targets: list[float]) -> bool:
-    """Checks whether ``speed`` is between the lowest and the highest of ``targets`` (rad/s), with a
-    tolerance."""
-    lowest, highest = min(targets), max(targets)
-    lowest -= max(RELATIVE_DEVIATION * abs(lowest), SPEED_DEVIATION)
-    highest += max(RELATIVE_DEVIATION * abs(highest), SPEED_DEVIATION)
-    return lowest <= speed <= highest

@@ -30,8 +30,9 @@ class SimulatedDevice:
     """A simulated device on a CAN bus.
 
     A subclass implements the method ``start``, which adds frame handlers and starts timers.
-    ``handlers`` has a function for each 11-bit CAN identifier that the device receives.  The device
-    calls the frame handlers with a short random delay, in the order of the received frames.
+    ``handlers`` has a function for each 11-bit CAN identifier that the device receives, and
+    ``remote_handlers`` one for each identifier of a remote frame.  The device calls the frame
+    handlers with a short random delay, in the order of the received frames.
     ``seed`` and ``name`` determine the random delays of the device.
 
     A device is inactive before ``power_on``.  A loss of power stops all timers and clears the send
@@ -70,6 +71,7 @@ class SimulatedDevice:
         self.muted = False
         self.powered = False
         self.handlers: dict[int, Callable[[CanFrame], None]] = {}
+        self.remote_handlers: dict[int, Callable[[CanFrame], None]] = {}
         self.controller = CanController(wire, name, bitrate)
         self.controller.on_frame = self._schedule_handler
         wire.attach(self.controller)
@@ -116,7 +118,7 @@ class SimulatedDevice:
             for key in self._writing:
                 self.nonvolatile.pop(key, None)
         self._writing = {}
-        self.handlers = {}
+        self.handlers, self.remote_handlers = {}, {}
         self.controller.switch_off()
         self.stop()
 
@@ -215,18 +217,21 @@ class SimulatedDevice:
             self.controller.send(CanFrame(identifier, data))
 
     def _schedule_handler(self, frame: CanFrame) -> None:
-        if frame.extended or frame.remote or frame.id not in self.handlers:
+        if frame.extended or frame.id not in self._handlers_of(frame):
             return
         life = self._life
         delay = LATENCY * (1.0 + self.random.random() / 2.0)
         self._handled_until = max(self.timeline.now + to_ns(delay), self._handled_until)
 
         def handle() -> None:
-            handler = self.handlers.get(frame.id)
+            handler = self._handlers_of(frame).get(frame.id)
             if handler is not None and self._life == life:
                 handler(frame)
 
         self.timeline.at(self._handled_until, handle)
+
+    def _handlers_of(self, frame: CanFrame) -> dict[int, Callable[[CanFrame], None]]:
+        return self.remote_handlers if frame.remote else self.handlers
 
     # -- non-volatile memory -------------------------------------------------------------------
 

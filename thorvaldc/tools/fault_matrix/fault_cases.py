@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -18,6 +19,7 @@ from thorvaldc.model.stopping import (
     HEARTBEAT_TIMEOUT,
     stop_bounds,
 )
+from thorvaldc.runtime.can_base.motor_controller import controller_class
 from thorvaldc.tools.fault_matrix.rehearsal import Rehearsal
 
 MASTER = "master"
@@ -122,7 +124,9 @@ class _Target:
         self.prompt = bounds[DETECTED_FAULT].reaction + self.cycle
         self.beats = HEARTBEAT_TIMEOUT * max(heartbeats, default=0.0) + self.prompt
         self.silence = bounds[DRIVE_DEAD].reaction
-        self.watchdog = bounds[DRIVER_DEAD].reaction
+        # Motors that coast after the watchdog have no bound.
+        coasts = math.isinf(bounds[DRIVER_DEAD].time)
+        self.watchdog = math.inf if coasts else bounds[DRIVER_DEAD].reaction
         self.timeout = bounds[COMMAND_TIMEOUT].reaction
 
     def _sent(self, kind: str) -> list[FrameDefinition]:
@@ -216,7 +220,9 @@ def _device_cases(target: _Target) -> Iterator[FaultCase]:
         reports,
         braking=watchdog,
     )
-    yield case("a drive is bus-off", device("bus_off"), reports, starts_at=1.0)
+    # After its recovery, only the EMCY message tells that a drive was bus-off.
+    recovered = reports if target.sends("emcy") else None
+    yield case("a drive is bus-off", device("bus_off"), recovered, starts_at=1.0)
     yield case(
         "a drive receives nothing",
         device("lost_frames", share=1.0),
@@ -224,7 +230,8 @@ def _device_cases(target: _Target) -> Iterator[FaultCase]:
         observed=2.6,
         braking=max(NOT_FOLLOWING, watchdog),
     )
-    forgotten = dict.fromkeys((IDLE, DRIVING), SLOW) if target.node.heartbeat_consumer_time else {}
+    detects = target.node.heartbeat_consumer_time or controller_class(target.node).checks_watchdog
+    forgotten = dict.fromkeys((IDLE, DRIVING), SLOW) if detects else {}
     yield case(
         "a drive forgets its watchdog",
         device("watchdog_lost"),
@@ -309,7 +316,10 @@ def _bus_cases(target: _Target) -> Iterator[FaultCase]:
     delay = prompt + 1.5 * cycle
     yield case("all frames arrive 1.5 cycles late", late, None, braking=delay)
     twice = target.on_node(None, "repeated_frames", share=1.0)
-    yield case("all frames arrive twice", twice, None, braking=prompt)
+    # CANopen nodes send SDO responses and boot-up messages twice, others only too many reports.
+    canopen = any(node.is_canopen for node in target.bus.nodes)
+    delay = prompt if canopen else SECOND_DEVICE
+    yield case("all frames arrive twice", twice, None, braking=delay)
     kinds = {frame.kind for frame in target.bus.frames if frame.producer == MASTER}
     if "sync" in kinds:
         yield case("another master sends SYNC", target.forged(SYNC, b"", cycle), prompt)

@@ -1,0 +1,1 @@
+"""ODrive motor controllers (CANSimple) for thorvaldc: driver and simulated device."""
