@@ -18,7 +18,12 @@ from thorvaldc.model.model_json import VERSION, to_json
 # The fields and types of each version.  Do not change an entry: a program that reads the
 # version exists.  When the fields change, increase VERSION, add an entry here, and a line in the
 # table of versions in docs/model.md.
-FINGERPRINTS = {2: "bd8687645e15f71b", 3: "63f3bc7bf99cdf3b", 4: "9a53c07dbe71e660"}
+FINGERPRINTS = {
+    2: "bd8687645e15f71b",
+    3: "63f3bc7bf99cdf3b",
+    4: "9a53c07dbe71e660",
+    5: "05ce76bf36bb8ee5",
+}
 
 SCHEMA = model_schema()
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)

@@ -22,6 +22,7 @@ from thorvaldc.model import (
     Fleet,
     FrameDefinition,
     Ground,
+    JointServo,
     Link,
     Mesh,
     MeshShape,
@@ -126,6 +127,7 @@ def everything() -> Robot:
         ),
         twist_sources=(TwistInput("nav", "nav/cmd_vel", 10, 0.5),),
         twist_locks=(TwistInput("pause", "nav/pause", 50, 0.0),),
+        joint_servos=(JointServo("elbow", "position", 0.25, SPAN),),
     )
 
 
@@ -314,7 +316,7 @@ def test_other_texts_are_errors(text: str) -> None:
         ("kind", ..., "the field `kind` is missing"),
         ("date", "today", "there is no field `date`"),
         ("format", "urdf", "not a thorvaldc-model file"),
-        ("version", "3", 'version "3"; this program reads 4'),
+        ("version", "3", 'version "3"; this program reads 5'),
     ],
 )
 def test_the_message_names_the_path(path: str, value: Any, message: str) -> None:
@@ -332,5 +334,5 @@ def test_a_path_in_a_fleet() -> None:
 
 
 def test_the_message_of_another_version_names_both() -> None:
-    with pytest.raises(ModelFormatError, match=r"version 1; this program reads 4"):
+    with pytest.raises(ModelFormatError, match=r"version 1; this program reads 5"):
         from_json(changed("version", 1))

@@ -39,8 +39,10 @@ class Mjcf(StaticsBackend):
     summary = "MuJoCo model (mjcf/robot.xml) and scene (mjcf/scene.xml) with its meshes"
 
     def unsupported(self, robot: Robot) -> Iterable[Diagnostic]:
-        if robot.urdf_extensions:
-            tags = [f"<{parse(text).tag}>" for text in robot.urdf_extensions]
+        tags = [f"<{parse(text).tag}>" for text in robot.urdf_extensions]
+        if robot.joint_servos:  # read from these elements
+            tags = [tag for tag in tags if tag not in ("<ros2_control>", "<transmission>")]
+        if tags:
             yield Diagnostic(
                 CODES["urdf-only-element"],
                 "MJCF has no elements for these parts of the extras: "

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 from typing import TypeGuard
 
+from thorvaldc.backends.mjcf_joint_servos import servo_gains
 from thorvaldc.backends.mjcf_sections import TIMESTEP, ModelSections
 from thorvaldc.backends.xml_writer import Element
 from thorvaldc.model import (
@@ -13,6 +14,7 @@ from thorvaldc.model import (
     Box,
     Cylinder,
     Joint,
+    JointServo,
     Link,
     MeshShape,
     Pose,
@@ -91,6 +93,7 @@ class RobotWriter:
         self.wheel_of_link = {wheel.link: wheel for wheel in robot.wheels}
         self.wheel_of_joint = {wheel.spin_joint: wheel for wheel in robot.wheels}
         self.actuated = {actuator.joint for actuator in robot.actuators}
+        self.actuated |= {servo.joint for servo in robot.joint_servos}
         contype = (number + 1) & _ALL_BITS
         self.bits = {"contype": contype, "conaffinity": _ALL_BITS & ~contype}
 
@@ -119,6 +122,8 @@ class RobotWriter:
         driven = sum(1 for wheel in robot.wheels if wheel.driven)
         for actuator in robot.actuators:
             self._add_actuator(actuator, driven)
+        for servo in robot.joint_servos:
+            self._add_joint_servo(servo)
         for joint in self.tree.moving:
             if joint.name in self.actuated or joint.role == "suspension":
                 name = prefix + joint.name
@@ -292,6 +297,30 @@ class RobotWriter:
             forcerange=(-torque, torque),
             actlimited=False,
         )
+
+    def _add_joint_servo(self, servo: JointServo) -> None:
+        joint = self.tree.joints[servo.joint]
+        inertia = self.statics.inertias[servo.joint] + joint.armature
+        stiffness, damping = servo_gains(joint, inertia)
+        limits = None
+        if joint.lower is not None and joint.upper is not None:
+            limits = (joint.lower, joint.upper)
+        motors = [actuator.name for actuator in self.robot.actuators]
+        element = self.sections.actuators.add(
+            "position" if servo.interface == "position" else "intvelocity",
+            name=self.prefix + _free(servo.joint, motors),
+            joint=self.prefix + servo.joint,
+            kp=stiffness,
+            kv=damping,
+            forcerange=(-joint.effort, joint.effort) if joint.effort else None,
+        )
+        if servo.interface == "position":
+            element.set(ctrlrange=limits)
+        else:
+            speed = joint.velocity
+            element.set(ctrlrange=(-speed, speed) if speed else None)
+            element.set(actrange=limits, actlimited=limits is not None)
+        self._note_damping(damping, inertia)
 
     def _note_damping(self, damping: float, inertia: float) -> None:
         ratio = damping * TIMESTEP / inertia if inertia > 0.0 else math.inf

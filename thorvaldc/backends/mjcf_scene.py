@@ -118,5 +118,9 @@ def add_home(
             else:
                 ctrl.append(0.0)
                 act.append(position)
+        for servo in robot.joint_servos:
+            position = standing.positions[servo.joint]
+            ctrl.append(position if servo.interface == "position" else 0.0)
+            act += [position] if servo.interface == "velocity" else []
     key = scene.add("keyframe").add("key", name="home", qpos=tuple(qpos))
     key.set(ctrl=tuple(ctrl) if ctrl else None, act=tuple(act) if act else None)

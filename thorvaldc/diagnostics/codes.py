@@ -247,6 +247,7 @@ _TABLE: tuple[Code, ...] = (
     _warning("TV770", "extra-visual-mesh", "a mesh of an extra cannot be shown"),
     _note("TV771", "extra-inertia-computed", "the inertia of a link is computed from its shapes"),
     _warning("TV772", "extra-mesh-open", "a link gets no mass, because its mesh is not closed"),
+    _warning("TV773", "extra-initial-position", "a joint of an extra starts outside of its limits"),
     # 8xx: runtime, simulation and commissioning
     _error("TV801", "calculator-unsuited", "the base calculator cannot drive this robot"),
     _error("TV802", "calculator-option", "an option of the base calculator is invalid"),

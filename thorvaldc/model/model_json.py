@@ -25,7 +25,7 @@ from thorvaldc.model.fleet import Fleet
 from thorvaldc.model.robot import Robot, Shape
 
 FORMAT = "thorvaldc-model"
-VERSION = 4
+VERSION = 5
 """Version of the JSON format, increased with every change of the model's fields.
 
 The page ``docs/model.md`` lists all versions of the JSON format.

@@ -29,6 +29,7 @@ __all__ = [
     "DriverSettings",
     "FrameDefinition",
     "Joint",
+    "JointServo",
     "Link",
     "Mesh",
     "MeshShape",
@@ -202,6 +203,23 @@ class Joint(Element):
     armature: float = 0.0
     mimic: Mimic | None = None
     role: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class JointServo(Element):
+    """A servo on a joint of an extra, such as an arm.
+
+    The controllers of the arm command it; the base driver does not.
+
+    - ``joint``: name of the joint.
+    - ``interface``: ``position`` or ``velocity``, the value that the servo is commanded.
+    - ``initial``: position of the joint in rad or m at which the servo starts.
+    """
+
+    joint: str
+    interface: str
+    initial: float
+    span: Span
 
 
 # -- wheels and devices -------------------------------------------------------------------
@@ -473,6 +491,7 @@ class Robot(Element):
     - ``links``: rigid bodies of the robot. The first link is ``base_link``, whose origin lies on
       the ground.
     - ``inertial``: inertia of the whole robot in ``base_link`` when every joint is at position 0.
+    - ``joint_servos``: servos on joints of extras.
     - ``urdf_extensions``: XML elements from extras that only URDF can express, such as
       ``<gazebo>``.
     """
@@ -496,6 +515,7 @@ class Robot(Element):
     parameter_sets: tuple[ParameterSet, ...] = ()
     twist_sources: tuple[TwistInput, ...] = ()
     twist_locks: tuple[TwistInput, ...] = ()
+    joint_servos: tuple[JointServo, ...] = ()
 
     @property
     def prefix(self) -> str:

@@ -10,7 +10,7 @@ from thorvaldc.compiler.extras.urdf_reader import UrdfParts
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model import Joint, Link, Mesh, Pose
+from thorvaldc.model import Joint, JointServo, Link, Mesh, Pose
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +91,7 @@ class ExtrasJoiner:
         self.new_joints: list[Joint] = []
         self.meshes: dict[str, Mesh] = {}
         self.extensions: list[str] = []
+        self.stated_servos: list[JointServo] = []
 
     def add(self, entry: Placement, parts: UrdfParts) -> None:
         """Checks the links and joints of one xacro file, and connects them to the robot.
@@ -105,6 +106,7 @@ class ExtrasJoiner:
         for mesh in parts.meshes:
             self.meshes.setdefault(mesh.name, mesh)
         self.extensions += parts.extensions
+        self.stated_servos += parts.servos
         roots = [link for link in links.values() if link.name not in joint_to]
         mounts = self.mount(entry, roots) if roots or not is_mounted else []
         children: dict[str, list[Joint]] = {}

@@ -19,6 +19,7 @@ from thorvaldc.compiler.extras.join_extras import (
     FindAttachment,
     Placement,
 )
+from thorvaldc.compiler.extras.joint_servos import servos_of
 from thorvaldc.compiler.extras.ros_packages import find_package
 from thorvaldc.compiler.extras.urdf_elements import call_labels
 from thorvaldc.compiler.extras.urdf_reader import UrdfParts, read_urdf
@@ -38,7 +39,7 @@ from thorvaldc.compiler.source.units import UnitError, parse_quantity
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.grouping import grouped
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model import Joint, Link, Mesh, Pose, Vec3
+from thorvaldc.model import Joint, JointServo, Link, Mesh, Pose, Vec3
 
 __all__ = ["Attachment", "ExtraParts", "load_extras"]
 
@@ -48,6 +49,7 @@ class ExtraParts:
     """Links, joints and meshes from all xacro files in the section ``extras`` of a robot file.
 
     - ``links``: new links.  In the list of links, a parent link comes before its child links.
+    - ``servos``: servos of the joints.
     - ``urdf_extensions``: XML text of the elements that are written only to URDF.
     - ``files``: path of each xacro file, by the name of the file in source spans.  The path of a
       file begins with the folder of the robot file, unless the file belongs to an installed ROS
@@ -58,6 +60,7 @@ class ExtraParts:
     joints: tuple[Joint, ...] = ()
     meshes: tuple[Mesh, ...] = ()
     urdf_extensions: tuple[str, ...] = ()
+    servos: tuple[JointServo, ...] = ()
     files: dict[str, Path] = field(default_factory=dict)
 
 
@@ -123,6 +126,7 @@ def _load(
         tuple(joiner.new_joints),
         tuple(joiner.meshes.values()),
         tuple(joiner.extensions),
+        servos_of(joiner.stated_servos, joiner.new_joints, report),
         files,
     )
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from thorvaldc.compiler.extras.joint_servos import stated_servos
 from thorvaldc.compiler.extras.urdf_elements import ELEMENTS, EXTENSIONS, ElementReader
 from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.compiler.geometry.solids import solid_of_shapes
@@ -20,6 +21,7 @@ from thorvaldc.model import (
     Cylinder,
     Inertial,
     Joint,
+    JointServo,
     Link,
     Mesh,
     MeshShape,
@@ -58,12 +60,16 @@ _PLACEHOLDER = 0.05
 
 @dataclass(frozen=True, slots=True)
 class UrdfParts:
-    """The links, joints, meshes and URDF extensions of one xacro file, in the order of the file."""
+    """The links, joints, meshes and URDF extensions of one xacro file, in the order of the file.
+
+    ``servos`` are the servos that the URDF extensions state.
+    """
 
     links: tuple[Link, ...]
     joints: tuple[Joint, ...]
     meshes: tuple[Mesh, ...]
     extensions: tuple[str, ...]
+    servos: tuple[JointServo, ...] = ()
 
 
 def read_urdf(
@@ -108,7 +114,7 @@ class _Reader(ElementReader):
     def read(self, elements: Sequence[Element]) -> UrdfParts:
         links: list[Link | None] = []
         joints: list[Joint | None] = []
-        extensions: list[str] = []
+        extensions: list[Element] = []
         for element in elements:
             self.collect_materials(element)
         for element in elements:
@@ -117,14 +123,15 @@ class _Reader(ElementReader):
             elif element.tag == "joint":
                 joints.append(self.joint(element))
             elif element.tag in EXTENSIONS:
-                extensions.append(element.xml)
+                extensions.append(element)
             elif element.tag != "material":
                 self.report_unknown(element, "robot")
         return UrdfParts(
             tuple(link for link in links if link is not None),
             tuple(joint for joint in joints if joint is not None),
             tuple(self.meshes.values()),
-            tuple(extensions),
+            tuple(element.xml for element in extensions),
+            tuple(stated_servos(extensions)),
         )
 
     def pose(self, owner: Element) -> Pose:

@@ -252,6 +252,7 @@ class _Elaborator:
             parameter_sets=parameter_sets,
             twist_sources=twist_sources,
             twist_locks=twist_locks,
+            joint_servos=tuple(parts.joint_servos),
         )
         check_stopping_distance(model, stated.get("stopping_distance"), self.report)
         return model

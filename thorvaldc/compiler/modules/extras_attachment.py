@@ -68,6 +68,7 @@ def add_extras(
     files.update(extra_parts.files)
     parts.links.extend(extra_parts.links)
     parts.joints.extend(extra_parts.joints)
+    parts.joint_servos.extend(extra_parts.servos)
     for mesh in extra_parts.meshes:
         parts.meshes[mesh.name] = mesh
     return extra_parts.urdf_extensions

@@ -10,7 +10,7 @@ from thorvaldc.compiler.geometry.wheel_geometry import PlacedWheel
 from thorvaldc.compiler.modules.hardware_parts import Hardware
 from thorvaldc.compiler.modules.instance import Instance, name_prefix
 from thorvaldc.diagnostics import Label, Report
-from thorvaldc.model.robot import Actuator, Battery, Joint, Link, Mesh, Sensor
+from thorvaldc.model.robot import Actuator, Battery, Joint, JointServo, Link, Mesh, Sensor
 from thorvaldc.model.spatial import Pose, clean
 
 # Allowed difference (m) between the computed height of the root module and the height in the module
@@ -21,6 +21,8 @@ HEIGHT_TOLERANCE = 1e-3
 @dataclass
 class RobotParts:
     """Container of the links, joints, actuators, wheels, sensors, batteries and meshes of a robot.
+
+    ``joint_servos`` are the servos of extras.
 
     The name of a link or joint is ``<module>_<name>``.  The part ``<module>`` is the path of the
     module instance with underscores instead of dots.  The part ``<name>`` is the name of the link
@@ -34,6 +36,7 @@ class RobotParts:
     sensors: list[Sensor] = field(default_factory=list)
     batteries: list[Battery] = field(default_factory=list)
     meshes: dict[str, Mesh] = field(default_factory=dict)
+    joint_servos: list[JointServo] = field(default_factory=list)
 
     def add(self, leaf: Instance, hardware: Mapping[str, Hardware]) -> None:
         """Adds the links, joints, motors and devices of a module.

@@ -311,14 +311,14 @@ def _moved(base: Pose, step: list[float]) -> Pose:
     return Pose((x, y, z + step[0]), quat)
 
 
-def _joint_home(joint: Joint) -> float:
+def _joint_home(joint: Joint, initial: float = 0.0) -> float:
     """Return the position of a joint in the home pose.
 
-    The home position of a joint is 0, or the limit nearest to 0 if the joint cannot reach 0.
+    The home position of a joint is ``initial``, or the nearest limit if the joint cannot reach it.
     """
     low = -math.inf if joint.lower is None else joint.lower
     high = math.inf if joint.upper is None else joint.upper
-    return min(max(0.0, low), high)
+    return min(max(initial, low), high)
 
 
 def solve_statics(robot: Robot) -> Statics:
@@ -333,7 +333,10 @@ def solve_statics(robot: Robot) -> Statics:
         clean(SOLREF[1] * math.sqrt(soft / w)) for soft, w in zip(softened, weights, strict=True)
     ]
     axes = [_spin_axis(tree, wheel) for wheel in robot.wheels]
-    positions = {joint.name: _joint_home(joint) for joint in tree.moving}
+    initial = {servo.joint: servo.initial for servo in robot.joint_servos}
+    positions = {
+        joint.name: _joint_home(joint, initial.get(joint.name, 0.0)) for joint in tree.moving
+    }
     for joint in tree.moving:
         if joint.mimic is not None:
             positions[joint.name] = clean(
