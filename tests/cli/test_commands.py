@@ -366,3 +366,16 @@ def test_the_option_adds_a_library_folder(thorvaldc: Command) -> None:
     )
     assert thorvaldc("check", "robot.yaml").status == 1
     assert thorvaldc("check", "robot.yaml", "--library", "lib").status == 0
+
+
+def test_import_makes_the_folder_of_its_output(thorvaldc: Command) -> None:
+    original = "motor_drives: {drive0: {node: 1, x: 0, y: 0}}\n"
+    Path("original.yaml").write_text(original, encoding="utf-8")
+    output = Path("new", "folder", "robot.yaml")
+    assert thorvaldc("import", "original.yaml", "-o", str(output)).status == 0
+    assert output.read_text(encoding="utf-8").startswith("# Converted from original.yaml")
+    again = thorvaldc("import", "original.yaml", "-o", str(output))
+    assert (again.status, "will not overwrite" in again.err) == (3, True)
+    inside_a_file = thorvaldc("import", "original.yaml", "-o", "original.yaml/robot.yaml")
+    assert inside_a_file.status == 3
+    assert "original.yaml" in inside_a_file.err

@@ -45,6 +45,7 @@ def import_original(
 
 
 def _write_new_file(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
     try:
         with path.open("x", encoding="utf-8") as stream:
             stream.write(text)

@@ -18,6 +18,7 @@ from pathlib import Path
 from thorvaldc.compiler.importer.casters import add_casters, mount_position
 from thorvaldc.compiler.importer.conversion_log import Conversion, ConversionLog, Key
 from thorvaldc.compiler.importer.devices import (
+    ParentFrames,
     read_batteries,
     read_boards,
     read_sensor,
@@ -160,7 +161,7 @@ def _convert(root: OriginalMapping, name: str) -> Robot | None:
     beams = read_beams(root.children("beams"), drives, names)
     batteries = read_batteries(root.children("batteries"), frame.height, names)
     boards = read_boards(root.children("io"), {d.node_id: d.source for d in drives}, names)
-    sensors = _read_sensors(root, frame.height, names)
+    sensors = _read_sensors(root, ParentFrames(frame, drives), names)
     if root.report.has_errors:
         return None
     wheel_modules = drive_modules(drives, frame.height, frame.tubes, names)
@@ -245,7 +246,7 @@ def _base_calculator(root: OriginalMapping, text: str | None, wheel_modules: lis
     return "general"
 
 
-def _read_sensors(root: OriginalMapping, height: float, names: Names) -> list[Module]:
+def _read_sensors(root: OriginalMapping, parents: ParentFrames, names: Names) -> list[Module]:
     """Returns the modules of all sensors in the original file.
 
     The value of a sensor key is one sensor, a list of sensors or a mapping of sensors.
@@ -264,5 +265,7 @@ def _read_sensors(root: OriginalMapping, height: float, names: Names) -> list[Mo
             child = root.child(key)
             if child is not None:
                 sensors.append((child, module_type))
-    modules = [read_sensor(mapping, module_type, height, names) for mapping, module_type in sensors]
+    modules = [
+        read_sensor(mapping, module_type, parents, names) for mapping, module_type in sensors
+    ]
     return [module for module in modules if module is not None]

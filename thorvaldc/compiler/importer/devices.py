@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from typing import NamedTuple
 
-from thorvaldc.compiler.importer.drives import NODE_IDS
+from thorvaldc.compiler.importer.drives import NODE_IDS, Drive
 from thorvaldc.compiler.importer.original_mapping import OriginalMapping
 from thorvaldc.compiler.importer.robot_text import ROOT_MODULE, Module, Names, Value, angle
+from thorvaldc.compiler.importer.tube_frame import Frame
+from thorvaldc.compiler.source.units import parse_quantity
 from thorvaldc.diagnostics import Label
 from thorvaldc.model.spatial import Pose
 
@@ -16,8 +20,14 @@ _OLD_BATTERY_IDS = 344  # in older files, the value of `node` is 344 plus the ba
 _IO_NODE_ID = 20  # default node id of the IO board in the original system
 # Height (m) of the measurement frame of each library sensor above the foot of the sensor.
 _LIDAR_LASER = 0.085
+_LIDAR_3D_LASER = 0.038
 _ANTENNA_CENTER = 0.035
 _IMU_CENTER = 0.012
+_OFFSETS = {
+    "sensor/lidar_2d": _LIDAR_LASER,
+    "sensor/lidar_3d": _LIDAR_3D_LASER,
+    "sensor/imu": _IMU_CENTER,
+}
 
 
 # -- batteries ------------------------------------------------------------------------
@@ -193,21 +203,76 @@ def sensor_module_type(key: str) -> str | None:
     return None
 
 
+class ParentFrame(NamedTuple):
+    """The link frame of the original system to which the pose of a sensor is relative.
+
+    - ``module``: name of the imported module that carries the sensor.
+    - ``carrier``: pose of this module in the frame of the root module.
+    - ``pose``: pose of the link frame in the frame of this module.
+    - ``what``: the assumed place of the link frame, or an empty text if nothing is assumed.
+    """
+
+    module: str
+    carrier: Pose
+    pose: Pose
+    what: str = ""
+
+
+class ParentFrames:
+    """Finds the link frame that `parent_link` of a sensor names.
+
+    The original system publishes `cornerN_1` and `cornerN_2` as child frames of `cornerN`, and
+    `topN` at the leg of `driveN` as a child frame of `base_link`.  Its files do not contain the
+    poses of these frames.
+    """
+
+    def __init__(self, frame: Frame, drives: Sequence[Drive]) -> None:
+        self.base = ParentFrame(ROOT_MODULE, Pose(), Pose((0.0, 0.0, -frame.height)))
+        self.corners = frame.corners
+        self.drives = {drive.source.name: drive for drive in drives}
+
+    def find(self, name: str) -> ParentFrame | None:
+        """Returns the link frame with the name, or ``None`` if the file does not define it."""
+        if name == "base_link":
+            return self.base
+        corner = self.corners.get(name) or self.corners.get(re.sub(r"_[12]$", "", name))
+        if corner is not None:
+            what = f"the origin of the corner `{corner.name}`"
+            return ParentFrame(corner.name, _pose_of(corner), Pose(), what)
+        drive = self.drives.get(re.sub(r"^top(?=\d+$)", "drive", name))
+        if drive is not None:
+            what = f"a point above the wheel of `{drive.name}`, at the height of the frame"
+            return ParentFrame(ROOT_MODULE, Pose(), Pose((drive.x, drive.y, 0.0)), what)
+        return None
+
+
+def _pose_of(module: Module) -> Pose:
+    """Returns the pose of a module that is mounted on the root module."""
+    mount = module.mount or {}
+    xyz, rpy = mount["xyz"], mount.get("rpy", [0.0, 0.0, 0.0])
+    x, y, z = (float(str(v)) for v in (xyz if isinstance(xyz, list) else ()))
+    roll, pitch, yaw = (
+        parse_quantity(v, "angle") if isinstance(v, str) else float(str(v))
+        for v in (rpy if isinstance(rpy, list) else ())
+    )
+    return Pose.from_xyz_rpy((x, y, z), (roll, pitch, yaw))
+
+
 def read_sensor(
-    mapping: OriginalMapping, module_type: str, height: float, names: Names
+    mapping: OriginalMapping, module_type: str, parents: ParentFrames, names: Names
 ) -> Module | None:
     """Returns the module of a sensor, or ``None`` if the pose of the sensor is not valid.
 
-    The pose in the original file is the pose of the measurement frame in ``base_link``.
-
-    ``height`` is the height (m) of the robot's frame above the ground.
+    The pose in the original file is the pose of the measurement frame in the frame of
+    `parent_link`.
     """
+    module_type = _with_lidar_type(mapping, module_type)
     name = names.make(mapping.name, module_type.rpartition("/")[2])
     target = f"modules.{name}.mount"
     if not any(mapping.has(key) for key in ("x", "y", "z")):
         mapping.report.add(
             "import-assumed",
-            f"`{mapping.path}` has no x, y, z: the origin of base_link is assumed",
+            f"`{mapping.path}` has no x, y, z: the origin of its parent link is assumed",
             mapping.node.where,
             hint=f"set the mount of `{name}` in the robot.yaml",
         )
@@ -223,32 +288,53 @@ def read_sensor(
     ]
     if product:
         comments.append(", ".join(product))
-    parent = mapping.text("parent_link", target)
-    if parent and parent.strip("/").rpartition("/")[2] != "base_link":
+    link = mapping.text("parent_link", target)
+    parent = parents.find(link.strip("/").rpartition("/")[2]) if link else parents.base
+    if parent is None or parent.what:
+        place = parent.what if parent is not None else "base_link"
         mapping.report.add(
             "import-assumed",
-            f"the pose of `{mapping.path}` is relative to the link `{parent}`, which "
-            "the robot.yaml does not have: base_link is assumed",
+            f"the pose of `{mapping.path}` is relative to the link `{link}`, whose pose the file "
+            f"does not contain: {place} is assumed",
             mapping.span("parent_link"),
             hint=f"correct the mount of `{name}` in the robot.yaml",
         )
+    parent = parent or parents.base
     for key in ("topic_prefix", "suffix"):
         mapping.leave_out(key, "the generated ROS files name the topics")
     mapping.leave_out("output_sim", "the simulation contains every sensor")
     if x is None or y is None or z is None or roll is None or pitch is None or yaw is None:
         return None
-    pose = Pose.from_xyz_rpy((x, y, z - height), (roll, pitch, yaw))
+    pose = parent.pose * Pose.from_xyz_rpy((x, y, z), (roll, pitch, yaw))
     params: dict[str, Value] = {}
-    offset = {"sensor/lidar_2d": _LIDAR_LASER, "sensor/imu": _IMU_CENTER}.get(module_type, 0.0)
+    offset = _OFFSETS.get(module_type, 0.0)
     if module_type == "sensor/gnss_antenna":
         # An upright GNSS antenna above the robot's frame stands on a mast.  A tilted antenna has no
         # mast.
         upright = roll == 0.0 and pitch == 0.0
-        mast = max(0.0, z - height - _ANTENNA_CENTER) if upright else 0.0
+        above = (parent.carrier * pose).xyz[2]
+        mast = max(0.0, above - _ANTENNA_CENTER) if upright else 0.0
         params["mast"] = mast
         offset = mast + _ANTENNA_CENTER
     mounted = (pose * Pose((0.0, 0.0, -offset))).clean()
-    mount: dict[str, Value] = {"parent": ROOT_MODULE, "xyz": [*mounted.xyz]}
+    mount: dict[str, Value] = {"parent": parent.module, "xyz": [*mounted.xyz]}
     if roll or pitch or yaw:
         mount["rpy"] = [angle(roll), angle(pitch), angle(yaw)]
     return Module(name, module_type, mount, params, comments=comments)
+
+
+def _with_lidar_type(mapping: OriginalMapping, module_type: str) -> str:
+    """Returns the module type of a lidar by its `type`, which is `2d` or `3d`."""
+    if module_type != "sensor/lidar_2d":
+        return module_type
+    text = mapping.text("type", "modules") or ""
+    if text.lower() in ("3d", "3"):
+        return "sensor/lidar_3d"
+    if text.lower() not in ("", "2d", "2"):
+        mapping.report.add(
+            "import-assumed",
+            f"`type` of `{mapping.path}`: expected 2d or 3d, got `{text}`; 2d is assumed",
+            mapping.span("type"),
+            hint="use `sensor/lidar_3d` in the robot.yaml for a scanner with several layers",
+        )
+    return module_type

@@ -7,6 +7,7 @@ or a Boolean.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,9 @@ from thorvaldc.compiler.source.input_file import read_bytes
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import MAX_BYTES, MAX_VALUES, compose
 from thorvaldc.diagnostics import Label, Report, Span
+
+# A parameter of ROS 2 with its path, such as `motor_drives.drive0.x`.
+_DOTTED = re.compile(r"[A-Za-z_]\w*(\.\w+)+")
 
 
 def read_original(path: Path, display: str, report: Report) -> Node | None:
@@ -93,14 +97,45 @@ class _NodeConverter:
                 continue
             key = raw_key.value
             if key in values:
-                self.report.add(
-                    "import-duplicate-key",
-                    f"the key `{key}` occurs twice; the last one counts, as in ROS",
-                    key_span,
-                    labels=[Label(values[key].where, "first used here")],
-                )
+                self.report_duplicate(key, key_span, values[key])
             values[key] = child
-        return {**merged_values, **values}
+        return self.nested({**merged_values, **values})
+
+    def nested(self, values: dict[str, Node]) -> dict[str, Node]:
+        """Returns the mapping with dotted keys as nested mappings.
+
+        ROS 2 accepts the parameter `drive0.x` as the key `x` in the mapping `drive0`.
+        """
+        nested: dict[str, Node] = {}
+        for key, child in values.items():
+            if not _DOTTED.fullmatch(key):
+                self.put(nested, key, child)
+                continue
+            first, *others = key.split(".")
+            for name in reversed(others):
+                child = Node({name: child}, child.span, child.key_span)
+            self.put(nested, first, child)
+        return nested
+
+    def put(self, values: dict[str, Node], key: str, child: Node) -> None:
+        """Adds a value to a mapping.  Two mappings with the same key become one."""
+        known = values.get(key)
+        if known is not None and isinstance(known.value, dict) and isinstance(child.value, dict):
+            merged = dict(known.value)
+            for name, value in child.value.items():
+                self.put(merged, name, value)
+            child = Node(merged, known.span, known.key_span)
+        elif known is not None:
+            self.report_duplicate(key, child.where, known)
+        values[key] = child
+
+    def report_duplicate(self, key: str, span: Span, first: Node) -> None:
+        self.report.add(
+            "import-duplicate-key",
+            f"the key `{key}` occurs twice; the last one counts, as in ROS",
+            span,
+            labels=[Label(first.where, "first used here")],
+        )
 
     def span(self, raw: Any) -> Span:
         start, end = raw.start_mark, raw.end_mark

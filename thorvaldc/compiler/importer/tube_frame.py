@@ -21,11 +21,13 @@ class Frame:
 
     ``height`` is the height (m) of the frame above the ground.  ``tubes`` contains the end points
     (m) of each tube in the top view.
+    ``corners`` contains the module of each corner, by the key of the corner in the file.
     """
 
     height: float
     tubes: list[Segment] = field(default_factory=list)
     modules: list[Module] = field(default_factory=list)
+    corners: dict[str, Module] = field(default_factory=dict)
 
     @property
     def center_x(self) -> float:
@@ -85,7 +87,9 @@ def read_frame(
         mount = mount_on_root(x, y, z - height)
         if quarter_turns:
             mount["rpy"] = [0.0, 0.0, angle(quarter_turns * math.pi / 2)]
-        frame.modules.append(Module(name, "frame/corner", mount, comments=[mapping.location]))
+        module = Module(name, "frame/corner", mount, comments=[mapping.location])
+        frame.modules.append(module)
+        frame.corners[mapping.name] = module
     return frame
 
 
