@@ -6,6 +6,8 @@ import errno
 import os
 import pty
 import select
+import socket
+import sys
 import termios
 import threading
 import time
@@ -13,16 +15,20 @@ import tty
 from collections.abc import Iterator
 
 import can
+import msgpack
 import pytest
 
 from tests.can.interfaces import ALL_KINDS, HEARTBEAT, bus, open_python_can
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.open_interface import UDP_GROUP
 from thorvaldc.can.python_can_interface import PythonCanInterface
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.bus import Bus
 
 __all__ = ["bus"]
+
+UDP_PORT = 43113  # of python-can
 
 
 # -- frames through python-can ----------------------------------------------------------------
@@ -166,7 +172,7 @@ def test_echoes_are_dropped() -> None:
     """One echo is dropped per sent frame; an equal frame of another node is kept."""
     wall = time.time()
     script = Scripted()
-    interface = PythonCanInterface(script, echoes=True)
+    interface = PythonCanInterface(script, datagrams=True)
     assert interface.send(HEARTBEAT)
     script.items += [message(wall), message(wall), message(wall, b"\x7f")]
     received = [interface.receive(0.0) for _ in range(3)]
@@ -195,6 +201,67 @@ def test_frames_over_udp_between_two_programs(bus: Bus) -> None:
     finally:
         first.close()
         second.close()
+
+
+def datagram(**changes: object) -> bytes:
+    """Returns a datagram of python-can with some changed values."""
+    values = {"arbitration_id": 0x701, "dlc": 1, "data": b"\x05", "is_extended_id": False}
+    return msgpack.packb({**values, **changes})
+
+
+NO_FRAMES = [
+    b"",
+    b"garbage" * 500,
+    b"\xc1",
+    msgpack.packb([1, 2, 3]),
+    msgpack.packb({"unknown": 1}),
+    datagram(arbitration_id="x"),
+    datagram(arbitration_id=769.0),
+    datagram(arbitration_id=-1),
+    datagram(data=b"123456789", dlc=9),
+    datagram(data=None, dlc=2.0, is_remote_frame=True),
+    datagram(is_error_frame=True, arbitration_id=0x40),  # would be bus-off
+]
+
+
+@pytest.mark.parametrize("spec", ["udp", "udp:239.74.163.78"])
+def test_datagrams_of_anyone_are_counted_and_dropped(spec: str, bus: Bus) -> None:
+    try:
+        sender, receiver = open_python_can(spec, bus), open_python_can(spec, bus)
+    except DiagnosticError as error:
+        pytest.skip(f"no multicast here: {error}")
+    group = spec.partition(":")[2] or UDP_GROUP
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as anyone:
+        if spec == "udp":
+            loopback = socket.inet_aton("127.0.0.1")
+            anyone.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
+        for data in NO_FRAMES:
+            anyone.sendto(data, (group, UDP_PORT))
+    try:
+        if not sender.send(HEARTBEAT) or (received := receiver.receive(1.0)) is None:
+            pytest.skip("multicast does not loop back here")
+        assert received.frame == HEARTBEAT
+        assert receiver.receive(0.0) is None
+        assert receiver.undecodable == len(NO_FRAMES)
+        assert receiver.state is ErrorState.ACTIVE
+    finally:
+        sender.close()
+        receiver.close()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems cannot bind a socket to lo")
+def test_udp_without_a_group_stays_on_this_computer(bus: Bus) -> None:
+    """The frames of a program in the network's group do not arrive, and ours do not leave."""
+    try:
+        local, network = open_python_can("udp", bus), open_python_can(f"udp:{UDP_GROUP}", bus)
+    except DiagnosticError as error:
+        pytest.skip(f"no multicast here: {error}")
+    try:
+        assert network.send(HEARTBEAT)
+        assert local.receive(0.2) is None
+    finally:
+        local.close()
+        network.close()
 
 
 # -- slcan through a pair of pseudo-terminals -------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -246,7 +247,9 @@ def test_an_interrupt_closes_the_journal() -> None:
     bench.wire.at_frame(bench.wire.frames + 400, interrupt)
     with pytest.raises(KeyboardInterrupt):
         bench.apply()
-    assert bench.storage.data.endswith(b'{"record":"stopped","reason":"interrupted"}\n')
+    assert bench.storage.data.splitlines()[-1].startswith(
+        b'{"record":"stopped","reason":"interrupted"'
+    )
     bench.simulated.timeline._running = False
     bench.resume()
     assert [bench.state()[n][0] for n in NODES] == [1, 2, 3, 4]
@@ -314,6 +317,31 @@ def test_a_resume_continues_the_steps_of_the_operator() -> None:
 
 
 # -- journal file and verify --------------------------------------------------------
+
+
+def test_a_changed_line_of_the_journal_is_refused() -> None:
+    """Each record has a checksum, so that no changed previous value is ever restored."""
+    bench = Bench(four_drives(), SWAPPED, timing=QUICK)
+    bench.apply()
+    data = bench.storage.data
+    lines = data.split(b"\n")
+    for number, line in enumerate(lines[:-1], 1):
+        position = min(12, len(line) // 3)
+        changed = line[:position] + bytes([line[position] ^ 1]) + line[position + 1 :]
+        damaged = b"\n".join([*lines[: number - 1], changed, *lines[number:]])
+        bench.storage.data = damaged
+        with pytest.raises(DiagnosticError, match=f"checksum of line {number} is wrong"):
+            bench.rollback()
+    bench.storage.data = data
+    bench.rollback()
+
+
+def test_a_journal_is_a_regular_file(tmp_path: Path) -> None:
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    for path in (Path("/dev/full"), Path("/dev/zero"), fifo, tmp_path):
+        with pytest.raises(OSError, match="not a regular file"):
+            JournalFile(path)
 
 
 def test_the_journal_on_the_disk(tmp_path: Path) -> None:

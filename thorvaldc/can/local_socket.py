@@ -54,6 +54,27 @@ def remove_stale_socket(path: Path, program: str) -> None:
             raise OSError(f"{program} already runs at {path}")
 
 
+def listen(path: Path, program: str) -> socket.socket:
+    """Returns a listening local socket at ``path``, which only this user can open.
+
+    ``program``: name of the program that listens, for the error message.  Raises ``OSError`` if a
+    program already listens at ``path``, or if the socket cannot be created.
+    """
+    remove_stale_socket(path, program)
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    mask = os.umask(0o177)
+    try:
+        listener.bind(str(path))
+    except OSError as error:
+        listener.close()
+        raise OSError(f"{path}: {error.strerror or error}") from None
+    finally:
+        os.umask(mask)
+    listener.listen()
+    listener.setblocking(False)
+    return listener
+
+
 def runtime_directory() -> Path:
     """Returns the directory for the user's local sockets and lock files.
 

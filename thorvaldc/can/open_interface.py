@@ -8,6 +8,7 @@ interface is opened and are reported with a hint.
 from __future__ import annotations
 
 import errno
+import functools
 import importlib
 import logging
 import os
@@ -49,7 +50,8 @@ def open_interface(spec: str, bus: Bus, *, listen_only: bool = False) -> CanInte
     - ``sim:NAME``: a bus that ``thorvaldc bus`` runs, by the name that it prints;
     - ``slcan:PORT``: a serial adapter, ``slcan:/dev/ttyACM0`` (``@115200`` for its baud rate);
     - ``socketcan:can0``: a Linux network interface, which is already up at the right bitrate;
-    - ``udp`` or ``udp:GROUP``: frames in UDP multicast, between programs without hardware;
+    - ``udp``: frames in UDP multicast, between programs of this computer;
+    - ``udp:GROUP``: the same between computers, on which everyone in the network can send;
     - ``INTERFACE:CHANNEL``: any other interface that python-can knows.
 
     If ``listen_only`` is ``True``, the CAN interface sends neither CAN frames nor acknowledgements.
@@ -93,9 +95,12 @@ def open_interface(spec: str, bus: Bus, *, listen_only: bool = False) -> CanInte
     elif backend == "udp_multicast":
         options["fd"] = False
         del options["bitrate"]
+    python_can_bus = _open_python_can(spec, backend, channel, options)
+    if spec in ("udp", "udp_multicast"):
+        _restrict_to_this_computer(python_can_bus)
     return PythonCanInterface(
-        _open_python_can(spec, backend, channel, options),
-        echoes=backend == "udp_multicast",
+        python_can_bus,
+        datagrams=backend == "udp_multicast",
         shared=backend == "socketcan",
         write_time=SERIAL_WRITE_TIME if backend == "slcan" else 0.0,
     )
@@ -187,6 +192,19 @@ def _open_python_can(spec: str, backend: str, channel: str, options: dict[str, A
         bus._is_shutdown = True
         raise _open_error(spec, error, channel) from None
     return bus
+
+
+def _restrict_to_this_computer(bus: can.BusABC) -> None:
+    """Makes a bus of UDP multicast reach only programs of this computer."""
+    group = socket.inet_aton(UDP_GROUP)
+    loopback, any_interface = socket.inet_aton("127.0.0.1"), socket.inet_aton("0.0.0.0")
+    with socket.socket(fileno=os.dup(bus.fileno())) as multicast:
+        option = functools.partial(multicast.setsockopt, socket.IPPROTO_IP)
+        option(socket.IP_DROP_MEMBERSHIP, group + any_interface)
+        option(socket.IP_ADD_MEMBERSHIP, group + loopback)
+        option(socket.IP_MULTICAST_IF, loopback)
+        if hasattr(socket, "SO_BINDTODEVICE"):  # Linux: no datagrams to the port either
+            multicast.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo")
 
 
 def _check_serial_port(spec: str, path: str) -> None:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 MAXIMUM_AGE = 1.0
 """Largest age (s) of a usable time stamp, and longest time (s) to wait for an echo."""
+GRACE_TIME = 0.01
+"""Time (s) for which ``receive`` drops invalid datagrams after its time-out."""
 
 # Constants of linux/can/error.h.  The identifier of a socketcan error frame contains the bits of
 # the error class.  Data byte 1 of a socketcan error frame contains the error state of the CAN
@@ -43,8 +45,8 @@ class PythonCanInterface:
     CAN controller.  The property ``overruns`` is always 0, because python-can does not report the
     number of lost CAN frames.
 
-    Echo removal (``echoes``).  With UDP multicast a program also receives the CAN frames that the
-    program has sent (echoes), and python-can does not mark the echoes.  To detect the echoes,
+    Echo removal (``datagrams``).  With UDP multicast a program also receives the CAN frames that
+    the program has sent (echoes), and python-can does not mark the echoes.  To detect the echoes,
     ``send`` counts the sent CAN frames by identifier and data.  For each sent CAN frame,
     ``receive`` drops one received CAN frame with the same identifier and data.  If another node
     sends a CAN frame with the same identifier and data, ``receive`` drops one of the two CAN frames
@@ -56,6 +58,9 @@ class PythonCanInterface:
         expected    1       0          0
 
     The echo of a sent CAN frame is expected for at most ``MAXIMUM_AGE`` seconds.
+
+    Datagrams of anyone (``datagrams``).  A datagram that is not a CAN frame, and a datagram with an
+    error frame, which only a CAN controller can report, is dropped and counted in ``undecodable``.
     """
 
     overruns = 0
@@ -64,13 +69,14 @@ class PythonCanInterface:
         self,
         bus: can.BusABC,
         *,
-        echoes: bool = False,
+        datagrams: bool = False,
         shared: bool = False,
         write_time: float = 0.0,
     ) -> None:
         """Creates a CAN interface that uses the python-can bus ``bus``.
 
-        - ``echoes``: ``True`` if ``bus`` also delivers the program's own frames;
+        - ``datagrams``: ``True`` if ``bus`` sends frames in datagrams, which also come back to the
+          sender, and in which anyone can send anything;
         - ``shared``: ``True`` if several programs of this computer can use the interface, and
           ``bus`` marks the frames of the other programs as sent (``is_rx`` is ``False``).  The
           interface socketcan does so.  Frames of the other programs are frames of another node;
@@ -80,7 +86,10 @@ class PythonCanInterface:
 
         self.bus = bus
         self._can = can
-        self._expected_echoes: Counter[tuple[int, bytes]] | None = Counter() if echoes else None
+        self._expected_echoes: Counter[tuple[int, bytes]] | None = Counter() if datagrams else None
+        self._datagrams = datagrams
+        self.undecodable = 0
+        """Number of dropped datagrams."""
         self._sent: deque[tuple[float, tuple[int, bytes]]] = deque()
         self._lock = threading.Lock()
         self._shared = shared
@@ -128,6 +137,11 @@ class PythonCanInterface:
             try:
                 message = self.bus.recv(remaining)
             except self._can.CanError as error:
+                if self._datagrams and not _has_os_error(error):
+                    self.undecodable += 1
+                    if deadline is not None and time.monotonic() >= deadline + GRACE_TIME:
+                        return None
+                    continue
                 self._raise_if_lost(error)
                 raise ConnectionError(one_line(error)) from None
             except (OSError, ValueError) as error:
@@ -135,6 +149,9 @@ class PythonCanInterface:
             if message is None:
                 if deadline is not None and time.monotonic() >= deadline:
                     return None
+                continue
+            if self._datagrams and not _is_valid(message):
+                self.undecodable += 1
                 continue
             if message.is_error_frame:
                 self._evaluate_error_frame(message)
@@ -233,6 +250,21 @@ class PythonCanInterface:
         timed_out = any(isinstance(cause, TimeoutError) for cause in causes)
         if not timed_out and any(code in _LOST for code in codes):
             raise ConnectionError(one_line(error)) from None
+
+
+def _has_os_error(error: BaseException) -> bool:
+    return isinstance(error.__cause__, OSError) or isinstance(error.__context__, OSError)
+
+
+def _is_valid(message: can.Message) -> bool:
+    """Returns whether a message that anyone can have sent is a CAN frame of CAN 2.0."""
+    numbers = message.arbitration_id, message.dlc
+    return (
+        all(isinstance(number, int) for number in numbers)
+        and isinstance(message.data, bytearray)
+        and len(message.data) <= 8
+        and not message.is_error_frame
+    )
 
 
 def one_line(error: BaseException) -> str:

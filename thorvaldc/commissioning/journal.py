@@ -2,11 +2,15 @@
 
 A journal record is written to the disk before and after each step of a flash:
 
-    {"record":"run", "mode":"apply", "hash":..., "plan":{...}}
-    {"record":"begin", "step":0, "node":..., "what":..., "old":[previous values]}
-    {"record":"done", "step":0, "node":..., "read":what was read back}
+    {"record":"run", "mode":"apply", "hash":..., "plan":{...}, "crc":"9a0364b9"}
+    {"record":"begin", "step":0, "node":..., "what":..., "old":[previous values], "crc":...}
+    {"record":"done", "step":0, "node":..., "read":what was read back, "crc":...}
     ...
-    {"record":"end"}         or {"record":"stopped", "reason":...}, or nothing after a power cut
+    {"record":"end", "crc":...}     or {"record":"stopped", "reason":..., "crc":...}, or nothing
+                                    after a power cut
+
+The checksum ``crc`` is the CRC-32 of the line up to the comma before it.  A journal with a line
+whose checksum is wrong is not used, because its plan or its previous values may be wrong.
 
 Records are appended to the journal and never changed.  A power cut can leave an incomplete line at
 the end of the journal.  The reader skips an incomplete line at the end of the file or before a new
@@ -16,9 +20,13 @@ devices is always read from the bus.
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
+import re
+import stat
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,9 +40,11 @@ from thorvaldc.commissioning.bus_configuration import (
 from thorvaldc.commissioning.plan import Plan, plan_from_json, plan_to_json
 from thorvaldc.diagnostics.error import DiagnosticError
 
-FORMAT, VERSION = "thorvaldc-flash", 1
+FORMAT, VERSION = "thorvaldc-flash", 2
 APPLY, RESUME, ROLLBACK = "apply", "resume", "rollback"
 _HEAD = b'{"record":"'
+_LINE = re.compile(rb'(.*),"crc":"([0-9a-f]{8})"}')
+"""A complete line: the record without its last brace, and the checksum."""
 
 
 class Storage(Protocol):
@@ -56,12 +66,14 @@ class JournalFile:
     def __init__(self, path: Path) -> None:
         """Opens or creates the journal file ``path``.
 
-        Raises ``OSError`` if the journal file cannot be opened.  Raises ``DiagnosticError``
-        (``bus-locked``) if another flash uses the journal file.
+        Raises ``OSError`` if the journal file cannot be opened or is no regular file.  Raises
+        ``DiagnosticError`` (``bus-locked``) if another flash uses the journal file.
         """
         self.name = str(path)
         self._path = path
         self._is_new = not path.exists()
+        if not self._is_new and not stat.S_ISREG(path.stat().st_mode):
+            raise OSError(errno.EINVAL, "it is not a regular file")
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -204,7 +216,8 @@ class Journal:
     # -- inside -----------------------------------------------------------------------------
 
     def _append(self, record: dict[str, Any]) -> None:
-        line = json.dumps(record, separators=(",", ":"), ensure_ascii=True).encode() + b"\n"
+        text = json.dumps(record, separators=(",", ":"), ensure_ascii=True).encode()[:-1]
+        line = b'%s,"crc":"%08x"}\n' % (text, zlib.crc32(text))
         if self._data and not self._data.endswith(b"\n"):
             line = b"\n" + line
         self._data = b"\n"
@@ -224,8 +237,13 @@ class Journal:
         for number, line in enumerate(data.split(b"\n"), 1):
             if not line.strip():
                 continue
+            complete = _LINE.fullmatch(line)
+            if complete is not None and zlib.crc32(complete[1]) != int(complete[2], 16):
+                raise self._unreadable(f"the checksum of line {number} is wrong")
             try:
-                record = json.loads(line)
+                if complete is None:
+                    raise ValueError(line)
+                record = json.loads(complete[1] + b"}")
                 kind = record["record"]
                 if kind == "run":
                     plan = self._plan(record, number)

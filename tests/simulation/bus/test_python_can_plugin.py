@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import socket
+import stat
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -218,6 +220,11 @@ def test_lss_master_of_canopen(robot: tuple[SimulatedRobot, str]) -> None:
         d.nonvolatile["node_id"] for n, d in simulated.devices.items() if n.endswith("_controller")
     ]
     assert ids == [1, 12, 13, 14]
+
+
+def test_only_this_user_can_open_the_socket_of_a_bus(wire: Wire, channel: str) -> None:
+    with serving(wire.timeline, {channel: wire}):
+        assert stat.S_IMODE(os.stat(channel).st_mode) == 0o600
 
 
 def test_several_programs_on_one_bus(wire: Wire, channel: str) -> None:

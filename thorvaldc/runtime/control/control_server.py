@@ -27,14 +27,13 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import os
 import socket
 import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.can.local_socket import remove_stale_socket, socket_path
+from thorvaldc.can.local_socket import listen, socket_path
 from thorvaldc.runtime.control.service_table import Argument, Caller, ServiceError, Services
 
 LONGEST_LINE = 65536
@@ -109,19 +108,8 @@ class ControlServer:
         self._connections = 0
         self._last_poll = -math.inf
         self._now = 0.0
-        remove_stale_socket(self.path, "a driver")
-        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        mask = os.umask(0o177)
-        try:
-            self._listener.bind(str(self.path))
-        except OSError as error:
-            self._listener.close()
-            raise OSError(f"{self.path}: {error.strerror or error}") from None
-        finally:
-            os.umask(mask)
+        self._listener = listen(self.path, "a driver")
         self._inode = self.path.stat().st_ino
-        self._listener.listen()
-        self._listener.setblocking(False)
 
     @property
     def streams(self) -> list[socket.socket]:

@@ -23,7 +23,7 @@ from typing import Any
 from thorvaldc.can import simulated_bus_protocol as protocol
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import SEND_LIMIT, CanFrame
-from thorvaldc.can.local_socket import Unpacker, pack, pack_json, remove_stale_socket, socket_path
+from thorvaldc.can.local_socket import Unpacker, listen, pack, pack_json, socket_path
 from thorvaldc.can.nanoseconds import NEVER
 from thorvaldc.simulation.bus.can_controller import CanController
 from thorvaldc.simulation.bus.timeline import Timeline
@@ -183,13 +183,9 @@ class BusServer:
     # -- clients ------------------------------------------------------------------------------
 
     def _listen(self, path: Path, wire: Wire) -> None:
-        remove_stale_socket(path, "a bus")
-        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        listener = listen(path, "a bus")
         self._listeners.append(listener)
-        listener.bind(str(path))
         self._paths.append(path)
-        listener.listen()
-        listener.setblocking(False)
         self._selector.register(listener, selectors.EVENT_READ, wire)
 
     def _serve(self, wait_time: float) -> None:
