@@ -17,7 +17,7 @@ from tests.child_process import ChildProcess
 from tests.cli.conftest import Command
 from tests.cli.test_bus import ROOT, running
 from tests.simulation.bus.robots import CIA402, compiled
-from thorvaldc.commissioning.bus_lock import BusLock
+from thorvaldc.can.bus_lock import BusLock
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 ONE = """
@@ -140,11 +140,18 @@ def test_errors_are_a_few_lines(
     assert not Path("robot.flash.jsonl").exists()
 
 
-def test_a_second_master_on_this_computer_is_refused(thorvaldc: Command, robot: Path) -> None:
-    with BusLock("sim:anything"):
-        got = thorvaldc("can", "scan", "robot.yaml", "--bus", "sim:anything")
-    assert got.status == 3
-    assert "TV870" in got.err
+def test_a_second_master_on_this_computer_is_refused(
+    thorvaldc: Command, robot: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The lock depends on neither the user's folders nor the spelling of the interface."""
+    with BusLock("sim:./a"):
+        monkeypatch.setenv("XDG_RUNTIME_DIR", f"{robot.parent}/other")
+        for command in (("can", "scan", "--active"), ("can", "plan"), ("run",)):
+            got = thorvaldc(*command, "robot.yaml", "--bus", "sim:././a")
+            assert got.status == 3
+            assert "TV870" in got.err
+        listening = thorvaldc("can", "scan", "robot.yaml", "--bus", "sim:./a")
+        assert "TV875" in listening.err, "no lock is needed, and there is no such bus"
 
 
 def test_on_the_bus_of_another_process(

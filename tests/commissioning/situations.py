@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from tests.commissioning.bench import QUICK, Bench, MemoryStorage
+from thorvaldc.can.bus_lock import BusLock
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.commissioning.bus_lock import BusLock
 from thorvaldc.model import Robot
 
 

@@ -7,6 +7,7 @@ interface is opened and are reported with a hint.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import functools
 import importlib
@@ -18,6 +19,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from thorvaldc.can.bus_lock import BusLock
 from thorvaldc.can.interface import CanInterface
 from thorvaldc.can.python_can_interface import PythonCanInterface, one_line
 from thorvaldc.can.simulated_bus_client import SimulatedBusClient
@@ -130,6 +132,15 @@ def open_interfaces(spec: str, robot: Robot) -> dict[str, CanInterface]:
             interface.close()
         raise
     return interfaces
+
+
+def lock_buses(spec: str, robot: Robot, locks: contextlib.ExitStack) -> None:
+    """Locks all CAN buses of the robot until ``locks`` is closed.
+
+    Raises ``DiagnosticError`` (``bus-locked``) if another master of this computer uses a bus.
+    """
+    for name in _split_spec(spec, [bus.name for bus in robot.buses]).values():
+        locks.enter_context(BusLock(name))
 
 
 def _split_spec(spec: str, names: list[str]) -> Mapping[str, str]:

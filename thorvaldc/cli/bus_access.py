@@ -11,6 +11,7 @@ from pathlib import Path
 
 import typer
 
+from thorvaldc.can.bus_lock import BusLock
 from thorvaldc.can.open_interface import open_interface
 from thorvaldc.cli.console_operator import ConsoleOperator
 from thorvaldc.cli.diagnostic_output import message, report_of
@@ -21,7 +22,6 @@ from thorvaldc.cli.options import refuse_options, select_bus
 from thorvaldc.cli.progress import Progress
 from thorvaldc.cli.robot_file import load_robot
 from thorvaldc.commissioning.bus_configuration import BusConfiguration, configuration_of
-from thorvaldc.commissioning.bus_lock import BusLock
 from thorvaldc.commissioning.bus_master import BusMaster, other_master_error
 from thorvaldc.commissioning.plan import Plan, PlanStep
 from thorvaldc.commissioning.planner import make_plan
@@ -92,9 +92,12 @@ def with_bus(
     library: Sequence[str],
     trust: bool,
     work: Callable[[BusAccess], int],
+    *,
+    sends: bool = True,
 ) -> int:
     """Loads the robot, opens the CAN bus, calls ``work`` and returns the exit status of ``work``.
 
+    ``sends``: whether ``work`` sends frames. A program that only receives needs no lock of the bus.
     If ``work`` raises a ``DiagnosticError``, the method prints the diagnostic.
     """
     loaded = load_robot(file, library, trust)
@@ -102,7 +105,7 @@ def with_bus(
         return INPUT
     gc.enable()
     try:
-        with _open_bus(loaded.robot, spec, store) as access:
+        with _open_bus(loaded.robot, spec, store, sends) as access:
             try:
                 return work(access)
             finally:
@@ -112,7 +115,7 @@ def with_bus(
 
 
 @contextlib.contextmanager
-def _open_bus(robot: Robot, spec: str, store: str) -> Iterator[BusAccess]:
+def _open_bus(robot: Robot, spec: str, store: str, sends: bool) -> Iterator[BusAccess]:
     bus, interface_name = select_bus(robot, spec)
     if interface_name.partition(":")[0] == "virtual":
         with _open_virtual_bus(robot, bus, interface_name, store) as access:
@@ -121,7 +124,9 @@ def _open_bus(robot: Robot, spec: str, store: str) -> Iterator[BusAccess]:
     refuse_options({"--store": store}, "is for a simulated robot, --bus virtual")
     if is_hardware(interface_name):
         message(UNTESTED)
-    with BusLock(interface_name):
+    with contextlib.ExitStack() as locks:
+        if sends:
+            locks.enter_context(BusLock(interface_name))
         interface = open_interface(interface_name, bus)
         try:
             master = BusMaster(interface, bus)

@@ -38,4 +38,4 @@ def scan(
         differs = any(entry.verdict != "ok" for entry in scan.entries)
         return INPUT if differs or scan.duplicates else DONE
 
-    return with_bus(file, bus, store, library, trust, work)
+    return with_bus(file, bus, store, library, trust, work, sends=active)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping
 from typing import Annotated
@@ -9,7 +10,7 @@ from typing import Annotated
 import typer
 
 from thorvaldc.can.interface import CanInterface
-from thorvaldc.can.open_interface import open_interfaces
+from thorvaldc.can.open_interface import lock_buses, open_interfaces
 from thorvaldc.cli.diagnostic_output import print_json
 from thorvaldc.cli.exits import INPUT, OutsideError
 from thorvaldc.cli.hardware_warning import is_hardware, warn_once
@@ -92,46 +93,49 @@ def run(
     loaded = load_robot(file, library, trust)
     if loaded is None:
         return INPUT
-    report = Report()
-    try:
-        commanded_twist = parse_twist(twist) if twist else None
-        interfaces = (
-            _virtual_interfaces(loaded.robot, file, physics, faults, parse_seed(seed), report)
-            if virtual
-            else open_interfaces(bus, loaded.robot)
-        )
-        session = RunSession(
-            loaded.robot,
-            interfaces,
-            parameters=parameters or None,
-            twist=commanded_twist,
-            duration=seconds,
-            # If the user gives no twist and no duration, other programs drive the robot through the
-            # control channel.
-            channel=name or ("" if twist or duration else loaded.robot.name),
-            threaded=not virtual,
-            paced=virtual and not fast,
-        )
-    except DiagnosticError as error:
-        report.put(error.diagnostic)
-        return loaded.show(report)
-    except OSError as error:  # the control channel is in use
-        raise OutsideError(f"{error}; --name selects another name") from None
-    if report.has_errors:
-        return loaded.show(report)
-    if is_hardware(bus):
-        warn_once()
-    loaded.show(report)
-    with StatusView(session) as view:
-        diagnostic = session.run(None if json else view.watch)
-    if json:
-        print_json(session.summary())
-    else:
-        print(session.status_line())
-    final_report = Report()
-    if diagnostic is not None:
-        final_report.put(diagnostic)
-    return loaded.show(final_report)
+    with contextlib.ExitStack() as locks:
+        report = Report()
+        try:
+            if not virtual:
+                lock_buses(bus, loaded.robot, locks)
+            commanded_twist = parse_twist(twist) if twist else None
+            interfaces = (
+                _virtual_interfaces(loaded.robot, file, physics, faults, parse_seed(seed), report)
+                if virtual
+                else open_interfaces(bus, loaded.robot)
+            )
+            session = RunSession(
+                loaded.robot,
+                interfaces,
+                parameters=parameters or None,
+                twist=commanded_twist,
+                duration=seconds,
+                # Without a twist and a duration, other programs drive the robot through the control
+                # channel.
+                channel=name or ("" if twist or duration else loaded.robot.name),
+                threaded=not virtual,
+                paced=virtual and not fast,
+            )
+        except DiagnosticError as error:
+            report.put(error.diagnostic)
+            return loaded.show(report)
+        except OSError as error:  # the control channel is in use
+            raise OutsideError(f"{error}; --name selects another name") from None
+        if report.has_errors:
+            return loaded.show(report)
+        if is_hardware(bus):
+            warn_once()
+        loaded.show(report)
+        with StatusView(session) as view:
+            diagnostic = session.run(None if json else view.watch)
+        if json:
+            print_json(session.summary())
+        else:
+            print(session.status_line())
+        final_report = Report()
+        if diagnostic is not None:
+            final_report.put(diagnostic)
+        return loaded.show(final_report)
 
 
 def _virtual_interfaces(

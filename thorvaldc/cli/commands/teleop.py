@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import sys
 from typing import Annotated, Any
 
 import typer
 
-from thorvaldc.can.open_interface import open_interfaces
+from thorvaldc.can.open_interface import lock_buses, open_interfaces
 from thorvaldc.cli.diagnostic_output import report_of
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.hardware_warning import is_hardware, warn_once
@@ -91,8 +92,8 @@ def teleop(
     if search is None and not sys.stdin.isatty():
         raise OutsideError("the keyboard needs a terminal, and standard input is none")
     gc.enable()
-    with end_signals() as end_requested:
-        vehicle = _connect(to) if to else _start_driver(file, on, name, library, trust)
+    with end_signals() as end_requested, contextlib.ExitStack() as locks:
+        vehicle = _connect(to) if to else _start_driver(file, on, name, library, trust, locks)
         if vehicle is None:
             return INPUT
         try:
@@ -109,7 +110,14 @@ def _connect(name: str) -> Vehicle:
     return RemoteVehicle(ControlClient(name))
 
 
-def _start_driver(file: str, on: str, name: str, library: list[str], trust: bool) -> Vehicle | None:
+def _start_driver(
+    file: str,
+    on: str,
+    name: str,
+    library: list[str],
+    trust: bool,
+    locks: contextlib.ExitStack,
+) -> Vehicle | None:
     """Starts a base driver for the robot in this process.
 
     If the robot file has errors, the function prints the errors and returns ``None``.
@@ -122,6 +130,8 @@ def _start_driver(file: str, on: str, name: str, library: list[str], trust: bool
     try:
         if on in ("sim", "ideal"):
             return _simulated_vehicle(robot, file, on, channel)
+        if on != "virtual":
+            lock_buses(on, robot, locks)
         return _bus_vehicle(robot, file, on, channel)
     except DiagnosticError as error:
         raise typer.Exit(loaded.show(report_of(error))) from None
