@@ -122,12 +122,12 @@ def test_passive_scan(thorvaldc: Command, robot: Path) -> None:
         (["flash", *NEW, "--apply", "--yes", "--plan", "0" * 64], 1, "plan-changed"),
         (["flash", *NEW, "--apply", "--yes", "--journal", "no/where.jsonl"], 3, "cannot write"),
         (["flash", *NEW, "--apply", "--yes", "--journal", "robot.yaml"], 1, "TV867"),
-        (["flash", *NEW, "--apply", "--yes", "--journal", "/dev/full"], 3, "not a regular file"),
+        (["flash", *NEW, "--apply", "--yes", "--journal", "/dev/full"], 3, "expected a regular file"),
         (["scan", "robot.yaml", "--bus", "virtual:new"], 2, "neither virtual nor"),
         (["scan", "robot.yaml", "--bus", "sim:nobody"], 3, "TV875"),
         (["scan", "robot.yaml", "--bus", "socketcan:can77"], 3, "TV875"),
         (["scan", "robot.yaml", "--bus", "sim:x", "--store", "a"], 2, "for a simulated robot"),
-        (["scan", "good.yaml", "--bus", "virtual", "--store", "robot.yaml"], 2, "robot.yaml"),
+        (["scan", "good.yaml", "--bus", "virtual", "--store", "robot.yaml"], 1, "robot.yaml:"),
     ],
 )
 def test_errors_are_a_few_lines(
@@ -218,3 +218,55 @@ def test_through_a_serial_adapter(
     assert (process.returncode, out) == (0, "one_drive: done, 2 steps\n"), err
     assert "never tried on physical hardware" in err
     assert simulated.devices["fl_controller"].nonvolatile["node_id"] == 1
+
+
+@pytest.mark.parametrize(
+    ("memory", "expected"),
+    [
+        ("[]", "expected a mapping"),
+        ('{"fl_controller": {"node_id": 256}}', "node_id"),
+        ('{"fl_controller": {"bitrate": {}}}', "bitrate"),
+        ('{"fl_controller": {"bitrate": 1000000000000}}', "bitrate"),
+        ('{"fl_controller": {"parameters": 3}}', "parameters"),
+        ('{"fl_controller": {"parameters": {"1017": 3}}}', "as in `1017.00`"),
+        ('{"fl_controller": {"parameters": {"1017.00": 1e99}}}', "1e"),
+        ("[" * 100_000, "TV114"),
+    ],
+)
+def test_a_store_is_checked_like_a_document(
+    thorvaldc: Command, robot: Path, memory: str, expected: str
+) -> None:
+    Path("memory.json").write_text(memory, encoding="utf-8")
+    got = thorvaldc("can", "verify", "robot.yaml", "--bus", "virtual", "--store", "memory.json")
+    assert got.status == 1, got
+    assert "memory.json:1:" in got.err
+    assert expected in got.err
+
+
+def test_a_device_ignores_stored_values_that_an_entry_cannot_have(
+    thorvaldc: Command, robot: Path
+) -> None:
+    """Object 1015.00 is a u16; the device uses its default 0."""
+    stored = {"fl_controller": {"node_id": 1, "parameters": {"1015.00": 70_000}}}
+    Path("memory.json").write_text(json.dumps(stored), encoding="utf-8")
+    got = thorvaldc("can", "verify", "robot.yaml", "--bus", "virtual", "--store", "memory.json")
+    assert got.status == 1, got
+    inhibit_time = next(line for line in got.out.splitlines() if "1015:0" in line)
+    assert inhibit_time.split()[-2:] == ["1000", "0"]
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device", "large"])
+def test_a_journal_is_a_file_of_a_limited_size(
+    thorvaldc: Command, robot: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    path = Path("flash.jsonl")
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "device":
+        path = Path("/dev/zero")
+    else:
+        monkeypatch.setattr("thorvaldc.commissioning.journal.MAX_BYTES", 1000)
+        path.write_text("x" * 1001, encoding="utf-8")
+    got = thorvaldc("can", "flash", *NEW, "--apply", "--yes", "--journal", str(path))
+    assert got.status == (1 if kind == "large" else 3), got
+    assert f"it is a {kind}" in got.err or "it has more than" in got.err

@@ -23,6 +23,7 @@ FILES: dict[Kind, list[Path]] = {
     "scenario": sorted(ROOT.glob("examples/scenarios/*.yaml")),
     "bus_faults": sorted(ROOT.glob("examples/bus_faults/*.yaml")),
     "calibration": [ROOT / "tests/compiler/modules/calibration.yaml"],
+    "device_memory": [ROOT / "tests/simulation/bus/device_memory.json"],
 }
 UNEXPECTED = [
     None,

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from thorvaldc.cli.diagnostic_output import message
-from thorvaldc.cli.options import parsed
+import typer
+
+from thorvaldc.cli.diagnostic_output import message, show_report
 from thorvaldc.compiler.injected_fault_file import read_faults
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.diagnostics import Report
@@ -56,9 +57,13 @@ def read_store(store: str) -> Memory:
     """Returns the non-volatile memory of the simulated devices from the file of the option
     ``--store``.
 
-    Raises ``typer.BadParameter`` if the memory file cannot be read.
+    If the file has errors, prints them and raises ``typer.Exit``.
     """
-    return parsed(store, lambda path: read_memory(Path(path)), "--store") if store else {}
+    report = Report()
+    memory = read_memory(Path(store), report) if store else {}
+    if memory is None:
+        raise typer.Exit(show_report(report, {store: Path(store)}))
+    return memory
 
 
 def describe_injected_fault(fault: BusFault, begins: bool) -> str:

@@ -20,12 +20,10 @@ devices is always read from the bus.
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import json
 import os
 import re
-import stat
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,10 +36,13 @@ from thorvaldc.commissioning.bus_configuration import (
     values_to_json,
 )
 from thorvaldc.commissioning.plan import Plan, plan_from_json, plan_to_json
+from thorvaldc.diagnostics.bounded_file import check_regular
 from thorvaldc.diagnostics.error import DiagnosticError
 
 FORMAT, VERSION = "thorvaldc-flash", 2
 APPLY, RESUME, ROLLBACK = "apply", "resume", "rollback"
+MAX_BYTES = 64_000_000
+"""Limit of the size of a journal; a flash of a robot writes some 10 kB."""
 _HEAD = b'{"record":"'
 _LINE = re.compile(rb'(.*),"crc":"([0-9a-f]{8})"}')
 """A complete line: the record without its last brace, and the checksum."""
@@ -72,8 +73,8 @@ class JournalFile:
         self.name = str(path)
         self._path = path
         self._is_new = not path.exists()
-        if not self._is_new and not stat.S_ISREG(path.stat().st_mode):
-            raise OSError(errno.EINVAL, "it is not a regular file")
+        if not self._is_new:
+            check_regular(os.stat(path))
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -96,6 +97,8 @@ class JournalFile:
         while data := os.pread(self._file, 1 << 20, offset):
             parts.append(data)
             offset += len(data)
+            if offset > MAX_BYTES:
+                raise unreadable(self.name, f"it has more than {MAX_BYTES / 1e6:g} MB")
         return b"".join(parts)
 
     def append(self, data: bytes) -> None:
@@ -141,6 +144,15 @@ class Run:
             for record in self.records
             if "old" in record
         ]
+
+
+def unreadable(name: str, reason: str) -> DiagnosticError:
+    """Returns the error for a file ``name`` that is not a journal."""
+    return DiagnosticError(
+        "journal-unreadable",
+        f"{name} is not the journal of a flash: {reason}",
+        hint="name another file with --journal, and keep this one as a record",
+    )
 
 
 class Journal:
@@ -251,7 +263,7 @@ class Journal:
                     torn = 0
                     continue
                 self._check(record)
-            except (ValueError, KeyError, TypeError, AttributeError):
+            except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
                 # An incomplete line is the beginning of a journal record that a power cut has
                 # interrupted.  An incomplete line of the journal is valid only at the end of the
                 # file or before a new run.
@@ -284,8 +296,4 @@ class Journal:
             raise ValueError(kind)
 
     def _unreadable(self, reason: str) -> DiagnosticError:
-        return DiagnosticError(
-            "journal-unreadable",
-            f"{self.storage.name} is not the journal of a flash: {reason}",
-            hint="name another file with --journal, and keep this one as a record",
-        )
+        return unreadable(self.storage.name, reason)

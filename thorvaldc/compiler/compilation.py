@@ -181,5 +181,9 @@ def _hash_sources(files: dict[str, Path], parts: dict[str, Compilation], lock_fi
     for name in sorted(parts):
         digest.update(f"{name}\0{parts[name].source_sha256}\0".encode())
     for name in sorted(files):
-        digest.update(name.encode() + b"\0" + files[name].read_bytes() + b"\0")
+        digest.update(name.encode() + b"\0")
+        with files[name].open("rb") as file:  # records and meshes can be large
+            while part := file.read(1 << 20):
+                digest.update(part)
+        digest.update(b"\0")
     return digest.hexdigest()

@@ -10,8 +10,9 @@ from pathlib import Path
 
 from thorvaldc.compiler.bus.lock_file import Lock, has_pins, lock_path, lock_text, read_lock
 from thorvaldc.compiler.compilation import Compilation, SourceFile
-from thorvaldc.compiler.source.reader import read_file
+from thorvaldc.compiler.source.reader import MAX_BYTES, read_file
 from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.bounded_file import read_bounded
 from thorvaldc.model import Robot
 
 
@@ -36,6 +37,6 @@ def update_robot_lock(source: SourceFile, robot: Robot, compilation: Compilation
     if not was_read and not has_pins(robot):
         return ""
     text = lock_text(robot, source.path.name)
-    if not was_read or path.read_bytes() != text.encode():
+    if not was_read or read_bounded(path, MAX_BYTES + 1, cut=True) != text.encode():
         compilation.locks[path] = text
     return text

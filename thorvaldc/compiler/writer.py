@@ -42,9 +42,11 @@ from thorvaldc.compiler.folder_exchange import (
     staging_folder,
 )
 from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.bounded_file import read_bounded
 from thorvaldc.diagnostics.interrupts import uninterrupted
 
 MANIFEST = "manifest.json"
+_MAX_MANIFEST_BYTES = 16_000_000
 FORMAT = "thorvaldc-manifest"
 
 
@@ -256,7 +258,7 @@ def _list_content(target: Path) -> _FolderContent:
     """Lists the files of the last build and the files of the user in the build folder."""
     built: dict[str, None] | None = None
     with contextlib.suppress(OSError, ValueError, AttributeError, TypeError):
-        manifest_content = json.loads((target / MANIFEST).read_bytes())
+        manifest_content = json.loads(read_bounded(target / MANIFEST, _MAX_MANIFEST_BYTES))
         if manifest_content.get("format") == FORMAT:
             built = {path: None for path in manifest_content["files"] if _is_inside(path)}
             built[MANIFEST] = None

@@ -16,9 +16,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from thorvaldc.diagnostics.bounded_file import read_bounded
 from thorvaldc.diagnostics.report import Span
 
 TAB = 4
+# Lines after the limit are not shown; documents are smaller, and logs can be larger.
+_MAX_BYTES = 4_000_000
+_MAX_LINE = 20_000  # characters
 _ELLIPSIS = "…"
 _LINE_BREAK = re.compile(r"\r\n|\r|\n")
 # Characters that could hide a part of a source line in a terminal: control characters, and marks
@@ -93,8 +97,9 @@ class Excerpts:
         if key not in self._laid_out:
             lines = self._file_lines(span.file)
             exists = 1 <= span.line <= len(lines) and (len(lines) > 1 or lines[0].strip())
-            self._laid_out[key] = _lay_out(lines[span.line - 1]) if exists else None
-        return self._laid_out[key]
+            text = lines[span.line - 1][:_MAX_LINE] if exists else ""
+            self._laid_out[key] = _lay_out(text) if exists else None
+        return self._laid_out[key] if span.column <= _MAX_LINE else None
 
     def _file_lines(self, file: str) -> list[str]:
         if file not in self._lines:
@@ -106,10 +111,11 @@ class Excerpts:
         if path is None:
             return []
         try:
-            data = path.read_bytes()
+            data = read_bounded(path, _MAX_BYTES + 1, cut=True)
         except (OSError, ValueError):
             return []
-        return _LINE_BREAK.split(data.decode("utf-8-sig", "replace"))
+        lines = _LINE_BREAK.split(data[:_MAX_BYTES].decode("utf-8-sig", "replace"))
+        return lines[:-1] if len(data) > _MAX_BYTES and len(lines) > 1 else lines
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 from thorvaldc.diagnostics.codes import CODES, Code
 
+_MAX_TEXT = 2000  # characters of a message or hint
+
 
 class Severity(enum.Enum):
     """The severity of a diagnostic: error, warning or note."""
@@ -133,6 +135,12 @@ class Diagnostic:
         return Severity(self.code.severity)
 
 
+def _shortened(text: str) -> str:
+    """Returns a text with at most ``_MAX_TEXT`` characters: a value in it can have any length."""
+    half = _MAX_TEXT // 2
+    return text if len(text) <= _MAX_TEXT else f"{text[:half]} … {text[-half:]}"
+
+
 class Report:
     """A list of diagnostics in the order of detection, without repetitions."""
 
@@ -164,7 +172,9 @@ class Report:
         of this type.
         """
         fixes = hint.fixes(span) if isinstance(hint, Proposal) and span is not None else ()
-        self.put(Diagnostic(CODES[code], message, span, hint, tuple(labels), fixes))
+        shown_hint = None if hint is None else _shortened(hint)
+        labels = tuple(labels)
+        self.put(Diagnostic(CODES[code], _shortened(message), span, shown_hint, labels, fixes))
 
     def put(self, diagnostic: Diagnostic) -> None:
         """Adds a diagnostic, unless the report already contains an equal diagnostic."""

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from thorvaldc.diagnostics import Span
+from thorvaldc.diagnostics.bounded_file import read_bounded
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.element import values_getter
@@ -30,6 +31,8 @@ VERSION = 5
 
 The page ``docs/model.md`` lists all versions of the JSON format.
 """
+MAX_BYTES = 64_000_000
+"""Limit of the size of a file ``model.json``; that of a fleet of a hundred robots has 20 MB."""
 KINDS: dict[str, type[Robot | Fleet]] = {"Robot": Robot, "Fleet": Fleet}
 SHAPES: dict[str, type] = {shape.__name__: shape for shape in typing.get_args(Shape)}
 
@@ -291,7 +294,7 @@ def load_model(build: Path) -> Robot | Fleet:
     """
     path = build / "model.json"
     try:
-        return from_json(path.read_text(encoding="utf-8"))
+        return from_json(read_bounded(path, MAX_BYTES).decode("utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise DiagnosticError(
             "model-unreadable",

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import functools
 import json
+import typing
 from pathlib import Path
 from typing import Any, Literal
 
-Kind = Literal["robot", "module", "fleet", "calibration", "scenario", "bus_faults"]
-KINDS: tuple[Kind, ...] = ("robot", "module", "fleet", "calibration", "scenario", "bus_faults")
+Kind = Literal["robot", "module", "fleet", "calibration", "scenario", "bus_faults", "device_memory"]
+KINDS: tuple[Kind, ...] = typing.get_args(Kind)
 
 _COMMON = "common.schema.json#/$defs/"
 

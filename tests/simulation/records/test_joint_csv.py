@@ -63,7 +63,7 @@ def test_byte_order_mark_and_crlf_are_accepted(path: Path) -> None:
     log, report = read(text.replace("\n", "\r\n"), path)
     assert log is not None
     assert not len(report)
-    assert log.positions == {"w0_axle": [0.0, 0.02]}
+    assert list(log.positions["w0_axle"]) == [0.0, 0.02]
     assert log.velocities == {"w1_axle": [1.0, 1.0]}
     assert log.commands == {}
 

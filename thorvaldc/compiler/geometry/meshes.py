@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics.bounded_file import read_bounded
 from thorvaldc.model import Mesh, Vec3
 
 # The STL reader of MuJoCo accepts at most 200 000 triangles.
@@ -164,7 +165,7 @@ def _read(path: Path, mtime_ns: int, size: int) -> _LoadedMesh | _MeshError:
     if size > MAX_FILE_BYTES:
         return _too_large(f"has {size / 1e6:.0f} MB; at most {MAX_FILE_BYTES / 1e6:.0f} are read")
     try:
-        data = path.read_bytes()
+        data = read_bounded(path, MAX_FILE_BYTES)
     except OSError as error:
         return _MeshError(
             "mesh-missing",

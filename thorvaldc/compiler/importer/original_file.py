@@ -25,7 +25,7 @@ def read_original(path: Path, display: str, report: Report) -> Node | None:
 
     Returns ``None`` and reports an error if the file cannot be read.
     """
-    data = read_bytes(path, display, report, limit=MAX_BYTES + 1)
+    data = read_bytes(path, display, report, limit=MAX_BYTES + 1, cut=True)
     if data is None:
         return None
     yaml_node = compose(data, display, report)

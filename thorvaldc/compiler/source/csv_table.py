@@ -7,14 +7,17 @@ The first line of a CSV file contains the names of the columns.  One column of t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from array import array
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from thorvaldc.compiler.source.input_file import read_bytes
 from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics.bounded_file import MAX_LOG_BYTES
 
 TIME = "time"
+_MAX_COLUMNS = 10_000
 _MAX_INVALID_LINES = 10
 """The reader stops after this number of invalid lines in a file."""
 
@@ -49,7 +52,7 @@ class Table:
 
     display: str
     header: str
-    columns: dict[str, list[float]]
+    columns: dict[str, Sequence[float]]
 
     def __len__(self) -> int:
         return len(self.columns[TIME])
@@ -69,19 +72,25 @@ def read_table(path: Path, display: str, report: Report) -> Table | None:
     text = read_utf8(path, display, report)
     if text is None:
         return None
-    lines = text.split("\n")
-    header = lines[0].rstrip("\r")
-    names = [name.strip() for name in header.split(",")]
+    header = first_line(text)
+    names = [name.strip() for name in header.split(",", _MAX_COLUMNS)]
     error = _header_error(names)
     if error is not None:
         message = f"`{display}` is not a table of a run: its first line has {error}"
         report.add("record-unreadable", message, Span(display, 1, 1, 1, 1))
         return None
-    columns = read_columns(lines, names, display, report, _RECORD_ROWS)
+    columns = read_columns(text, names, display, report, _RECORD_ROWS)
     return None if columns is None else Table(display, header, columns)
 
 
+def first_line(text: str) -> str:
+    """Returns the first line of a CSV file, with the column names."""
+    return text[: text.find("\n")].rstrip("\r") if "\n" in text else text.rstrip("\r")
+
+
 def _header_error(names: Sequence[str]) -> str | None:
+    if len(names) > _MAX_COLUMNS:
+        return f"more than {_MAX_COLUMNS} columns"
     repeated = next((name for i, name in enumerate(names) if name in names[:i]), None)
     if repeated is not None:
         return f"two columns `{repeated}`"
@@ -91,26 +100,23 @@ def _header_error(names: Sequence[str]) -> str | None:
 
 
 def read_columns(
-    lines: Sequence[str], names: Sequence[str], display: str, report: Report, rules: RowRules
-) -> dict[str, list[float]] | None:
+    text: str, names: Sequence[str], display: str, report: Report, rules: RowRules
+) -> dict[str, Sequence[float]] | None:
     """Returns the numbers in each column of a CSV file, or ``None`` if a line is invalid.
 
-    - ``lines``: all lines of the file, including the first line with the column names.
+    - ``text``: text of the file, including the first line with the column names.
     - ``names``: names of the columns, in the order of the file.
     - ``rules``: diagnostic codes for invalid lines.
 
     Each invalid line of the CSV file is reported with its line and column number.  Stops after
     ``_MAX_INVALID_LINES`` invalid lines of the CSV file.
     """
-    rows: list[list[float]] = []
+    columns = [array("d") for _ in names]
     invalid_lines, last_time, time_index = 0, -math.inf, names.index(TIME)
-    for line_number, raw_line in enumerate(lines[1:], start=2):
-        line = raw_line.rstrip("\r")
-        if not line.strip():
-            continue
-        cells = line.split(",")
+    for line_number, line, is_last in _data_lines(text):
+        cells = line.split(",", len(names))  # at most one cell more than columns
         line_span = Span(display, line_number, 1, line_number, len(line) + 1)
-        is_cut = len(cells) != len(names) and line_number == len(lines)
+        is_cut = len(cells) != len(names) and is_last
         if is_cut and not rules.complete:
             message = f"`{display}` ends in an incomplete line, after {max(last_time, 0.0):.10g} s"
             report.add("record-truncated", message, line_span)
@@ -118,7 +124,8 @@ def read_columns(
         error = _value_error(cells, names, time_index, rules)
         time = parse_number(cells[time_index]) if error is None else math.nan
         if time > last_time:
-            rows.append([parse_number(cell) for cell in cells])
+            for column, cell in zip(columns, cells, strict=True):
+                column.append(parse_number(cell))
             last_time = time
             continue
         if error is None:
@@ -134,7 +141,22 @@ def read_columns(
             break
     if invalid_lines:
         return None
-    return {name: [row[i] for row in rows] for i, name in enumerate(names)}
+    return dict(zip(names, columns, strict=True))
+
+
+def _data_lines(text: str) -> Iterator[tuple[int, str, bool]]:
+    """Yields the number and text of each line with data, and whether the line is the last one.
+
+    A list of all lines would need several times the memory of a long file.
+    """
+    number, start = 1, text.find("\n") + 1
+    while start > 0:
+        end = text.find("\n", start)
+        line = text[start : end if end >= 0 else len(text)].rstrip("\r")
+        number += 1
+        if line.strip():
+            yield number, line, end < 0
+        start = end + 1
 
 
 def _value_error(
@@ -145,7 +167,9 @@ def _value_error(
     The cell index is ``None`` if the CSV line has the wrong number of cells.
     """
     if len(cells) != len(names):
-        return None, f"the line has {len(cells)} values; there are {len(names)} columns"
+        more = "more than " if len(cells) > len(names) else ""
+        count = min(len(cells), len(names))
+        return None, f"the line has {more}{count} values; there are {len(names)} columns"
     for i, cell in enumerate(cells):
         must_be_number = rules.complete or bool(cell.strip()) or i == time_index
         if must_be_number and not math.isfinite(parse_number(cell)):
@@ -158,7 +182,7 @@ def read_utf8(path: Path, display: str, report: Report) -> str | None:
 
     If the file cannot be read, adds an error to ``report`` and returns ``None``.
     """
-    data = read_bytes(path, display, report)
+    data = read_bytes(path, display, report, limit=MAX_LOG_BYTES)
     if data is None:
         return None
     try:

@@ -5,22 +5,29 @@ from __future__ import annotations
 from pathlib import Path
 
 from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics.bounded_file import read_bounded
 
 
 def read_bytes(
-    path: Path, display: str, report: Report, *, limit: int = -1, folder_hint: str | None = None
+    path: Path,
+    display: str,
+    report: Report,
+    *,
+    limit: int,
+    cut: bool = False,
+    folder_hint: str | None = None,
 ) -> bytes | None:
     """Returns the bytes of an input file.
 
     If the file cannot be read, adds an error to ``report`` and returns ``None``.
 
     - ``display``: name of the file in messages.
-    - ``limit``: maximum number of bytes to read.  If the limit is negative, the whole file is read.
+    - ``limit``: maximum number of bytes in the file.
+    - ``cut``: whether only the first ``limit`` bytes of a larger file are returned.
     - ``folder_hint``: hint of the diagnostic if the path is a folder.
     """
     try:
-        with path.open("rb") as file:
-            return file.read(limit)
+        return read_bounded(path, limit, cut=cut)
     except FileNotFoundError:
         report.add("file-not-found", f"`{display}` does not exist", Span(display))
     except IsADirectoryError:

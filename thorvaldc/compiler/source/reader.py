@@ -33,7 +33,7 @@ def read_file(path: Path, display: str, report: Report) -> Node | None:
     """
     # The reader reads one byte more than the size limit, to detect a file that is too large.
     hint = "name the file in it, such as `robot.yaml`"
-    data = read_bytes(path, display, report, limit=MAX_BYTES + 1, folder_hint=hint)
+    data = read_bytes(path, display, report, limit=MAX_BYTES + 1, cut=True, folder_hint=hint)
     if data is None:
         return None
     return read_text(data, display, report)

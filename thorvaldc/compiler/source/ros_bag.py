@@ -5,12 +5,14 @@ A ROS bag is an MCAP file, a folder written by ``ros2 bag record``, or a ROS 1 b
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics.bounded_file import MAX_LOG_BYTES, check_regular, read_bounded
 
 ODOM, TRUE_ODOM = "odom", "ground_truth/odom"
 COMMANDED_TWIST, LIMITED_TWIST = "cmd_vel", "cmd_vel_limited"
@@ -87,6 +89,7 @@ def read_bag(
     from rosbags.typesys import Stores, get_typestore
 
     try:
+        _check_files(path)
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
             topics = {c.topic: c.msgtype for c in reader.connections}
             selected = set(choose(topics))
@@ -94,8 +97,12 @@ def read_bag(
                 name: [] for name in topics if name in selected
             }
             connections = [c for c in reader.connections if c.topic in selected]
+            size = 0
             # If the list of connections is empty, the package rosbags reads all topics.
             for connection, time, data in reader.messages(connections) if connections else ():
+                size += len(data)
+                if size > MAX_LOG_BYTES:  # of uncompressed messages
+                    raise OSError(f"its messages have more than {MAX_LOG_BYTES / 1e6:g} MB")
                 message = reader.deserialize(data, connection.msgtype)
                 seconds = (time - reader.start_time) / 1e9
                 messages[connection.topic].append((seconds, message))
@@ -113,9 +120,17 @@ def read_bag(
         return None
 
 
+def _check_files(path: Path) -> None:
+    """Raises ``OSError`` if a file of a ROS bag is no regular file or is too large."""
+    for file in path.iterdir() if path.is_dir() else [path]:
+        if file.suffix.lower() in SUFFIXES:
+            check_regular(os.stat(file))
+            if file.stat().st_size > MAX_LOG_BYTES:
+                raise OSError(f"{file.name} has more than {MAX_LOG_BYTES / 1e6:g} MB")
+
+
 def _is_mcap(path: Path) -> bool:
     try:
-        with path.open("rb") as stream:
-            return stream.read(8) == b"\x89MCAP0\r\n"
+        return read_bounded(path, 8, cut=True) == b"\x89MCAP0\r\n"
     except OSError:
         return False

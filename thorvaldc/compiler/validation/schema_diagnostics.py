@@ -250,7 +250,7 @@ class _Explanation:
             "bad-id",
             f"`{name}` is not a valid name",
             entry.where if entry is not None else self.start,
-            _id_hint(name),
+            self.schema.get("description") or _id_hint(name),
         )
 
     # -- values --------------------------------------------------------------------------

@@ -6,35 +6,28 @@ import json
 from pathlib import Path
 from typing import Any
 
+from thorvaldc.compiler.source.reader import read_file
+from thorvaldc.compiler.validation.document_check import check
+from thorvaldc.diagnostics import Report
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 Memory = dict[str, dict[str, Any]]
 """Stored values by device name and key."""
 
 
-def read_memory(path: Path) -> Memory:
+def read_memory(path: Path, report: Report) -> Memory | None:
     """Returns the stored values of the simulated devices.
 
-    If the file does not exist, the function returns an empty mapping.  Raises ``ValueError`` if the
-    content of the file is invalid.
+    If the file does not exist, the function returns an empty mapping.  Returns ``None`` and reports
+    errors if the content of the file is invalid.
     """
     if not path.exists():
         return {}
-    try:
-        memory = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:  # no UTF-8 text, or no JSON
-        raise ValueError(f"{path}: {error}") from None
-    if not (isinstance(memory, dict) and all(_is_device(values) for values in memory.values())):
-        raise ValueError(f"{path} is not the memory of simulated devices")
+    document = read_file(path, str(path), report)
+    if document is None or not check(document, "device_memory", report):
+        return None
+    memory: Memory = document.plain()
     return memory
-
-
-def _is_device(values: Any) -> bool:
-    return isinstance(values, dict) and all(
-        isinstance(value, int)
-        or (isinstance(value, dict) and all(isinstance(entry, int) for entry in value.values()))
-        for value in values.values()
-    )
 
 
 def write_memory(path: Path, simulated: SimulatedRobot) -> None:

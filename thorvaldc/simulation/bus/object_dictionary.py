@@ -82,12 +82,24 @@ class Entry:
 
         Raises ``SdoAbort`` if the object dictionary entry does not accept the value.
         """
-        too_low = self.lower is not None and value < self.lower
-        if too_low or (self.upper is not None and value > self.upper):
+        if not self._is_within_limits(value):
             raise SdoAbort(AbortCode.VALUE_RANGE)
         delayed = self.write(value) if self.write is not None else None
         self.value = value
         return delayed
+
+    def can_have(self, value: Any) -> bool:
+        """Returns whether a value fits into the data type and is within the limits."""
+        if self.kind != "text":
+            try:
+                struct.pack(_FORMATS[self.kind], value)
+            except (struct.error, OverflowError):
+                return False
+        return self._is_within_limits(value)
+
+    def _is_within_limits(self, value: Any) -> bool:
+        too_low = self.lower is not None and value < self.lower
+        return not (too_low or (self.upper is not None and value > self.upper))
 
     def encode(self) -> bytes:
         """Encodes the value of the object dictionary entry as bytes for an SDO or a PDO."""
@@ -191,9 +203,13 @@ class ObjectDictionary:
         return {name: entry.value for name, entry in self._stored()}
 
     def restore(self, values: dict[str, Any]) -> None:
-        """Sets the object dictionary entries to the values that ``parameters`` returned."""
+        """Sets the object dictionary entries to the values that ``parameters`` returned.
+
+        Values that an entry cannot have are ignored: a device uses its default instead of a damaged
+        value.
+        """
         for name, entry in self._stored():
-            if name in values:
+            if name in values and entry.can_have(values[name]):
                 entry.value = values[name]
 
     def _stored(self) -> Iterator[tuple[str, Entry]]:

@@ -28,6 +28,7 @@ from thorvaldc.compiler.source.csv_table import (
     TIME,
     RowRules,
     cell_span,
+    first_line,
     read_columns,
     read_utf8,
 )
@@ -140,11 +141,11 @@ class JointLog:
     * ``angles``: positions of the steering joints (rad).
     """
 
-    times: list[float]
-    positions: dict[str, list[float]]
-    velocities: dict[str, list[float]]
-    commands: dict[str, list[float]]
-    angles: dict[str, list[float]]
+    times: Sequence[float]
+    positions: dict[str, Sequence[float]]
+    velocities: dict[str, Sequence[float]]
+    commands: dict[str, Sequence[float]]
+    angles: dict[str, Sequence[float]]
 
 
 def read_log(path: Path, display: str, robot: Robot, report: Report) -> JointLog | None:
@@ -156,18 +157,17 @@ def read_log(path: Path, display: str, robot: Robot, report: Report) -> JointLog
     text = read_utf8(path, display, report)
     if text is None:
         return None
-    lines = text.split("\n")
-    header = _header(lines[0].rstrip("\r"), display, report)
+    header = _header(first_line(text), display, report)
     if header is None or not _joints_match(header, display, robot, report):
         return None
-    columns = read_columns(lines, header, display, report, _ROW_RULES)
+    columns = read_columns(text, header, display, report, _ROW_RULES)
     if columns is None:
         return None
     times = columns[TIME]
     _report_gaps(times, display, report)
-    positions: dict[str, list[float]] = {}
-    velocities: dict[str, list[float]] = {}
-    commands: dict[str, list[float]] = {}
+    positions: dict[str, Sequence[float]] = {}
+    velocities: dict[str, Sequence[float]] = {}
+    commands: dict[str, Sequence[float]] = {}
     for joint in drive_joints(robot):
         if f"{joint.name}.{POSITION}" in columns:
             positions[joint.name] = columns[f"{joint.name}.{POSITION}"]

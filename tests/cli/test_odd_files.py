@@ -1,0 +1,93 @@
+"""Commands with files that are no files, never end or are very large."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.child_process import ChildProcess
+from tests.cli.conftest import Command
+
+ROOT = Path(__file__).parents[2]
+COMMANDS = {
+    "check": ["check", "FILE"],
+    "import": ["import", "FILE"],
+    "calibrate": ["calibrate", "FILE", "good.yaml"],
+    "replay": ["replay", "good.yaml", "FILE"],
+    "replay of a bag": ["replay", "good.yaml", "FILE.mcap"],
+    "faults": ["bus", "good.yaml", "--faults", "FILE"],
+    "store": ["bus", "good.yaml", "--store", "FILE"],
+    "mesh": ["check", "mesh.yaml"],
+    "model": ["can", "plan", "model.json", "--bus", "virtual"],
+}
+MESH = """\
+thorvaldc: 1
+name: r
+modules:
+  frame: {type: frame/tube_rectangular, params: {length: 1.1 m, width: 0.9 m}}
+  fl: {type: caster/fixed, mount: frame.front_left}
+  fr: {type: caster/fixed, mount: frame.front_right}
+  rear: {type: caster/fixed, mount: frame.rear_center}
+extras: [{xacro: extra.urdf, parent: frame}]
+"""
+EXTRA = (
+    '<robot name="x"><link name="top"><visual><geometry><mesh filename="FILE.stl"/></geometry>'
+    "</visual></link></robot>"
+)
+
+
+def command_line(name: str) -> tuple[list[str], Path]:
+    """Returns the arguments of a command and the path of the file that it reads."""
+    Path("mesh.yaml").write_text(MESH, encoding="utf-8")
+    Path("extra.urdf").write_text(EXTRA, encoding="utf-8")
+    arguments = COMMANDS[name]
+    file = {"mesh": "FILE.stl", "model": "model.json", "replay of a bag": "FILE.mcap"}
+    return arguments, Path(file.get(name, "FILE"))
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_a_pipe_or_device_is_refused(thorvaldc: Command, name: str, kind: str) -> None:
+    arguments, path = command_line(name)
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
+    got = thorvaldc(*arguments)
+    assert got.status == 1, got
+    expected = "does not exist" if name == "mesh" else f"it is a {kind}; expected a regular file"
+    assert expected in got.err + got.out
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_folder_is_refused(thorvaldc: Command, name: str) -> None:
+    arguments, path = command_line(name)
+    path.mkdir()
+    got = thorvaldc(*arguments)
+    assert got.status == 1, got
+    assert "error[TV" in got.err + got.out
+
+
+@pytest.mark.parametrize("name", ["check", "calibrate", "mesh", "model"])
+def test_a_large_file_needs_little_memory(thorvaldc: Command, name: str) -> None:
+    """A file of 250 MB on one line: at most twice the file is in memory, and then not printed."""
+    arguments, path = command_line(name)
+    with path.open("wb") as file:
+        file.truncate(250_000_000)
+    process = ChildProcess(
+        [sys.executable, "-m", "thorvaldc", *arguments],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=-1,
+        stderr=-2,
+        text=True,
+    )
+    assert process.stdout is not None
+    output = process.stdout.read()
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 1, output[:1000]
+    assert len(output) < 10_000
+    assert usage.ru_maxrss < 900_000  # kB
