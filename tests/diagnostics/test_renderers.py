@@ -141,6 +141,22 @@ def sample_report() -> Report:
     return report
 
 
+def test_text_shows_at_most_50_diagnostics_and_counts_the_rest() -> None:
+    """Warnings are left out before errors; the other forms have all."""
+    report = Report()
+    for line in range(1, 61):
+        report.add("angle-in-radians", f"warning {line}", at(line, 1, line, 2))
+    for line in range(61, 101):
+        report.add("can-id-duplicate", f"error {line}", at(line, 1, line, 2))
+    lines = render_text(report, {}).splitlines()
+    assert len([line for line in lines if "error[" in line]) == 40
+    assert len([line for line in lines if "warning[" in line]) == 10
+    assert lines[-1] == (
+        "not shown: 50 more warnings or notes; `thorvaldc check --format json` lists all"
+    )
+    assert len(json.loads(render(report, "json"))["diagnostics"]) == 100
+
+
 def test_json() -> None:
     document = json.loads(render(sample_report(), "json", builds=[{"file": "x"}]))
     assert (document["errors"], document["warnings"], document["builds"]) == (2, 1, [{"file": "x"}])

@@ -22,6 +22,8 @@ _STYLES = {
     Severity.NOTE: "1;36",
 }
 _LABEL_STYLE = "1;34"
+MAX_SHOWN = 50
+"""Number of diagnostics in the text for people."""
 
 
 def render(
@@ -58,14 +60,25 @@ def render_text(
     """Returns a report of diagnostics as text for a terminal.
 
     Each diagnostic begins with a line ``file:line:column: error[TV501] name: message``.  The text
-    of a diagnostic also contains the invalid source lines and the hint.
+    of a diagnostic also contains the invalid source lines and the hint.  At most ``MAX_SHOWN``
+    diagnostics are shown, errors before others, followed by the number of those left out.
 
     - ``color``: whether the text contains ANSI escape sequences for colours.
     - ``width``: maximum width of a source line in terminal columns.
     """
     excerpts = Excerpts(sources, width)
     paint = _painter(color)
-    return "\n".join(_text(d, excerpts, paint) for d in report.sorted())
+    diagnostics = report.sorted()
+    by_severity = sorted(diagnostics, key=lambda d: d.severity is not Severity.ERROR)
+    left_out = by_severity[MAX_SHOWN:]
+    hidden = {id(d) for d in left_out}
+    texts = [_text(d, excerpts, paint) for d in diagnostics if id(d) not in hidden]
+    if left_out:
+        errors = len([d for d in left_out if d.severity is Severity.ERROR])
+        counts = [(errors, "more errors"), (len(left_out) - errors, "more warnings or notes")]
+        more = " and ".join(f"{n} {kind}" for n, kind in counts if n)
+        texts.append(f"not shown: {more}; `thorvaldc check --format json` lists all\n")
+    return "\n".join(texts)
 
 
 def _painter(color: bool) -> Any:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import itertools
 import json
 import math
 import os
@@ -18,7 +19,7 @@ import signal
 import struct
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,6 +33,9 @@ MAX_TRIANGLES = 200_000
 MAX_FILE_BYTES = 64 * 1024 * 1024
 # Largest size of a mesh (m). A mesh file with a larger mesh probably has the unit mm.
 MAX_EXTENT = 20.0
+# MuJoCo refuses meshes with a smaller area (its limit is near 1e-15 m^2), and larger coordinates.
+MIN_AREA = 1e-12
+MAX_COORDINATE = 1e9
 WORKER_SECONDS = 30.0  # limit of the process that reads a file with trimesh
 MAX_FLOAT32 = 3.4028234e38
 CONVERTED = ("dae", "glb", "gltf", "off", "ply")
@@ -121,6 +125,11 @@ def load_mesh(
     loaded = _read(path, status.st_mtime_ns, status.st_size)
     if isinstance(loaded, _MeshError):
         report.add(loaded.code, f"mesh file `{display}` {loaded.text}", span, hint=loaded.hint)
+        return None
+    flaw = _flaw(loaded.mesh.data, loaded.suffix, scale, loaded.is_large)
+    if flaw:
+        hint = "export it again; the mesh of a body has triangles with an area"
+        report.add("mesh-invalid", f"mesh file `{display}` {flaw}", span, hint=hint)
         return None
     if loaded.is_large or max(map(abs, scale)) > 1.0:
         size = _extent(loaded.mesh.data, loaded.suffix)
@@ -291,6 +300,14 @@ def _check_obj(data: bytes) -> tuple[bytes, bool] | _MeshError:
                 return _invalid(f"has a face with a vertex that does not exist (line {number})")
             if max(indices) > highest:
                 highest, highest_line = max(indices), number
+        elif word in ([b"vn"], [b"vt"]):
+            try:
+                numbers = [float(n) for n in line.partition(b"#")[0].split()[1:]]
+            except ValueError:
+                numbers = []
+            least = 3 if word == [b"vn"] else 1
+            if not least <= len(numbers) <= 3 or not all(map(math.isfinite, numbers)):
+                return _invalid(f"has an invalid normal or texture coordinate (line {number})")
         elif word == [b"v"]:
             vertices += 1
             try:
@@ -392,6 +409,58 @@ def _collada_axes(data: bytes) -> list[list[float]]:
         "Y_UP": [[s, 0.0, 0.0], [0.0, 0.0, s], [0.0, -s, 0.0]],  # (x, y, z) -> (x, -z, y)
         "X_UP": [[0.0, 0.0, s], [-s, 0.0, 0.0], [0.0, -s, 0.0]],  # (x, y, z) -> (-y, -z, x)
     }[up]
+
+
+@functools.lru_cache(maxsize=512)
+def _flaw(data: bytes, suffix: str, scale: Vec3, is_large: bool) -> str:
+    """Returns why MuJoCo cannot load a mesh, or an empty text.
+
+    Nearly every mesh is accepted after its first triangles, because the areas are added only until
+    they reach the limit.
+    """
+    distinct: set[Vec3] = set()
+    area = 0.0
+    is_solid = False
+    for corners in _triangles(data, suffix):
+        a, b, c = ([p[i] * scale[i] for i in range(3)] for p in corners)
+        if is_large and max(map(abs, (*a, *b, *c))) > MAX_COORDINATE:
+            return f"has a coordinate of more than {MAX_COORDINATE:g} m"
+        if not is_solid:
+            u = [b[i] - a[i] for i in range(3)]
+            v = [c[i] - a[i] for i in range(3)]
+            normal = (
+                u[1] * v[2] - u[2] * v[1],
+                u[2] * v[0] - u[0] * v[2],
+                u[0] * v[1] - u[1] * v[0],
+            )
+            area += 0.5 * math.hypot(*normal)
+            distinct.update(corners)
+            is_solid = len(distinct) >= 4 and area > MIN_AREA
+        if is_solid and not is_large:
+            return ""
+    if len(distinct) < 4:
+        return f"has {len(distinct)} different points and is not a solid"
+    return "" if is_solid else f"has an area of {area:.3g} m^2, which is too small"
+
+
+def _triangles(data: bytes, suffix: str) -> Iterator[tuple[Vec3, Vec3, Vec3]]:
+    """Yields the corners of each triangle of a checked mesh, in the unit of the mesh."""
+    if suffix == "stl":
+        for t in _RECORD.iter_unpack(data[84:]):
+            yield t[0:3], t[3:6], t[6:9]
+        return
+    points: list[Vec3] = []
+    faces: list[tuple[int, list[int]]] = []  # with the number of vertices above the face
+    for line in data.split(b"\n"):
+        words = line.partition(b"#")[0].split()
+        if words[:1] == [b"v"]:
+            points.append((float(words[1]), float(words[2]), float(words[3])))
+        elif words[:1] == [b"f"]:
+            faces.append((len(points), [int(word.split(b"/", 1)[0]) for word in words[1:]]))
+    for above, face in faces:
+        corners = [points[i - 1 if i > 0 else above + i] for i in face]
+        for b, c in itertools.pairwise(corners[1:]):
+            yield corners[0], b, c
 
 
 @functools.lru_cache(maxsize=512)
