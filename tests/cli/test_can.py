@@ -122,7 +122,7 @@ def test_passive_scan(thorvaldc: Command, robot: Path) -> None:
         (["flash", *NEW, "--apply", "--yes", "--plan", "0" * 64], 1, "plan-changed"),
         (["flash", *NEW, "--apply", "--yes", "--journal", "no/where.jsonl"], 3, "cannot write"),
         (["flash", *NEW, "--apply", "--yes", "--journal", "robot.yaml"], 1, "TV867"),
-        (["flash", *NEW, "--apply", "--yes", "--journal", "/dev/full"], 3, "expected a regular file"),
+        (["flash", *NEW, "--apply", "--yes", "--journal", "/dev/full"], 3, "it is a device"),
         (["scan", "robot.yaml", "--bus", "virtual:new"], 2, "neither virtual nor"),
         (["scan", "robot.yaml", "--bus", "sim:nobody"], 3, "TV875"),
         (["scan", "robot.yaml", "--bus", "socketcan:can77"], 3, "TV875"),
