@@ -82,7 +82,7 @@ def test_narrow_grid_is_reported_once(workshop: Workshop) -> None:
         workshop, "  a: {robot: robots/one.yaml, grid: {rows: 3, columns: 3, spacing: 1 mm}}\n"
     )
     messages = [d.message for d in compilation.report if d.code.name == "fleet-overlap"]
-    assert messages == ["`a_2` overlaps `a_1`"]
+    assert messages == ["`a_2` stands in `a_1`"]
     compilation = fleet(workshop, "  a: {robot: robots/one.yaml, grid: {rows: 3, spacing: -1 m}}\n")
     assert [d.code.name for d in compilation.report.errors] == ["out-of-range"]
     assert "fleet-overlap" not in [d.code.name for d in compilation.report]

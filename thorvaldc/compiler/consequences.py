@@ -19,6 +19,7 @@ _PHYSICS = {
     *("link-massless", "no-wheels", "wheel-off-ground", "wheels-overlap", "unstable"),
     *("no-free-motion", "twist-uncontrolled", "slope-too-steep", "frame-height"),
 }
+_NO_UNIT = "number-without-unit"
 _UNUSED_ARGUMENT = "extra-argument-unused"  # a warning that names the cause of an error
 
 
@@ -30,7 +31,10 @@ def without_consequences(shape: Report, later: Report) -> Report:
     """
     causes = [d for d in (*shape.errors, *later.errors) if is_structural(d)]
     remaining = Report()
-    if causes:
+    if not causes and any(d.code.name == _NO_UNIT for d in later):
+        # A length in the wrong unit changes the whole robot.
+        remaining.extend(d for d in later if d.code.name == _NO_UNIT or not _is_remark(d))
+    elif causes:
         remaining.extend(d for d in later if not _follows(d, causes))
     else:
         remaining.extend(later)
@@ -53,7 +57,12 @@ def _follows(diagnostic: Diagnostic, causes: list[Diagnostic]) -> bool:
         return any(cause.code.number < "TV304" for cause in causes)
     if diagnostic.severity is Severity.ERROR:
         return code.name in _PHYSICS
-    return code.number >= "TV4" and code.name != _UNUSED_ARGUMENT
+    return _is_remark(diagnostic) and code.name != _UNUSED_ARGUMENT
+
+
+def _is_remark(diagnostic: Diagnostic) -> bool:
+    """Returns whether a diagnostic is a warning or a note about the robot as a whole."""
+    return diagnostic.severity is not Severity.ERROR and diagnostic.code.number >= "TV4"
 
 
 def _grouped(report: Report) -> Report:

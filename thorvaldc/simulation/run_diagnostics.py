@@ -30,7 +30,16 @@ def report_run(
             hint="look for masses or inertias that are very small compared with the forces on them",
         )
         return
-    for loop in loops:
+    for loop, robot_result in zip(loops, result.robots, strict=True):
+        if robot_result.collisions:
+            count = robot_result.collisions
+            report.add(
+                "simulation-collision",
+                f"{loop.name} had {count} collision{'s' if count > 1 else ''} with other robots,"
+                " the world or its own parts",
+                loop.robot.span,
+                hint="start the robots farther apart, or give them other motions",
+            )
         if loop.tipped:
             in_motion = result.simulated >= _START_DURATION
             report.add(

@@ -28,6 +28,7 @@ class RobotResult:
     * ``infeasible``: largest part of a commanded twist that the wheels did not allow.
     * ``unreachable``: names of the wheels whose steering limits excluded a commanded twist.
     * ``tipped``: true if the robot fell over.
+    * ``collisions``: number of collisions with other robots, the world or its own parts.
     """
 
     name: str
@@ -46,6 +47,7 @@ class RobotResult:
     infeasible: Twist
     unreachable: tuple[str, ...]
     tipped: bool
+    collisions: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ import heapq
 import math
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from thorvaldc.diagnostics import Report
@@ -18,6 +19,7 @@ from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.simulation.control_loop import ControlLoop, TickCallback
 from thorvaldc.simulation.manoeuvre import Manoeuvre, Segment, default_manoeuvre, fleet_manoeuvres
+from thorvaldc.simulation.physics.collision_counter import CollisionCounter
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.physics.rolling_base import RollingBase
@@ -106,6 +108,9 @@ class Simulation:
         # next tick of each robot.  Robots with equal tick times run in the order of the model, so
         # that runs are repeatable.
         schedule = [(loop.next_time, number) for number, loop in enumerate(loops)]
+        collisions = None
+        if self.scene is not None:
+            collisions = CollisionCounter(self.scene, dict(self.robots))
         groups = RobotGroups([loop.driver for loop in loops])
         joints: dict[int, JointStates] = {}
         started = time.perf_counter()
@@ -121,6 +126,8 @@ class Simulation:
             loop = loops[number]
             loop.tick(joints.get(number))
             heapq.heapreplace(schedule, (loop.next_time, number))
+            if collisions is not None:
+                collisions.update()
             if on_tick is not None:
                 on_tick(loop)
             stopped = loop.tipped or (self.scene is not None and self.scene.diverged)
@@ -132,7 +139,12 @@ class Simulation:
             simulated,
             simulated / wall if wall > 0.0 else 0.0,
             diverged,
-            tuple(loop.result() for loop in loops),
+            tuple(
+                replace(loop.result(), collisions=collisions.collisions[loop.name])
+                if collisions is not None
+                else loop.result()
+                for loop in loops
+            ),
         )
         if report is not None:
             if self.scene is not None:

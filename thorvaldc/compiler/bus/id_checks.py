@@ -64,13 +64,26 @@ def check_ids(bus: Bus, placed: Sequence[Placed], report: Report) -> dict[str, N
 
 
 def check_serials(placed: Sequence[Placed], report: Report) -> None:
-    """Checks that all CAN devices of a vendor have different serial numbers, on all buses."""
+    """Checks that all CAN devices of a vendor have different serial numbers, on all buses.
+
+    Only a device with LSS or with a complete identity (object 0x1018) can report a serial number.
+    """
     first: dict[tuple[int | None, int | str], Placed] = {}
     for device in placed:
         serial = device.node.serial
         if serial is None:
             continue
         number = serial_number(serial)
+        if not device.node.lss and device.node.product_code is None:
+            report.add(
+                "can-serial-unreadable",
+                f"`{device.path}` has no serial number that can be read over the bus, so that"
+                " commissioning would refuse the device",
+                device.serial_span,
+                labels=[Label(device.module_span, "neither `lss` nor `product_code` here")],
+                hint="leave `serial` out; a device without it is commissioned alone on the bus",
+            )
+            continue
         if device.node.lss and number is None:
             report.add(
                 "can-serial-format",

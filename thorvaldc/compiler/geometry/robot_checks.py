@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
+from thorvaldc.compiler.geometry.convex_hull import convex_hull
 from thorvaldc.compiler.geometry.mobility_checks import check_controllable, check_steering_range
 from thorvaldc.compiler.geometry.wheel_geometry import contact_point
 from thorvaldc.compiler.modules.design_requirements import DesignRequirements
@@ -225,7 +225,7 @@ def check_stability(robot: Robot, design: DesignRequirements, report: Report) ->
     horizontal distance from the centre of mass to the nearest edge of the support polygon.  The
     support polygon is the convex hull of the contact points of the wheels.
     """
-    hull = _convex_hull([contact_point(wheel) for wheel in robot.wheels])
+    hull = convex_hull([contact_point(wheel) for wheel in robot.wheels])
     x, y, z = robot.inertial.com
     margins = []
     for (ax, ay), (bx, by) in zip(hull, [*hull[1:], *hull[:1]], strict=True):
@@ -261,30 +261,6 @@ def check_stability(robot: Robot, design: DesignRequirements, report: Report) ->
             hint="widen the base, lower the masses, "
             "or state another `design: {minimum_tip_over_angle: ..}`",
         )
-
-
-def _convex_hull(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Returns the corners of the convex hull of points in the plane, counter-clockwise.
-
-    Points on the edges of the convex hull are left out.  The convex hull is computed with Andrew's
-    monotone chain algorithm.
-    """
-    ordered = sorted(set(points))
-    if len(ordered) < 3:
-        return ordered
-
-    def half_hull(source: list[tuple[float, float]]) -> list[tuple[float, float]]:
-        chain: list[tuple[float, float]] = []
-        for p in source:
-            while len(chain) >= 2:
-                (ax, ay), (bx, by) = chain[-2], chain[-1]
-                if (bx - ax) * (p[1] - ay) - (by - ay) * (p[0] - ax) > 1e-12:
-                    break
-                chain.pop()
-            chain.append(p)
-        return chain[:-1]
-
-    return half_hull(ordered) + half_hull(ordered[::-1])
 
 
 def check_wheel_loads(robot: Robot, report: Report) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
+from thorvaldc.compiler.geometry.convex_hull import Point, convex_hull, separates
 from thorvaldc.compiler.geometry.wheel_geometry import contact_point
 from thorvaldc.compiler.modules.bounded_quantities import BoundedQuantities
 from thorvaldc.compiler.modules.value_reader import ValueReader
@@ -20,15 +21,15 @@ DEFAULT_SPACING = 100.0
 
 
 class _Footprint(NamedTuple):
-    """Ground area that the wheels of a placed robot cover.
+    """Ground area of a placed robot.
 
     Attributes
     ----------
     entry : name of the entry of the document that places the robot.
     name : name of the robot.
     x, y : position of the robot (m).
-    radius : radius (m) of a circle about the position that contains all wheels of the robot.
-    wheels : contact point (x, y) and half width of each wheel (m).
+    radius : radius (m) of a circle about the position that contains the outline.
+    outline : corners of the convex hull of the wheels in the scene (m), counter-clockwise.
     """
 
     entry: str
@@ -36,13 +37,14 @@ class _Footprint(NamedTuple):
     x: float
     y: float
     radius: float
-    wheels: list[tuple[float, float, float]]
+    outline: list[Point]
 
     def overlaps(self, other: _Footprint) -> bool:
-        """Returns whether the wheels of two robots overlap."""
+        """Returns whether the areas of two robots overlap, on the ground."""
         distance = math.hypot(self.x - other.x, self.y - other.y)
-        return distance < self.radius + other.radius and any(
-            math.dist(a[:2], b[:2]) < a[2] + b[2] for a in self.wheels for b in other.wheels
+        return distance < self.radius + other.radius and not any(
+            separates(a, b)
+            for a, b in ((self.outline, other.outline), (other.outline, self.outline))
         )
 
 
@@ -109,7 +111,7 @@ class Placements:
                 reported_entries.add(earlier.entry)
                 self._report.add(
                     "fleet-overlap",
-                    f"`{footprint.name}` overlaps `{earlier.name}`",
+                    f"`{footprint.name}` stands in `{earlier.name}`",
                     span,
                     hint="widen the grid's `spacing`"
                     if footprint.entry == earlier.entry
@@ -130,11 +132,13 @@ def _count(grid: Node, key: str) -> int:
 
 
 def _footprint(entry: str, placement: Placement) -> _Footprint:
-    """Computes the ground area that a placed robot covers."""
+    """Computes the ground area of a placed robot."""
     x, y, _ = placement.pose.xyz
-    wheels = []
+    corners = []
     for wheel in placement.robot.wheels:
-        contact = placement.pose.apply((*contact_point(wheel), 0.0))
-        wheels.append((contact[0], contact[1], wheel.width / 2))
-    radius = max((math.hypot(a - x, b - y) + half for a, b, half in wheels), default=0.0)
-    return _Footprint(entry, placement.name, x, y, radius, wheels)
+        wheel_x, wheel_y = contact_point(wheel)
+        for dx, dy in ((a * wheel.radius, b * wheel.width / 2) for a in (-1, 1) for b in (-1, 1)):
+            corner = placement.pose.apply((wheel_x + dx, wheel_y + dy, 0.0))
+            corners.append((corner[0], corner[1]))
+    radius = max((math.hypot(a - x, b - y) for a, b in corners), default=0.0)
+    return _Footprint(entry, placement.name, x, y, radius, convex_hull(corners))

@@ -1,0 +1,55 @@
+"""Checks documents with typical mistakes: each mistake is named at its line, and said once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from thorvaldc.compiler.pipeline import compile_file
+
+TABLE = yaml.safe_load(Path(__file__).with_name("mistakes.yaml").read_text(encoding="utf-8"))
+FILES: dict[str, str] = TABLE["files"]
+MISTAKES: list[dict[str, Any]] = TABLE["mistakes"]
+CHECKED = ("robot.yaml", "cart.yaml", "fleet.yaml", "scenario.yaml")
+
+
+def write(folder: Path, changed: dict[str, str]) -> None:
+    for name, text in {**FILES, **changed}.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+
+
+def test_the_documents_have_no_mistakes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path, {})
+    monkeypatch.chdir(tmp_path)
+    assert [d.message for name in CHECKED for d in compile_file(name).report] == []
+
+
+def test_there_are_two_hundred_different_mistakes() -> None:
+    changes = {(m["file"], FILES[m["file"]].replace(m["instead"], m["write"], 1)) for m in MISTAKES}
+    assert len(changes) == len(MISTAKES) >= 200
+
+
+@pytest.mark.parametrize(
+    "mistake", MISTAKES, ids=[f"{n}-{m['code']}" for n, m in enumerate(MISTAKES)]
+)
+def test_a_mistake_is_named_at_its_line_and_once(
+    mistake: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = mistake["file"]
+    assert mistake["instead"] in FILES[name]
+    write(tmp_path, {name: FILES[name].replace(mistake["instead"], mistake["write"], 1)})
+    monkeypatch.chdir(tmp_path)
+    report = list(compile_file(name if name in CHECKED else "robot.yaml").report)
+    shown = [f"{d.span}: {d.code.number} {d.message} ({d.hint})" for d in report]
+    found = [d for d in report if d.code.number == mistake["code"] and mistake["says"] in d.message]
+    assert found, shown
+    places = [(d.span.file, d.span.line) for d in found if d.span is not None]
+    assert (mistake.get("reported_in", name), mistake["line"]) in places, shown
+    if "hint" in mistake:
+        assert any(d.fixes and (d.hint or "").startswith(mistake["hint"]) for d in found), shown
+    assert len(report) == mistake.get("diagnostics", 1), shown
