@@ -203,6 +203,22 @@ def test_frames_over_udp_between_two_programs(bus: Bus) -> None:
         second.close()
 
 
+def test_groups_of_udp_are_apart(bus: Bus) -> None:
+    try:
+        sender, receiver = (
+            open_python_can("udp:239.74.163.79", bus),
+            open_python_can("udp:239.74.163.80", bus),
+        )
+    except DiagnosticError as error:
+        pytest.skip(f"no multicast here: {error}")
+    try:
+        assert sender.send(HEARTBEAT)
+        assert receiver.receive(0.2) is None
+    finally:
+        sender.close()
+        receiver.close()
+
+
 def datagram(**changes: object) -> bytes:
     """Returns a datagram of python-can with some changed values."""
     values = {"arbitration_id": 0x701, "dlc": 1, "data": b"\x05", "is_extended_id": False}

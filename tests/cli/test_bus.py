@@ -154,11 +154,10 @@ def test_invalid_input_is_reported_before_the_bus_runs(thorvaldc: Command) -> No
     assert thorvaldc("bus", "good.yaml", "--faults", "nowhere.yaml").status == 1
     assert thorvaldc("bus", "bad.yaml").status == 1
     Path("store.json").write_text("[1]", encoding="utf-8")
-    for arguments in (
-        ("--physics", "real"),
-        ("--seed", "x"),
-        ("--store", "store.json"),
-    ):
+    wrong_store = thorvaldc("bus", "good.yaml", "--store", "store.json")
+    assert wrong_store.status == 1
+    assert "store.json:1" in wrong_store.out + wrong_store.err
+    for arguments in (("--physics", "real"), ("--seed", "x")):
         listing = thorvaldc("bus", "good.yaml", *arguments)
         assert listing.status == 2, listing
         assert "Traceback" not in listing.err

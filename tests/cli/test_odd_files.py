@@ -34,8 +34,8 @@ modules:
 extras: [{xacro: extra.urdf, parent: frame}]
 """
 EXTRA = (
-    '<robot name="x"><link name="top"><visual><geometry><mesh filename="FILE.stl"/></geometry>'
-    "</visual></link></robot>"
+    '<robot name="x"><link name="top"><collision><geometry><mesh filename="FILE.stl"/></geometry>'
+    "</collision></link></robot>"
 )
 
 

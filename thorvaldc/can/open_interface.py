@@ -15,6 +15,7 @@ import logging
 import os
 import socket
 import stat
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,6 +39,8 @@ SERIAL_START = 2.0
 SERIAL_WRITE_TIME = 0.01
 """Shortest write time-out (s): with less, pyserial may write only a part of a frame."""
 
+_IP_MULTICAST_ALL = 49
+"""Option of Linux (linux/in.h), which the module ``socket`` does not name."""
 _ALIASES = {"udp": "udp_multicast"}
 _EXTRAS = {"slcan": "serial", "udp_multicast": "udp"}
 """Name of our pip extra that installs the packages for a backend of python-can."""
@@ -98,6 +101,8 @@ def open_interface(spec: str, bus: Bus, *, listen_only: bool = False) -> CanInte
         options["fd"] = False
         del options["bitrate"]
     python_can_bus = _open_python_can(spec, backend, channel, options)
+    if backend == "udp_multicast":
+        _restrict_to_its_group(python_can_bus)
     if spec in ("udp", "udp_multicast"):
         _restrict_to_this_computer(python_can_bus)
     return PythonCanInterface(
@@ -203,6 +208,17 @@ def _open_python_can(spec: str, backend: str, channel: str, options: dict[str, A
         bus._is_shutdown = True
         raise _open_error(spec, error, channel) from None
     return bus
+
+
+def _restrict_to_its_group(bus: can.BusABC) -> None:
+    """Keeps frames of other groups out of a bus of UDP multicast.
+
+    Linux otherwise delivers the datagrams of every group that a program of this computer has
+    joined to each socket of the same port, so that two robots would receive each other's commands.
+    """
+    with socket.socket(fileno=os.dup(bus.fileno())) as multicast:
+        if sys.platform == "linux" and multicast.family == socket.AF_INET:
+            multicast.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
 
 
 def _restrict_to_this_computer(bus: can.BusABC) -> None:

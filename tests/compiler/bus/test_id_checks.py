@@ -6,6 +6,7 @@ import pytest
 
 from tests.devices import (
     BATTERY,
+    CIA_402,
     DRIVE,
     MOTORS,
     SIMPLE,
@@ -80,13 +81,11 @@ def test_unknown_bus(bench: Bench) -> None:
 
 
 def test_serial_number_twice(bench: Bench) -> None:
-    bench.drive({"serial": "0x12"})
-    bench.drive({"serial": "0x13"})
-    bench.drive({"serial": "0x12"})
-    bench.build()
-    assert [label.span for label in bench.only_diagnostic("can-serial-duplicate").labels] == [
-        line(1)
-    ]
+    for serial in ("0x12", "0x13", "0x12"):
+        bench.add(CIA_402, {"serial": serial})
+    bench.build(motors=())
+    (duplicate,) = [d for d in bench.report if d.code.name == "can-serial-duplicate"]
+    assert [label.span for label in duplicate.labels] == [line(1)]
 
 
 def test_address_of_an_empty_enclosure(bench: Bench) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.devices import CIA_402, DRIVE, MOTORS, Bench, line
+from tests.devices import CIA_402, MOTORS, Bench, line
 from thorvaldc.model.bus import Node, ObjectValue
 
 WIRES = {"propulsion": MOTORS[0], "steering": MOTORS[1]}
@@ -180,9 +180,9 @@ def test_the_masters_patience_by_default(bench: Bench) -> None:
 
 
 def test_serial_numbers_are_one_in_any_form_and_on_any_bus(bench: Bench) -> None:
-    bench.add(DRIVE, {"serial": "18"})
-    bench.add(DRIVE, {"serial": "0x12"})
-    bench.add(CIA_402, {"serial": "0x12"})  # another vendor's
+    bench.add(CIA_402, {"serial": "18"})
+    bench.add(CIA_402, {"serial": "0x12"})
+    bench.add(CIA_402, {"serial": "0x12"}, params={"vendor_id": 7})  # another vendor's
     bench.build(motors=())
     faults = [d for d in bench.report if d.code.name == "can-serial-duplicate"]
     assert [(f.span, f.labels[0].span) for f in faults] == [(line(2), line(1))]
