@@ -13,11 +13,11 @@ import pytest
 from tests.child_process import ChildProcess
 
 POOL = """
-import sys, time
+import os, sys, time
 from thorvaldc.tools.worker_processes import ignored_interrupts, worker_pool
 
 def work(number):
-    print("working", flush=True)
+    os.write(1, b"working\\n")  # one call, so that the lines of two workers stay apart
     time.sleep(600)
 
 if __name__ == "__main__":
@@ -27,11 +27,11 @@ if __name__ == "__main__":
         futures[0].result()
 """
 FORK = """
-import time
+import os, time
 from thorvaldc.tools.fault_matrix.forked_work import run_forked
 
 def work():
-    print("working", flush=True)
+    os.write(1, b"working\\n")  # one call, so that the lines of two workers stay apart
     time.sleep(600)
 
 list(run_forked([work] * 4, 2))
