@@ -545,7 +545,7 @@ class General(BaseCalculator):
             twist = twist.scaled(1.0 / math.sqrt(excess))
         vx, vy, wz = twist
         speeds = list(self._zeros)
-        fastest = limit = 0.0
+        fastest = 0.0
         for (i, joint, _, _, x, y, _, lateral, radius, driven), (c, s) in zip(
             self._scrubbing, directions, strict=True
         ):
@@ -555,15 +555,30 @@ class General(BaseCalculator):
             if not joint.holding:
                 v += c * (vx - wz * y) + s * (vy + wz * x)
             speeds[i] = v / radius
-            fastest = max(fastest, abs(v))
-            corner = math.hypot(target.vx - target.wz * y, target.vy + target.wz * x)
-            limit = max(limit, corner + abs(lateral * target.wz))
+            if v > fastest or -v > fastest:
+                fastest = abs(v)
+        limit = self._fastest_wheel(target, fastest)
         if fastest > limit:
             twist, speeds = twist.scaled(limit / fastest), [v * limit / fastest for v in speeds]
         if self._driven_fixed:
             self._set_fixed_speeds(twist, speeds, 1.0)
         twist, speeds = self._motors.limit_speeds(twist, speeds, pushes)
         return twist, self._motors.average_shared(speeds)
+
+    def _fastest_wheel(self, twist: Twist, enough: float) -> float:
+        """Returns the speed (m/s) of the fastest steered wheel of ``twist`` at its target angles.
+
+        The search ends at the first wheel with a speed of ``enough``: its speed is returned.
+        """
+        vx, vy, wz = twist
+        fastest = 0.0
+        for _, joint, _, _, x, y, _, lateral, _, driven in self._scrubbing:
+            if driven and not joint.unreachable:
+                speed = math.hypot(vx - wz * y, vy + wz * x) + abs(lateral * wz)
+                if speed >= enough:
+                    return speed
+                fastest = max(fastest, speed)
+        return fastest
 
     def _rolling_twist(
         self, twist: Twist, speeds: Sequence[float], angles: Sequence[float], at_targets: bool
