@@ -50,9 +50,12 @@ TOOLS = (
         lambda: all(map(ctypes.util.find_library, ("EGL", "EGL_mesa"))),
     ),
 )
-DCFGEN = Path(__file__).parents[1] / ".venv/dcfgen/bin/dcfgen"
+ENVIRONMENTS = Path(__file__).parents[1] / ".venv"
+DCFGEN = ENVIRONMENTS / "dcfgen/bin/dcfgen"
 """Reads the configuration of ros2_canopen; a Python program with old dependencies.  ``.ci/run``
 installs it in an environment of its own."""
+DRAKE_PYTHON = ENVIRONMENTS / "drake/bin/python"
+"""The Python of an environment with Drake, which reads URDF; made by ``.ci/run``."""
 ALWAYS_HERE = frozenset(["sh"])  # programs of every system
 
 
@@ -76,6 +79,13 @@ def path_of_dcfgen() -> str:
         without("dcfgen is not installed (.ci/run shows how)")
     assert path is not None
     return path
+
+
+def path_of_drake_python() -> str:
+    """Returns the path of a Python with Drake, as ``path_of``."""
+    if not DRAKE_PYTHON.exists():
+        without("Drake is not installed (.ci/run shows how)")
+    return str(DRAKE_PYTHON)
 
 
 def without(reason: str) -> None:

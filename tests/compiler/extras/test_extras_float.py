@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 from pathlib import Path
@@ -11,7 +12,7 @@ import mujoco
 import pytest
 
 from tests.compiler.extras.arms import ARM, ROBOT, arm_robot
-from tests.outside_tools import path_of
+from tests.outside_tools import path_of, path_of_drake_python
 from thorvaldc import compile, emit
 from thorvaldc.model import Robot
 
@@ -36,6 +37,20 @@ WITHOUT_WORLD = ARM.replace('<link name="world"/>', "").replace(
     '  <child link="${p}base_link"/>\n</joint>',
     "",
 )
+READ_BY_DRAKE = """
+import json, sys
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+plant = MultibodyPlant(0.0)
+Parser(plant).AddModels(sys.argv[1])
+plant.Finalize()
+names = lambda bodies: [plant.get_body(i).name() for i in bodies]
+print(json.dumps({
+    "floating": names(plant.GetFloatingBaseBodies()),
+    "fixed": [body.name() for body in plant.GetBodiesWeldedTo(plant.world_body())],
+    "mass": plant.CalcTotalMass(plant.CreateDefaultContext()),
+}))
+"""
 DESCRIPTIONS = {
     "arm": ARM,
     "empty_base_link": EMPTY_BASE,
@@ -88,6 +103,17 @@ def test_sdformat_has_no_joint_to_the_world(build: tuple[Robot, Path]) -> None:
     assert parents
     assert "world" not in parents
     assert (model.findtext("static") or "false") in ("false", "0")
+
+
+def test_only_the_base_floats_in_drake(build: tuple[Robot, Path]) -> None:
+    robot, folder = build
+    command = [path_of_drake_python(), "-c", READ_BY_DRAKE, str(folder / "urdf/robot.urdf")]
+    process = subprocess.run(command, capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
+    plant = json.loads(process.stdout)
+    assert plant["floating"] == ["base_link"]
+    assert plant["fixed"] == ["world"]
+    assert plant["mass"] == pytest.approx(robot.inertial.mass)
 
 
 def test_the_robot_falls_with_its_arm(build: tuple[Robot, Path]) -> None:
