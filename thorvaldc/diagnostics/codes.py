@@ -243,6 +243,7 @@ _TABLE: tuple[Code, ...] = (
     _warning("TV761", "extra-material", "an extra uses an undefined material"),
     _warning("TV762", "extra-warning", "xacro reports a warning about an extra"),
     _error("TV763", "extra-forbidden", "a xacro file does something that is not allowed"),
+    _error("TV764", "extra-name-reserved", "a name of an extra is reserved in SDF"),
     _error("TV768", "extra-world", "a link of an extra has the name of the ground"),
     _error("TV769", "extra-environment", "an extra needs an environment variable that is not set"),
     _warning("TV770", "extra-visual-mesh", "a mesh of an extra cannot be shown"),

@@ -103,6 +103,9 @@ def test_sdformat_has_no_joint_to_the_world(build: tuple[Robot, Path]) -> None:
     assert parents
     assert "world" not in parents
     assert (model.findtext("static") or "false") in ("false", "0")
+    command = [path_of("ign"), "sdf", "-k", str(path)]
+    process = subprocess.run(command, capture_output=True, text=True)
+    assert process.stdout.splitlines()[-1] == "Valid.", process.stdout
 
 
 def test_only_the_base_floats_in_drake(build: tuple[Robot, Path]) -> None:

@@ -33,6 +33,7 @@ FindAttachment = Callable[[str | None], Attachment | None]
 
 WORLD = "world"
 """Link of the ground in Gazebo, Drake and MuJoCo; a robot with a link of this name cannot move."""
+_RESERVED_NAME = re.compile("__.*__")
 _PREFIX_ARGUMENT = re.compile(r"(?i)prefix|^(name|robot_name|ns|namespace|device|camera_name)$")
 
 
@@ -175,6 +176,8 @@ class ExtrasJoiner:
         """
         new: dict[str, Link] = {}
         for link in links:
+            if _RESERVED_NAME.fullmatch(link.name):
+                self.report_reserved("link", link)
             first = new[link.name].span if link.name in new else self.links.get(link.name)
             if first is None:
                 new[link.name] = link
@@ -187,6 +190,14 @@ class ExtrasJoiner:
                     labels=[Label(first, "first defined here")],
                 )
         return new
+
+    def report_reserved(self, kind: str, part: Link | Joint) -> None:
+        self.report.add(
+            "extra-name-reserved",
+            f"no {kind} of an SDF file may have the name `{part.name}`",
+            part.span,
+            hint=f"rename the {kind}",
+        )
 
     def joints_by_child(
         self,
@@ -203,6 +214,8 @@ class ExtrasJoiner:
         joint_to: dict[str, Joint] = {}
         names: dict[str, Span] = {}
         for joint in joints:
+            if joint.name == WORLD or _RESERVED_NAME.fullmatch(joint.name):
+                self.report_reserved("joint", joint)
             first = names.get(joint.name) or self.joints.get(joint.name)
             names.setdefault(joint.name, joint.span)
             if first is not None:
