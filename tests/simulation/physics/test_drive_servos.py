@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.compiler.extras.arms import ARM, arm_robot
 from tests.examples import example_robot
-from thorvaldc.compiler.pipeline import emit
+from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import JointCommands
 from thorvaldc.simulation.bus.simulated_motors import BaseMotors
 from thorvaldc.simulation.physics.drive_servos import DriveServos
@@ -111,6 +114,34 @@ def test_scene_without_the_base_driver() -> None:
         mujoco.mj_step(model, data)
         servos.limit()
     assert torques(scene).max() < 0.1 * DRIVES[0].max_torque
+
+
+def test_servos_of_an_arm_are_no_drives(tmp_path: Path) -> None:
+    """With an arm whose joints are commanded by their speeds, the drives behave as without it."""
+    arm = ARM.replace(
+        '<command_interface name="position"/>', '<command_interface name="velocity"/>'
+    )
+    robot = compile_file(arm_robot(tmp_path, arm=arm)).model
+    assert isinstance(robot, Robot)
+    scene = MujocoScene(emit(robot, ["mjcf"]), prepare=wall)
+    drives = [
+        scene.index("actuator", a.name, robot) for a in robot.actuators if a.role == "propulsion"
+    ]
+    all_servos = {i for i in range(scene.model.nu) if scene.model.actuator_actadr[i] >= 0}
+    assert len(all_servos) == len(drives) + 4
+    chosen = DriveServos(scene.model, scene.data, drives)
+    by_default = DriveServos(scene.model, scene.data)
+    pairs = [(servos, servos.memory(0.0)) for servos in (chosen, by_default)]
+    arguments = [scene.data.ctrl.tolist(), [], [50.0] * scene.model.nq, [0.0] * scene.model.nv]
+    for k, command in enumerate((1.0, 0.0, 0.0), start=1):
+        for i in all_servos:
+            arguments[0][i] = command
+        results = []
+        for servos, memory in pairs:
+            arguments[1] = [1e3] * scene.model.na
+            assert servos.limit_activations(memory, k * 0.01, *arguments)
+            results.append(arguments[1])
+        assert results[0] == results[1]
 
 
 def test_reset_forgets_the_last_command() -> None:

@@ -39,6 +39,8 @@ from typing import Any, NamedTuple
 
 from thorvaldc.model.statics.gravity import GRAVITY
 
+_JOINT = 0  # mjTRN_JOINT of MuJoCo
+_ELLIPSOID = 4  # mjGEOM_ELLIPSOID of MuJoCo
 RELEASE_TIME = 0.3
 """Time (s) after a stop command in which the set point of a loaded drive follows the joint."""
 RELEASE_LOAD = 0.3
@@ -88,8 +90,9 @@ class DriveServos:
     """The drive servos of a MuJoCo model, with limited integrators.
 
     ``model`` is the ``MjModel``, and ``data`` is the ``MjData``.  ``actuators`` are the MuJoCo
-    indices of the drives; by default, all servos with an integrator are drives.  Call ``limit``
-    after every simulation step, or at least once per control cycle::
+    indices of the drives.  By default, all servos with an integrator that turn a wheel are drives:
+    the generated MJCF files give wheels, and nothing else, an ellipsoid that collides.  Call
+    ``limit`` after every simulation step, or at least once per control cycle::
 
         servos = DriveServos(model, data)
         while data.time < 10.0:
@@ -99,9 +102,11 @@ class DriveServos:
 
     def __init__(self, model: Any, data: Any, actuators: Iterable[int] | None = None) -> None:
         self._data = data
+        if actuators is None:
+            actuators = [i for i in range(model.nu) if _turns_wheel(model, i)]
         indices = [
             int(i)
-            for i in (range(model.nu) if actuators is None else actuators)
+            for i in actuators
             if model.actuator_actadr[i] >= 0 and model.actuator_biasprm[i, 1] < 0.0
         ]
         bodies = [int(model.jnt_bodyid[model.actuator_trnid[i, 0]]) for i in indices]
@@ -190,9 +195,22 @@ class DriveServos:
         return changed
 
 
+def _turns_wheel(model: Any, actuator: int) -> bool:
+    """Checks whether an actuator turns a body with an ellipsoid that collides."""
+    if model.actuator_trntype[actuator] != _JOINT:
+        return False
+    body = int(model.jnt_bodyid[model.actuator_trnid[actuator, 0]])
+    return any(model.geom_type[geom] == _ELLIPSOID for geom in _colliding_geoms(model, body))
+
+
 def _radius(model: Any, body: int) -> float:
     """Returns the radius (m) of a wheel: the largest extent of its colliding geoms."""
+    return max(
+        (float(model.geom_size[g].max()) for g in _colliding_geoms(model, body)), default=0.0
+    )
+
+
+def _colliding_geoms(model: Any, body: int) -> list[int]:
     first = int(model.body_geomadr[body])
     geoms = range(first, first + int(model.body_geomnum[body]))
-    colliding = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
-    return max((float(model.geom_size[g].max()) for g in colliding), default=0.0)
+    return [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
