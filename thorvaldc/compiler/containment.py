@@ -17,6 +17,7 @@ from __future__ import annotations
 import ctypes
 import os
 import platform
+import signal
 import struct
 import sys
 from collections.abc import Iterable
@@ -33,6 +34,7 @@ _FILE_RIGHTS = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}
 _NET_RIGHTS = 0b11  # bind and connect of TCP, version 4
 _SCOPES = 0b11  # abstract Unix sockets and signals, version 6
 
+_PR_SET_PDEATHSIG = 1
 _PR_SET_DUMPABLE = 4
 _PR_SET_SECCOMP = 22
 _PR_SET_NO_NEW_PRIVS = 38
@@ -128,6 +130,21 @@ def contain(folders: Iterable[str], memory_bytes: int) -> dict[str, str]:
     except OSError as error:
         layers["seccomp"] = str(error)
     return layers
+
+
+def end_with_parent(parent: int) -> None:
+    """Ends this process with SIGKILL when its parent process ends, whatever ends the parent.
+
+    Only Linux has this.  On other systems, the process ends when it reads the end of its input, or
+    at its limit of processor time.
+
+    - ``parent``: id of the parent process, which may have ended before this call.
+    """
+    if sys.platform == "linux":
+        libc = ctypes.CDLL(None, use_errno=True)
+        libc.prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
+        if os.getppid() != parent:
+            os._exit(1)
 
 
 def set_limits(memory_bytes: int) -> str:

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 
 from thorvaldc import backends
 from thorvaldc.compiler.compilation import Compilation, SourceFile
+from thorvaldc.compiler.geometry.meshes import shared_mesh_workers
 from thorvaldc.compiler.geometry.robot_checks import check_robot
 from thorvaldc.compiler.library import Library
 from thorvaldc.compiler.lock_update import read_robot_lock, update_robot_lock
@@ -72,12 +73,13 @@ def compile_file(
     path = Path(path)
     source = SourceFile(path, path.name or str(path), path.parent)
     compile_one = partial(_compile, library=library, trust=trust)
-    if source.kind == "scenario":
-        # The module ``scenario_compilation`` is imported only for scenario files.
-        from thorvaldc.compiler.scenario_compilation import compile_scenario
+    with shared_mesh_workers():
+        if source.kind == "scenario":
+            # The module ``scenario_compilation`` is imported only for scenario files.
+            from thorvaldc.compiler.scenario_compilation import compile_scenario
 
-        return compile_scenario(source, compile_one, robot, changes)
-    return compile_one(source)
+            return compile_scenario(source, compile_one, robot, changes)
+        return compile_one(source)
 
 
 def _compile(source: SourceFile, library: Sequence[Path], trust: bool) -> Compilation:

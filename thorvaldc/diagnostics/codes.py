@@ -250,6 +250,7 @@ _TABLE: tuple[Code, ...] = (
     _note("TV771", "extra-inertia-computed", "the inertia of a link is computed from its shapes"),
     _warning("TV772", "extra-mesh-open", "a link gets no mass, because its mesh is not closed"),
     _warning("TV773", "extra-initial-position", "a joint of an extra starts outside of its limits"),
+    _error("TV774", "mesh-flat", "a mesh that is used for collisions has no volume"),
     # 8xx: runtime, simulation and commissioning
     _error("TV801", "calculator-unsuited", "the base calculator cannot drive this robot"),
     _error("TV802", "calculator-option", "an option of the base calculator is invalid"),

@@ -46,7 +46,7 @@ def test_a_file_that_exceeds_a_limit_is_an_error(tmp_path: Path, body: str, word
 def test_a_file_that_hangs_is_stopped_and_the_next_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(xacro_expand, "WALL_SECONDS", 1.0)
+    monkeypatch.setattr(xacro_expand, "LIMITS", replace(xacro_expand.LIMITS, wall_seconds=1.0))
     start = time.monotonic()
     loaded = load(
         tmp_path,

@@ -7,12 +7,14 @@ import struct
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from thorvaldc.compiler.geometry import meshes
-from thorvaldc.compiler.geometry.meshes import binary_stl, load_mesh
+from thorvaldc.compiler.geometry.mesh_formats import binary_stl
+from thorvaldc.compiler.geometry.meshes import load_mesh
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Mesh
 
@@ -151,7 +153,7 @@ def test_a_small_file_of_nested_instances_is_stopped(
     mesh, report = load(write(tmp_path / "few.dae", nested_collada(2)))
     assert mesh is not None, [d.message for d in report]
     assert len(corners(mesh.data)) == 3 * 4 * 4
-    monkeypatch.setattr(meshes, "WORKER_SECONDS", 5.0)
+    monkeypatch.setattr(meshes, "LIMITS", replace(meshes.LIMITS, wall_seconds=5.0))
     start = time.monotonic()
     mesh, report = load(write(tmp_path / "many.dae", nested_collada(40)))
     assert mesh is None

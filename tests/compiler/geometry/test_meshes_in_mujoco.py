@@ -7,7 +7,8 @@ from pathlib import Path
 import mujoco
 import pytest
 
-from thorvaldc.compiler.geometry.meshes import binary_stl, load_mesh
+from thorvaldc.compiler.geometry.mesh_formats import binary_stl
+from thorvaldc.compiler.geometry.meshes import load_mesh
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Vec3
 

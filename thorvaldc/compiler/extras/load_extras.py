@@ -314,7 +314,14 @@ def _read_parts(entry: _Entry, expanded: ExpandedFile, report: Report) -> UrdfPa
             return None
         diagnostics = Report()
         display = paths.name(str(path))
-        mesh = load_mesh(path, element.span, diagnostics, display=display, scale=scale)
+        mesh = load_mesh(
+            path,
+            element.span,
+            diagnostics,
+            display=display,
+            scale=scale,
+            collides=not is_visual,
+        )
         for d in diagnostics:
             if is_visual and d.code.name in _UNREADABLE:
                 report.add(

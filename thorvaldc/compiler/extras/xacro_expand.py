@@ -1,24 +1,13 @@
 """Expands xacro files in a worker process, and returns XML elements with source spans.
 
-Protocol between the compiler and the worker process (``xacro_worker``):
-
-    compiler                                worker
-       | -- stdin: one JSON request, EOF ---> |
-       | <--- stdout: one JSON line per file- |  at most WALL_SECONDS per line
-       | -- SIGKILL ------------------------> |  if a line is late or too long
-
-If the worker process ends early, another worker process expands the remaining xacro files.
+The worker process runs ``xacro_worker``.  If it exceeds a limit with a file, another worker process
+expands the remaining xacro files.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
-import signal
-import subprocess
-import sys
-import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
@@ -26,15 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.compiler.extras import xacro_worker
+from thorvaldc.compiler.worker_process import WorkerLimitError, WorkerLimits, WorkerProcess
 from thorvaldc.diagnostics import Span
 
-WALL_SECONDS = 20.0
-_ROOT = str(Path(xacro_worker.__file__).parents[3])
-_PROGRAM = (
-    f"import sys; sys.path.append({_ROOT!r}); "
-    "from thorvaldc.compiler.extras.xacro_worker import main; main()"
+LIMITS = WorkerLimits(
+    wall_seconds=20.0, processor_seconds=10, memory_bytes=xacro_worker.MEMORY_BYTES
 )
-MAX_LINE_BYTES = 64 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,9 +226,7 @@ def expand(
         }
         for r in requests
     ]
-    answers: list[dict[str, Any]] = []
-    while len(answers) < len(entries):
-        answers += _run_worker(entries[len(answers) :], folders)
+    answers = _answers(entries, folders)
     roots = [*search["ament"], *search["ros"]]
     expanded_files: list[ExpandedFile] = []
     for answer, request in zip(answers, requests, strict=True):
@@ -255,12 +239,8 @@ def expand(
     return expanded_files
 
 
-def _run_worker(entries: list[dict[str, Any]], folders: list[str] | None) -> list[dict[str, Any]]:
-    """Starts a worker process for xacro and returns its answers, one per xacro file.
-
-    If the worker process ends early, the last answer describes the failure.  The xacro files after
-    a failure have no answer.
-    """
+def _answers(entries: list[dict[str, Any]], folders: list[str] | None) -> list[dict[str, Any]]:
+    """Returns the answers of the worker process, one per xacro file."""
     if find_spec("xacro") is None:
         text = "the package xacro is not installed"
         return [{"failure": {"kind": "expression", "text": text}} for _ in entries]
@@ -269,86 +249,16 @@ def _run_worker(entries: list[dict[str, Any]], folders: list[str] | None) -> lis
         for spec in (find_spec("xacro"), find_spec("yaml"))
         if spec is not None and spec.origin is not None
     ]
-    request = json.dumps({"path": path, "folders": folders, "entries": entries}).encode()
     answers: list[dict[str, Any]] = []
-    environment = {"LC_ALL": "C.UTF-8", "PYTHONHASHSEED": "0"}
-    if "SYSTEMROOT" in os.environ:  # Windows cannot start a process without the variable SYSTEMROOT
-        environment["SYSTEMROOT"] = os.environ["SYSTEMROOT"]
-    process = subprocess.Popen(
-        # The Python options of the worker exclude the site packages, the folder of the user and the
-        # folder of the script from the module path.  The Python option -B prevents the writing of
-        # .pyc files.
-        [sys.executable, "-s", "-S", "-P", "-B", "-c", _PROGRAM],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        env=environment,
-        # The worker process runs in a separate process session and does not receive Ctrl-C.  The
-        # compiler receives Ctrl-C and then ends the worker process.
-        start_new_session=True,
-    )
-    stdin, stdout = process.stdin, process.stdout
-    if stdin is None or stdout is None:
-        raise OSError("the xacro worker has no pipes")
-    timed_out = threading.Event()
-
-    def stop() -> None:
-        timed_out.set()
-        _kill(process)
-
-    try:
-        with contextlib.suppress(BrokenPipeError):
-            stdin.write(request)
-            stdin.close()
-        for _ in entries:
-            timer = threading.Timer(WALL_SECONDS, stop)
-            timer.daemon = True
-            timer.start()
+    service, imports = xacro_worker.__name__, ["xacro.substitution_args", "yaml"]
+    with WorkerProcess(service, LIMITS, path=path, imports=imports, folders=folders) as worker:
+        for entry in entries:
             try:
-                line = stdout.readline(MAX_LINE_BYTES)
-            finally:
-                timer.cancel()
-            if not line.endswith(b"\n"):
-                _kill(process)
-                answers.append(_death_answer(len(line), timed_out.is_set(), process.wait()))
-                break
-            answers.append(json.loads(line))
-    finally:
-        _kill(process)
-        process.wait()
-        stdout.close()
-        with contextlib.suppress(BrokenPipeError):
-            stdin.close()
+                answers.append(worker.ask(entry | {"folders": folders})[0])
+            except WorkerLimitError as error:
+                failure = {"kind": "limit", "text": f"its expansion {error}"}
+                answers.append({"failure": failure})
     return answers
-
-
-def _kill(process: subprocess.Popen[bytes]) -> None:
-    """Ends the worker process and its child processes with the signal SIGKILL."""
-    if process.poll() is not None:
-        return
-    with contextlib.suppress(ProcessLookupError, PermissionError):
-        if hasattr(os, "killpg"):
-            os.killpg(process.pid, signal.SIGKILL)
-        else:
-            process.kill()
-
-
-def _death_answer(received: int, timed_out: bool, status: int) -> dict[str, Any]:
-    """Returns the error for a xacro file during whose expansion the worker process ended.
-
-    - ``received``: number of bytes of the incomplete answer.
-    - ``timed_out``: whether the compiler ended the worker after ``WALL_SECONDS``.
-    - ``status``: exit status of the worker process.
-    """
-    if timed_out:
-        text = f"its expansion took longer than {WALL_SECONDS:g} s"
-    elif received >= MAX_LINE_BYTES:
-        text = f"it expands to more than {MAX_LINE_BYTES >> 20} MB"
-    elif status == -getattr(signal, "SIGXCPU", 24):
-        text = f"its expansion took longer than {xacro_worker.CPU_SECONDS} s of processor time"
-    else:
-        text = f"its expansion ended the worker process (exit status {status})"
-    return {"failure": {"kind": "limit", "text": text}}
 
 
 def _decode(answer: dict[str, Any], paths: DisplayPaths) -> ExpandedFile:

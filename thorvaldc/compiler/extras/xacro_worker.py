@@ -4,8 +4,7 @@ A xacro file contains Python expressions.  For security, the compiler expands xa
 separate worker process, which has no environment variables.  The rules of ``expression_rules``
 apply to each expression, the file may read only in the folders of the request, and ``containment``
 takes other rights from the process.  With the option ``--trust`` only time and memory are limited.
-The compiler sends one JSON request to the standard input of the worker process.  The worker process
-writes one line of JSON per xacro file to its standard output.
+The messages are described in ``worker_protocol``.
 
 The package xacro does not keep the line numbers of XML elements.  The class ``_Builder`` stores the
 position of each XML element as DOM user data.  A clone of an XML element keeps the position of the
@@ -17,24 +16,20 @@ the position of the XML element that causes the error.
 
 from __future__ import annotations
 
-import json
 import os
 import re
-import sys
 import xml.dom.minidom
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 from xml.dom import expatbuilder
 from xml.parsers.expat import ExpatError
 
-from thorvaldc.compiler.containment import contain, limit_processor_time, set_limits
 from thorvaldc.compiler.extras import expression_rules
 from thorvaldc.compiler.extras.expression_rules import ForbiddenExpressionError
 from thorvaldc.compiler.extras.ros_packages import find_package
 
 Position = tuple[int, int, int]  # index of the file, line, column
 
-CPU_SECONDS = 10
 MEMORY_BYTES = 1 << 30
 MAX_SOURCE_BYTES = 8 << 20
 MAX_ELEMENTS = 100_000
@@ -536,38 +531,11 @@ def _encode(node: Any, root: Any) -> dict[str, Any]:
     return element | {"children": children, "text": " ".join(texts).strip()}
 
 
-def main() -> None:
-    """Reads one JSON request from stdin, and writes one line of JSON per xacro file to stdout."""
-    answers = os.fdopen(os.dup(1), "wb")
-    # Stdout and stderr are redirected to the null device, because the output of a xacro file must
-    # not mix with the answers.
-    null = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(null, 1)
-    os.dup2(null, 2)
-    request = json.load(sys.stdin.buffer)
-    sys.path.extend(p for p in request["path"] if p not in sys.path)
+def answer(request: dict[str, Any], _: bytes) -> tuple[dict[str, Any], bytes]:
+    """Expands the xacro file of a request, see ``Expansion``."""
     import xacro.substitution_args
     import yaml  # noqa: F401  # imported by xacro in `load_yaml`
 
     xacro.open = open  # replaced by `Expansion.open`
-    folders = request["folders"]
-    if folders is None:
-        layers = {"limits": set_limits(MEMORY_BYTES)}
-    else:
-        modules = [os.path.dirname(os.__file__), *request["path"]]
-        layers = contain([*folders, *modules], MEMORY_BYTES)
-    for entry in request["entries"]:
-        limit_processor_time(CPU_SECONDS)
-        os.chdir(os.path.dirname(entry["file"]))
-        answer = Expansion(xacro, entry, folders).answer() | {"layers": layers}
-        try:
-            line = json.dumps(answer, allow_nan=False)
-        except (RecursionError, MemoryError, ValueError):
-            failure = {"kind": "limit", "text": "the expanded file is nested too deeply"}
-            line = json.dumps({"failure": failure, "files": [], "trail": []})
-        answers.write(line.encode() + b"\n")
-        answers.flush()
-
-
-if __name__ == "__main__":
-    main()
+    os.chdir(os.path.dirname(request["file"]))
+    return Expansion(xacro, request, request["folders"]).answer(), b""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterator
 
-from thorvaldc.compiler.library import ModuleType
+from thorvaldc.compiler.library import BUILTIN_LIBRARY, ModuleType
 from thorvaldc.compiler.modules.hardware_parts import (
     BatteryPart,
     Hardware,
@@ -64,7 +64,12 @@ class _HardwareReader:
         self.scope = scope
         self.report = report
         self.values = ModuleValues(module, scope, report)
-        self.shapes = LinkShapeReader(module.folder, scope.library.palette(), report)
+        self.shapes = LinkShapeReader(
+            module.folder,
+            module.display.startswith(BUILTIN_LIBRARY),
+            scope.library.palette(),
+            report,
+        )
 
     def read(self) -> Hardware:
         """Returns the hardware of the module and reports all errors in the module document."""

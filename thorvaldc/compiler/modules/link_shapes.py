@@ -12,7 +12,7 @@ from thorvaldc.compiler.modules.value_reader import items
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.model.robot import Box, Collision, Cylinder, Mesh, MeshShape, Shape, Sphere, Visual
-from thorvaldc.model.spatial import Inertial
+from thorvaldc.model.spatial import Inertial, Vec3
 
 RGBA = tuple[float, float, float, float]
 DEFAULT_COLOR = "#9a9a9a"
@@ -25,13 +25,17 @@ class LinkShapeReader:
     Attributes
     ----------
     folder : folder of the module.  Paths of mesh files are relative to the folder.
+    is_builtin : whether the module is one of the built-in library.
     palette : colours by name.
     report : collects the diagnostics.
     meshes : meshes of all parts that were read, by file name.
     """
 
-    def __init__(self, folder: Path, palette: dict[str, str], report: Report) -> None:
+    def __init__(
+        self, folder: Path, is_builtin: bool, palette: dict[str, str], report: Report
+    ) -> None:
         self.folder = folder
+        self.is_builtin = is_builtin
         self.palette = palette
         self.report = report
         self.meshes: dict[str, Mesh] = {}
@@ -47,11 +51,12 @@ class LinkShapeReader:
         """Reads a part of a link, and adds the shape and the mass of the part to the link."""
         shape_node = part.get("shape")
         pose = scope.pose(part).clean()
-        shape = self._shape(shape_node, scope) if shape_node is not None else None
+        collides = scope.boolean(part.get("collide"), False)
+        shape = self._shape(shape_node, scope, collides) if shape_node is not None else None
         if shape is not None:
             if scope.boolean(part.get("show"), True):
                 visuals.append(Visual(shape, pose, self._color(part.get("color"), scope)))
-            if scope.boolean(part.get("collide"), False):
+            if collides:
                 collisions.append(Collision(shape, pose))
         inertial = self._inertial(part, shape, scope)
         if inertial is not None:
@@ -81,7 +86,7 @@ class LinkShapeReader:
             return Inertial(mass, com, (xx, yy, zz, xy, xz, yz))
         inertia_shape = part.get("inertia_shape")
         if inertia_shape is not None:
-            shape = self._shape(inertia_shape, scope)
+            shape = self._shape(inertia_shape, scope, False)
         if shape is None or isinstance(shape, MeshShape):
             if shape is not None or part.get("shape") is None:
                 self.report.add(
@@ -97,7 +102,7 @@ class LinkShapeReader:
             self._check_positive((thickness,), wall)
         return uniform_solid(shape, mass, thickness)
 
-    def _shape(self, node: Node, scope: Scope) -> Shape | None:
+    def _shape(self, node: Node, scope: Scope, collides: bool) -> Shape | None:
         """Reads a box, cylinder, sphere or mesh of a module document.
 
         The sizes of the shape are in m.
@@ -118,7 +123,7 @@ class LinkShapeReader:
             self._check_positive((radius,), sphere)
             return Sphere(radius)
         if mesh is not None:
-            return self._mesh(mesh, scope)
+            return self._mesh(mesh, scope, collides)
         return None
 
     def _check_positive(self, sizes: tuple[float, ...], node: Node) -> None:
@@ -129,23 +134,35 @@ class LinkShapeReader:
                 "size-not-positive", f"sizes must be positive, not {shown} m", node.span
             )
 
-    def _mesh(self, node: Node, scope: Scope) -> MeshShape | None:
+    def _mesh(self, node: Node, scope: Scope, collides: bool) -> MeshShape | None:
         """Reads a mesh file and adds the mesh to ``meshes``."""
         file = node.get("file")
         if file is None:
             return None
         name = scope.text(file)
-        mesh = load_mesh(self.folder / name, file.span, self.report, display=name)
+        factors = self._mesh_scale(node.get("scale"), scope)
+        mesh = load_mesh(
+            self.folder / name,
+            file.span,
+            self.report,
+            display=name,
+            scale=factors,
+            collides=collides,
+            is_builtin=self.is_builtin,
+        )
         if mesh is None:
             return None
         self.meshes[mesh.name] = mesh
-        scale = node.get("scale")
+        return MeshShape(mesh.name, factors)
+
+    def _mesh_scale(self, scale: Node | None, scope: Scope) -> Vec3:
+        """Returns the scale factors of a mesh.  One number is the factor of all axes."""
         if scale is not None and not isinstance(scale.value, tuple):
             value = scope.evaluate(scale)
             if isinstance(value, int | float | str):
                 factor = scope.quantity(scale, "ratio", 1.0)
-                return MeshShape(mesh.name, (factor, factor, factor))
-        return MeshShape(mesh.name, scope.vector(scale, "ratio", (1.0, 1.0, 1.0)))
+                return (factor, factor, factor)
+        return scope.vector(scale, "ratio", (1.0, 1.0, 1.0))
 
     def _color(self, node: Node | None, scope: Scope) -> RGBA:
         """Returns a colour as red, green, blue and alpha, each from 0 to 1.

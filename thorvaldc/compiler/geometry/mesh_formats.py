@@ -1,0 +1,334 @@
+"""Reads and checks the content of STL and OBJ files.
+
+A mesh is refused if MuJoCo cannot load it.  The module imports only the standard library, because
+worker processes import it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+import struct
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from thorvaldc.model.spatial import Vec3
+
+# The STL reader of MuJoCo accepts at most 200 000 triangles.
+MAX_TRIANGLES = 200_000
+# MuJoCo refuses meshes with a smaller area (its limit is near 1e-15 m^2), and larger coordinates.
+_MIN_AREA = 1e-12
+_MAX_COORDINATE = 1e9
+_MAX_FLOAT32 = 3.4028234e38
+# A mesh is flat if all points are nearer to a plane than this part of its size.
+_FLAT = 1e-6
+_SAMPLE = 100  # triangles that decide for most meshes whether they are flat
+
+_RECORD = struct.Struct("<12xfffffffff2x")
+_FLOAT32 = struct.Struct("<3f")
+_VERTEX = re.compile(rb"(?<!\S)vertex(?!\S)\s*(\S*)\s*(\S*)\s*(\S*)", re.IGNORECASE)
+# The function ``bytes.translate`` tests the last byte of each little-endian float32 with the tables
+# ``_BELOW_HUGE`` and ``_BELOW_8``.  The last byte of a little-endian float32 contains the sign and
+# the upper 7 bits of the exponent.  ``_BELOW_HUGE`` contains the last bytes of float32 numbers with
+# a magnitude below 1.7e38, which excludes infinity and NaN.  ``_BELOW_8`` contains the last bytes
+# of float32 numbers with a magnitude below 8.
+_BELOW_HUGE = bytes(b for b in range(256) if b & 0x7F != 0x7F)
+_BELOW_8 = bytes(b for b in range(256) if b & 0x7F < 0x41)
+
+Triangle = tuple["Vec3", "Vec3", "Vec3"]
+
+
+class MeshError(Exception):
+    """Raised if a mesh file is refused.
+
+    - ``code``: name of the diagnostic.
+    - ``text``: message without the first words "mesh file `name`".
+    - ``hint``: how the user can correct the mesh file.
+    """
+
+    def __init__(
+        self, code: str, text: str, hint: str = "export it again, if possible as binary STL"
+    ) -> None:
+        super().__init__(text)
+        self.code = code
+        self.text = text
+        self.hint = hint
+
+
+class CheckedMesh(NamedTuple):
+    """A mesh that MuJoCo can load.
+
+    - ``suffix``: format of the data, ``stl`` or ``obj``.
+    - ``size``: largest edge length of the bounding box (m), or 0 if no coordinate exceeds 8 m.
+    - ``is_flat``: whether all points are in a plane.  MuJoCo loads a flat mesh only if it is not
+      used for collisions.
+    """
+
+    data: bytes
+    suffix: str
+    size: float
+    is_flat: bool
+
+
+def check_mesh(suffix: str, data: bytes, scale: Vec3) -> CheckedMesh:
+    """Checks the content of an STL or OBJ file with the scale of its use.
+
+    The data of the result is binary STL, or OBJ without references to material files.  Raises
+    ``MeshError``.
+    """
+    if suffix == "stl":
+        data, is_large = _check_stl(data)
+        count = (len(data) - 84) // 50
+        source: Callable[[int], Iterable[Triangle]] = partial(_stl_triangles, data)
+    else:
+        data, is_large = _check_obj(data)
+        listed = [*_obj_triangles(data)]
+        count = len(listed)
+        source = lambda step: listed[::step]  # noqa: E731
+
+    def triangles(step: int = 1) -> Iterator[Triangle]:
+        x, y, z = scale
+        for a, b, c in source(step):
+            yield (
+                (a[0] * x, a[1] * y, a[2] * z),
+                (b[0] * x, b[1] * y, b[2] * z),
+                (c[0] * x, c[1] * y, c[2] * z),
+            )
+
+    _check_shape(triangles(), is_large)
+    size = 0.0
+    if is_large or max(map(abs, scale)) > 1.0:
+        axes = zip(*itertools.chain.from_iterable(triangles()), strict=True)
+        size = max(max(axis) - min(axis) for axis in axes)
+    steps = sorted({1, max(1, count // _SAMPLE)}, reverse=True)
+    is_flat = all(
+        _is_flat([*dict.fromkeys(itertools.chain.from_iterable(triangles(step)))]) for step in steps
+    )
+    return CheckedMesh(data, suffix, size, is_flat)
+
+
+def check_count(triangles: int) -> None:
+    """Raises ``MeshError`` if a mesh has too many triangles."""
+    if triangles > MAX_TRIANGLES:
+        raise too_large(f"has {triangles} triangles; at most {MAX_TRIANGLES} are read")
+
+
+def too_large(text: str) -> MeshError:
+    """Returns the error for a mesh that exceeds a limit."""
+    return MeshError(
+        "mesh-large", text, "reduce it: some 10000 triangles are enough for a picture of a robot"
+    )
+
+
+def binary_stl(triangles: Iterable[Triangle]) -> bytes:
+    """Returns the content of a binary STL file that contains the triangles.
+
+    Each triangle has three corners (x, y, z in m).  The function computes the normal vectors of the
+    triangles from the corners.  Raises ``MeshError`` if a coordinate is too large for a float32.
+    """
+    body = bytearray()
+    count = 0
+    for a, b, c in triangles:
+        nx, ny, nz = _normal(a, b, c)
+        length = math.sqrt(nx * nx + ny * ny + nz * nz) or 1.0
+        try:
+            body += struct.pack("<12fH", nx / length, ny / length, nz / length, *a, *b, *c, 0)
+        except OverflowError as error:
+            text = "has a coordinate that is not a finite number"
+            raise MeshError("mesh-invalid", text) from error
+        count += 1
+    return b"binary stl".ljust(80) + struct.pack("<I", count) + bytes(body)
+
+
+def _invalid(text: str) -> MeshError:
+    return MeshError("mesh-invalid", text)
+
+
+def _check_stl(data: bytes) -> tuple[bytes, bool]:
+    """Checks the content of an STL file, and converts text STL to binary STL.
+
+    Returns the content of the binary STL file without trailing bytes.  The second return value is
+    true if a coordinate of the mesh may have a magnitude of 8 m or more.
+
+    A binary STL file contains a header of 80 bytes, the number of triangles as a uint32, and 50
+    bytes for each triangle.  The 50 bytes of a triangle are a normal vector and three corners as
+    float32 values, followed by 2 bytes of attributes.
+    """
+    count = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else None
+    if count is None or len(data) != 84 + 50 * count:
+        if data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:2000]:
+            return _text_stl(data)
+        if count is None:
+            raise _invalid(f"has {len(data)} bytes, too few for an STL file")
+        if len(data) < 84 + 50 * count:
+            raise _invalid(
+                f"is truncated: its header states {count} triangles, {84 + 50 * count} bytes, "
+                f"and it has {len(data)} bytes"
+            )
+        data = data[: 84 + 50 * count]
+    if count < 2:
+        raise _invalid(f"has {count} triangles and is not a solid")
+    check_count(count)
+    is_large = False
+    for k in range(9):
+        # Last byte of one coordinate of each triangle in the binary STL file.  The 9 coordinates of
+        # a triangle have the numbers k = 0 to 8.
+        high_bytes = data[84 + 12 + 4 * k + 3 :: 50]
+        if high_bytes.translate(None, _BELOW_HUGE):
+            raise _invalid("has a coordinate that is not a finite number")
+        is_large = is_large or bool(high_bytes.translate(None, _BELOW_8))
+    return data, is_large
+
+
+def _text_stl(data: bytes) -> tuple[bytes, bool]:
+    """Converts a text STL file to binary STL."""
+    numbers: list[float] = []
+    try:
+        for match in _VERTEX.finditer(data):
+            numbers += map(float, match.groups())
+    except ValueError as error:
+        number = len(numbers) // 3 + 1
+        raise _invalid(f"has a vertex that is not three numbers (number {number})") from error
+    if len(numbers) % 9:
+        raise _invalid(f"has {len(numbers) // 3} vertices, not three for each triangle")
+    points = [(numbers[i], numbers[i + 1], numbers[i + 2]) for i in range(0, len(numbers), 3)]
+    triangles = [(points[i], points[i + 1], points[i + 2]) for i in range(0, len(points), 3)]
+    check_count(len(triangles))
+    return _check_stl(binary_stl(triangles))
+
+
+def _check_obj(data: bytes) -> tuple[bytes, bool]:
+    """Checks the content of an OBJ file.
+
+    Returns the content of the OBJ file without references to material files.  The second return
+    value is true if a coordinate of the mesh has a magnitude of 8 m or more.
+    """
+    vertices = faces = highest = highest_line = 0
+    largest = 0.0
+    lines: list[bytes] = []
+    for number, line in enumerate(data.split(b"\n"), start=1):
+        word = line[:7].split(None, 1)[:1]
+        if word in ([b"mtllib"], [b"usemtl"]):
+            # Material files of OBJ meshes are not copied, because the robot model defines the
+            # colours.
+            continue
+        lines.append(line)
+        if word == [b"f"]:
+            face = line.partition(b"#")[0].split()[1:]
+            faces += len(face) - 2
+            try:
+                # A face refers to vertices by position; negative numbers count from the last one.
+                indices = [int(corner.split(b"/", 1)[0]) for corner in face]
+            except ValueError as error:
+                raise _invalid(
+                    f"has a face that is not a list of vertices (line {number})"
+                ) from error
+            if len(indices) < 3 or 0 in indices or min(indices) < -vertices:
+                raise _invalid(f"has a face with a vertex that does not exist (line {number})")
+            if max(indices) > highest:
+                highest, highest_line = max(indices), number
+        elif word in ([b"vn"], [b"vt"]):
+            try:
+                numbers = [float(n) for n in line.partition(b"#")[0].split()[1:]]
+            except ValueError:
+                numbers = []
+            least = 3 if word == [b"vn"] else 1
+            if not least <= len(numbers) <= 3 or not all(map(math.isfinite, numbers)):
+                raise _invalid(f"has an invalid normal or texture coordinate (line {number})")
+        elif word == [b"v"]:
+            vertices += 1
+            try:
+                x, y, z = (abs(float(n)) for n in line.split()[1:4])
+            except ValueError as error:
+                raise _invalid(f"has a vertex that is not three numbers (line {number})") from error
+            largest = max(largest, x, y, z)
+            if not math.isfinite(x + y + z):
+                raise _invalid(f"has a coordinate that is not a finite number (line {number})")
+    if vertices < 4 or faces < 2:
+        raise _invalid(f"has {vertices} vertices and {faces} triangles and is not a solid")
+    if highest > vertices:
+        raise _invalid(f"has a face with a vertex that does not exist (line {highest_line})")
+    if largest > _MAX_FLOAT32:
+        raise _invalid("has a coordinate that is too large for a float32")
+    check_count(faces)
+    return b"\n".join(lines), largest >= 8.0
+
+
+def _stl_triangles(data: bytes, step: int) -> Iterator[Triangle]:
+    """Yields every ``step``-th triangle of a binary STL file."""
+    for start in range(84, len(data), 50 * step):
+        t = _RECORD.unpack_from(data, start)
+        yield t[0:3], t[3:6], t[6:9]
+
+
+def _obj_triangles(data: bytes) -> Iterator[Triangle]:
+    """Yields the triangles of a checked OBJ file, with coordinates that MuJoCo reads: float32."""
+    points: list[Vec3] = []
+    faces: list[tuple[int, list[int]]] = []  # with the number of vertices above the face
+    for line in data.split(b"\n"):
+        words = line.partition(b"#")[0].split()
+        if words[:1] == [b"v"]:
+            x, y, z = _FLOAT32.unpack(_FLOAT32.pack(*map(float, words[1:4])))
+            points.append((x, y, z))
+        elif words[:1] == [b"f"]:
+            faces.append((len(points), [int(word.split(b"/", 1)[0]) for word in words[1:]]))
+    for above, face in faces:
+        corners = [points[i - 1 if i > 0 else above + i] for i in face]
+        for b, c in itertools.pairwise(corners[1:]):
+            yield corners[0], b, c
+
+
+def _check_shape(triangles: Iterable[Triangle], is_large: bool) -> None:
+    """Raises ``MeshError`` if MuJoCo cannot load a mesh because of its points.
+
+    Nearly every mesh is accepted after its first triangles, because the areas are added only until
+    they reach the limit.
+    """
+    hint = "export it again; the mesh of a body has triangles with an area"
+    distinct: set[Vec3] = set()
+    area = 0.0
+    is_solid = False
+    for corners in triangles:
+        if is_large and max(abs(n) for p in corners for n in p) > _MAX_COORDINATE:
+            text = f"has a coordinate of more than {_MAX_COORDINATE:g} m"
+            raise MeshError("mesh-invalid", text, hint)
+        if not is_solid:
+            area += 0.5 * math.hypot(*_normal(*corners))
+            distinct.update(corners)
+            is_solid = len(distinct) >= 4 and area > _MIN_AREA
+        elif not is_large:
+            return
+    if len(distinct) < 4:
+        text = f"has {len(distinct)} different points and is not a solid"
+        raise MeshError("mesh-invalid", text, hint)
+    if not is_solid:
+        text = f"has an area of {area:.3g} m^2, which is too small"
+        raise MeshError("mesh-invalid", text, hint)
+
+
+def _normal(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
+    """Returns the cross product of two edges of a triangle."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+
+
+def _is_flat(points: Sequence[Vec3]) -> bool:
+    """Whether the distances of points to a plane are below ``_FLAT`` of the size of the mesh.
+
+    The plane contains three points that are far from each other: a, the point b farthest from a,
+    and the point c farthest from the line through a and b.
+    """
+    a = points[0]
+    b = max(points, key=lambda p: math.dist(a, p))
+    c = max(points, key=lambda p: math.hypot(*_normal(a, b, p)))
+    normal = _normal(a, b, c)
+    length = math.hypot(*normal)
+    limit = _FLAT * math.dist(a, b) * length
+    x, y, z = normal
+    return all(
+        abs(x * (p[0] - a[0]) + y * (p[1] - a[1]) + z * (p[2] - a[2])) <= limit for p in points
+    )
