@@ -45,10 +45,7 @@ _FOLLOW_WEIGHT = 0.01
 _ROLLING = 0.05
 """Above this speed (m/s), a wheel with a wrong steering angle scrubs noticeably."""
 _MAX_TURN_ROLLING = math.pi / 4.0
-"""Largest change of the steering angle (rad) that a rolling wheel makes without a stop.
-
-For a larger change, the robot stops before the wheel turns.
-"""
+"""Largest change of the steering angle (rad) that a wheel makes while the robot moves."""
 _MIN_SHARE = 0.1
 """Smallest allowed share of a change of the twist in one tick.
 
@@ -66,11 +63,7 @@ _SAME_SPEED = 1e-12
 _STANDING = 1e-6
 """A robot whose squared speed (m^2/s^2) is below this limit is at rest."""
 _ALIGNED = math.radians(1.0)
-"""Largest steering error (rad) of an aligned wheel.
-
-Smaller steering errors do not change the wheel speeds, so the usual position errors of the steering
-motors do not slow down the robot.
-"""
+"""Largest steering error (rad) of an aligned wheel: smaller ones do not change the wheel speeds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -449,8 +442,7 @@ class General(BaseCalculator):
     def _target_speeds(self, target: Twist) -> tuple[list[float], float]:
         """Returns the wheel speeds (rad/s) at the target angles, and their common scale.
 
-        The common scale is the factor by which the speed limits reduce all wheel speeds.  The
-        common scale is 1 if no wheel reaches its speed limit.
+        The common scale, at most 1, is the factor by which the speed limits reduce all speeds.
         """
         speeds = list(self._zeros)
         scale = 1.0
@@ -568,7 +560,7 @@ class General(BaseCalculator):
     def _fastest_wheel(self, twist: Twist, enough: float) -> float:
         """Returns the speed (m/s) of the fastest steered wheel of ``twist`` at its target angles.
 
-        The search ends at the first wheel with a speed of ``enough``: its speed is returned.
+        The search ends at the first wheel with a speed of at least ``enough``.
         """
         vx, vy, wz = twist
         fastest = 0.0
