@@ -49,8 +49,7 @@ _MAX_TURN_ROLLING = math.pi / 4.0
 _MIN_SHARE = 0.1
 """Smallest allowed share of a change of the twist in one tick.
 
-If the wheels can follow only a smaller share of the change, a wheel is at a steering limit and must
-turn to the opposite direction.
+Below it, a wheel is at a steering limit and must turn to the opposite direction.
 """
 _KEEP_WEIGHT = 0.01
 """Weight epsilon of the interpolated twist in the fit of a twist to wheel speeds.
