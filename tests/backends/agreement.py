@@ -1,8 +1,9 @@
 """Comparison of a robot's URDF and MJCF by readers that are independent of the backends.
 
-MuJoCo loads both files.  Values that its URDF importer does not keep
-(speed limits, mesh scales, materials, limits at the gear) are compared in the raw
-XML, and values that only one of the formats has are compared with the model.
+MuJoCo loads both files; poses at random joint positions are also those of the model.
+Values that its URDF importer does not keep (speed limits, mesh scales, materials, limits at the
+gear) are compared in the raw XML, and values that only one of the formats has are compared with
+the model.
 ``differences`` returns a line for each disagreement.
 """
 
@@ -18,6 +19,7 @@ import mujoco
 import numpy as np
 
 from thorvaldc.model import Box, Cylinder, MeshShape, Robot, Shape
+from thorvaldc.model.statics.joint_tree import JointTree
 
 TOLERANCE = 1e-9
 UNLIMITED = 1e9
@@ -165,8 +167,19 @@ class _Check:
             mujoco.mj_kinematics(urdf, a)
             mujoco.mj_kinematics(mjcf, b)
             count = len(self.differences)
-            self.same("link positions", a.xpos[ia], b.xpos[ib])
-            self.same("link rotations", a.xmat[ia], b.xmat[ib])
+            model = JointTree(
+                self.robot.links,
+                self.robot.joints,
+                {
+                    j.name: float(b.joint(self.prefix + j.name).qpos[0])
+                    for j in self.robot.joints
+                    if j.type != "fixed"
+                },
+            ).pose
+            at = [model[link.name] for link in self.robot.links]
+            turns = [np.array([p.rotate(e) for e in np.eye(3)]).T.ravel() for p in at]
+            self.same("link positions", a.xpos[ia], b.xpos[ib], [p.xyz for p in at])
+            self.same("link rotations", a.xmat[ia], b.xmat[ib], turns)
             for what, u, m in zip(
                 ("total mass", "centre of mass", "inertia about it"),
                 _composite(urdf, a),

@@ -50,6 +50,11 @@ class Plan:
 
     The steering axis (without one, the wheel's centre) is above ``x``, ``y``;
     the wheel's centre is ``trail`` ahead and ``lateral`` left of it; angles in rad.
+
+    A suspended wheel slides vertically, or swings on an arm if ``arm`` is not 0: the hinge is
+    ``arm`` m ahead of the steering axis, its axis is ``hinge``, and the robot's weight turns
+    it by about ``sag`` rad.  An ``endless`` steering axis has no limits; ``lowest`` is the
+    lower limit of the others.
     """
 
     x: float
@@ -62,6 +67,11 @@ class Plan:
     lateral: float = 0.0
     camber: float = 0.0
     suspended: bool = False
+    arm: float = 0.0
+    hinge: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    sag: float = 0.0
+    endless: bool = False
+    lowest: float = -LIMIT
 
 
 def build(
@@ -96,7 +106,7 @@ def build(
         at = Pose.from_xyz_rpy((plan.x, plan.y, height), (0.0, 0.0, plan.heading))
         tyre = at * _tyre_pose(plan, height)
         if plan.suspended:
-            placed.append(_carriage().transformed(at))
+            placed.append(_carriage().transformed(at * Pose((plan.arm, 0.0, 0.0))))
         placed += [_leg().transformed(at), _tyre(plan).transformed(tyre)]
         contacts.append(at.apply((plan.trail, plan.lateral + plan.radius * _sin(plan), 0.0))[:2])
     total = combine(placed)
@@ -167,27 +177,32 @@ def _add_wheel(
         sprung = load - (1.5 + 18.0 + _tyre(plan).mass) * G
         carriage = f"{m}_carriage"
         links.append(Link(carriage, m, _carriage(), (), (), SPAN))
+        swings = plan.arm != 0.0
+        lever = plan.arm * plan.hinge[1] if swings else 1.0  # m
+        stiffness = 20000.0 * lever**2
         joints.append(
             Joint(
                 f"{m}_travel",
                 m,
-                "prismatic",
+                "revolute" if swings else "prismatic",
                 parent,
                 carriage,
-                at,
+                (at * Pose((plan.arm, 0.0, 0.0))).clean() if swings else at,
                 SPAN,
-                lower=-0.05,
-                upper=0.05,
+                axis=plan.hinge if swings else (0.0, 0.0, 1.0),
+                lower=-0.5 if swings else -0.05,
+                upper=0.5 if swings else 0.05,
                 effort=5000.0,
                 velocity=2.0,
-                damping=900.0,
-                stiffness=20000.0,
-                spring_reference=-sprung / 20000.0,
+                damping=900.0 * lever**2,
+                stiffness=stiffness,
+                spring_reference=plan.sag - sprung * lever / stiffness,
                 role="suspension",
             )
         )
-        parent, at = carriage, Pose()
+        parent, at = carriage, Pose((-plan.arm, 0.0, 0.0))
     steered, swivel = plan.kind == "steered", plan.kind == "swivel"
+    limited = steered and not plan.endless
     driven = plan.kind in ("steered", "fixed")
     arm = Visual(Cylinder(0.03, 0.3), Pose.from_xyz_rpy((0.0, 0.1, -0.2), (0.1, 0.2, 0.3)), GREY)
     links.append(Link(f"{m}_leg", m, _leg(), (arm,), (), SPAN))
@@ -195,13 +210,13 @@ def _add_wheel(
         Joint(
             f"{m}_turn",
             m,
-            "revolute" if steered else "continuous" if swivel else "fixed",
+            "revolute" if limited else "continuous" if steered or swivel else "fixed",
             parent,
             f"{m}_leg",
             at,
             SPAN,
-            lower=-LIMIT if steered else None,
-            upper=LIMIT if steered else None,
+            lower=plan.lowest if limited else None,
+            upper=LIMIT if limited else None,
             effort=200.0 if steered else None,
             velocity=4.0 if steered else None,
             damping=0.05 if swivel else 0.0,
@@ -462,6 +477,24 @@ ROBOTS: dict[str, Robot] = {
             Plan(0.5, -0.5, camber=-0.15),
             Plan(-0.5, 0.5, camber=0.1),
             Plan(-0.5, -0.5, camber=-0.1),
+        ]
+    ),
+    "swing_arms": build(
+        [
+            Plan(0.6, 0.5, suspended=True, arm=0.25, sag=0.015, hinge=(0.28, 0.96, 0.0)),
+            Plan(0.55, -0.45, suspended=True, arm=-0.3, sag=-0.02, heading=0.4, endless=True),
+            Plan(-0.5, 0.4, suspended=True, arm=0.2, sag=0.01, trail=0.05),
+            Plan(-0.6, -0.5, "fixed", suspended=True, arm=0.35, sag=0.03, radius=0.25),
+        ],
+        body_com=(0.1, -0.05, 0.0),
+    ),
+    "endless": build(square(endless=True, trail=-0.04, lateral=0.03), body_com=(-0.1, 0.0, 0.1)),
+    "turned_home": build(
+        [
+            Plan(0.55, 0.45, lowest=0.6, trail=0.06),
+            Plan(0.55, -0.45, lowest=0.3, lateral=0.1),
+            Plan(-0.55, 0.45, lowest=1.2, camber=0.1),
+            Plan(-0.55, -0.45),
         ]
     ),
     "nine": build(

@@ -83,6 +83,8 @@ def test_home_is_at_rest(name: str, written: Written) -> None:
     for _ in range(200):  # one second
         mujoco.mj_step(m, d)
         assert np.abs(d.qpos[:7] - start[:7]).max() < 1e-6
+    for joint, position in stance.positions.items():
+        assert d.joint(joint).qpos[0] == pytest.approx(position, abs=1e-4)
     force, total = np.zeros(6), 0.0
     for i in range(d.ncon):
         mujoco.mj_contactForce(m, d, i, force)

@@ -24,7 +24,7 @@ from typing import NamedTuple
 from thorvaldc.compiler.geometry.wheel_geometry import UP, contact_point
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.robot import Joint, Wheel
-from thorvaldc.model.spatial import Inertial, clean, dot
+from thorvaldc.model.spatial import Inertial, Vec3, clean, dot
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.joint_tree import JointTree
 
@@ -45,6 +45,11 @@ class Pivot(NamedTuple):
     moment: float
 
 
+def _lever(origin: Vec3, axis: Vec3, x: float, y: float) -> float:
+    """Returns the moment, about an axis through ``origin``, of an upward force of 1 N at (x, y)."""
+    return axis[0] * (y - origin[1]) - axis[1] * (x - origin[0])
+
+
 def free_pivots(tree: JointTree, wheels: Sequence[Wheel], actuated: Collection[str]) -> list[Pivot]:
     """Returns the pivots (joints without motor and spring) of a robot.
 
@@ -63,18 +68,14 @@ def free_pivots(tree: JointTree, wheels: Sequence[Wheel], actuated: Collection[s
         below = tree.links_below(joint.child)
         links = set(below)
         pose = tree.pose[joint.child]
-        (ox, oy, _), (ax, ay, _) = pose.xyz, pose.rotate(joint.axis)
-
-        def lever(x: float, y: float, line: tuple[float, ...] = (ox, oy, ax, ay)) -> float:
-            # The moment, about the axis (ax, ay) through (ox, oy), of an upward force of 1 N that
-            # acts at the point (x, y).
-            return line[2] * (y - line[1]) - line[3] * (x - line[0])
-
-        levers = [lever(*contact_point(w)) if w.link in links else 0.0 for w in wheels]
+        axis = pose.rotate(joint.axis)
+        levers = [
+            _lever(pose.xyz, axis, *contact_point(w)) if w.link in links else 0.0 for w in wheels
+        ]
         if max(map(abs, levers), default=0.0) < 1e-6:
             continue
         carried = tree.inertial(below)
-        moment = carried.mass * GRAVITY * lever(carried.com[0], carried.com[1])
+        moment = carried.mass * GRAVITY * _lever(pose.xyz, axis, carried.com[0], carried.com[1])
         pivots.append(Pivot(tuple(levers), moment))
     return pivots
 
@@ -185,16 +186,26 @@ def spring_reference(
 ) -> float:
     """Returns the rest position (m or rad) of the spring in a joint.
 
-    The spring holds the joint at the position 0 under the static wheel loads::
+    The spring holds the joint at the position 0 under the static wheel loads and the weight of the
+    links below the joint::
 
-        stiffness * rest position = -(wheel loads - weight below the joint) * axis_z
+        stiffness * rest position = -(force or moment of the wheel loads and the weight)
 
-    axis_z is the vertical component of the joint axis.
+    For a prismatic joint, it is the force along the joint axis; for another joint, the moment about
+    the joint axis.
     """
     below = set(tree.links_below(joint.child))
-    wheel_force = float_sum(
-        load for wheel, load in zip(wheels, loads, strict=True) if wheel.link in below
-    )
-    weight_below = tree.inertial(sorted(below)).mass * GRAVITY
-    vertical = dot(tree.pose[joint.child].rotate(joint.axis), UP)
-    return clean(-(wheel_force - weight_below) * vertical / joint.stiffness)
+    pose = tree.pose[joint.child]
+    axis = pose.rotate(joint.axis)
+    carried = tree.inertial(sorted(below))
+    forces = [
+        (load, *contact_point(wheel))
+        for wheel, load in zip(wheels, loads, strict=True)
+        if wheel.link in below
+    ]
+    forces.append((-carried.mass * GRAVITY, carried.com[0], carried.com[1]))
+    if joint.type == "prismatic":
+        total = dot(axis, UP) * float_sum(force for force, _, _ in forces)
+    else:
+        total = float_sum(force * _lever(pose.xyz, axis, x, y) for force, x, y in forces)
+    return clean(-total / joint.stiffness)
