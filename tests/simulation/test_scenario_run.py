@@ -153,6 +153,28 @@ def test_collisions_count_obstacles_but_not_kerbs(tmp_path: Path) -> None:
     assert result.metrics["cart"]["tilt"] > math.radians(0.5)
 
 
+@pytest.mark.parametrize(
+    ("shape", "hits"),
+    [
+        ("{shape: sphere, xyz: [1.6, 0, 0], diameter: 1}", True),
+        ("{shape: cylinder, xyz: [1.6, 0, 0], diameter: 1, height: 1.5}", True),
+        # Beside the robot's path.
+        ("{shape: cylinder, xyz: [1.6, 1.4, 0], diameter: 1, height: 1.5}", False),
+        ("{shape: sphere, xyz: [1.6, 1.4, 0], diameter: 1}", False),
+        ("{shape: box, xyz: [1.6, 1.4, 0], size: [1, 1, 1]}", False),
+        # Above the robot.
+        ("{shape: sphere, xyz: [1.6, 0, 2], diameter: 1}", False),
+        ("{shape: cylinder, xyz: [1.6, 0, 2], diameter: 1, height: 0.4}", False),
+    ],
+)
+def test_obstacles_of_each_shape_are_where_they_are_described(
+    shape: str, hits: bool, tmp_path: Path
+) -> None:
+    world = f"world: {{obstacles: {{thing: {shape}}}}}\n"
+    result, _ = play(tmp_path, HEAD + world)
+    assert (result.metrics["cart"]["collisions"] >= 1) is hits
+
+
 def test_tip_over_is_reported_with_time_and_direction_and_the_record_is_kept(
     tmp_path: Path,
 ) -> None:

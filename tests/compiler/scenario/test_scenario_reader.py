@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
 
 from thorvaldc.compiler.compilation import Compilation
-from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.model import Box, Cylinder, Ground
+from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.diagnostics import Report
+from thorvaldc.model import Box, Cylinder, Ground, Sphere
 from thorvaldc.model.scenario import Command, Noise, Scenario
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -104,6 +106,29 @@ def test_world_is_expanded_to_blocks(tmp_path: Path) -> None:
     assert blocks["crop/1_2_3"].pose.xyz == pytest.approx((0.0, 2.0, 0.2), abs=1e-9)
     assert blocks["post/1_right_3"].pose.xyz == pytest.approx((4.0, -3.0, 1.0), abs=1e-9)
     assert blocks["obstacle/box"].pose.xyz == (5.0, 0.0, 1.0)
+
+
+def test_obstacles_stand_on_their_height(tmp_path: Path) -> None:
+    world = """world:
+  obstacles:
+    ball: {shape: sphere, xyz: [1, 2, 0.5], diameter: 0.6}
+    post: {shape: cylinder, xyz: [3, 0, 0], yaw: 90 deg, diameter: 0.2, height: 1.4}
+    crate: {shape: box, xyz: [0, 4, 1], yaw: 90 deg, size: [1, 2, 3]}
+"""
+    scenario = scenario_of(tmp_path, HEAD + world)
+    assert scenario.fleet.world is not None
+    shapes = {b.name: (b.shape, b.pose.xyz) for b in scenario.fleet.world.blocks}
+    assert shapes == {
+        "ball": (Sphere(0.3), (1.0, 2.0, 0.8)),
+        "post": (Cylinder(0.1, 1.4), (3.0, 0.0, 0.7)),
+        "crate": (Box((1.0, 2.0, 3.0)), (0.0, 4.0, 2.5)),
+    }
+    scene = emit(scenario.fleet, ["mjcf"], Report())["mjcf/scene.xml"].decode()
+    geoms = {g.get("name"): g for g in ET.fromstring(scene).iter("geom")}
+    sizes = {"ball": "0.3", "post": "0.1 0.7", "crate": "0.5 1 1.5"}
+    for name, size in sizes.items():
+        (geom,) = [g for n, g in geoms.items() if n and n.endswith(name)]
+        assert geom.get("size") == size
 
 
 @pytest.mark.parametrize(

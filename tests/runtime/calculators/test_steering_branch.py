@@ -172,3 +172,45 @@ def test_motion_keeps_rate_and_rate_change_without_overshoot(start: float, goal:
         assert ticks < 200
     # The shortest time is distance / rate + rate / change.
     assert ticks * dt <= abs(goal - start) / 4.0 + 4.0 / 20.0 + 4 * dt
+
+
+def test_a_reset_forgets_an_unreachable_motion_and_resume_keeps_it() -> None:
+    limits = (-0.7, 0.7)
+    joint = turned(steering(limits), 0.1)
+    joint.choose(0.0, 1.0, 0.0, 0.1, 0.0)
+    other = steering(limits)
+    other.resume(joint)
+    assert other.unreachable
+    joint.reset(0.1)
+    assert not joint.unreachable
+    other.resume(joint)
+    assert not other.unreachable
+    joint.choose(0.0, 1.0, 0.0, 0.1, 0.0)
+    assert joint.unreachable
+
+
+@pytest.mark.parametrize("turns", [-3, -1, 0, 1, 2])
+@pytest.mark.parametrize("phi", [-2.9, -1.0, 0.3, 1.4, 3.0])
+def test_a_steering_axis_without_limits_never_unwinds(turns: int, phi: float) -> None:
+    """After any number of turns, the joint is at most a quarter turn from its next angle."""
+    angle = 0.5 + 2.0 * math.pi * turns
+    joint = turned(steering((None, None)), angle)
+    assert joint.angle == angle
+    joint.choose(math.cos(phi), math.sin(phi), 0.0, angle, 0.0)
+    assert abs(joint.target - angle) <= math.pi / 2 + 0.02
+    assert joint.direction * math.cos(joint.target - phi) == pytest.approx(1.0)
+    for _ in range(500):
+        joint.advance(0.02, 1.0)
+    assert joint.angle == pytest.approx(joint.target)
+    assert not joint.unreachable
+
+
+def test_a_wheel_without_limits_that_rotates_with_its_direction_goes_on_past_a_turn() -> None:
+    joint = turned(steering((None, None)), 0.0)
+    angle = 0.0
+    for k in range(1, 200):
+        phi = 0.1 * k
+        joint.choose(math.cos(phi), math.sin(phi), 0.0, angle, 1.0)
+        angle = joint.target
+        assert angle == pytest.approx(phi)
+        assert joint.direction == 1.0

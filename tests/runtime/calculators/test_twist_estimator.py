@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 
+import numpy as np
 import pytest
 
 from tests.conformance.wheels import wheel
@@ -220,3 +221,42 @@ def test_chi_squares_count_only_wheels_that_measure() -> None:
     estimate = TwistEstimator(BaseGeometry.from_wheels(wheels)).estimate(states)
     assert estimate.chi_squares[4] == 0.0
     assert min(estimate.chi_squares[:4]) > 0.0
+
+
+def test_weights_of_the_fit_are_those_of_the_assumed_noise() -> None:
+    """Near the centre of a turn a wheel is slow, so its measurements count more."""
+    places = [(0.6, 0.4), (0.6, -0.4), (-0.6, 0.4), (-0.6, -0.4)]
+    noise = Noise(speed_ratio=0.03, angle=0.02, speed_floor=0.004, slip_floor=0.001)
+    geometry = BaseGeometry.from_wheels(
+        [wheel(f"w{i}", x, y, "steered") for i, (x, y) in enumerate(places)]
+    )
+    estimator = TwistEstimator(geometry, noise, EstimatorOptions(faulty=0))
+    command = General(geometry).command(Twist(0.5, 0.2, 1.0))
+    speeds = [v + e for v, e in zip(command.joints.speeds, (0.2, -0.1, 0.3, -0.4), strict=True)]
+    errors = (0.02, -0.01, 0.03, 0.01)
+    angles = [a + e for a, e in zip(command.joints.angles, errors, strict=True)]
+    states = JointStates(0.0, speeds, angles, [0.0] * 4)
+    first = estimator.least_squares(states)
+    information, right_side = np.zeros((3, 3)), np.zeros(3)
+    for (x, y), speed, angle, w in zip(places, speeds, angles, geometry.wheels, strict=True):
+        rows = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])
+        velocity = rows @ np.array(first)
+        size = float(np.linalg.norm(velocity))
+        measured = np.array([math.cos(angle), math.sin(angle)])
+        along = velocity / size * np.sign(measured @ velocity)
+        across = np.array([-along[1], along[0]])
+        side = float(np.array([-measured[1], measured[0]]) @ velocity)
+        side_slip = -size * math.asin(side / size)
+        for direction, value, ratio, floor in (
+            (along, speed * w.radius, noise.speed_ratio, noise.speed_floor),
+            (across, side_slip, noise.angle, noise.slip_floor),
+        ):
+            row = direction @ rows
+            weight = 1.0 / ((ratio * size) ** 2 + floor**2)
+            information += weight * np.outer(row, row)
+            right_side += weight * value * row
+    estimate = estimator.estimate(states)
+    expected = np.linalg.solve(information, right_side)
+    assert list(estimate.twist) == pytest.approx(expected.tolist(), abs=1e-6)
+    assert np.array(estimate.covariance) == pytest.approx(np.linalg.inv(information), rel=1e-6)
+    assert np.abs(expected - np.array(first)).max() > 0.01  # the weights matter
