@@ -158,24 +158,18 @@ class _Check:
         ib = [mjcf.body(name).id for name in links]
         for _ in range(POSES):
             b.qpos[adr : adr + 7] = (0, 0, 0, 1, 0, 0, 0)
+            positions = {}
             for j in range(urdf.njnt):
                 low, high = urdf.jnt_range[j] if urdf.jnt_limited[j] else (-math.pi, math.pi)
                 q = rng.uniform(max(low, -10.0), min(high, 10.0))
                 name = urdf.joint(j).name
+                positions[name.removeprefix(self.prefix)] = q
                 a.qpos[urdf.jnt_qposadr[j]] = q
                 b.qpos[mjcf.jnt_qposadr[mjcf.joint(name).id]] = q
             mujoco.mj_kinematics(urdf, a)
             mujoco.mj_kinematics(mjcf, b)
             count = len(self.differences)
-            model = JointTree(
-                self.robot.links,
-                self.robot.joints,
-                {
-                    j.name: float(b.joint(self.prefix + j.name).qpos[0])
-                    for j in self.robot.joints
-                    if j.type != "fixed"
-                },
-            ).pose
+            model = JointTree(self.robot.links, self.robot.joints, positions).pose
             at = [model[link.name] for link in self.robot.links]
             turns = [np.array([p.rotate(e) for e in np.eye(3)]).T.ravel() for p in at]
             self.same("link positions", a.xpos[ia], b.xpos[ib], [p.xyz for p in at])
