@@ -2,8 +2,7 @@
 
 MuJoCo loads both files; poses at random joint positions are also those of the model.
 Values that its URDF importer does not keep (speed limits, mesh scales, materials, limits at the
-gear) are compared in the raw XML, and values that only one of the formats has are compared with
-the model.
+gear) are compared in the raw XML, and values of one format only are compared with the model.
 ``differences`` returns a line for each disagreement.
 """
 
