@@ -65,6 +65,7 @@ class Target(NamedTuple):
 TARGETS: dict[str, Target] = {
     "urdf": Target("thorvaldc.backends.urdf:Urdf"),
     "mjcf": Target("thorvaldc.backends.mjcf:Mjcf"),
+    "sdf": Target("thorvaldc.backends.sdf:Sdf", default=False),
     "ros2": Target("thorvaldc.backends.ros2:Ros2"),
     "can": Target("thorvaldc.backends.can:Can"),
 }

@@ -5,6 +5,14 @@ from __future__ import annotations
 from thorvaldc.model import Robot
 
 Color = tuple[float, float, float, float]
+BLOCK_COLORS: dict[str, Color] = {
+    "kerb": (0.62, 0.62, 0.6, 1.0),
+    "rail": (0.45, 0.47, 0.5, 1.0),
+    "obstacle": (0.7, 0.35, 0.2, 1.0),
+    "crop": (0.25, 0.5, 0.2, 1.0),
+    "post": (0.75, 0.77, 0.8, 1.0),
+}
+"""Colours of the fixed bodies of a scenario by their kind."""
 
 
 class Palette:

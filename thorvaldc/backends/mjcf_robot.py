@@ -22,10 +22,9 @@ from thorvaldc.model import (
     Sensor,
     Shape,
     Tread,
-    Vec3,
     Wheel,
 )
-from thorvaldc.model.spatial import Quat, clean, cross, dot, quat_normalize
+from thorvaldc.model.spatial import clean, quat_from_z_to
 from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.model.statics.standing_pose import Statics
 from thorvaldc.model.statics.wheel_contact import SOLREF, WheelContact
@@ -206,7 +205,7 @@ class RobotWriter:
         geom = body.add("geom", name=f"{self.prefix}{wheel.link}_tread", class_="wheel")
         geom.set(**self.bits)
         geom.set(size=(contact.radius, contact.radius, contact.half_width))
-        center = Pose((shift * x, shift * y, shift * z), _z_to(axis)).clean()
+        center = Pose((shift * x, shift * y, shift * z), quat_from_z_to(axis)).clean()
         _place(geom, center)
         mu = wheel.friction
         geom.set(friction=(mu, clean(mu * wheel.width * TORSION), ROLLING_FRICTION))
@@ -226,7 +225,7 @@ class RobotWriter:
         ring.set(type="cylinder", size=(clean(radius + contact.penetration / 2), half))
         ring.set(friction=(mu, clean(mu * tread.width * TORSION), ROLLING_FRICTION))
         ring.set(solref=_solref(contact))
-        turned = _z_to(contact.axis)
+        turned = quat_from_z_to(contact.axis)
         _place(ring, Pose(tread.center, turned).clean())
         for side in (1, -1) if tread.flange else ():
             shift = side * (half + FLANGE / 2)
@@ -341,13 +340,3 @@ def _place(element: Element, pose: Pose) -> None:
         element.set(pos=pose.xyz)
     if pose.quat != (1.0, 0.0, 0.0, 0.0):
         element.set(quat=pose.quat)
-
-
-def _z_to(axis: Vec3) -> Quat:
-    """Return the quaternion of the smallest rotation from the z axis to the unit vector
-    ``axis``."""
-    c = dot((0.0, 0.0, 1.0), axis)
-    if c < -1.0 + 1e-12:
-        return (0.0, 1.0, 0.0, 0.0)
-    x, y, z = cross((0.0, 0.0, 1.0), axis)
-    return quat_normalize((1.0 + c, x, y, z))

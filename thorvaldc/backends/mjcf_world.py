@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from thorvaldc.backends.colors_and_meshes import BLOCK_COLORS
 from thorvaldc.backends.xml_writer import Element
 from thorvaldc.model import Box, Cylinder, Ground, MeshShape, Pose, Sphere, World, Zone
 from thorvaldc.model.spatial import clean
@@ -20,13 +21,6 @@ _DEPTH = 0.5  # m, thickness of a height field below its lowest point
 _FILM = 0.001  # m, half the thickness of the visible plate of a level zone
 _LAYER = 0.0005  # m, added for each further zone: where zones overlap, the last one is visible
 _SLIPPERY = 0.3  # coefficient of friction below which a zone has the colour of ice
-_COLORS = {
-    "kerb": (0.62, 0.62, 0.6, 1.0),
-    "rail": (0.45, 0.47, 0.5, 1.0),
-    "obstacle": (0.7, 0.35, 0.2, 1.0),
-    "crop": (0.25, 0.5, 0.2, 1.0),
-    "post": (0.75, 0.77, 0.8, 1.0),
-}
 
 
 def lowest(ground: Ground) -> float:
@@ -62,7 +56,7 @@ def add_world(scene: Element, world: World, starts: Sequence[Pose]) -> dict[str,
             geom.set(type="sphere", size=(shape.radius,))
         elif isinstance(shape, MeshShape):
             raise TypeError("a block has no mesh")
-        geom.set(pos=block.pose.xyz, quat=block.pose.quat, rgba=_COLORS[block.kind])
+        geom.set(pos=block.pose.xyz, quat=block.pose.quat, rgba=BLOCK_COLORS[block.kind])
     files = _add_zones(scene, body, world.zones)
     if not ground.amplitude:
         return files

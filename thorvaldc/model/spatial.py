@@ -105,6 +105,16 @@ def quat_from_axis_angle(axis: Vec3, angle: float) -> Quat:
     return (math.cos(angle / 2), s * axis[0], s * axis[1], s * axis[2])
 
 
+def quat_from_z_to(axis: Vec3) -> Quat:
+    """Return the quaternion of the smallest rotation from the z axis to the unit vector
+    ``axis``."""
+    c = dot((0.0, 0.0, 1.0), axis)
+    if c < -1.0 + 1e-12:
+        return (0.0, 1.0, 0.0, 0.0)
+    x, y, z = cross((0.0, 0.0, 1.0), axis)
+    return quat_normalize((1.0 + c, x, y, z))
+
+
 def quat_to_matrix(q: Quat) -> Mat3:
     w, x, y, z = q
     return (

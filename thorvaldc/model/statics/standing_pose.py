@@ -332,7 +332,7 @@ def solve_statics(robot: Robot) -> Statics:
     damping_ratios = [
         clean(SOLREF[1] * math.sqrt(soft / w)) for soft, w in zip(softened, weights, strict=True)
     ]
-    axes = [_spin_axis(tree, wheel) for wheel in robot.wheels]
+    axes = [spin_axis(tree, wheel) for wheel in robot.wheels]
     initial = {servo.joint: servo.initial for servo in robot.joint_servos}
     positions = {
         joint.name: _joint_home(joint, initial.get(joint.name, 0.0)) for joint in tree.moving
@@ -408,7 +408,7 @@ def _compliant_joints(robot: Robot, tree: JointTree) -> list[Joint]:
     ]
 
 
-def _spin_axis(tree: JointTree, wheel: Wheel) -> Vec3:
+def spin_axis(tree: JointTree, wheel: Wheel) -> Vec3:
     """Return the spin axis of a wheel in the link frame of the wheel.
 
     The spin axis points from the right to the left side of the robot.

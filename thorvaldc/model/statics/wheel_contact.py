@@ -201,3 +201,35 @@ def contact_ellipsoid(
     height = math.hypot(a * cos, half * tilt)
     offset = (half * half / height - penetration / 2) * tilt
     return WheelContact(axis, clean(a), half, clean(offset), clean(penetration), clean(force))
+
+
+class RollingSphere(NamedTuple):
+    """A sphere that represents a wheel in contact simulations with rigid contacts.
+
+    ``center`` is in the link frame of the wheel. ``radius`` and ``center`` are in m.
+    """
+
+    radius: float
+    center: Vec3
+
+
+def rolling_sphere(radius: float, axis: Vec3, tilt: float) -> RollingSphere:
+    """Return the sphere whose lowest point is the lowest point of the rolling circle.
+
+    ``radius`` is the rolling radius of the wheel in m, ``axis`` its spin axis in the link frame,
+    and ``tilt`` the vertical component of the spin axis in the world frame, which is the sine of
+    the camber angle.
+
+    The rolling circle lies in the middle plane of the wheel. Its lowest point is below the wheel
+    centre by radius cos(camber), and beside it by radius sin(camber). The centre of the sphere is
+    on the spin axis and above this point, so that the radius of the sphere is radius / cos(camber)
+    and its centre is shifted along the spin axis by radius tan(camber).
+    """
+    cos = math.sqrt(max(1.0 - tilt * tilt, 0.0))
+    if cos < _MIN_COS_CAMBER:
+        return RollingSphere(radius, (0.0, 0.0, 0.0))
+    shift = radius * tilt / cos
+    x, y, z = axis
+    return RollingSphere(
+        clean(radius / cos), (clean(shift * x), clean(shift * y), clean(shift * z))
+    )

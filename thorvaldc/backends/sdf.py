@@ -1,0 +1,89 @@
+"""SDF files: a robot for Gazebo, and a world in which the robot stands.
+
+The file ``model.sdf`` contains only the robot, so that a program can spawn it.  The file
+``world.sdf`` contains the robots, the ground, the light and the systems of Gazebo that the robots
+need, and does not include other files.
+
+The files have the version 1.9 of SDF, which Gazebo Fortress and all newer versions read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from thorvaldc.backends import Backend
+from thorvaldc.backends.colors_and_meshes import mesh_files
+from thorvaldc.backends.sdf_robot import add_robot
+from thorvaldc.backends.sdf_world import add_blocks, add_ground, add_systems
+from thorvaldc.backends.xml_writer import Element, parse, to_bytes
+from thorvaldc.diagnostics import CODES, Diagnostic
+from thorvaldc.model import Fleet, Pose, Robot, World
+
+VERSION = "1.9"
+
+
+class Sdf(Backend):
+    """Backend of the target `sdf`.
+
+    For a fleet, the backend also writes one world with all robots.
+    """
+
+    name = "sdf"
+    summary = "Gazebo model (sdf/model.sdf) and world (sdf/world.sdf) with its meshes"
+
+    def unsupported(self, robot: Robot) -> Iterable[Diagnostic]:
+        tags = [f"<{parse(text).tag}>" for text in robot.urdf_extensions]
+        mimics = sum(joint.mimic is not None for joint in robot.joints)
+        parts = [f"{tags.count(tag)} x {tag}" for tag in dict.fromkeys(tags)]
+        if mimics:
+            parts.append(f"{mimics} x <mimic>")
+        if parts:
+            yield Diagnostic(
+                CODES["urdf-only-element"],
+                f"SDF {VERSION} has no elements for these parts of the extras: " + ", ".join(parts),
+                robot.span,
+                "the URDF has them",
+            )
+
+    def emit(self, robot: Robot) -> dict[str, bytes]:
+        model = Element("sdf", version=VERSION)
+        add_robot(model, robot, None)
+        return {
+            "sdf/model.sdf": to_bytes(model),
+            "sdf/model.config": _config(robot),
+            "sdf/world.sdf": _world(robot.name, [(robot, Pose(), "../meshes")], None)[0],
+            **mesh_files(robot),
+        }
+
+    def emit_fleet(self, fleet: Fleet) -> dict[str, bytes]:
+        robots = [(p.robot, p.pose, f"../{p.name}/meshes") for p in fleet.placements]
+        world, files = _world(fleet.name, robots, fleet.world)
+        return {**super().emit_fleet(fleet), "sdf/world.sdf": world, **files}
+
+
+def _config(robot: Robot) -> bytes:
+    """Return the file by which Gazebo knows the folder ``sdf`` as a model."""
+    root = Element("model")
+    root.add("name").text = robot.name
+    root.add("version").text = "1.0"
+    root.add("sdf", version=VERSION).text = "model.sdf"
+    root.add("description").text = robot.description or robot.name
+    return to_bytes(root)
+
+
+def _world(
+    name: str, robots: list[tuple[Robot, Pose, str]], surroundings: World | None
+) -> tuple[bytes, dict[str, bytes]]:
+    """Return the world file, and further files by path.
+
+    Each robot has its pose in the world and the folder of its meshes.
+    """
+    root = Element("sdf", version=VERSION)
+    world = root.add("world", name=name)
+    add_systems(world, [robot for robot, _, _ in robots], surroundings)
+    files = add_ground(world, surroundings, [pose for _, pose, _ in robots])
+    if surroundings is not None:
+        add_blocks(world, surroundings)
+    for robot, pose, meshes in robots:
+        add_robot(world, robot, pose, meshes)
+    return to_bytes(root), files
