@@ -311,9 +311,11 @@ def test_targets(thorvaldc: Command) -> None:
         "can",
         "mjcf",
         "ros2",
+        "sdf",
         "urdf",
     ]
-    assert set(json.loads(thorvaldc("targets", "--json").out)) == {"can", "mjcf", "ros2", "urdf"}
+    targets = json.loads(thorvaldc("targets", "--json").out)
+    assert set(targets) == {"can", "mjcf", "ros2", "sdf", "urdf"}
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,244 @@
+"""SDF files: Drake and libsdformat read the robot of the URDF, and it drives as computed."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+
+from tests.backend_files import files_of
+from tests.backends.conftest import write
+from tests.backends.plans import ROBOTS as PLANS
+from tests.backends.plans import Plan, build
+from tests.examples import FLEETS, FOLDER, example_fleet, example_robot
+from tests.examples import ROBOTS as EXAMPLES
+from tests.outside_tools import path_of_drake_python
+from thorvaldc.backends.sdf import Sdf
+from thorvaldc.backends.sdf_sensors import CAMERA
+from thorvaldc.backends.urdf import Urdf
+from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.model import Fleet, Robot
+from thorvaldc.model.spatial import rotate
+
+READER = Path(__file__).with_name("drake_reader.py")
+SECONDS = 3.0
+MOTIONS = {"straight": (0.8, 0.0, 0.0), "sideways": (0.0, 0.5, 0.0), "spot turn": (0.0, 0.0, 0.6)}
+
+
+def read_by_drake(jobs: Sequence[dict[str, Any]]) -> list[Any]:
+    process = subprocess.run(
+        [path_of_drake_python(), str(READER)],
+        input=json.dumps(jobs),
+        capture_output=True,
+        text=True,
+    )
+    assert process.returncode == 0, process.stderr
+    result: list[Any] = json.loads(process.stdout)
+    return result
+
+
+def robots() -> dict[str, Robot]:
+    named = {name: example_robot(name) for name in EXAMPLES}
+    for fleet in FLEETS:
+        named |= {f"{fleet}-{p.name}": p.robot for p in example_fleet(fleet).placements}
+    return named | {name: robot for name, robot in PLANS.items() if not has_mimics(robot)}
+
+
+def has_mimics(robot: Robot) -> bool:
+    return any(joint.mimic is not None for joint in robot.joints)
+
+
+def test_drake_reads_the_robot_of_the_urdf(tmp_path: Path) -> None:
+    """Masses, inertias, axes, poses at random joint positions, and limits; every robot floats."""
+    jobs = []
+    for name, robot in robots().items():
+        folder = write({**files_of(Urdf, robot), **files_of(Sdf, robot)}, tmp_path / name)
+        urdf, sdf = folder / "urdf/robot.urdf", folder / "sdf/model.sdf"
+        jobs.append({"kind": "compare", "urdf": str(urdf), "sdf": str(sdf)})
+    results = read_by_drake(jobs)
+    assert {n: d for n, d in zip(robots(), results, strict=True) if d} == {}
+
+
+@pytest.mark.parametrize("change", ["<mass>", "<ixx>", "<upper>", "<xyz>", "<pose relative_to"])
+def test_drake_notices_changes(change: str, tmp_path: Path) -> None:
+    robot = example_robot("4wd4ws_wide")
+    folder = write({**files_of(Urdf, robot), **files_of(Sdf, robot)}, tmp_path)
+    sdf = folder / "sdf/model.sdf"
+    lines = sdf.read_text().splitlines()
+    (index, *_) = (i for i, line in enumerate(lines) if change in line and "1e16" not in line)
+    head, _, rest = lines[index].partition(">")
+    values, _, tail = rest.partition("<")
+    numbers = [float(value) for value in values.split()]
+    if change == "<xyz>":
+        numbers = numbers[1:] + numbers[:1]
+    else:
+        numbers[0] += 0.001
+    lines[index] = f"{head}>{' '.join(map(str, numbers))}<{tail}"
+    sdf.write_text("\n".join(lines))
+    job = {"kind": "compare", "urdf": str(folder / "urdf/robot.urdf"), "sdf": str(sdf)}
+    assert read_by_drake([job])[0]
+
+
+def wheel_targets(robot: Robot, twist: tuple[float, float, float]) -> list[dict[str, Any]]:
+    """The angles and speeds of steered wheels: each rolls across the line to the centre."""
+    vx, vy, wz = twist
+    targets = []
+    for wheel in robot.wheels:
+        ux, uy = vx - wz * wheel.y, vy + wz * wheel.x
+        speed = math.hypot(ux, uy) / wheel.radius
+        angle = math.remainder(math.atan2(uy, ux) - wheel.heading, math.tau)
+        if abs(angle) > math.pi / 2 + 1e-9:
+            angle, speed = math.remainder(angle + math.pi, math.tau), -speed
+        angle *= wheel.steering_sign
+        targets.append(
+            {"drive": wheel.spin_joint, "speed": speed}
+            | {"steering": wheel.steering_joint, "angle": angle}
+        )
+    return targets
+
+
+def test_robot_drives_as_computed_in_drake(tmp_path: Path) -> None:
+    robot = example_robot("4wd4ws_wide")
+    sdf = write(files_of(Sdf, robot), tmp_path) / "sdf/model.sdf"
+    jobs = [
+        {"kind": "drive", "sdf": str(sdf), "wheels": wheel_targets(robot, twist)}
+        | {"seconds": SECONDS}
+        for twist in MOTIONS.values()
+    ]
+    for (name, (vx, vy, wz)), motion in zip(MOTIONS.items(), read_by_drake(jobs), strict=True):
+        x, y, _ = motion["move"]
+        assert math.hypot(x, y) == pytest.approx(math.hypot(vx, vy) * SECONDS, rel=5e-3, abs=0.01)
+        assert motion["yaw"] == pytest.approx(wz * SECONDS, rel=5e-3, abs=0.005), name
+        assert motion["height"] == pytest.approx(0.0, abs=0.005), name
+
+
+def scenario_fleet(name: str) -> Fleet:
+    fleet = compile_file(FOLDER / "scenarios" / f"{name}.yaml").model
+    assert isinstance(fleet, Fleet)
+    return fleet
+
+
+@pytest.mark.parametrize("name", [*EXAMPLES, *FLEETS, "field_edge", "greenhouse_rails"])
+def test_libsdformat_accepts_model_and_world(name: str, tmp_path: Path, ign: str) -> None:
+    model: Robot | Fleet
+    if name in EXAMPLES:
+        model = example_robot(name)
+    else:
+        model = example_fleet(name) if name in FLEETS else scenario_fleet(name)
+    write(files_of(Sdf, model), tmp_path)
+    for path in sorted(tmp_path.rglob("*.sdf")):
+        process = subprocess.run([ign, "sdf", "-k", str(path)], capture_output=True, text=True)
+        assert process.stdout.splitlines()[-1:] == ["Valid."], process.stdout + process.stderr
+        for uri in ElementTree.parse(path).iter("uri"):
+            assert (path.parent / str(uri.text)).is_file()
+
+
+def test_massless_links_are_frames() -> None:
+    robot = example_robot("4wd4ws_wide")
+    model = ElementTree.fromstring(files_of(Sdf, robot)["sdf/model.sdf"]).find("model")
+    assert model is not None
+    links = {link.get("name") for link in model.findall("link")}
+    frames = {frame.get("name") for frame in model.findall("frame")}
+    assert links | frames == {link.name for link in robot.links}
+    assert not links & frames
+    masses = [float(element.text or "") for element in model.iter("mass")]
+    assert math.fsum(masses) == pytest.approx(robot.inertial.mass)
+    assert len(masses) == len(links)
+
+
+def test_sensors_have_their_properties_and_frames() -> None:
+    robot = example_robot("4wd4ws_wide")
+    root = ElementTree.fromstring(files_of(Sdf, robot)["sdf/model.sdf"])
+    sensors = {str(sensor.get("name")): sensor for sensor in root.iter("sensor")}
+    assert set(sensors) == {sensor.name for sensor in robot.sensors}
+    for sensor in robot.sensors:
+        element, values = sensors[sensor.name], dict(sensor.properties)
+        assert element.findtext("gz_frame_id") == sensor.link
+        assert float(element.findtext("update_rate") or "") == values["rate"]
+        if sensor.type == "lidar_2d":
+            half = float(values["field_of_view"]) / 2
+            horizontal = element.find("lidar/scan/horizontal")
+            assert horizontal is not None
+            assert float(horizontal.findtext("max_angle") or "") == pytest.approx(half)
+            samples = int(horizontal.findtext("samples") or "")
+            step = 2 * half / (samples - 1)
+            assert step == pytest.approx(float(values["angular_resolution"]), rel=1e-3)
+    systems = {plugin.get("name") for plugin in world(robot).iter("plugin")}
+    assert "gz::sim::systems::Sensors" in systems
+    assert "gz::sim::systems::Imu" in systems
+
+
+def world(model: Robot | Fleet) -> ElementTree.Element:
+    return ElementTree.fromstring(files_of(Sdf, model)["sdf/world.sdf"])
+
+
+def test_a_camera_looks_along_z_of_its_optical_frame() -> None:
+    assert rotate(CAMERA.quat, (1.0, 0.0, 0.0)) == pytest.approx((0.0, 0.0, 1.0))
+    assert rotate(CAMERA.quat, (0.0, 0.0, 1.0)) == pytest.approx((0.0, -1.0, 0.0))
+
+
+def test_each_motor_has_a_controller() -> None:
+    robot = example_robot("4wd4ws_wide")
+    root = ElementTree.fromstring(files_of(Sdf, robot)["sdf/model.sdf"])
+    controllers = {
+        plugin.findtext("joint_name"): str(plugin.get("name")).rpartition(":")[2]
+        for plugin in root.iter("plugin")
+        if plugin.find("topic") is not None and "Controller" in str(plugin.get("name"))
+    }
+    assert controllers == {
+        actuator.joint: "JointController"
+        if actuator.role == "propulsion"
+        else "JointPositionController"
+        for actuator in robot.actuators
+    }
+
+
+@pytest.mark.parametrize("camber", [0.0, 0.1, -0.2])
+def test_sphere_of_a_tyre_touches_where_the_wheel_rolls(camber: float) -> None:
+    """The lowest point of the sphere lies on the rolling circle, also with camber."""
+    plans = [Plan(0.5, y, camber=camber) for y in (0.4, -0.4)] + [Plan(-0.5, 0.0)]
+    robot = build(plans)
+    root = ElementTree.fromstring(files_of(Sdf, robot)["sdf/model.sdf"])
+    wheel = robot.wheels[0]
+    for collision in root.iter("collision"):
+        if collision.get("name") == f"{wheel.link}_collision_0":
+            break
+    radius = float(collision.findtext("geometry/sphere/radius") or "")
+    pose = [float(value) for value in (collision.findtext("pose") or "0 0 0 0 0 0").split()]
+    assert radius == pytest.approx(wheel.radius / math.cos(camber))
+    assert math.hypot(*pose[:3]) == pytest.approx(abs(wheel.radius * math.tan(camber)))
+
+
+def test_fleet_has_one_world_with_all_robots() -> None:
+    fleet = example_fleet(FLEETS[0])
+    models = world(fleet).findall("world/model")
+    names = [model.get("name") for model in models]
+    assert set(names) == {"ground", *(placement.robot.namespace for placement in fleet.placements)}
+    for placement in fleet.placements:
+        (model,) = (m for m in models if m.get("name") == placement.robot.namespace)
+        pose = [float(value) for value in (model.findtext("pose") or "0 0 0").split()]
+        assert pose[:3] == pytest.approx(placement.pose.xyz)
+
+
+def test_a_slope_inclines_gravity_and_rough_ground_is_a_mesh() -> None:
+    files = files_of(Sdf, scenario_fleet("field_edge"))
+    gravity = ElementTree.fromstring(files["sdf/world.sdf"]).findtext("world/gravity")
+    assert gravity is not None
+    x, y, z = map(float, gravity.split())
+    angle = math.radians(4.0)  # uphill along y
+    assert (x, y, z) == pytest.approx((0.0, -9.81 * math.sin(angle), -9.81 * math.cos(angle)))
+    data = files["sdf/terrain.stl"]
+    (count,) = struct.unpack_from("<I", data, 80)
+    assert len(data) == 84 + 50 * count
+    triangles = [struct.unpack_from("<12f", data, 84 + 50 * i) for i in range(count)]
+    assert all(triangle[2] > 0.0 for triangle in triangles)  # normals point up
+    xs, ys, zs = ([v for t in triangles for v in t[3 + k :: 3]] for k in range(3))
+    assert (min(xs), max(xs), min(ys), max(ys)) == pytest.approx((-20.0, 20.0, -12.0, 12.0))
+    assert (min(zs), max(zs)) == pytest.approx((-0.015, 0.015), abs=1e-6)
