@@ -33,7 +33,7 @@ class Sdf(Backend):
 
     def unsupported(self, robot: Robot) -> Iterable[Diagnostic]:
         tags = [f"<{parse(text).tag}>" for text in robot.urdf_extensions]
-        mimics = sum(joint.mimic is not None for joint in robot.joints)
+        mimics = len([joint for joint in robot.joints if joint.mimic is not None])
         parts = [f"{tags.count(tag)} x {tag}" for tag in dict.fromkeys(tags)]
         if mimics:
             parts.append(f"{mimics} x <mimic>")
