@@ -82,7 +82,7 @@ pictures: $(READY)
 
 clean:
 	rm -rf build dist bench.json .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
-	find . \( -path ./.venv -o -path ./.matrix \) -prune -o -name __pycache__ -type d -print0 | xargs -0 rm -rf
+	find . \( -path ./.venv -o -path ./.matrix -o -path ./.mutants \) -prune -o -name __pycache__ -type d -print0 | xargs -0 rm -rf
 
 distclean: clean
-	rm -rf .venv .matrix
+	rm -rf .venv .matrix .mutants

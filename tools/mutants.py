@@ -8,8 +8,9 @@ two swapped arguments.  A mutant that no test notices is a hole in the tests, or
 difference (an equivalent mutant); a person judges.  The same seed gives the same mutants as long as
 the layer does not change.
 
-For each mutant, the test file of the module runs first, then the tests of the layer, then tests
-that use the layer.  The first failure ends the tests of the mutant.
+A mutant runs the tests that execute its line, quick and near ones first, then the other tests of
+their files (which may share what a fixture computed), up to a limit.  The first failure ends them.
+Which tests execute a line is recorded in ``.mutants/`` by the first run (``executed_lines.py``).
 """
 
 from __future__ import annotations
@@ -17,34 +18,36 @@ from __future__ import annotations
 import argparse
 import ast
 import copy
+import itertools
+import multiprocessing
 import os
 import random
-import shutil
-import subprocess
+import resource
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-ROOT = Path(__file__).resolve().parents[1]
-COPIED = ("thorvaldc", "tests", "modules", "templates", "examples", "docs", "tools", "bench")
-COPIED_FILES = ("pyproject.toml", "README.md", "CHANGELOG.md", "Makefile", "LICENSE")
-TIME_LIMIT = 1200.0
-"""s for all tests of one mutant; a mutant that takes longer is noticed."""
-USERS = {
-    "backends": ("tests/golden",),
-    "can": ("tests/runtime/can_base", "tests/commissioning", "tests/tools/monitor"),
-    "compiler": ("tests/golden", "tests/diagnostics", "tests/backends"),
-    "diagnostics": ("tests/compiler/source", "tests/cli"),
-    "model": ("tests/golden", "tests/compiler", "tests/backends", "tests/runtime"),
-    "runtime": ("tests/simulation", "tests/tools/fault_matrix", "tests/conformance"),
-    "simulation": ("tests/runtime", "tests/commissioning", "tests/conformance"),
-    "tools": ("tests/cli",),
-}
-"""Further tests of each layer, besides the layer's own."""
+from executed_lines import (
+    ROOT,
+    ExecutedLines,
+    copy_of_the_tree,
+    import_dependencies,
+    is_recorded,
+    record,
+    run_tests,
+    test_files,
+)
+
+TESTS_LIMIT = 120.0
+"""s for all tests of one mutant, by the durations of the recording."""
+BATCHES = (4.0, 20.0, TESTS_LIMIT)
+"""s of tests in each process of a mutant: most mutants are noticed by the first tests."""
+COLLECTION = 0.2
+"""s to collect a test file."""
+SLOW = 1.5
+"""s; a slower test may fail by the load of the machine, and is repeated without the mutant."""
 COMPARISONS: dict[type[ast.cmpop], type[ast.cmpop]] = {
     ast.Lt: ast.LtE,
     ast.LtE: ast.Lt,
@@ -77,6 +80,8 @@ class Mutant(NamedTuple):
 
     path: Path
     line: int
+    executed: range
+    """The lines of its statement, without an inner block; empty outside of functions."""
     start: int
     end: int
     text: str
@@ -144,27 +149,50 @@ def mutants_of(path: Path) -> list[Mutant]:
     for line in source.splitlines(keepends=True):
         starts.append(starts[-1] + len(line))
     mutants: list[Mutant] = []
-    _collect(ast.parse(source), path, source, starts, mutants)
+    _collect(ast.parse(source), _Place(path, source, starts, mutants), range(0), False)
     return mutants
 
 
-def _collect(
-    node: ast.AST, path: Path, source: str, starts: list[int], mutants: list[Mutant]
-) -> None:
+class _Place(NamedTuple):
+    """A file, the index of the first character of each line, and its mutants so far."""
+
+    path: Path
+    source: str
+    starts: list[int]
+    mutants: list[Mutant]
+
+
+def _collect(node: ast.AST, place: _Place, executed: range, is_function: bool) -> None:
     for field, value in ast.iter_fields(node):
         if field in ("annotation", "returns", "decorator_list", "type_params"):
             continue
+        in_function = is_function or (
+            field == "body" and isinstance(node, ast.FunctionDef | ast.Lambda)
+        )
         for child in value if isinstance(value, list) else [value]:
             if not isinstance(child, ast.AST) or _is_untested(child):
                 continue
+            inner = executed
+            if isinstance(child, ast.stmt | ast.excepthandler | ast.match_case):
+                inner = _header(child) if in_function else range(0)
             for new in changed_nodes(child):
-                start = _offset(source, starts, child.lineno, child.col_offset)
-                end = _offset(source, starts, child.end_lineno, child.end_col_offset)
+                start = _offset(place, child.lineno, child.col_offset)
+                end = _offset(place, child.end_lineno, child.end_col_offset)
                 text = ast.unparse(new)
                 if isinstance(child, ast.expr):
                     text = f"({text})"
-                mutants.append(Mutant(path, child.lineno, start, end, text))
-            _collect(child, path, source, starts, mutants)
+                place.mutants.append(Mutant(place.path, child.lineno, inner, start, end, text))
+            _collect(child, place, inner, in_function)
+
+
+def _header(node: ast.stmt | ast.excepthandler | ast.match_case) -> range:
+    """Returns the lines of a statement up to its first inner statement."""
+    first = node.pattern.lineno if isinstance(node, ast.match_case) else node.lineno
+    body = getattr(node, "body", None) or getattr(node, "cases", None)
+    if not body:
+        return range(first, node.end_lineno + 1)
+    inner = body[0].pattern.lineno if isinstance(body[0], ast.match_case) else body[0].lineno
+    return range(first, max(inner, first + 1))
 
 
 def _is_untested(node: ast.AST) -> bool:
@@ -177,10 +205,10 @@ def _is_untested(node: ast.AST) -> bool:
     return False
 
 
-def _offset(source: str, starts: list[int], line: int, column: int) -> int:
+def _offset(place: _Place, line: int, column: int) -> int:
     """Returns the index of a character; ``column`` counts bytes of UTF-8, as ``ast`` does."""
-    text = source[starts[line - 1] : starts[line]]
-    return starts[line - 1] + len(text.encode()[:column].decode())
+    text = place.source[place.starts[line - 1] : place.starts[line]]
+    return place.starts[line - 1] + len(text.encode()[:column].decode())
 
 
 def sample(layer: str, number: int, seed: int) -> list[Mutant]:
@@ -191,82 +219,133 @@ def sample(layer: str, number: int, seed: int) -> list[Mutant]:
     return random.Random(f"{layer}:{seed}").sample(mutants, min(number, len(mutants)))
 
 
-def stages(layer: str, path: Path) -> list[list[str]]:
-    """Returns the tests of a mutant, in the order in which they run."""
-    inner = path.relative_to("thorvaldc")
-    nearest = ROOT / "tests" / inner.parent
-    while not nearest.exists():
-        nearest = nearest.parent
-    own = [
-        str(p.relative_to(ROOT))
-        for p in sorted(nearest.rglob(f"test_*{inner.stem.strip('_')}*.py"))
-    ]
-    result = [own] if own else []
-    result.append([f"tests/{layer}"])
-    result += [[user] for user in USERS.get(layer, ()) if (ROOT / user).exists()]
-    return result
+def tests_of(mutant: Mutant, executed: ExecutedLines) -> Iterator[list[str]]:
+    """Returns the tests of a mutant in the order in which they run, those of each process."""
+    executing: list[str] = []
+    beside: list[str] = []
+    for name, tests in executed.tests_of(mutant.path, mutant.executed):
+        executing += tests
+        beside += [test for test in executed.tests_in(name) if test not in tests]
+    inner = mutant.path.relative_to("thorvaldc")
+
+    def rank(test: str) -> tuple[float, str]:
+        file = Path(test.partition("::")[0])
+        if inner.stem.strip("_") in file.stem:
+            far = 1.0
+        else:
+            far = 3.0 if file.is_relative_to("tests" / inner.parent) else 6.0
+        return (executed.seconds[test] + 0.1) * far, test
+
+    batches: list[list[str]] = [[] for _ in BATCHES]
+    used = [0.0 for _ in BATCHES]
+    files: set[tuple[int, str]] = set()
+    number = 0
+    for test in [*sorted(executing, key=rank), *sorted(beside, key=rank)]:
+        if test in executed.fails:
+            continue
+        if used[number] > BATCHES[number]:
+            number += 1
+            if number == len(BATCHES):
+                break
+        file = test.partition("::")[0]
+        used[number] += executed.seconds[test] + COLLECTION * ((number, file) not in files)
+        files.add((number, file))
+        batches[number].append(test)
+    if not any(batches):
+        folder = ROOT / "tests" / inner.parent
+        while not folder.exists():
+            folder = folder.parent
+        batches[0].append(str(folder.relative_to(ROOT)))
+    return filter(None, batches)
 
 
-def is_noticed(mutant: Mutant, layer: str, tree: Path) -> str:
+def is_noticed(mutant: Mutant, tree: Path, executed: ExecutedLines) -> str:
     """Runs the tests of a mutant in the copy ``tree``; returns the test that failed, or ''."""
-    file = tree / mutant.path
-    original = file.read_text()
-    file.write_text(mutant.apply(original))
-    end = time.monotonic() + TIME_LIMIT
+    original = (tree / mutant.path).read_text()
     try:
-        for tests in stages(layer, mutant.path):
-            command = [sys.executable, "-m", "pytest", "-x", "-q", "-n0", "--no-header"]
-            command += ["-p", "no:cacheprovider", "--timeout=120", *tests]
-            environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
-            try:
-                run = subprocess.run(
-                    command,
-                    cwd=tree,
-                    env=environment,
-                    capture_output=True,
-                    text=True,
-                    timeout=max(end - time.monotonic(), 1.0),
-                    check=False,
+        for batch in tests_of(mutant, executed):
+            tests = batch
+            while tests:
+                _write(tree / mutant.path, mutant.apply(original))
+                seconds = [executed.seconds.get(test, TESTS_LIMIT) for test in tests]
+                outcome = run_tests(
+                    tree, tests, 60.0 + 5.0 * sum(seconds), 20.0 + 5.0 * max(seconds)
                 )
-            except subprocess.TimeoutExpired:
-                return "the time limit"
-            if run.returncode not in (0, 5):
-                failed = [
-                    line for line in run.stdout.splitlines() if line[:6] in ("FAILED", "ERROR ")
-                ]
-                return failed[0].split(" - ")[0] if failed else f"exit status {run.returncode}"
+                if outcome.status == 0:
+                    break
+                failed = outcome.failure or f"exit status {outcome.status}"
+                if executed.seconds.get(failed, 0.0) < SLOW and outcome.status == 1:
+                    return failed
+                again = [failed] if failed in tests else tests
+                _write(tree / mutant.path, original)
+                if run_tests(tree, again, 60.0 + 5.0 * sum(seconds)).status == 0:
+                    return failed
+                tests = [test for test in tests if test not in again]
         return ""
     finally:
-        file.write_text(original)
+        _write(tree / mutant.path, original)
 
 
-def copy_of_the_tree(folder: Path) -> Path:
-    for name in COPIED:
-        ignored = shutil.ignore_patterns("__pycache__")
-        shutil.copytree(ROOT / name, folder / name, ignore=ignored, dirs_exist_ok=True)
-    for name in COPIED_FILES:
-        shutil.copy(ROOT / name, folder / name)
-    return folder
+_moments = itertools.count(1)
 
 
-def run(layer: str, mutants: list[Mutant], jobs: int) -> list[Mutant]:
-    """Runs the mutants, prints each result, and returns the mutants that no test noticed."""
-    survivors: list[Mutant] = []
+def _write(file: Path, text: str) -> None:
+    """Writes a file with a time of its own, so that Python does not take an older compiled one."""
+    file.write_text(text)
+    os.utime(file, (next(_moments), next(_moments)))
 
-    def work(number: int) -> None:
-        with tempfile.TemporaryDirectory() as folder:
-            tree = copy_of_the_tree(Path(folder))
-            for mutant in mutants[number::jobs]:
-                failure = is_noticed(mutant, layer, tree)
-                if not failure:
-                    survivors.append(mutant)
-                print(f"{'noticed ' if failure else 'SURVIVED'} {mutant.describe()}", flush=True)
+
+_tree: Path
+_executed: ExecutedLines
+
+
+def _start_work(trees: multiprocessing.SimpleQueue[str]) -> None:
+    global _tree, _executed
+    _tree = copy_of_the_tree(Path(trees.get()))
+    _executed = ExecutedLines()
+
+
+def _record(name: str) -> str:
+    record(name, _tree)
+    return name
+
+
+def _work(mutant: Mutant) -> tuple[Mutant, str, float]:
+    """Returns a mutant, what noticed it, and the seconds of CPU."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    failure = is_noticed(mutant, _tree, _executed)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return mutant, failure, cpu
+
+
+def run(layer: str, mutants: list[Mutant], jobs: int) -> bool:
+    """Runs the mutants and prints each result; returns whether a test noticed each of them."""
+    with tempfile.TemporaryDirectory() as folder:
+        context = multiprocessing.get_context("fork")
+        trees = context.SimpleQueue()
+        for number in range(2 * jobs):
+            trees.put(f"{folder}/{number}")
+        missing = [name for name in test_files() if not is_recorded(name)]
+        if missing:
+            print(f"recording which lines {len(missing)} test files execute", flush=True)
+            with context.Pool(jobs, _start_work, (trees,)) as pool:
+                for number, name in enumerate(pool.imap_unordered(_record, missing), 1):
+                    print(f"{number}/{len(missing)} {name}", flush=True)
+        survivors = 0
+        total = 0.0
+        with context.Pool(jobs, _start_work, (trees,)) as pool:
+            for mutant, failure, cpu in pool.imap_unordered(_work, mutants):
+                survivors += not failure
+                total += cpu
+                word = "noticed " if failure else "SURVIVED"
+                print(f"{word} {cpu:5.1f} s {mutant.describe()}", flush=True)
                 if failure:
-                    print(f"         by {failure}", flush=True)
-
-    with ThreadPoolExecutor(jobs) as pool:
-        list(pool.map(work, range(jobs)))
-    return survivors
+                    print(f"                 by {failure}", flush=True)
+    number = max(len(mutants), 1)
+    print(f"{layer}: {1.0 - survivors / number:.0%} of {len(mutants)} mutants noticed, ", end="")
+    print(f"{total / number:.1f} s of CPU each", flush=True)
+    return not survivors
 
 
 def main() -> int:
@@ -278,16 +357,14 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--list", action="store_true", help="show the mutants; run no test")
     options = parser.parse_args()
+    import_dependencies()
     status = 0
     for layer in options.layer or layers:
         mutants = sample(layer, options.number, options.seed)
         if options.list:
             print(*(mutant.describe() for mutant in mutants), sep="\n")
             continue
-        survivors = run(layer, mutants, options.jobs)
-        share = 1.0 - len(survivors) / max(len(mutants), 1)
-        print(f"{layer}: {share:.0%} of {len(mutants)} mutants noticed", flush=True)
-        status |= bool(survivors)
+        status |= not run(layer, mutants, options.jobs)
     return status
 
 

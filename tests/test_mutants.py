@@ -1,0 +1,54 @@
+"""Tests of ``tools/mutants.py``, which changes the package to test the tests."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture
+def tool(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    for name in ("mutants", "executed_lines"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    return importlib.import_module("mutants")
+
+
+def test_a_sample_is_the_same_for_the_same_seed(tool: ModuleType) -> None:
+    assert tool.sample("can", 20, 1) == tool.sample("can", 20, 1)
+    assert tool.sample("can", 20, 1) != tool.sample("can", 20, 2)
+
+
+def test_each_mutant_is_another_program(tool: ModuleType) -> None:
+    path = Path("thorvaldc/can/sdo.py")
+    source = (ROOT / path).read_text()
+    original = ast.dump(ast.parse(source))
+    mutants = tool.mutants_of(path)
+    assert len(mutants) > 50
+    assert all(ast.dump(ast.parse(mutant.apply(source))) != original for mutant in mutants)
+
+
+def test_the_lines_of_a_mutant_are_those_of_its_statement(
+    tool: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "example.py").write_text(
+        "LIMIT = 3\n"
+        "def twice(number: int) -> int:\n"
+        "    if (\n"
+        "        number == LIMIT\n"
+        "    ):\n"
+        "        return (\n"
+        "            2 * number\n"
+        "        )\n"
+        "    return 0\n"
+    )
+    monkeypatch.setattr(tool, "ROOT", tmp_path)
+    lines = {m.line: m.executed for m in tool.mutants_of(Path("example.py"))}
+    assert lines == {1: range(0), 4: range(3, 6), 7: range(6, 9), 9: range(9, 10)}
