@@ -42,8 +42,8 @@ DEPENDENCIES = (
 )
 TEST_LIMIT = 120
 """s for one test while the lines are recorded."""
-FILE_LIMIT = 900.0
-"""s for all tests of a file while the lines are recorded."""
+FILE_LIMIT = 300.0
+"""s for all tests of a file while the lines are recorded; later tests are left out."""
 SETTINGS = """[run]
 data_file = {folder}/lines
 parallel = true
@@ -70,6 +70,7 @@ class _Recorder:
 
     def __init__(self, measurement: coverage.Coverage | None) -> None:
         self.measurement = measurement
+        self.end = time.monotonic() + FILE_LIMIT
         self.seconds: dict[str, float] = defaultdict(float)
         self.failed: list[str] = []
 
@@ -88,6 +89,8 @@ class _Recorder:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_teardown(self, item: pytest.Item) -> None:
         self._switch(item.nodeid.partition("::")[0])
+        if self.measurement is not None and time.monotonic() > self.end:
+            item.session.shouldstop = "the time limit of the file"
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         self.seconds[report.nodeid] += report.duration
@@ -142,6 +145,7 @@ def _fork(tree: Path, function: Callable[[], None], limit_s: float, log: Path) -
     if pid == 0:
         try:
             os.setsid()
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
             with log.open("w") as stream:
                 os.dup2(stream.fileno(), 1)
                 os.dup2(stream.fileno(), 2)
@@ -159,15 +163,17 @@ def _fork(tree: Path, function: Callable[[], None], limit_s: float, log: Path) -
             sys.stdout.flush()
             os._exit(0)
     end = time.monotonic() + limit_s
-    while os.waitpid(pid, os.WNOHANG)[0] == 0:
-        if time.monotonic() > end:
+    try:
+        while os.waitpid(pid, os.WNOHANG)[0] == 0:
+            if time.monotonic() > end:
+                return False
+            time.sleep(0.02)
+        return True
+    finally:  # also what the tests left behind
+        with contextlib.suppress(ProcessLookupError):
             os.killpg(pid, signal.SIGKILL)
+        with contextlib.suppress(ChildProcessError):
             os.waitpid(pid, 0)
-            return False
-        time.sleep(0.02)
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(pid, signal.SIGKILL)  # what the tests left behind
-    return True
 
 
 def test_files() -> list[str]:
@@ -219,7 +225,7 @@ def record(name: str, tree: Path) -> None:
         }
         (folder / "tests.json").write_text(json.dumps(stored))
 
-    _fork(tree, child, FILE_LIMIT, folder / "log")
+    _fork(tree, child, FILE_LIMIT + 2.0 * TEST_LIMIT, folder / "log")
     parts = coverage.CoverageData(basename=str(folder / "all"))
     for part in sorted(folder.glob("lines.*")):
         data = coverage.CoverageData(basename=str(part))

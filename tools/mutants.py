@@ -23,6 +23,7 @@ import multiprocessing
 import os
 import random
 import resource
+import signal
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -42,7 +43,7 @@ from executed_lines import (
 
 TESTS_LIMIT = 120.0
 """s for all tests of one mutant, by the durations of the recording."""
-BATCHES = (4.0, 20.0, TESTS_LIMIT)
+BATCHES = (1.5, 20.0, TESTS_LIMIT)
 """s of tests in each process of a mutant: most mutants are noticed by the first tests."""
 COLLECTION = 0.2
 """s to collect a test file."""
@@ -301,6 +302,7 @@ _executed: ExecutedLines
 
 def _start_work(trees: multiprocessing.SimpleQueue[str]) -> None:
     global _tree, _executed
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # ends the forked process too
     _tree = copy_of_the_tree(Path(trees.get()))
     _executed = ExecutedLines()
 
