@@ -222,26 +222,26 @@ def sample(layer: str, number: int, seed: int) -> list[Mutant]:
 
 def tests_of(mutant: Mutant, executed: ExecutedLines) -> Iterator[list[str]]:
     """Returns the tests of a mutant in the order in which they run, those of each process."""
-    executing: list[str] = []
-    beside: list[str] = []
-    for name, tests in executed.tests_of(mutant.path, mutant.executed):
-        executing += tests
-        beside += [test for test in executed.tests_in(name) if test not in tests]
     inner = mutant.path.relative_to("thorvaldc")
-
-    def rank(test: str) -> tuple[float, str]:
-        file = Path(test.partition("::")[0])
+    executing: list[tuple[float, str]] = []
+    beside: list[tuple[float, str]] = []
+    for name, tests in executed.tests_of(mutant.path, mutant.executed):
+        file = Path(name)
         if inner.stem.strip("_") in file.stem:
             far = 1.0
         else:
             far = 3.0 if file.is_relative_to("tests" / inner.parent) else 6.0
-        return (executed.seconds[test] + 0.1) * far, test
+        # Each file has a share of the time: tests of one file notice similar mutants.
+        time = {True: 0.0, False: 0.0}
+        for test in sorted(executed.tests_in(name), key=executed.seconds.__getitem__):
+            time[test in tests] += far * (executed.seconds[test] + 0.1)
+            (executing if test in tests else beside).append((time[test in tests], test))
 
     batches: list[list[str]] = [[] for _ in BATCHES]
     used = [0.0 for _ in BATCHES]
     files: set[tuple[int, str]] = set()
     number = 0
-    for test in [*sorted(executing, key=rank), *sorted(beside, key=rank)]:
+    for _, test in [*sorted(executing), *sorted(beside)]:
         if test in executed.fails:
             continue
         if used[number] > BATCHES[number]:

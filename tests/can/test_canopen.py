@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from thorvaldc.can.canopen import (
+    HIGHEST_NODE_ID,
     Emergency,
     NmtCommand,
     NmtState,
@@ -24,6 +25,10 @@ def test_states_of_a_heartbeat() -> None:
     assert heartbeat_state(b"\x05") == heartbeat_state(b"\x85") == NmtState.OPERATIONAL
     names = [nmt_state_text(state) for state in (0, 4, 5, 127, 9)]
     assert names == ["boot-up", "stopped", "operational", "pre-operational", "0x09"]
+
+
+def test_node_ids_have_seven_bits() -> None:
+    assert HIGHEST_NODE_ID == 0x7F
 
 
 def test_emergency_messages() -> None:

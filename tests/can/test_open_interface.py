@@ -80,6 +80,21 @@ def test_a_network_interface_that_is_not_a_can_interface(channel: str, bus: Bus)
     assert "no network interface" in message or "is not a CAN interface" in message
 
 
+@pytest.mark.parametrize(("flags", "is_down"), [("0x40080", True), ("0x400c1", False)])
+def test_a_can_interface_that_is_down(
+    bus: Bus, monkeypatch: pytest.MonkeyPatch, flags: str, is_down: bool
+) -> None:
+    """As the kernel shows a CAN interface; the loopback interface stands for it."""
+    read_text = Path.read_text
+    shown = {"/sys/class/net/lo/type": "280\n", "/sys/class/net/lo/flags": f"{flags}\n"}
+    monkeypatch.setattr(
+        Path, "read_text", lambda path, *a, **k: shown.get(str(path)) or read_text(path, *a, **k)
+    )
+    message, hint = refusal("socketcan:lo", bus)
+    assert ("lo is down" in message) is is_down
+    assert ("sudo ip link set lo up type can bitrate 500000" in hint) is is_down
+
+
 def test_a_simulated_bus_that_does_not_run(bus: Bus) -> None:
     message, hint = refusal("sim:nobody", bus)
     assert "no bus runs at" in message

@@ -13,6 +13,7 @@ import threading
 import time
 import tty
 from collections.abc import Iterator
+from contextlib import closing
 
 import can
 import msgpack
@@ -166,6 +167,33 @@ def test_a_full_queue_returns_false_and_a_lost_interface_raises() -> None:
     with pytest.raises(ConnectionError):
         interface.receive(0.1)
     interface.close()
+
+
+@pytest.mark.parametrize("relation", ["__cause__", "__context__"])
+def test_a_lost_interface_is_known_by_the_cause_of_the_error(relation: str) -> None:
+    """Some drivers put the error of the operating system beside their own, without its code."""
+    error, late = can.CanOperationError("cannot send"), can.CanOperationError("cannot send")
+    setattr(error, relation, OSError(errno.ENODEV, "No such device"))
+    setattr(late, relation, TimeoutError(errno.ENODEV, "too late"))
+    with closing(PythonCanInterface(Scripted(error, late))) as interface:
+        with pytest.raises(ConnectionError):
+            interface.send(HEARTBEAT)
+        assert not interface.send(HEARTBEAT)
+
+
+def test_it_waits_on_after_a_driver_that_returns_early() -> None:
+    class Impatient(Scripted):
+        def recv(self, timeout: float | None = None) -> can.Message | None:
+            return self._recv_internal(timeout)[0]
+
+    script = Impatient()
+    with closing(PythonCanInterface(script)) as interface:
+        for timeout in (None, 5.0):
+            script.items[:] = [None, None, message(0.0)]  # type: ignore[list-item]
+            received = interface.receive(timeout)
+            assert received is not None
+            assert received.frame == HEARTBEAT
+        assert interface.receive(0.01) is None
 
 
 def test_echoes_are_dropped() -> None:

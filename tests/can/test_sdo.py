@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import canopen
+
 from thorvaldc.can import sdo
 
 
@@ -18,6 +20,12 @@ def test_every_abort_code_has_a_text() -> None:
     texts = {sdo.abort_text(code).partition(" (")[0] for code in sdo.AbortCode}
     assert len(texts) == len(sdo.AbortCode)
     assert sdo.abort_text(0x12345678) == "aborted (SDO abort 0x12345678)"
+
+
+def test_abort_codes_are_those_of_the_standard() -> None:
+    """The library knows all but ``HARDWARE_ERROR``, the code for a fault of the hardware."""
+    named = {code for code in sdo.AbortCode if code not in canopen.SdoAbortedError.CODES}
+    assert named <= {0x06060000}
 
 
 def test_expedited_messages_of_every_length() -> None:
