@@ -245,7 +245,10 @@ class _Recording(NamedTuple):
 
 
 class ExecutedLines:
-    """Which tests execute which lines, as ``record`` stored it."""
+    """Which tests execute which lines, as ``record`` stored it.
+
+    To be used in the process that creates it: ``coverage`` erases its file after a fork.
+    """
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}

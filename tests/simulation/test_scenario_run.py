@@ -127,6 +127,15 @@ def test_a_lost_motor_recovers_and_the_scene_is_restored(tmp_path: Path) -> None
     assert speeds[-1] == pytest.approx(0.8 / 0.2, rel=0.05)
 
 
+def test_a_fault_that_lasts_ends_with_the_run(tmp_path: Path) -> None:
+    """The scene of a simulation serves the next run."""
+    drive = simulation(tmp_path, HEAD + "faults: [{type: motor_lost, wheel: fl_wheel, at: 0.5}]\n")
+    assert drive.scene is not None
+    gains = drive.scene.model.actuator_gainprm.copy()
+    drive.play(Report())
+    assert (drive.scene.model.actuator_gainprm == gains).all()
+
+
 def test_a_frozen_encoder_does_not_change(tmp_path: Path) -> None:
     text = HEAD + "faults: [{type: encoder_frozen, wheel: fl_wheel, at: 1, until: 2}]\n"
     positions: list[tuple[float, float]] = []

@@ -226,6 +226,26 @@ def test_an_expression_at_fault_is_one_fault(bench: Bench) -> None:
     assert diagnostic.span.file == "my/a/module.yaml"
 
 
+@pytest.mark.parametrize(
+    ("drives", "cycle", "late"),
+    [
+        (1, 0.008, "`sync`, `d1_rpdo4` can"),
+        (2, 0.008, "`sync`, `d1_rpdo4`, `d2_rpdo4` can"),
+        (3, 0.012, "`sync`, `d1_rpdo4`, `d2_rpdo4` and 1 more can"),
+    ],
+)
+def test_at_most_three_late_frames_are_named(
+    bench: Bench, drives: int, cycle: float, late: str
+) -> None:
+    for _ in range(drives):
+        bench.drive()
+    bench.add(BATTERY)
+    bench.add(BATTERY)
+    bench.build((BusSpec("main", 250_000, line(99)),), cycle=cycle)
+    (message,) = (d.message for d in bench.report if d.code.name == "can-deadline")
+    assert late in message
+
+
 def test_load_of_four_drives(bench: Bench) -> None:
     """Four two-channel drives fill half of 250 kbit/s at 50 Hz, and too much at 100 Hz.
 

@@ -42,6 +42,7 @@ def test_a_full_queue_of_device_frames_drops_the_oldest() -> None:
     kept = relay.received()
     assert [r.data[0] for r in kept] == list(range(10, QUEUE_LIMIT + 10))
     assert relay.dropped[STATE, "queue full"] == 10
+    assert relay.passed[STATE] == QUEUE_LIMIT + 10
     relay.take(0x1C1, b"", 0.0)
     assert relay.received() == []
 

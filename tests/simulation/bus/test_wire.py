@@ -152,6 +152,17 @@ def test_a_listen_only_controller_does_not_acknowledge() -> None:
     assert not monitor.send(CanFrame(0x200))
 
 
+def test_a_full_receive_queue_drops_and_counts_frames() -> None:
+    wire, (a,), _ = make("a")
+    slow = VirtualTimeInterface(wire, "slow", receive_limit=2)
+    a.sleep(0.001)
+    for number in range(5):
+        assert a.send(CanFrame(0x100 + number))
+        a.sleep(0.001)
+    assert [entry.frame.id for entry in slow.received] == [0x100, 0x101]
+    assert slow.overruns == 3
+
+
 def test_a_wrong_bitrate_destroys_frames_until_it_is_error_passive() -> None:
     wire, (a, b), log = make("a", "b")
     wrong = VirtualTimeInterface(wire, "wrong", 250_000)

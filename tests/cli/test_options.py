@@ -1,0 +1,41 @@
+"""Times in options."""
+
+from __future__ import annotations
+
+import pytest
+import typer
+
+from thorvaldc.cli.options import parse_duration, parse_record_time, parse_time
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("5", 5.0),
+        ("1.5 sec", 1.5),
+        ("300ms", 0.3),
+        ("20 us", 20e-6),
+        ("2 min", 120.0),
+        ("1 minute", 60.0),
+        ("1 h", 3600.0),
+        ("2 hours", 7200.0),
+    ],
+)
+def test_units_of_times(text: str, seconds: float) -> None:
+    assert parse_time(text) == seconds
+
+
+def test_the_longest_duration_is_a_day() -> None:
+    assert parse_duration("24 h", "--duration") == 24 * 3600.0
+    for text in ("24.01 h", "0 s", "-1 s"):
+        with pytest.raises(typer.BadParameter, match="is not between 0 and 86400 s"):
+            parse_duration(text, "--duration")
+    assert parse_duration("2 s", "--interval", least=2.0) == 2.0
+    with pytest.raises(typer.BadParameter, match="is not between 2 and"):
+        parse_duration("1.99 s", "--interval", least=2.0)
+
+
+def test_a_record_begins_at_zero() -> None:
+    assert parse_record_time("0") == 0.0
+    with pytest.raises(ValueError, match="before the start"):
+        parse_record_time("-0.1 s")
