@@ -8,13 +8,14 @@ READY  ?= .venv/.ready
 JOBS   ?= auto
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test test-matrix lint types chaos mutants bench golden pictures clean distclean
+.PHONY: help setup demo test test-matrix lint types chaos fuzz mutants bench golden pictures clean distclean
 
 help:
 	@echo "make demo      compile every example and drive it in simulation"
 	@echo "make test      lint, types, layer rules and tests"
 	@echo "make test-matrix  golden files with the oldest and newest Python and dependencies"
 	@echo "make chaos     random missions with faults: make chaos SEEDS=0:1000 JOBS=2 (docs/chaos.md)"
+	@echo "make fuzz      broken and hostile files of every kind: make fuzz SEEDS=0:10000 JOBS=2"
 	@echo "make mutants   do the tests notice small changes of the code? LAYER=can NUMBER=20 SEED=1"
 	@echo "make bench     measure; prints a table and writes bench.json"
 	@echo "make golden    rewrite the tests' golden files and tables (review the diff)"
@@ -61,6 +62,9 @@ test-matrix: $(READY)
 SEEDS ?= 0:200
 chaos: $(READY)
 	$(BIN)/python -m tests.chaos --seeds $(SEEDS) --jobs $(JOBS:auto=1) $(CHAOS)
+
+fuzz: $(READY)
+	$(BIN)/python -m tests.fuzz --seeds $(SEEDS) --jobs $(JOBS:auto=1)
 
 mutants: $(READY)
 	$(BIN)/python tools/mutants.py --number $(or $(NUMBER),10) --seed $(or $(SEED),1) \

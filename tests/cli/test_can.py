@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import zlib
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ from tests.cli.conftest import Command
 from tests.cli.test_bus import ROOT, running
 from tests.simulation.bus.robots import CIA402, compiled
 from thorvaldc.can.bus_lock import BusLock
+from thorvaldc.commissioning.bus_configuration import digest
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 ONE = """
@@ -270,3 +272,28 @@ def test_a_journal_is_a_file_of_a_limited_size(
     got = thorvaldc("can", "flash", *NEW, "--apply", "--yes", "--journal", str(path))
     assert got.status == (1 if kind == "large" else 3), got
     assert f"it is a {kind}" in got.err or "it has more than" in got.err
+
+
+@pytest.mark.parametrize("record", ["run", "begin"])
+def test_a_journal_with_values_of_wrong_types_is_refused(
+    thorvaldc: Command, robot: Path, record: str
+) -> None:
+    """Its checksums and the hash of its plan are right: another program wrote the journal."""
+    assert thorvaldc("can", "flash", *NEW, "--apply", "--yes").status == 0
+    path = Path("robot.flash.jsonl")
+    lines = path.read_text(encoding="utf-8").splitlines()
+    number = next(
+        i for i, line in enumerate(lines) if f'"record":"{record}"' in line and "unsigned" in line
+    )
+    changed = json.loads(lines[number])
+    del changed["crc"]
+    values = changed["plan"]["target"]["nodes"][0]["values"] if record == "run" else changed["old"]
+    values[0][1] = "x" * 9  # the index of an object
+    if record == "run":
+        changed["hash"] = digest(changed["plan"])
+    text = json.dumps(changed, separators=(",", ":"))[:-1]
+    lines[number] = f'{text},"crc":"{zlib.crc32(text.encode()):08x}"}}'
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    got = thorvaldc("can", "flash", *NEW, "--rollback", "--yes")
+    assert got.status == 1, got
+    assert f"robot.flash.jsonl is not the journal of a flash: line {number + 1}" in got.err

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from thorvaldc.can.lss import Identity
-from thorvaldc.model.bus import Bus, Node
+from thorvaldc.can.lss import UNCONFIGURED, Identity
+from thorvaldc.model.bus import OBJECT_TYPES, Bus, Node
+from thorvaldc.model.model_json import typed_value
 from thorvaldc.model.robot import Robot
 
 PARKING = range(112, 127)
@@ -215,14 +217,24 @@ def from_json(value: Mapping[str, Any]) -> BusConfiguration:
     Raises ``KeyError``, ``TypeError`` or ``ValueError`` if the JSON value is not a bus
     configuration.
     """
+    hints = typing.get_type_hints(NodeConfiguration)
+    plain = hints.keys() - {"values"}
     nodes = []
     for entry in value["nodes"]:
-        fields = dict(entry)
-        fields["seen_by"] = tuple((int(a), float(b)) for a, b in entry["seen_by"])
-        fields["statuswords"] = tuple(entry["statuswords"])
-        fields["values"] = values_from_json(entry["values"])
-        nodes.append(NodeConfiguration(**fields))
-    return BusConfiguration(value["robot"], value["bus"], value["bitrate"], tuple(nodes))
+        if entry.keys() != hints.keys():
+            raise ValueError("the fields of a node are wrong")
+        fields = {name: typed_value(hints[name], entry[name], name) for name in plain}
+        check_node_id(fields["id"])
+        values = values_from_json(entry["values"])
+        nodes.append(NodeConfiguration(**fields, values=values))
+    robot, bus = typed_value(str, value["robot"]), typed_value(str, value["bus"])
+    return BusConfiguration(robot, bus, typed_value(int, value["bitrate"]), tuple(nodes))
+
+
+def check_node_id(number: int) -> None:
+    """Raises ``ValueError`` if a number is neither a node id nor 255, which means no node id."""
+    if not 0 <= number <= UNCONFIGURED:
+        raise ValueError(f"{number} is no node id")
 
 
 def values_to_json(values: Sequence[ParameterValue]) -> list[list[Any]]:
@@ -230,4 +242,11 @@ def values_to_json(values: Sequence[ParameterValue]) -> list[list[Any]]:
 
 
 def values_from_json(value: Sequence[Sequence[Any]]) -> tuple[ParameterValue, ...]:
-    return tuple(ParameterValue(*entry) for entry in value)
+    """Converts the JSON form of object values.  Raises ``ValueError`` if it is another value."""
+    entries = typed_value(tuple[tuple[str, int, int, str, int], ...], value)
+    values = tuple(ParameterValue(*entry) for entry in entries)
+    for entry in values:
+        in_range = 0 <= entry.index <= 0xFFFF and 0 <= entry.subindex <= 0xFF
+        if not in_range or entry.type not in OBJECT_TYPES:
+            raise ValueError(f"{entry.name} is no object of a node")
+    return values

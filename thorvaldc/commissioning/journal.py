@@ -289,9 +289,11 @@ class Journal:
     def _check(self, record: dict[str, Any]) -> None:
         kind = record["record"]
         if kind in ("begin", "done"):
-            if not isinstance(record["step"], int) or not isinstance(record["node"], str):
+            if type(record["step"]) is not int or record["step"] < 0:
                 raise ValueError(kind)
-            values_from_json(record.get("old", ()))
+            if not isinstance(record["node"], str):
+                raise ValueError(kind)
+            values_from_json(record.get("old", []))
         elif kind not in ("stopped", "end"):
             raise ValueError(kind)
 

@@ -11,12 +11,14 @@ from thorvaldc.commissioning.bus_configuration import (
     PARKING,
     BusConfiguration,
     ParameterValue,
+    check_node_id,
     digest,
     from_json,
     to_json,
     values_from_json,
     values_to_json,
 )
+from thorvaldc.model.model_json import typed_value
 
 LSS_SERIAL, LSS_FASTSCAN, ATTACH_ONE, DOWNLOAD = (
     "lss-serial",
@@ -168,24 +170,38 @@ def step_to_json(step: PlanStep) -> dict[str, Any]:
 
 
 def step_from_json(value: Mapping[str, Any]) -> PlanStep:
+    node = typed_value(str, value["node"])
     if value["kind"] == "address":
         return AddressStep(
-            value["node"],
-            Identity(*value["identity"]),
-            value["before"],
-            value["after"],
-            value["back_end"],
+            node,
+            _identity_from_json(value["identity"]),
+            _node_id_from_json(value["before"]),
+            _node_id_from_json(value["after"]),
+            typed_value(str, value["back_end"]),
         )
     if value["kind"] == "configure":
         identity = value["identity"]
         return ConfigureStep(
-            value["node"],
-            value["id"],
-            None if identity is None else Identity(*identity),
+            node,
+            _node_id_from_json(value["id"]),
+            None if identity is None else _identity_from_json(identity),
             values_from_json(value["values"]),
-            value["differing"],
+            typed_value(int | None, value["differing"]),
         )
-    return AttachStep(value["node"], value["after"])
+    return AttachStep(node, _node_id_from_json(value["after"]))
+
+
+def _node_id_from_json(value: Any) -> int:
+    number: int = typed_value(int, value)
+    check_node_id(number)
+    return number
+
+
+def _identity_from_json(value: Any) -> Identity:
+    identity = Identity(*typed_value(tuple[int, int, int, int], value))
+    if not all(0 <= number < 1 << 32 for number in identity):
+        raise ValueError(f"{identity} is no identity")
+    return identity
 
 
 def plan_to_json(plan: Plan) -> dict[str, Any]:
@@ -205,7 +221,7 @@ def plan_from_json(value: Mapping[str, Any]) -> Plan:
     """
     return Plan(
         from_json(value["target"]),
-        tuple((name, node) for name, node in value["start"]),
-        tuple((name, Identity(*identity)) for name, identity in value["identities"]),
+        tuple((typed_value(str, n), _node_id_from_json(i)) for n, i in value["start"]),
+        tuple((typed_value(str, n), _identity_from_json(i)) for n, i in value["identities"]),
         tuple(step_from_json(step) for step in value["steps"]),
     )

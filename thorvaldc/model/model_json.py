@@ -287,6 +287,14 @@ def from_json(text: str) -> Robot | Fleet:
     return cast(Robot | Fleet, decode(head["model"], kind.lower()))
 
 
+def typed_value(hint: Any, value: Any, path: str = "") -> Any:
+    """Return a JSON value as a value of a type that a field of the model can have.
+
+    Raises ``ModelFormatError``, with the position ``path``, if the value has another type.
+    """
+    return _decoder(hint)(value, path)
+
+
 def load_model(build: Path) -> Robot | Fleet:
     """Return the model from the file ``model.json`` of a build folder.
 

@@ -5,7 +5,11 @@ A ROS bag is an MCAP file, a folder written by ``ros2 bag record``, or a ROS 1 b
 
 from __future__ import annotations
 
+import json
 import os
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +32,14 @@ TYPES = {
 """ROS message type of each topic of a robot.  The topic names have no namespace."""
 SUFFIXES = (".mcap", ".db3", ".bag")
 """File name suffixes of ROS bags.  A folder is a bag if it contains ``metadata.yaml``."""
+_WORKER_BYTES = 384 << 20  # the interpreter and its packages need a third of it
+_WORKER_PROCESSOR_SECONDS, _WORKER_SECONDS = 30, 120.0
+_MAX_METADATA_BYTES = 1_000_000
+# A message in memory needs some 1.5 kB and its data.  A compressed bag of short messages needs 20
+# times its size.
+_MESSAGE_OVERHEAD = 1500
+_MEMORY_OF_SMALL_BAG = 256_000_000
+_EXPANSION = 25
 
 
 class MissingPackageError(Exception):
@@ -89,7 +101,8 @@ def read_bag(
     from rosbags.typesys import Stores, get_typestore
 
     try:
-        _check_files(path)
+        memory = _MEMORY_OF_SMALL_BAG + _EXPANSION * _check_files(path)
+        _check_in_worker(path)
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
             topics = {c.topic: c.msgtype for c in reader.connections}
             selected = set(choose(topics))
@@ -101,8 +114,11 @@ def read_bag(
             # If the list of connections is empty, the package rosbags reads all topics.
             for connection, time, data in reader.messages(connections) if connections else ():
                 size += len(data)
+                memory -= len(data) + _MESSAGE_OVERHEAD
                 if size > MAX_LOG_BYTES:  # of uncompressed messages
                     raise OSError(f"its messages have more than {MAX_LOG_BYTES / 1e6:g} MB")
+                if memory < 0:
+                    raise OSError("its messages have many times the size of the file")
                 message = reader.deserialize(data, connection.msgtype)
                 seconds = (time - reader.start_time) / 1e9
                 messages[connection.topic].append((seconds, message))
@@ -120,13 +136,52 @@ def read_bag(
         return None
 
 
-def _check_files(path: Path) -> None:
-    """Raises ``OSError`` if a file of a ROS bag is no regular file or is too large."""
+def _check_files(path: Path) -> int:
+    """Returns the number of bytes in the files of a ROS bag.
+
+    Raises ``OSError`` if a file is no regular file, or if the files are too large.
+    """
+    size = 0
     for file in path.iterdir() if path.is_dir() else [path]:
-        if file.suffix.lower() in SUFFIXES:
-            check_regular(os.stat(file))
-            if file.stat().st_size > MAX_LOG_BYTES:
-                raise OSError(f"{file.name} has more than {MAX_LOG_BYTES / 1e6:g} MB")
+        if file.suffix.lower() in (*SUFFIXES, ".zstd", ".yaml"):
+            status = os.stat(file)
+            check_regular(status)
+            size += status.st_size
+            limit = _MAX_METADATA_BYTES if file.suffix.lower() == ".yaml" else MAX_LOG_BYTES
+            if status.st_size > limit:
+                raise OSError(f"{file.name} has more than {limit / 1e6:g} MB")
+    return size
+
+
+def _check_in_worker(path: Path) -> None:
+    """Raises ``OSError`` if a process with limits cannot read a bag, see ``bag_worker``."""
+    program = (
+        f"import sys; sys.path[:] = {sys.path!r}; "
+        "from thorvaldc.compiler.source.bag_worker import main; main()"
+    )
+    limits = (_WORKER_BYTES, _WORKER_PROCESSOR_SECONDS, MAX_LOG_BYTES)
+    try:
+        process = subprocess.run(
+            [sys.executable, "-S", "-B", "-c", program, str(path.absolute()), *map(str, limits)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            timeout=_WORKER_SECONDS,
+            # One thread per process: the memory of a thread counts for the limit.
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+            start_new_session=True,  # Ctrl-C ends the compiler, which then ends the process
+        )
+    except subprocess.TimeoutExpired:
+        raise OSError(f"it took longer than {_WORKER_SECONDS:g} s to read") from None
+    if process.returncode == -getattr(signal, "SIGXCPU", 24):
+        raise OSError("it takes too long to read")
+    answer = (
+        json.loads(process.stdout)
+        if process.stdout
+        else {"error": "it needs too much memory to read"}
+    )
+    if "error" in answer:
+        raise OSError(answer["error"])
 
 
 def _is_mcap(path: Path) -> bool:

@@ -1,0 +1,42 @@
+"""Bags that expand to gigabytes, or hold very many messages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import GOOD
+from tests.fuzz.products import BOMB_BYTES, mcap_with_chunk, products, zeros
+from thorvaldc.compiler.pipeline import compile_file
+
+
+def error_of(folder: Path, log: str) -> str:
+    """Returns the message of the only error of a scenario with a log."""
+    (folder / "robot.yaml").write_text(GOOD, encoding="utf-8")
+    scenario = folder / "scenario.yaml"
+    scenario.write_text(
+        "thorvaldc: 1\nscenario: trial\nrobots: {cart: {robot: robot.yaml}}\nduration: 2 s\n"
+        f"script: {{log: {log}}}\n",
+        encoding="utf-8",
+    )
+    (diagnostic,) = compile_file(scenario).report.errors
+    return diagnostic.message
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+@pytest.mark.parametrize("stated", [BOMB_BYTES, 100])
+def test_a_chunk_that_expands_to_gigabytes(tmp_path: Path, compression: str, stated: int) -> None:
+    data = mcap_with_chunk(compression, zeros(compression), stated)
+    assert len(data) < 10_000_000
+    (tmp_path / "log.mcap").write_bytes(data)
+    assert error_of(tmp_path, "log.mcap").endswith("it needs too much memory to read")
+
+
+def test_a_small_bag_with_very_many_messages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "log.bag").write_bytes(products()["twists.bag"])
+    monkeypatch.setattr("thorvaldc.compiler.source.ros_bag._MEMORY_OF_SMALL_BAG", 5_000)
+    monkeypatch.setattr("thorvaldc.compiler.source.ros_bag._EXPANSION", 0)
+    assert "its messages have many times the size of the file" in error_of(tmp_path, "log.bag")
