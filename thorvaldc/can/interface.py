@@ -32,6 +32,14 @@ class CanInterface(Protocol):
         """
 
     @property
+    def received_until(self) -> float:
+        """Time (s) up to which all frames on the bus have reached the receive queue.
+
+        For hardware it is ``now``, because the kernel and the adapter receive at all times.  The
+        process of a simulated bus can run late on a busy computer; then the time is earlier.
+        """
+
+    @property
     def state(self) -> ErrorState:
         """Error state of the CAN controller.
 

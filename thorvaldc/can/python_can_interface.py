@@ -102,6 +102,10 @@ class PythonCanInterface:
         return time.monotonic()
 
     @property
+    def received_until(self) -> float:
+        return time.monotonic()
+
+    @property
     def state(self) -> ErrorState:
         bus_state = self.bus.state
         if bus_state is self._can.BusState.ERROR:

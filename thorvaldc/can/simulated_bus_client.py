@@ -18,6 +18,13 @@ from thorvaldc.can.nanoseconds import NANOSECONDS, NEVER, to_ns
 
 ANSWER_TIME = 5.0
 """Longest time (s) to wait for the WELCOME message of the server."""
+LATE = 0.03
+"""Time (s) without a message of the server after which its process is late."""
+LATE_SEND_LIMIT = 8
+"""Largest number of frames that wait for a late server, in send queues.
+
+The buffer of a local socket has room for about 270 short messages on Linux; ``send`` must not wait
+for a server that does not run."""
 LOCKSTEP_POLL = 0.0001
 """Simulated time (s) between two checks for room in the send queue, in lockstep mode."""
 
@@ -67,6 +74,7 @@ class SimulatedBusClient:
         self._changed = threading.Condition()
         self._writing = threading.Lock()
         self._unsent = 0
+        self._now = 0
         self._state = ErrorState.ACTIVE
         self._closed = ""
         self._waited_until: int | None = None
@@ -96,8 +104,9 @@ class SimulatedBusClient:
             raise
         self.bitrate: int = welcome["bitrate"]
         self.epoch: float = welcome["epoch"]
-        self._now: int = welcome["now"]
-        self._clock_offset = time.monotonic_ns() - self._now
+        self._now = max(self._now, welcome["now"])
+        self._start: int = welcome["start"]
+        self._in_real_time = not welcome["lockstep"]
         self._reader = threading.Thread(target=self._read, name=f"bus {channel}", daemon=True)
         self._reader.start()
 
@@ -111,8 +120,15 @@ class SimulatedBusClient:
 
         The time is simulated time in lockstep mode, else real time.
         """
-        now = self._now if self.lockstep else time.monotonic_ns() - self._clock_offset
-        return now / NANOSECONDS
+        return (self._now if self.lockstep else self._clock()) / NANOSECONDS
+
+    @property
+    def received_until(self) -> float:
+        """Time (s) up to which all frames on the bus have reached the receive queue.
+
+        The time is earlier than ``now`` if the process of the bus runs late.
+        """
+        return self._now / NANOSECONDS if self._in_real_time else self.now
 
     def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
         """Puts a CAN frame into the send queue.
@@ -123,12 +139,13 @@ class SimulatedBusClient:
         controller is in bus-off.
         """
         with self._changed:
-            if self._unsent >= self.send_limit and timeout > 0.0:
+            if not self._has_room() and timeout > 0.0:
                 self._wait_for_room(timeout)
-            if self._unsent >= self.send_limit or self._state is ErrorState.BUS_OFF:
+            if not self._has_room() or self._state is ErrorState.BUS_OFF:
                 return False
             self._unsent += 1
-        self._write(protocol.pack_frame(protocol.SEND, frame))
+        sent_at = self._now if self.lockstep else self._clock()
+        self._write(protocol.pack_frame(protocol.SEND, frame, sent_at))
         return True
 
     def receive(self, timeout: float | None = None) -> ReceivedFrame | None:
@@ -174,8 +191,16 @@ class SimulatedBusClient:
 
     # -- inside --------------------------------------------------------------------------------
 
+    def _clock(self) -> int:
+        return time.monotonic_ns() - self._start
+
     def _has_room(self) -> bool:
-        return self._unsent < self.send_limit or bool(self._closed)
+        if self._unsent < self.send_limit or self._closed:
+            return True
+        # A server that runs late will send the frames at the times of these calls.  It is not known
+        # yet whether the send queue of the simulated controller is full.
+        late = self._in_real_time and self.now - self.received_until > LATE
+        return late and self._unsent < LATE_SEND_LIMIT * self.send_limit
 
     def _wait_for_room(self, timeout: float) -> None:
         if not self.lockstep:
@@ -248,6 +273,7 @@ class SimulatedBusClient:
     def _process(self, kind: bytes, body: bytes) -> None:
         if kind == protocol.FRAME:
             time, frame, own = protocol.unpack_frame(body)
+            self._now = max(self._now, time)
             if len(self._received) >= self.receive_limit:
                 self.overruns += 1
             else:

@@ -9,15 +9,28 @@ time after WELCOME:
     client                          server
     HELLO  version, name, ... --->
                               <---  WELCOME  bitrate, present time, ...
-    SEND   frame              --->
+    SEND   frame, time        --->
                               <---  SENT     the frame won arbitration and was acknowledged,
                                     REFUSED  or it was not queued
                               <---  FRAME    a frame of another node
                               <---  STATE    the controller's error state has changed
     RESTART                   --->           recover from bus-off
     WAIT   until (ns)         --->           lockstep only: simulated time may pass
-                              <---  TIME     present time (ns): a frame has come, or time is up
+                              <---  TIME     present time (ns): a frame has come, or time is up;
+                                             in real time: every 5 ms
                               <---  CLOSED   reason
+
+In real time, client and server read the same clock: the time on the bus is the monotonic clock of
+the computer minus ``start`` of WELCOME.  A SEND message contains the time at which the client has
+sent the frame.  On a busy computer the process of the server may run late.  It then simulates each
+frame at the time at which the client has sent it, so that the traffic on the bus is the same as if
+the server had run in time.  Only the messages to the clients are late.  The newest TIME or FRAME
+message tells a client up to which time it has received all frames of the bus:
+
+    client   SEND a, 40 ms    SEND b, 60 ms
+    server   (other processes run)            simulates a at 40 ms, b at 60 ms
+    clock    |--------|--------|--------|--------|--->
+             30       50       70       90 ms
 """
 
 from __future__ import annotations
@@ -27,7 +40,7 @@ import struct
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.local_socket import pack
 
-VERSION = 1
+VERSION = 2
 
 # Types of messages from a client to the server of a simulated bus.  The body of a HELLO message is
 # JSON.  The body of a WAIT message is a time (ns).
@@ -45,7 +58,7 @@ _TIME = struct.Struct("<q")
 def pack_frame(kind: bytes, frame: CanFrame, time: int = 0, own: bool = False) -> bytes:
     """Returns a SEND or FRAME message with a CAN frame.
 
-    - ``time``: time (ns) at which the frame was complete, for FRAME only;
+    - ``time``: time (ns) at which the frame was complete (FRAME) or sent by the client (SEND);
     - ``own``: ``True`` if the receiving client has sent the frame itself.
     """
     flags = _EXTENDED * frame.extended | _REMOTE * frame.remote | _OWN * own

@@ -11,7 +11,7 @@ from thorvaldc.runtime.can_base.frame_receiver import FrameReceiver
 class FedInterface:
     """A CAN interface that receives the frames it is given."""
 
-    now = 0.0
+    now = received_until = 0.0
     overruns = 0
 
     def __init__(self) -> None:

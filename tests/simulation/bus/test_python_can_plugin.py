@@ -314,7 +314,8 @@ def welcoming(
     channel: str,
 ) -> Iterator[Callable[[bytes], tuple[SimulatedBusClient, socket.socket]]]:
     """A scripted server: sends the welcome and more messages in one packet."""
-    welcome = pack_json(protocol.WELCOME, {"bitrate": 500_000, "epoch": 0.0, "now": 0})
+    values = {"bitrate": 500_000, "epoch": 0.0, "now": 0, "start": 0, "lockstep": True}
+    welcome = pack_json(protocol.WELCOME, values)
     with socket.socket(socket.AF_UNIX) as listener, ExitStack() as ends:
         listener.bind(channel)
         listener.listen()
@@ -387,6 +388,37 @@ def test_clients_are_served_while_the_simulation_lags(wire: Wire, channel: str) 
         a.close()
         b.close()
     assert server.behind > 50_000_000
+
+
+def test_frames_keep_their_times_while_the_server_runs_late(wire: Wire, channel: str) -> None:
+    """The server does not run for 0.2 s; a client sends meanwhile, and knows that it is late."""
+    stop = threading.Event()
+    wire.observers.append(lambda *frame: frame[1].id == 0x700 and stop.wait(5.0))
+    with (
+        serving(wire.timeline, {channel: wire}),
+        closing(SimulatedBusClient(channel)) as a,
+        closing(SimulatedBusClient(channel)) as b,
+    ):
+        assert a.send(interface.CanFrame(0x700))
+        a.sleep(0.05)
+        stopped_at = a.received_until
+        sent = []
+        for k in range(60):
+            sent.append(a.now)
+            assert a.send(interface.CanFrame(k), timeout=0.0), "more than fit in the send queue"
+            a.sleep(0.003)
+        assert a.received_until == stopped_at
+        assert b.receive(0.0) is None
+        stop.set()
+        received = [got for got in (b.receive(2.0) for _ in [0, *sent]) if got is not None]
+        assert received.pop(0).frame.id == 0x700
+        assert [got.frame.id for got in received] == list(range(60))
+        delays = [got.time / 1e9 - time for got, time in zip(received, sent, strict=True)]
+        assert min(delays) > 0.0
+        assert max(delays) < 0.1, "and not when the server runs again"
+        a.sleep(0.2)
+        assert a.now - a.received_until < 0.2
+        assert b.now == pytest.approx(a.now, abs=0.2)
 
 
 def test_a_channel_name_too_long_for_a_socket(wire: Wire) -> None:

@@ -48,6 +48,8 @@ DEVICE_TIMEOUT = 1.0
 """Time (s) without a report after which a warning names the IO board."""
 SEND_FAILURES = 3
 """Number of incomplete cycles in a row after which the robot stops."""
+LONGEST_DELAY = 0.5
+"""Longest time (s) for which the process of a simulated bus may run late."""
 EXTRA_RESPONSES = 2.0
 """Largest number of SDO responses without request."""
 _ROUNDING = 1e-6
@@ -153,8 +155,10 @@ class BusConnection:
         Heartbeats, EMCY messages and other events are decoded first, in the order of their
         reception.  Of each periodic report only the newest CAN frame is decoded.
         """
-        self.watchdog.begin_cycle(now)
-        for event in self.receiver.drain():
+        received_until = self.interface.received_until
+        events = self.receiver.drain()
+        self.watchdog.begin_cycle(now, received_until, self.receiver.drained_until)
+        for event in events:
             self._handle_event(event)
         self.rates.take_sample()
         latest, handled = self.receiver.latest, self._handled
@@ -236,9 +240,16 @@ class BusConnection:
             return f"the CAN interface of the bus `{self.bus.name}` is lost: {self.receiver.lost}"
         if self.interface.state is ErrorState.BUS_OFF:
             return f"the CAN controller of the bus `{self.bus.name}` is off the bus (bus-off)"
+        delay = now - self.interface.received_until
+        cannot_send = self.failures_in_a_row >= SEND_FAILURES
+        if delay > LONGEST_DELAY or (cannot_send and delay > SEND_FAILURES * self.bus.sync_period):
+            return (
+                f"the simulation of the bus `{self.bus.name}` runs {delay * 1000:.0f} ms late; "
+                "is the computer too busy?"
+            )
         if self.supervision.problem:
             return self.supervision.problem
-        if self.failures_in_a_row >= SEND_FAILURES:
+        if cannot_send:
             return f"frames cannot be sent on the bus `{self.bus.name}`; is any node connected?"
         for controller in self.controllers:
             problem = self.watchdog.problem(controller, now)
@@ -320,14 +331,16 @@ class BusConnection:
         while room > 0 and self.outbox:
             room -= 1
             yield self.outbox.popleft()
+        # A response may be on its way through a simulated bus whose process is late.
+        received_until = min(now, self.interface.received_until)
         for name, readback in self.readbacks.items():
-            request = readback.next_request(now) if room > 0 else None
+            request = readback.next_request(received_until) if room > 0 else None
             if request is not None:
                 room -= 1
                 self._count_request(name)
                 yield request
         if room > 0 and commands:
-            request = self.supervision.next_request(now)
+            request = self.supervision.next_request(received_until)
             if request is not None:
                 room -= 1
                 self._count_request(self._sdo_requests[request.id])

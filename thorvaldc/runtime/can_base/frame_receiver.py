@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Collection
@@ -13,8 +14,8 @@ from thorvaldc.can.nanoseconds import NANOSECONDS
 
 EVENT_LIMIT = 512
 """Size of the event queue, in frames."""
-_STOP_CHECK = 0.1
-"""Time (s) after which the receiving thread checks whether it must stop."""
+_POLL = 0.005
+"""Longest time (s) for which the receiving thread waits for a frame."""
 
 
 class Event(NamedTuple):
@@ -44,7 +45,10 @@ class FrameReceiver:
     - ``latest``: newest frame of each identifier, which is sufficient for periodic reports;
     - ``received``: number of received data frames with standard identifier;
     - ``dropped``: number of events that were lost because the event queue was full;
-    - ``ignored``: number of extended and remote frames, which CANopen does not use.
+    - ``ignored``: number of extended and remote frames, which CANopen does not use;
+    - ``drained_until``: time (s) up to which all frames on the bus are in ``latest``, and were
+      returned by ``drain``.  Frames that still wait in the CAN interface, because the receiving
+      thread runs late, are newer.
 
     CAN frames whose identifiers are in the parameter ``events`` are also put into the event queue.
     If the event queue is full, the oldest CAN frame in the event queue is dropped.
@@ -58,6 +62,7 @@ class FrameReceiver:
         self.received = 0
         self.dropped = 0
         self.ignored = 0
+        self.drained_until = -math.inf
         self.lost: str = ""
         """Reason why the CAN interface is lost; empty if the CAN interface works."""
         self._event_ids = frozenset(events)
@@ -66,6 +71,7 @@ class FrameReceiver:
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
+        self._read_until = -math.inf
 
     def start(self) -> None:
         """Starts the thread that receives CAN frames."""
@@ -86,12 +92,14 @@ class FrameReceiver:
         interface.
         """
         if self._thread is None and not self.lost:
+            self._read_until = self.interface.received_until
             try:
                 while (received := self.interface.receive(0.0)) is not None:
                     self._store(received)
             except ConnectionError as error:
                 self.lost = str(error) or "the interface is lost"
         with self._lock:
+            self.drained_until = self._read_until
             events = list(self._events)
             self._events.clear()
         return events
@@ -99,13 +107,17 @@ class FrameReceiver:
     def _run(self) -> None:
         while not self._stopping.is_set():
             try:
-                received = self.interface.receive(_STOP_CHECK)
+                received_until = self.interface.received_until
+                received = self.interface.receive(_POLL)
             except ConnectionError as error:
                 if not self._stopping.is_set():
                     self.lost = str(error) or "the interface is lost"
                 return
-            if received is not None:
+            if received is None:
+                self._read_until = received_until
+            else:
                 self._store(received)
+                self._read_until = received.time / NANOSECONDS
 
     def _store(self, received: ReceivedFrame) -> None:
         frame = received.frame

@@ -13,8 +13,20 @@ watchdog detects a problem, the state machine of the base enters the state FAULT
     age         0   0   T   2T  2.5T --> "no tpdo1 for ... ms"
 
 The watchdog tolerates one missing report of a motor controller, but not two missing reports in a
-row.  After a late control cycle the watchdog does not check for missing reports, because received
-CAN frames may not have been read yet.
+row.
+
+A program that runs late must not be taken for a silent node:
+
+- In a late control cycle the watchdog does not check for silence, in at most ``LATE_CYCLES``
+  cycles in a row.
+- The age of a frame is its age at the time until which all frames were read, not at the present
+  time.  The receiving thread may be at most ``LATE_CYCLES`` periods late, and not after a late
+  cycle.
+- The process of a simulated bus may be at most ``LONGEST_DELAY`` late, see ``BusConnection``.
+
+    bus        x   x   x   x   x   x   x           x: reports
+    read       x   x   x   x   |                   the receiving thread runs late
+    age                        T       now         judged here: T, and not 3 T
 
 A node sends one boot-up message at each start.  Each boot-up message after the first one means that
 the node has restarted, or that a second device with the same node id was switched on.
@@ -95,15 +107,23 @@ class NodeWatchdog:
         self._allowed_boot_ups: dict[str, int] = {}
         self._started_at = math.inf
         self._last_cycle = math.inf
+        self._received_until = -math.inf
+        self._judged_at = -math.inf
         self._late_cycles = 0
 
     # -- input -------------------------------------------------------------------------------------
 
-    def begin_cycle(self, now: float) -> None:
+    def begin_cycle(self, now: float, received_until: float, drained_until: float) -> None:
         """Measures the time since the last control cycle.
 
-        Must be called before the received CAN frames are read.
+        - ``received_until``: time (s) up to which all frames have reached the CAN interface;
+        - ``drained_until``: time (s) up to which all frames have been read from it.
         """
+        # The receiving thread had one cycle for the frames that had arrived at the last cycle.
+        earliest = self._received_until - (LATE_CYCLES - 1) * self._cycle_period
+        self._received_until = min(received_until, now)
+        read_until = self._received_until if self._late_cycles else max(drained_until, earliest)
+        self._judged_at = min(read_until, self._received_until)
         late = now - self._last_cycle > LATE_CYCLE * self._cycle_period
         self._late_cycles = self._late_cycles + 1 if late else 0
         self._last_cycle = now
@@ -157,7 +177,7 @@ class NodeWatchdog:
         """Returns a problem of a motor controller that must stop the robot, or an empty text."""
         if controller.node.name in self._restarted:
             return "it restarted"
-        return controller.problem or controller.encoder_jump(now) or self._silence(controller, now)
+        return controller.problem or controller.encoder_jump(now) or self._silence(controller)
 
     @property
     def has_boot_ups(self) -> bool:
@@ -200,12 +220,12 @@ class NodeWatchdog:
 
     # -- inside ------------------------------------------------------------------------------------
 
-    def _silence(self, controller: MotorController, now: float) -> str:
+    def _silence(self, controller: MotorController) -> str:
         """Returns a message about a missing heartbeat or report, or about a wrong NMT state.
 
         Returns an empty text if the watchdog has detected no problem.
         """
-        since = self._started_at
+        since, now = self._started_at, self._judged_at
         if since == math.inf or 0 < self._late_cycles <= LATE_CYCLES:
             return ""
         name = controller.node.name

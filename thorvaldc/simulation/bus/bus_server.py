@@ -11,6 +11,7 @@ and the server.  This diagram shows lockstep with two clients (times in ms):
 from __future__ import annotations
 
 import contextlib
+import heapq
 import json
 import selectors
 import socket
@@ -18,7 +19,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from thorvaldc.can import simulated_bus_protocol as protocol
 from thorvaldc.can.error_state import ErrorState
@@ -33,6 +34,11 @@ LONGEST_WAIT = 0.5
 """Longest time (s) to wait for a client, so that ``stop`` takes effect."""
 LONGEST_WORK = 20_000_000
 """Simulated time (ns) after which the server handles clients, even if the simulation lags."""
+LONGEST_DELAY = 250_000_000
+"""Longest time (ns) for which a frame of a client waits for a simulation that computes too slowly.
+The frame is then sent at the present simulated time."""
+TIME_PERIOD = 5_000_000
+"""Time (ns) between two TIME messages to a client."""
 BACKLOG = 1 << 20
 """Number of bytes that may wait for a client.  The server drops messages beyond this number."""
 _MAXIMUM_RATE = 10_000_000
@@ -53,6 +59,10 @@ class _Connection:
         self.lost = 0
         self.pending = 0
         """Number of frames of the client that were not yet reported as sent or dropped."""
+        self.sent_at = 0
+        """Time (ns) of the newest message of the client."""
+        self.told_time = 0
+        """Time (ns) of the newest TIME message."""
 
     def send_state(self) -> None:
         """Sends the error state of the CAN controller to the client program.
@@ -78,13 +88,30 @@ class _Connection:
             self.out += message
 
 
+class _Waiting(NamedTuple):
+    """A message of a client that waits until the simulation has reached its time.
+
+    - ``time``: simulated time (ns) at which the client has sent the message;
+    - ``number``: number of the message, which keeps the order of messages of the same time;
+    - ``read_at``: time (ns) on the clock at which the server has read the message.
+    """
+
+    time: int
+    number: int
+    read_at: int
+    connection: _Connection
+    kind: bytes
+    body: bytes
+
+
 class BusServer:
     """Runs simulated CAN buses and offers each bus to other processes over a local socket.
 
-    In real time, the simulated time follows the clock of the computer.  A simulation that computes
-    too slowly lags behind the clock and catches up later.  ``behind`` is the largest lag (ns) of
-    the simulated time behind the clock.  If ``lockstep`` is true, the simulated time advances only
-    while all lockstep clients wait.
+    In real time, the simulated time follows the clock of the computer.  A process that runs late,
+    or computes too slowly, lags behind the clock and catches up later; it simulates the frames of
+    its clients at the times at which the clients have sent them.  ``behind`` is the largest lag
+    (ns) of the simulated time behind the clock.  If ``lockstep`` is true, the simulated time
+    advances only while all lockstep clients wait.
     """
 
     def __init__(
@@ -108,6 +135,10 @@ class BusServer:
         self._stop = False
         self._epoch = 0.0
         self._start = 0
+        self._clock = 0
+        """Time (ns) on the clock; all messages that were sent before are read."""
+        self._waiting: list[_Waiting] = []
+        self._messages = 0
         self._wakeup, woken = socket.socketpair()
         self._woken = woken
         woken.setblocking(False)
@@ -130,7 +161,10 @@ class BusServer:
                 else:
                     self._advance()
                 self._flush()
-                self._serve(self._wait_time())
+                self._selector.select(self._wait_time())
+                # All messages that were sent before this time are now in the sockets.
+                self._clock = time.monotonic_ns() - self._start
+                self._serve()
         finally:
             self._close()
 
@@ -142,18 +176,43 @@ class BusServer:
     # -- time ---------------------------------------------------------------------------------
 
     def _advance(self) -> None:
-        started = time.monotonic_ns()
-        clock = started - self._start
-        self.behind = max(self.behind, clock - self.timeline.next_time)
-        limit = started + LONGEST_WORK
-        self.timeline.run_until(clock, lambda: time.monotonic_ns() > limit)
+        """Simulates until the time at which the clients were last read, with their messages."""
+        self.behind = max(self.behind, self._clock - self.timeline.next_time)
+        limit = time.monotonic_ns() + LONGEST_WORK
+        waiting = self._waiting
+        while waiting and waiting[0].time <= self._clock:
+            overdue = self._clock - waiting[0].read_at > LONGEST_DELAY
+            if not overdue and self._run_until(waiting[0].time, limit):
+                return
+            self._handle_waiting(heapq.heappop(waiting))
+        self._run_until(self._clock, limit)
+
+    def _run_until(self, end: int, limit: int) -> bool:
+        """Simulates until the time ``end`` (ns), or until the monotonic clock reads ``limit``.
+
+        Returns ``True`` if the simulation has not reached ``end``.
+        """
+        return self.timeline.run_until(end, lambda: time.monotonic_ns() > limit)
 
     def _wait_time(self) -> float:
         """Returns the time (s) until the next event of the simulation."""
         if self.lockstep:
             return 0.0 if self._all_wait() else LONGEST_WAIT
+        if self._waiting:
+            return 0.0
         ahead = self.timeline.next_time - (time.monotonic_ns() - self._start)
-        return min(max(ahead / 1e9, 0.0), LONGEST_WAIT)
+        longest = TIME_PERIOD / 1e9 if self._connections else LONGEST_WAIT
+        return min(max(ahead / 1e9, 0.0), longest)
+
+    def _tell_time(self) -> None:
+        """Tells the clients up to which time they have received all frames."""
+        now = self.timeline.now
+        for connection in self._connections:
+            # A client that does not read needs no further times.
+            due = now - connection.told_time >= TIME_PERIOD
+            if due and connection.controller is not None and not connection.out:
+                connection.told_time = now
+                connection.put(protocol.pack_time(protocol.TIME, now))
 
     def _all_wait(self) -> bool:
         steppers = [c for c in self._connections if c.lockstep]
@@ -188,8 +247,8 @@ class BusServer:
         self._paths.append(path)
         self._selector.register(listener, selectors.EVENT_READ, wire)
 
-    def _serve(self, wait_time: float) -> None:
-        for key, events in self._selector.select(wait_time):
+    def _serve(self) -> None:
+        for key, events in self._selector.select(0.0):
             if key.data is None:
                 with contextlib.suppress(OSError):
                     self._woken.recv(64)
@@ -217,13 +276,36 @@ class BusServer:
         except OSError:
             data = b""
         if not data:
+            self._handle_rest(connection)
             self._drop(connection)
             return
-        if not self.lockstep:
-            self._advance()  # its frames are sent at the present time
+        now = time.monotonic_ns() - self._start
+        for kind, body in connection.unpacker.feed(data):
+            if kind == protocol.SEND:
+                with contextlib.suppress(ValueError):  # ``_handle`` refuses the message
+                    sent_at = min(protocol.unpack_time(body[:8]), now)
+                    connection.sent_at = max(connection.sent_at, sent_at)
+            self._messages += 1
+            message = _Waiting(connection.sent_at, self._messages, now, connection, kind, body)
+            if self.lockstep:
+                self._handle_waiting(message)
+            else:
+                heapq.heappush(self._waiting, message)
+
+    def _handle_rest(self, connection: _Connection) -> None:
+        """Handles the waiting messages of a client that has ended."""
+        rest = sorted(m for m in self._waiting if m.connection is connection)
+        self._waiting = [m for m in self._waiting if m.connection is not connection]
+        heapq.heapify(self._waiting)
+        for message in rest:
+            self._handle_waiting(message)
+
+    def _handle_waiting(self, message: _Waiting) -> None:
+        connection = message.connection
+        if connection not in self._connections:
+            return
         try:
-            for kind, body in connection.unpacker.feed(data):
-                self._handle(connection, kind, body)
+            self._handle(connection, message.kind, message.body)
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             self._refuse(connection, f"not understood: {error}")
 
@@ -295,6 +377,7 @@ class BusServer:
             "version": protocol.VERSION,
             "bitrate": bitrate,
             "now": self.timeline.now,
+            "start": time.monotonic_ns() - self.timeline.now if self.lockstep else self._start,
             "epoch": self._epoch,
             "lockstep": self.lockstep,
         }
@@ -306,6 +389,8 @@ class BusServer:
         self._drop(connection)
 
     def _flush(self) -> None:
+        if not self.lockstep:
+            self._tell_time()
         for connection in list(self._connections):
             if connection.out:
                 self._write(connection)

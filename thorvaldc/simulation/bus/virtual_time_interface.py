@@ -66,6 +66,10 @@ class VirtualTimeInterface:
         """Virtual time (s)."""
         return self.timeline.seconds
 
+    @property
+    def received_until(self) -> float:
+        return self.timeline.seconds
+
     def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
         """Adds a CAN frame to the send queue.
 
