@@ -24,6 +24,11 @@ class CanInterface(Protocol):
     """
 
     @property
+    def receives_by_itself(self) -> bool:
+        """``True`` if frames get their times of reception without a thread that calls
+        ``receive``."""
+
+    @property
     def now(self) -> float:
         """Current time (s) on the clock of the CAN interface.
 

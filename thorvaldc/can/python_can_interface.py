@@ -64,6 +64,7 @@ class PythonCanInterface:
     """
 
     overruns = 0
+    receives_by_itself = False
 
     def __init__(
         self,

@@ -38,6 +38,8 @@ class SimulatedBusClient:
     lockstep client computes.
     """
 
+    receives_by_itself = True
+
     def __init__(
         self,
         channel: str,

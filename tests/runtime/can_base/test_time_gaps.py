@@ -9,11 +9,13 @@ import pytest
 from tests.robots import FOUR_STEERED, make_robot
 from tests.runtime.can_base.fault_matrix import ROBOTS
 from tests.runtime.can_base.simulated_rig import Rig
+from thorvaldc.can.frame import CanFrame
 from thorvaldc.model.stopping import shortest_watchdog
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.runner import RequestRefused
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.runtime.time_gap import Gap, TimeGapRule
+from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 
 SPEED = 0.8
 FAST = Twist(SPEED, 0.0, 0.0)
@@ -129,3 +131,47 @@ def test_a_slow_control_cycle_has_no_short_gap() -> None:
     robot = make_robot(FOUR_STEERED)
     rule = TimeGapRule.of(robot, replace(robot.driver, rate=5.0))
     assert [rule.judge(t) for t in (0.5, 0.51)] == [Gap.NONE, Gap.LONG]
+
+
+class StoppedWhileSending(VirtualTimeInterface):
+    """Its process is stopped for ``seconds`` before the frame number ``at`` of a cycle is sent."""
+
+    at = 0
+    seconds = 0.0
+
+    def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
+        if self.at > 0:
+            self.at -= 1
+            if self.at == 0:
+                self.sleep(self.seconds)
+        return super().send(frame, timeout)
+
+
+@both
+@pytest.mark.parametrize("seconds", [0.03, 0.2, 0.7])
+@pytest.mark.parametrize("frame", [1, 2, 4, 5])
+def test_at_most_one_old_frame_is_sent(kind: str, seconds: float, frame: int) -> None:
+    """The process is stopped while it sends the frames of a cycle, and goes on."""
+    rig = driving(kind)
+    interface = rig.interface
+    assert isinstance(interface, VirtualTimeInterface)
+    interface.__class__ = StoppedWhileSending
+    assert isinstance(interface, StoppedWhileSending)
+    interface.at, interface.seconds = frame, seconds
+    robot = rig.robot
+    commands = {f.cob_id for b in robot.buses for f in b.frames if f.producer == "master"}
+    rig.frames.clear()
+    start = rig.now
+    sent_by = rig.base.cycles
+    rig.runner.run(start + rig.base.period)
+    resumed = start + seconds
+    old = [f for t, f in rig.frames if f.id in commands and t / 1e9 > resumed]
+    assert len(old) <= 1, old
+    assert rig.base.cycles == sent_by, "the cycle is incomplete: no heartbeat of the master"
+    speeds = [rig.speed(), *sampled(rig, 2.0)]
+    if seconds < 0.05:  # no gap: one cycle is missing
+        assert rig.state is BaseState.ACTIVE
+    else:
+        assert largest_rise(speeds) < NOISE
+        assert rig.speed() == 0.0
+        assert rig.state is (BaseState.FAULT if seconds > 0.25 else BaseState.READY)

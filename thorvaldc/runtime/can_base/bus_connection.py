@@ -61,6 +61,7 @@ class BusConnection:
 
     Only the thread of the control loop may call the methods of a ``BusConnection``.
 
+    - ``send_until``: time (s) after which the frames of the present cycle are too old to be sent;
     - ``outbox``: frames that are sent once, when a cycle has room for the frame;
     - ``not_sent``: number of frames that the CAN interface did not accept;
     - ``malformed``: number of received frames that were too short, or had a number that is not
@@ -70,7 +71,8 @@ class BusConnection:
     def __init__(self, robot: Robot, bus: Bus, interface: CanInterface, *, threaded: bool) -> None:
         """Creates a driver for each node on the CAN bus.
 
-        If ``threaded`` is ``True``, CAN frames are received in a separate thread.  Raises
+        If ``threaded`` is ``True``, CAN frames are received in a separate thread, if the CAN
+        interface needs one for the times of reception.  Raises
         ``DiagnosticError`` (``bus-driver-unknown``) if a motor controller has no driver.
         """
         self.robot = robot
@@ -93,6 +95,7 @@ class BusConnection:
         self.foreign_master = ""
         """Description of a frame of another master on the bus; empty if there is none."""
         self.outbox: deque[CanFrame] = deque()
+        self.send_until = math.inf
         self.not_sent = 0
         self.malformed = 0
         self.failures_in_a_row = 0
@@ -135,7 +138,7 @@ class BusConnection:
         periods = {n: t for c in self.controllers for n, t in c.shortest_periods().items()}
         names = [*by_name, *self._device_names()]
         self.rates = FrameRates(bus, names, self.receiver.latest, periods)
-        if threaded:
+        if threaded and not interface.receives_by_itself:
             self.receiver.start()
 
     def _add_driver(self, node: Node) -> None:
@@ -383,12 +386,17 @@ class BusConnection:
         self.not_sent += not queued
         return queued
 
+    @property
+    def overdue(self) -> bool:
+        """``True`` if the frames of the present control cycle are too old to be sent."""
+        return self.interface.now > self.send_until
+
     def send_sync(self, timeout: float = 0.0) -> bool:
         return self._sync is None or self.send(CanFrame(self._sync.cob_id), timeout)
 
     def send_relayed(self) -> None:
         for _ in range(RELAYED_PER_CYCLE):
-            frame = self.relay.next_outgoing()
+            frame = None if self.overdue else self.relay.next_outgoing()
             if frame is None:
                 return
             self.relay.count_sent(frame, self.send(CanFrame(frame.id, frame.data)))

@@ -19,6 +19,10 @@ SYNC.  Roboteq controllers apply each motor command on arrival, and send their r
 of their own.  The base driver sends the heartbeat of the master only after a control cycle in which
 all CAN frames were sent.
 
+A process that was stopped in the middle of a cycle sends at most one frame of that cycle when it
+goes on.  The other frames of the cycle are dropped when the next cycle is due, because their
+commands are old.
+
 The control loop sends all CAN frames; no CAN frame is sent by a timer.  The heartbeat of the master
 stops if the control loop hangs or if the CAN frames of a cycle cannot be sent.  Each motor
 controller has a watchdog that stops the motors if the heartbeat of the master is missing.  The
@@ -176,13 +180,16 @@ class CanBase(BaseHandle):
         )
         if not state_machine.may_send:
             return
+        for connection in self.connections:
+            connection.send_until = now + self.period
         complete = True
         for connection in self.connections:
             complete = self._send_cycle(connection, intent, now) and complete
         if complete:
             self.cycles += 1
             for connection in self.connections:
-                connection.send_heartbeat(now, state_machine.operational)
+                if not connection.overdue:
+                    connection.send_heartbeat(now, state_machine.operational)
         else:
             self.incomplete += 1
 
@@ -224,16 +231,19 @@ class CanBase(BaseHandle):
                 state_machine.fail(str(error))
                 return False
             for frame in commands:
-                if not connection.send(frame, self._send_timeout):
+                if connection.overdue or not connection.send(frame, self._send_timeout):
                     complete = False
                     break
             # The SYNC frame is not sent if a motor command could not be sent, so that the drives do
             # not apply an incomplete set of commands.
+            complete = complete and not connection.overdue
             complete = complete and connection.send_sync(self._send_timeout)
         driving = state_machine.state.drives
-        for frame in connection.occasional_frames(intent, now, state_machine.may_command, driving):
-            complete = connection.send(frame, self._send_timeout) and complete
+        occasional = connection.occasional_frames(intent, now, state_machine.may_command, driving)
+        while not connection.overdue and (request := next(occasional, None)) is not None:
+            complete = connection.send(request, self._send_timeout) and complete
         connection.send_relayed()
+        complete = complete and not connection.overdue
         connection.failures_in_a_row = 0 if complete else connection.failures_in_a_row + 1
         return complete
 

@@ -21,6 +21,7 @@ class VirtualTimeInterface:
     the simulated bus.
     """
 
+    receives_by_itself = True
     epoch = 0.0
     """Offset (s) between timestamps and the times of the CAN interface."""
 
