@@ -9,7 +9,7 @@ import pytest
 from tests.commissioning.bench import NODES, QUICK, SWAPPED, Bench, four_drives
 from tests.commissioning.robots import without_serials
 from tests.examples import example_robot
-from tests.simulation.bus.robots import cia402_robot
+from tests.simulation.bus.robots import cia402_robot, uneven_robot
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.planner import make_plan
 from thorvaldc.commissioning.scan_result import ScanResult
@@ -32,7 +32,7 @@ def verdicts(scan: ScanResult) -> dict[str, str]:
 
 
 def test_a_robot_that_matches_its_file_is_ok() -> None:
-    for robot in (cia402_robot(), example_robot("4wd4ws_wide")):
+    for robot in (cia402_robot(), uneven_robot(), example_robot("4wd4ws_wide")):
         bench = Bench(robot, delivered=False)
         for scan in (passive(bench), bench.scan()):
             assert set(verdicts(scan).values()) == {"ok"}

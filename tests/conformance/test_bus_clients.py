@@ -14,7 +14,7 @@ import pytest
 from tests.backend_files import files_of
 from tests.examples import ROBOTS, example_robot
 from tests.runtime.can_base.simulated_rig import Rig
-from tests.simulation.bus.robots import cia402_robot
+from tests.simulation.bus.robots import cia402_robot, uneven_robot
 from thorvaldc.backends.can import Can
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import OBJECT_TYPES, Node
@@ -128,10 +128,11 @@ def test_our_codec_and_cantools_agree(robot: Robot, database: Any) -> None:
                     assert codec.encode_named(kept) == message.encode(kept, strict=False)
 
 
-@pytest.mark.parametrize("name", ["4wd4ws_wide", "cia402"])
+@pytest.mark.parametrize("name", ["4wd4ws_wide", "cia402", "uneven"])
 def test_cantools_decodes_the_commands_of_the_driver(name: str) -> None:
     """Decoded with our DBC, commands equal the targets, and reports equal the motor states."""
-    rig = Rig(cia402_robot() if name == "cia402" else example_robot(name))
+    made = {"cia402": cia402_robot, "uneven": uneven_robot}
+    rig = Rig(made[name]() if name in made else example_robot(name))
     read = cantools.database.load_string(
         files_of(Can, rig.robot)["can/robot.dbc"].decode("cp1252"), "dbc"
     )

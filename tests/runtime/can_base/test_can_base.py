@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tests.runtime.can_base.simulated_rig import Rig
-from tests.simulation.bus.robots import cia402_robot
+from tests.simulation.bus.robots import cia402_robot, uneven_robot
 from thorvaldc.can.canopen import NmtState
 from thorvaldc.can.cia402 import DriveState
 from thorvaldc.compiler.pipeline import compile_file
@@ -53,6 +54,7 @@ ROBOTS = {
     "cia402": cia402_robot,
     "two propulsions": lambda: example("2wd0ws_greenhouse"),
     "nine wheels": lambda: example("9wd9ws"),
+    "uneven": uneven_robot,
 }
 
 
@@ -87,6 +89,21 @@ def test_a_robot_starts_drives_stops_and_shuts_down(make: functools.partial[Robo
         if isinstance(device, RoboteqController | Cia402Drive):
             assert device.state is NmtState.PRE_OPERATIONAL
     assert rig.now > start
+
+
+def test_an_axis_without_limits_follows_a_direction_that_rotates() -> None:
+    rig = Rig(uneven_robot())
+    rig.drive(Twist(0.4, 0.0, 0.0), 1.0)
+    for k in range(1, 41):
+        direction = 0.2 * k  # more than a turn
+        rig.twist = Twist(0.4 * math.cos(direction), 0.4 * math.sin(direction), 0.0)
+        rig.run(0.5)
+        assert rig.state is BaseState.ACTIVE, rig.reason
+    rig.run(3.0)
+    joints = rig.runner.driver.state.joints
+    assert joints is not None
+    for angle, speed, wheel in zip(joints.angles, joints.speeds, rig.robot.wheels, strict=True):
+        assert math.cos(angle - direction) * speed * wheel.radius == pytest.approx(0.4, rel=0.03)
 
 
 def test_the_drives_are_off_after_the_shutdown() -> None:

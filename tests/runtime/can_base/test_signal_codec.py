@@ -13,6 +13,7 @@ import pytest
 
 from tests.robots import SPAN
 from tests.runtime.can_base.test_can_base import drives, four_wheels
+from tests.simulation.bus.robots import uneven_robot
 from thorvaldc.backends.can.dbc import dbc_text
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model import Robot
@@ -20,7 +21,9 @@ from thorvaldc.model.bus import FLOAT32_MAX, Bus, FrameDefinition, Signal
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
 
-@pytest.mark.parametrize("make", [four_wheels, drives], ids=["roboteq", "cia402"])
+@pytest.mark.parametrize(
+    "make", [four_wheels, drives, uneven_robot], ids=["roboteq", "cia402", "uneven"]
+)
 def test_values_agree_with_cantools(make: Callable[[], Robot]) -> None:
     robot = make()
     text = emit(robot, ["can"])["can/robot.dbc"].decode("cp1252")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import re
+import shutil
 import tempfile
 from pathlib import Path
 
@@ -47,3 +49,53 @@ def compiled(text: str) -> Robot:
 def cia402_robot() -> Robot:
     """Returns a robot with four CiA 402 drives, an IO board, a battery and a foreign device."""
     return compiled(CIA402)
+
+
+MODULES = Path(__file__).resolve().parents[3] / "modules"
+STEERED = "type: assembly/steered_drive, params: {controller: controller"
+UNEVEN = f"""
+thorvaldc: 1
+name: uneven
+modules:
+  frame: {{type: frame/tube_rectangular, params: {{length: 1.1 m, width: 0.9 m, height: 650 mm}}}}
+  fl: {{{STEERED}/steering_first}}, mount: frame.front_left, can: {{id: 7, serial: "0x107"}}}}
+  fr: {{{STEERED}/cia402_propulsion_steering, gear_ratio: 30}}, mount: frame.front_right,
+    can: {{id: 2, serial: "0x102"}}}}
+  rl: {{{STEERED}/steering_first, gear_ratio: 50}}, mount: frame.rear_left,
+    can: {{id: 5, serial: "0x105"}}}}
+  rr: {{type: assembly/endless_drive, mount: frame.rear_right, can: 4}}
+"""
+
+
+@functools.cache
+def uneven_robot() -> Robot:
+    """Returns a robot whose controllers differ in the order of their channels and in their gears.
+
+    Two controllers have the steering as their first channel.  The wheel ``rr`` has a controller of
+    another kind, and its steering joint has no limits.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        text = (MODULES / "controller/cia402_propulsion_steering/module.yaml").read_text("utf-8")
+        first, second = "  propulsion: {role: propulsion}\n", "  steering: {role: steering}\n"
+        assert first + second in text
+        text = text.replace(first + second, second + first)
+        # The objects of the first axis begin at 0x6000, those of the second at 0x6800.
+        text = re.sub(r"0x6[0-9A-F]{3}\b", lambda m: f"{int(m[0], 16) ^ 0x800:#06x}", text)
+        (folder / "library/controller/steering_first").mkdir(parents=True)
+        (folder / "library/controller/steering_first/module.yaml").write_text(text, "utf-8")
+        shutil.copytree(MODULES / "steering/standard", folder / "library/steering/endless")
+        path = folder / "library/steering/endless/module.yaml"
+        text = path.read_text("utf-8").replace("type: revolute", "type: continuous")
+        limits = "    lower: ${-limit}\n    upper: ${limit}\n"
+        assert limits in text
+        path.write_text(text.replace(limits, ""), "utf-8")
+        (folder / "library/assembly/endless_drive").mkdir(parents=True)
+        text = (MODULES / "assembly/steered_drive/module.yaml").read_text("utf-8")
+        path = folder / "library/assembly/endless_drive/module.yaml"
+        path.write_text(text.replace("steering/standard", "steering/endless"), "utf-8")
+        path = folder / "robot.yaml"
+        path.write_text(UNEVEN, "utf-8")
+        compilation = compile_file(path, library=[folder / "library"])
+    assert isinstance(compilation.model, Robot), list(compilation.report)
+    return compilation.model

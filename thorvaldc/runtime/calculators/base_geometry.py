@@ -177,6 +177,12 @@ def _wheel_geometry(robot: Robot, wheel: Wheel) -> WheelGeometry:
     spin = robot.actuator_of(wheel.spin_joint) if wheel.driven else None
     steering = robot.actuator_of(wheel.steering_joint) if wheel.steering_joint else None
     limits = robot.joint(wheel.steering_joint) if wheel.steering_joint else None
+    lower, upper = (limits.lower, limits.upper) if limits else (None, None)
+    if steering is not None and steering.node is not None and lower is None and upper is None:
+        # A motor controller is configured for encoder angles of -pi to pi if the joint has no
+        # limits.  Beyond them, the controller refuses the commands.
+        upper = math.pi - abs(steering.encoder_offset or 0.0)
+        lower = -upper
     return WheelGeometry(
         name=wheel.name,
         x=wheel.x,
@@ -193,8 +199,8 @@ def _wheel_geometry(robot: Robot, wheel: Wheel) -> WheelGeometry:
         encoder=spin is not None,
         max_speed=spin.max_velocity if spin else math.inf,
         max_acceleration=spin.max_acceleration if spin else math.inf,
-        lower=limits.lower if limits else None,
-        upper=limits.upper if limits else None,
+        lower=lower,
+        upper=upper,
         max_rate=steering.max_velocity if steering else math.inf,
         max_rate_change=steering.max_acceleration if steering else math.inf,
     )
