@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import socket
 import sys
 from contextlib import closing
 from dataclasses import replace
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.can.interfaces import bus, refusal
+from tests.can.interfaces import HEARTBEAT, bus, open_python_can, refusal
 from tests.robots import SPAN
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.frame import CanFrame
@@ -101,6 +102,27 @@ def test_a_simulated_bus_that_does_not_run(bus: Bus) -> None:
     assert "thorvaldc bus FILE --channel nobody" in hint
     _, hint = refusal(f"sim:nobody.{bus.name}", bus)  # one of several buses
     assert hint.endswith("--channel nobody")
+
+
+def test_a_simulated_bus_that_does_not_answer(
+    bus: Bus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("thorvaldc.can.simulated_bus_client.ANSWER_TIME", 0.05)
+    channel = str(tmp_path / "silent.sock")
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(channel)
+        server.listen()
+        assert "the bus does not answer" in refusal(f"sim:{channel}", bus)[0]
+
+
+def test_only_a_serial_line_has_time_to_write(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A full send queue of another interface refuses a frame at once."""
+    timeouts: list[float] = []
+    with closing(open_python_can("virtual:writes", bus)) as interface:
+        monkeypatch.setattr(interface.bus, "send", lambda _, timeout: timeouts.append(timeout))
+        assert interface.send(HEARTBEAT)
+        assert interface.send(HEARTBEAT, 0.5)
+    assert timeouts == [0.0, 0.5]
 
 
 def test_a_driver_that_refuses(bus: Bus) -> None:
