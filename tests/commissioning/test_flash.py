@@ -23,6 +23,7 @@ from thorvaldc.commissioning.planner import make_plan
 from thorvaldc.commissioning.verify import verify
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.simulation.bus.virtual_operator import VirtualOperator
+from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 
 
 def code_of(work: Callable[[], object]) -> str:
@@ -380,6 +381,18 @@ def test_verify_only_reads_and_reports_differences() -> None:
     }
     plan = make_plan(bench.configuration, bench.scan())
     assert [step.description for step in plan.steps] == ["write 2 values of fl_controller (id 1)"]
+
+
+def test_verify_reports_frames_that_are_not_in_the_file() -> None:
+    bench = Bench(cia402_robot(), delivered=False)
+    master = bench.master()
+    stranger = VirtualTimeInterface(bench.wire, "stranger")
+    for tick in range(50):
+        bench.wire.timeline.after(tick * 100_000_000, lambda: stranger.send(CanFrame(0x7A5, b"\5")))
+    checks = verify(master, bench.configuration, bench.bus).checks
+    (failed,) = (check for check in checks if not check.passed)
+    assert (failed.node, failed.what) == ("", "frames that are not in the file")
+    assert (failed.expected, failed.actual) == ("none", "0x7a5")
 
 
 @pytest.mark.parametrize(

@@ -316,6 +316,27 @@ def test_single_wheel_gets_casters() -> None:
 
 
 @pytest.mark.parametrize(
+    ("positions", "has_casters"),
+    [
+        (((-0.4, -0.2), (0.0, 0.0), (0.4, 0.2)), True),
+        (((-0.4, -0.2), (0.0, 0.0), (0.4, 0.4)), False),
+        (((-0.4, 0.1), (0.0, 0.1), (0.4, 0.1)), True),
+        (((0.1, -0.4), (0.1, 0.0), (0.4, 0.4)), False),
+    ],
+)
+def test_wheels_on_a_line_get_casters(
+    tmp_path: Path, positions: tuple[tuple[float, float], ...], has_casters: bool
+) -> None:
+    text = "motor_drives:\n"
+    for i, (x, y) in enumerate(positions):
+        text += f"  d{i}: {{node: {i + 1}, x: {x}, y: {y}, type: 0}}\n"
+    text += "pipes: {p: {x1: -1, y1: 0, x2: 1, y2: 0, height: 0.65}}\n"
+    result, _ = convert_text(tmp_path, text)
+    assert result.text is not None
+    assert ("caster" in result.text) is has_casters
+
+
+@pytest.mark.parametrize(
     ("calculator", "drive_type", "expected", "assumed"),
     [
         ("pltf_clc_std::PltfClcStd", 0, "general", False),
