@@ -46,6 +46,15 @@ def test_text() -> None:
     )
 
 
+@pytest.mark.parametrize("source", ["\na: 1", "\na: 1\n"])
+def test_a_line_after_an_empty_one(source: str) -> None:
+    assert "2 | a: 1\n  |    ^\n" in text(source, at(2, 4, 2, 5))
+
+
+def test_an_empty_file_has_no_excerpt() -> None:
+    assert text("", at(1, 1, 1, 1)).splitlines()[1:] == ["  = hint: change one"]
+
+
 def test_labels_on_one_line_share_it_and_lines_between_are_omitted() -> None:
     source = "a: {b: 1, c: 2}\n" + "\n" * 9 + "d: 3\n"
     shown = text(source, at(1, 5, 1, 6), at(1, 11, 1, 12), at(11, 1, 11, 2))

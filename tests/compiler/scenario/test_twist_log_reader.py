@@ -174,8 +174,9 @@ def test_a_table_without_velocities_is_reported_at_its_heading(tmp_path: Path) -
     (tmp_path / "still.csv").write_text("time,x\n0,1\n")
     (diagnostic,) = compiled(tmp_path, "{log: still.csv}").report.errors
     assert "no column `asked_vx`" in diagnostic.message
-    assert diagnostic.span is not None
-    assert (diagnostic.span.line, diagnostic.span.column) == (1, 1)
+    span = diagnostic.span
+    assert span is not None
+    assert (span.line, span.column, span.end_line, span.end_column) == (1, 1, 1, 1)
 
 
 def test_log_is_part_of_the_source_hash(tmp_path: Path) -> None:
