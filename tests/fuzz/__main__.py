@@ -8,8 +8,10 @@ import os
 import sys
 import tempfile
 import time
+import traceback
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 from tests.fuzz.generator import case_of, kinds
 from tests.fuzz.judge import case_folder, judge, prepare
@@ -41,16 +43,20 @@ def main() -> int:
                 status = 1
                 try:
                     status = _run(seeds[job :: options.jobs], options, Path(folder), job)
+                except BaseException:
+                    traceback.print_exc()
                 finally:
                     os._exit(status)
             children.append(child)
-        for child in children:
-            os.waitpid(child, 0)
+        statuses = [os.waitpid(child, 0)[1] for child in children]
         parts = [
             json.loads(path.read_text(encoding="utf-8"))
             for path in sorted(Path(folder).glob("job*.json"))
         ]
-    return _report(parts, options.jobs)
+    if any(statuses):
+        print("a job ended early", file=sys.stderr)
+        return 1
+    return _report(parts)
 
 
 def _keep(seeds: range, folder: Path) -> int:
@@ -105,18 +111,18 @@ def _run(seeds: range, options: argparse.Namespace, folder: Path, job: int) -> i
     return 0
 
 
-def _report(parts: list[dict[str, object]], jobs: int) -> int:
+def _report(parts: list[dict[str, Any]]) -> int:
     def total(key: str) -> Counter[str]:
         counter: Counter[str] = Counter()
         for part in parts:
-            counter.update(part[key])  # type: ignore[arg-type]
+            counter.update(part[key])
         return counter
 
     counts, statuses = total("counts"), total("statuses")
-    cpu = sum(part["cpu"] for part in parts)  # type: ignore[misc]
-    violations = sum(part["violations"] for part in parts)  # type: ignore[misc]
-    memory = max(part["memory"] for part in parts)  # type: ignore[type-var]
-    slowest = max(part["slowest"] for part in parts)  # type: ignore[type-var]
+    cpu = sum(part["cpu"] for part in parts)
+    violations = sum(part["violations"] for part in parts)
+    memory = max(part["memory"] for part in parts)
+    slowest = max(part["slowest"] for part in parts)
     for name, number in sorted(counts.items()):
         print(f"  {name}: {number}")
     print(f"exit statuses: {dict(sorted(statuses.items()))}")
@@ -124,11 +130,9 @@ def _report(parts: list[dict[str, object]], jobs: int) -> int:
         f"{counts.total()} cases, {violations} violations; {cpu:.0f} s of CPU,"
         f" {60 * counts.total() / max(cpu, 1e-9):.0f} cases per minute of CPU"
     )
-    print(f"most memory: {memory[0] / 1e6:.0f} MB (seed {memory[1]}, {memory[2]})")  # type: ignore[index]
-    print(f"slowest: {slowest[0]:.1f} s of CPU (seed {slowest[1]}, {slowest[2]})")  # type: ignore[index]
-    if len(parts) < jobs:
-        print("a job ended early", file=sys.stderr)
-    return int(bool(violations) or len(parts) < jobs)
+    print(f"most memory: {memory[0] / 1e6:.0f} MB (seed {memory[1]}, {memory[2]})")
+    print(f"slowest: {slowest[0]:.1f} s of CPU (seed {slowest[1]}, {slowest[2]})")
+    return int(bool(violations))
 
 
 if __name__ == "__main__":

@@ -288,8 +288,10 @@ def change_tree(rng: Random, tree: Any) -> Any:
 def change_document(rng: Random, data: bytes) -> bytes:
     """Changes the tree of a YAML or JSON document; writes it as JSON, which is also YAML."""
     try:
+        if b"*" in data and b"&" in data:  # an alias could expand to billions of values
+            return replace_word(rng, data)
         tree = json.loads(data) if data.lstrip()[:1] == b"{" else yaml.safe_load(data)
-    except (ValueError, yaml.YAMLError):
+    except (ValueError, yaml.YAMLError, RecursionError):
         return replace_word(rng, data)
     changed = change_tree(rng, copy.deepcopy(tree))
     return json.dumps(changed, ensure_ascii=rng.random() < 0.5, indent=1).encode(
