@@ -13,7 +13,7 @@ from thorvaldc.cli.command import CommandEntry, GroupEntry
 from thorvaldc.schema.documents import KINDS
 
 pytestmark = pytest.mark.xdist_group("fuzz")  # every process would make the valid files again
-SAMPLE = 200
+SAMPLE = 100  # some 20 s of CPU
 BATCH = 25
 # These commands read no file, read what another command of the list reads in the same way, or need
 # a terminal, a driver or a bus of another process.
