@@ -19,6 +19,7 @@ from tests.cli.conftest import Command
 from tests.cli.test_bus import ROOT, running
 from tests.simulation.bus.robots import CIA402, compiled
 from thorvaldc.can.bus_lock import BusLock
+from thorvaldc.can.simulated_bus_client import SimulatedBusClient
 from thorvaldc.commissioning.bus_configuration import digest
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
@@ -111,6 +112,35 @@ def test_passive_scan(thorvaldc: Command, robot: Path) -> None:
     assert scan.status == 0
     nodes = json.loads(scan.out)["nodes"]
     assert {node["verdict"] for node in nodes} == {"ok"}
+
+
+def test_a_passive_scan_sends_no_frame_and_reports_what_it_hears(
+    thorvaldc: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    (tmp_path / "robot.yaml").write_text(ONE, encoding="utf-8")
+    with running(tmp_path, "robot.yaml", "--channel", "quiet"):
+        listener = SimulatedBusClient("quiet", "listener", 500_000, listen_only=True)
+        try:
+            scan = thorvaldc("can", "scan", "robot.yaml", "--bus", "sim:quiet", "--json")
+            heard = received_ids(listener)
+            thorvaldc("can", "scan", "robot.yaml", "--bus", "sim:quiet", "--active")
+            requested = received_ids(listener)
+        finally:
+            listener.close()
+    assert {node["verdict"] for node in json.loads(scan.out)["nodes"]} == {"ok"}
+    assert 0x701 in heard
+    assert heard <= {0x701, 0x081}, "only heartbeats and emergencies of the node"
+    assert 0x601 in requested
+
+
+def received_ids(client: SimulatedBusClient) -> set[int]:
+    ids = set()
+    while (frame := client.receive(0.2)) is not None:
+        ids.add(frame.frame.id)
+        if len(ids) > 20:
+            break
+    return ids
 
 
 @pytest.mark.parametrize(
