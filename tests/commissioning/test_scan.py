@@ -103,6 +103,16 @@ def test_a_node_without_power_and_one_too_many() -> None:
     }
 
 
+def test_every_device_too_many_is_in_the_plan() -> None:
+    bench = Bench(cia402_robot(), delivered=False)
+    for node_id in (77, 78):
+        bench.simulated.clone("rr_controller", f"spare_{node_id}", node_id=node_id).power_on()
+    bench.simulated.run(0.3)
+    strangers = make_plan(bench.configuration, bench.scan()).strangers
+    assert len(strangers) == 2
+    assert all(any(str(node_id) in text for text in strangers) for node_id in (77, 78))
+
+
 def test_a_device_without_id_is_found_by_fastscan() -> None:
     """Without serial numbers in the file, a single remaining device is the node."""
     robot = without_serials(four_drives(), ["rr_controller"])

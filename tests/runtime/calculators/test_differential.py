@@ -1,0 +1,29 @@
+"""Odometry of two driven wheels, whose axle need not be at ``base_link``."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.conformance.wheels import wheel
+from thorvaldc.runtime.base_interface import JointStates
+from thorvaldc.runtime.calculators import BaseGeometry
+from thorvaldc.runtime.calculators.differential import Differential
+
+SPEEDS = [(2.0, 2.0), (1.0, 3.0), (-2.0, 1.0)]
+
+
+@pytest.mark.parametrize("speeds", SPEEDS)
+def test_the_covariance_moves_with_the_axle(speeds: tuple[float, float]) -> None:
+    """With the axle at x, the velocity across is vy = v - x wz, if v is that of the axle."""
+    estimates = []
+    for x in (0.0, -0.4):
+        wheels = (wheel("l", x, 0.5, "fixed"), wheel("r", x, -0.3, "fixed"))
+        calculator = Differential(BaseGeometry.from_wheels(wheels))
+        states = JointStates(0.0, list(speeds), [0.0, 0.0], [0.0, 0.0])
+        estimates.append(calculator.odometry(states))
+    at_axle, behind = estimates
+    move = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.4], [0.0, 0.0, 1.0]])
+    assert np.array(behind.twist) == pytest.approx(move @ np.array(at_axle.twist))
+    expected = move @ np.array(at_axle.covariance) @ move.T
+    assert np.array(behind.covariance) == pytest.approx(expected)
