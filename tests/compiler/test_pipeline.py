@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.examples import FOLDER
 from tests.workshop import CART, Workshop
 from thorvaldc.backends import DEFAULT_TARGETS
+from thorvaldc.compiler import pipeline
 from thorvaldc.compiler.compilation import Compilation
 from thorvaldc.compiler.pipeline import MODEL_FILE, compile_file, emit
 from thorvaldc.diagnostics import Report
@@ -224,3 +227,22 @@ def test_no_model_with_errors(workshop: Workshop) -> None:
     assert compilation.report.has_errors
     assert compilation.model is None
     assert compilation.source_sha256 != ""
+
+
+def test_a_file_that_disappears_during_the_compilation_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = tmp_path / "robot.yaml"
+    shutil.copy(FOLDER / "4wd4ws_wide" / "robot.yaml", robot)
+    check_robot = pipeline.check_robot
+
+    def removed_before(*arguments: Any) -> None:
+        robot.unlink()
+        check_robot(*arguments)
+
+    monkeypatch.setattr(pipeline, "check_robot", removed_before)
+    compilation = compile_file(robot)
+    (error,) = compilation.report.errors
+    assert error.code.name == "file-unreadable"
+    assert f"`{robot}` was read, but cannot be read again" in error.message
+    assert compilation.model is None

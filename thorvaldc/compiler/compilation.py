@@ -156,7 +156,7 @@ class Compilation:
             self.sources.update(part.sources)
             self.locks.update(part.locks)
         if source.document is not None:
-            self.source_sha256 = _hash_sources(self.files, parts, lock_file)
+            self.source_sha256 = self._hash_sources(parts, lock_file)
         later = without_consequences(source.shape, report.excluding_spans_of(source.shape))
         for stage_report in (source.shape, later):
             self.report.extend(self.located(stage_report))
@@ -170,20 +170,29 @@ class Compilation:
             self.locks.clear()
         return self
 
+    def _hash_sources(self, parts: dict[str, Compilation], lock_file: str) -> str:
+        """Computes the SHA-256 of the names and contents of all input files (hexadecimal).
+
+        Reports an error if an input file was removed since it was read.
+        """
+        digest = hashlib.sha256(lock_file.encode())
+        for name in sorted(parts):
+            digest.update(f"{name}\0{parts[name].source_sha256}\0".encode())
+        for name in sorted(self.files):
+            digest.update(name.encode() + b"\0")
+            try:
+                with self.files[name].open("rb") as file:  # records and meshes can be large
+                    while part := file.read(1 << 20):
+                        digest.update(part)
+            except OSError as error:
+                self.report.add(
+                    "file-unreadable",
+                    f"`{self.files[name]}` was read, but cannot be read again: {error.strerror}",
+                    hint="another program changed it during the compilation; start again",
+                )
+            digest.update(b"\0")
+        return digest.hexdigest()
+
 
 Compile = Callable[[SourceFile], Compilation]
 """Function that compiles a robot or fleet file named in a fleet or scenario file."""
-
-
-def _hash_sources(files: dict[str, Path], parts: dict[str, Compilation], lock_file: str) -> str:
-    """Computes the SHA-256 of the names and contents of all input files (hexadecimal)."""
-    digest = hashlib.sha256(lock_file.encode())
-    for name in sorted(parts):
-        digest.update(f"{name}\0{parts[name].source_sha256}\0".encode())
-    for name in sorted(files):
-        digest.update(name.encode() + b"\0")
-        with files[name].open("rb") as file:  # records and meshes can be large
-            while part := file.read(1 << 20):
-                digest.update(part)
-        digest.update(b"\0")
-    return digest.hexdigest()

@@ -8,7 +8,7 @@ from xml.sax.saxutils import quoteattr
 
 import pytest
 
-from tests.compiler.extras.xacro_files import HEAD, load, load_one
+from tests.compiler.extras.xacro_files import HEAD, STL, load, load_one, mesh
 from thorvaldc.compiler.extras.xacro_expand import (
     DisplayPaths,
     ExpandedFile,
@@ -345,3 +345,24 @@ def test_expressions_of_published_descriptions_are_evaluated(tmp_path: Path) -> 
     assert texts[0] == texts[1]
     for text, expected in zip(texts[1], LEGITIMATE.values(), strict=True):
         assert text == (expected or str(tmp_path))
+
+
+@pytest.mark.parametrize("kind", ["collision", "visual"])
+@pytest.mark.parametrize("path", ["file://{outside}/m.stl", "../outside/m.stl", "link.stl"])
+def test_meshes_of_other_folders_are_not_read(tmp_path: Path, path: str, kind: str) -> None:
+    inside, outside = tmp_path / "robot", tmp_path / "outside"
+    inside.mkdir()
+    outside.mkdir()
+    (outside / "m.stl").write_bytes(STL)
+    (inside / "link.stl").symlink_to(outside / "m.stl")
+    body = mesh(path.format(outside=outside)).replace("visual", kind)
+    loaded = load_one(inside, body)
+    assert loaded.codes == ["extra-visual-mesh" if kind == "visual" else "extra-forbidden"]
+    assert "m.stl` is outside of the folders" in loaded.only.message.replace("link.stl", "m.stl")
+    assert "--trust" in (loaded.only.hint or "")
+    assert loaded.parts.meshes == ()
+    # A folder with a `package.xml`, which the robot file names, may be read.
+    (outside / "package.xml").write_text("<package><name>p</name></package>", encoding="utf-8")
+    loaded = load_one(inside, body, f", packages: {{p: {outside}}}")
+    assert loaded.codes == []
+    assert len(loaded.parts.meshes) == 1

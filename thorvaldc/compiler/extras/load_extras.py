@@ -20,7 +20,7 @@ from thorvaldc.compiler.extras.join_extras import (
     Placement,
 )
 from thorvaldc.compiler.extras.joint_servos import servos_of
-from thorvaldc.compiler.extras.ros_packages import find_package
+from thorvaldc.compiler.extras.ros_packages import find_package, is_below
 from thorvaldc.compiler.extras.urdf_elements import call_labels
 from thorvaldc.compiler.extras.urdf_reader import UrdfParts, read_urdf
 from thorvaldc.compiler.extras.xacro_expand import (
@@ -31,6 +31,7 @@ from thorvaldc.compiler.extras.xacro_expand import (
     ExpansionRequest,
     Macro,
     expand,
+    readable_folders,
     search_paths,
 )
 from thorvaldc.compiler.geometry.meshes import load_mesh
@@ -111,13 +112,14 @@ def _load(
     valid_entries = [entry for entry in all_entries if entry is not None]
     joiner = ExtrasJoiner(dict(links), dict(joints), attach, report)
     requests = [ExpansionRequest(e.file, e.args, e.packages, e.env) for e in valid_entries]
+    folders = None if trust else readable_folders(requests, base_dir, search_paths())
     files: dict[str, Path] = {}
     expanded_files = expand(requests, paths, trust=trust)
     for entry, expanded_file in zip(valid_entries, expanded_files, strict=True):
         for name, file in expanded_file.files.items():
             installed = name.startswith("package://")
             files[name] = file if installed else relative_dir / os.path.relpath(file, base_dir)
-        parts = _read_parts(entry, expanded_file, report)
+        parts = _read_parts(entry, expanded_file, folders, report)
         if parts is not None:
             joiner.add(entry.placement(expanded_file.known_arguments), parts)
     joiner.check_mimics()
@@ -257,7 +259,7 @@ def _quantity(node: Node, quantity: str, report: Report) -> float | None:
 # -- from an expanded file to parts -------------------------------------------------
 
 # Errors of mesh files.  A mesh that is only for the eye is then replaced.
-_UNREADABLE = ("mesh-missing", "mesh-format", "mesh-invalid", "mesh-large")
+_UNREADABLE = ("mesh-missing", "mesh-format", "mesh-invalid", "mesh-large", "extra-forbidden")
 # Errors of the xacro expansion: kind of error -> (name of the diagnostic code, message, hint).
 _FAILURES = {
     "xml": ("extra-xml", "the xacro file is not well-formed XML: {text}", None),
@@ -293,7 +295,13 @@ _FAILURES = {
 }
 
 
-def _read_parts(entry: _Entry, expanded: ExpandedFile, report: Report) -> UrdfParts | None:
+def _read_parts(
+    entry: _Entry, expanded: ExpandedFile, folders: Sequence[str] | None, report: Report
+) -> UrdfParts | None:
+    """Returns the parts of an expanded file, or ``None`` if there are none.
+
+    - ``folders``: folders from which meshes may be read, or ``None`` for all.
+    """
     file_label = Label(entry.span, "the file is named here")
     paths = expanded.paths
     if expanded.failure is not None:
@@ -314,14 +322,20 @@ def _read_parts(entry: _Entry, expanded: ExpandedFile, report: Report) -> UrdfPa
             return None
         diagnostics = Report()
         display = paths.name(str(path))
-        mesh = load_mesh(
-            path,
-            element.span,
-            diagnostics,
-            display=display,
-            scale=scale,
-            collides=not is_visual,
-        )
+        mesh = None
+        if folders is not None and not is_below(os.path.realpath(path), folders):
+            code, message, hint = _FAILURES["forbidden"]
+            text = f"the mesh file `{display}` is outside of the folders that may be read"
+            diagnostics.add(code, message.format(text=text), element.span, hint=hint)
+        else:
+            mesh = load_mesh(
+                path,
+                element.span,
+                diagnostics,
+                display=display,
+                scale=scale,
+                collides=not is_visual,
+            )
         for d in diagnostics:
             if is_visual and d.code.name in _UNREADABLE:
                 report.add(

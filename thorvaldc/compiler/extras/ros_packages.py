@@ -1,4 +1,4 @@
-"""Finds the folders of ROS packages."""
+"""Finds the folders of ROS packages, and files in folders."""
 
 from __future__ import annotations
 
@@ -6,6 +6,11 @@ import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
+
+
+def is_below(path: str, folders: Sequence[str]) -> bool:
+    """Whether a path is one of the folders or below one.  All of them have no links."""
+    return any(path == folder or path.startswith(os.path.join(folder, "")) for folder in folders)
 
 
 def find_package(

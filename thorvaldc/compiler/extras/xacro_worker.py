@@ -26,7 +26,7 @@ from xml.parsers.expat import ExpatError
 
 from thorvaldc.compiler.extras import expression_rules
 from thorvaldc.compiler.extras.expression_rules import ForbiddenExpressionError
-from thorvaldc.compiler.extras.ros_packages import find_package
+from thorvaldc.compiler.extras.ros_packages import find_package, is_below
 
 Position = tuple[int, int, int]  # index of the file, line, column
 
@@ -156,9 +156,7 @@ class Expansion:
     def open(self, filename: str, mode: str = "r") -> Any:
         """Replaces the builtin ``open``, with which xacro reads YAML files."""
         path = os.path.realpath(filename)
-        if self.folders is not None and not any(
-            path == folder or path.startswith(os.path.join(folder, "")) for folder in self.folders
-        ):
+        if self.folders is not None and not is_below(path, self.folders):
             text = f"the file `{filename}` is outside of the folders that may be read"
             raise ExpansionError("forbidden", text)
         return open(path, mode)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 # The STL reader of MuJoCo accepts at most 200 000 triangles.
 MAX_TRIANGLES = 200_000
+_MAX_VERTICES = 3 * MAX_TRIANGLES
 # MuJoCo refuses meshes with a smaller area (its limit is near 1e-15 m^2), and larger coordinates.
 _MIN_AREA = 1e-12
 _MAX_COORDINATE = 1e9
@@ -240,6 +241,8 @@ def _check_obj(data: bytes) -> tuple[bytes, bool]:
                 raise _invalid(f"has an invalid normal or texture coordinate (line {number})")
         elif word == [b"v"]:
             vertices += 1
+            if vertices > _MAX_VERTICES:
+                raise too_large(f"has more than {_MAX_VERTICES} vertices")
             try:
                 x, y, z = (abs(float(n)) for n in line.split()[1:4])
             except ValueError as error:

@@ -40,6 +40,8 @@ class _Files(dict[str, bytes]):
     """The files of a request by name, as trimesh reads them."""
 
     def __missing__(self, name: str) -> bytes:
+        if name == "model.gltf":  # where trimesh looks for a mesh that is no JSON
+            raise KeyError(name)
         raise _MissingFileError(name)
 
     def get(self, name: str, default: Any = None) -> bytes:
