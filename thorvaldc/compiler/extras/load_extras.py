@@ -296,11 +296,11 @@ _FAILURES = {
 
 
 def _read_parts(
-    entry: _Entry, expanded: ExpandedFile, folders: Sequence[str] | None, report: Report
+    entry: _Entry, expanded: ExpandedFile, readable: Sequence[str] | None, report: Report
 ) -> UrdfParts | None:
     """Returns the parts of an expanded file, or ``None`` if there are none.
 
-    - ``folders``: folders from which meshes may be read, or ``None`` for all.
+    - ``readable``: folders from which meshes may be read, or ``None`` for all.
     """
     file_label = Label(entry.span, "the file is named here")
     paths = expanded.paths
@@ -323,7 +323,7 @@ def _read_parts(
         diagnostics = Report()
         display = paths.name(str(path))
         mesh = None
-        if folders is not None and not is_below(os.path.realpath(path), folders):
+        if readable is not None and not is_below(os.path.realpath(path), readable):
             code, message, hint = _FAILURES["forbidden"]
             text = f"the mesh file `{display}` is outside of the folders that may be read"
             diagnostics.add(code, message.format(text=text), element.span, hint=hint)
