@@ -8,6 +8,7 @@ from thorvaldc.compiler.compilation import Compilation, Compile, SourceFile
 from thorvaldc.compiler.library import Library
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.scenario.fleet_placement import Placements
+from thorvaldc.compiler.source.near_files import DOCUMENTS, missing_file_hint
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Robot
@@ -76,6 +77,13 @@ def open_named_file(source: SourceFile, node: Node, report: Report) -> SourceFil
     name = str(node.value)
     path = source.path.parent / name
     if not os.path.isfile(path):
-        report.add("fleet-robot-missing", f"there is no file `{name}`", node.span)
+        report.add(
+            "fleet-robot-missing",
+            f"there is no file `{name}`",
+            node.span,
+            hint=missing_file_hint(
+                source.path.parent, node, DOCUMENTS, "the path is relative to this file"
+            ),
+        )
         return None
     return SourceFile(path, name, source.path.parent)

@@ -34,6 +34,7 @@ from thorvaldc.compiler.modules.calculator_choice import check_calculator
 from thorvaldc.compiler.modules.design_requirements import read_design
 from thorvaldc.compiler.modules.elaborate import elaborate
 from thorvaldc.compiler.modules.resolve import Resolver
+from thorvaldc.compiler.source.near_files import FOLDERS, missing_file_hint
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Robot
@@ -179,7 +180,14 @@ def _library_folders(
             name = posixpath.normpath(posixpath.join(prefix, str(node.value)))
             folders.append((folder, name))
         else:
-            report.add("library-missing", f"there is no folder `{node.value}`", node.span)
+            report.add(
+                "library-missing",
+                f"there is no folder `{node.value}`",
+                node.span,
+                hint=missing_file_hint(
+                    base_dir, node, FOLDERS, "the path is relative to the robot file"
+                ),
+            )
     return [*folders, *((folder, folder.name) for folder in library)]
 
 

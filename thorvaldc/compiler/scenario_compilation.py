@@ -19,6 +19,7 @@ from thorvaldc.compiler.scenario.fleet_placement import Placements, robots_of
 from thorvaldc.compiler.scenario.scenario_reader import read_scenario
 from thorvaldc.compiler.scenario.twist_log_reader import read_twists
 from thorvaldc.compiler.scenario.variations import Change, with_changes, without_variations
+from thorvaldc.compiler.source.near_files import LOGS, missing_file_hint
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Placement, Pose, Robot
@@ -132,8 +133,19 @@ def _with_log(
         if robot is None or placement.name == robot.value
     ]
     log_files: dict[str, Path] = {}
+    path = source.path.parent / str(log.value)
+    if not os.path.exists(path):
+        report.add(
+            "script-log",
+            f"there is no file `{log.value}`",
+            log.span,
+            hint=missing_file_hint(
+                source.path.parent, log, LOGS, "the path is relative to the scenario file"
+            ),
+        )
+        return scenario
     commands_by_robot = read_twists(
-        source.path.parent / str(log.value),
+        path,
         posixpath.normpath(posixpath.join(posixpath.dirname(log.span.file), str(log.value))),
         log.span,
         driven_robots,

@@ -35,6 +35,7 @@ from thorvaldc.compiler.extras.xacro_expand import (
     search_paths,
 )
 from thorvaldc.compiler.geometry.meshes import load_mesh
+from thorvaldc.compiler.source.near_files import FOLDERS, XACRO_FILES, missing_file_hint
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.units import UnitError, parse_quantity
 from thorvaldc.diagnostics import Label, Report, Span
@@ -170,7 +171,9 @@ class _Entry:
                 "extra-missing",
                 f"the xacro file `{paths.name(str(file))}` does not exist",
                 file_node.span,
-                hint="the path is relative to the robot file",
+                hint=missing_file_hint(
+                    base_dir, file_node, XACRO_FILES, "the path is relative to the robot file"
+                ),
             )
             return None
         packages = node.get("packages")
@@ -203,7 +206,9 @@ def _package_folders(
                 "extra-package",
                 f"the folder `{paths.name(str(path))}` of package `{name}` does not exist",
                 folder.span,
-                hint="the path is relative to the robot file",
+                hint=missing_file_hint(
+                    base_dir, folder, FOLDERS, "the path is relative to the robot file"
+                ),
             )
         folders[name] = str(path)
     return folders

@@ -26,6 +26,8 @@ from urllib.parse import unquote
 from thorvaldc.compiler.geometry.mesh_formats import CheckedMesh, MeshError, check_mesh, too_large
 from thorvaldc.compiler.geometry.mesh_worker import IMPORTS
 from thorvaldc.compiler.worker_process import WorkerLimitError, WorkerLimits, WorkerProcess
+from thorvaldc.compiler.source.near_files import missing_file_hint, near_path
+from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.bounded_file import read_bounded
 from thorvaldc.model import Mesh, Vec3
@@ -48,6 +50,7 @@ def load_mesh(
     scale: Vec3 = (1.0, 1.0, 1.0),
     collides: bool = False,
     is_builtin: bool = False,
+    named_in: tuple[Path, Node] | None = None,
 ) -> Mesh | None:
     """Reads a mesh file.
 
@@ -66,6 +69,8 @@ def load_mesh(
         mesh.
     collides : whether the mesh is used for collisions, and must not be flat.
     is_builtin : whether the file is a part of this program, and needs no worker process.
+    named_in : folder to which the path is relative, and the YAML node that contains the path, if
+        the mesh file is named in a YAML document.
     """
     suffix = path.suffix.lower().lstrip(".")
     if suffix not in FORMATS:
@@ -82,12 +87,13 @@ def load_mesh(
     except (OSError, ValueError):
         is_missing = True
     if is_missing:
-        report.add(
-            "mesh-missing",
-            f"mesh file `{display}` does not exist",
-            span,
-            hint="paths are relative to the file that names them; check spelling and case",
-        )
+        hint = "paths are relative to the file that names them; check spelling and case"
+        similar = near_path(path.parent, path.name, FORMATS)
+        if similar is not None:
+            hint = f"a similar file exists beside it: `{similar}`"
+        if named_in is not None:
+            hint = missing_file_hint(*named_in, FORMATS, hint)
+        report.add("mesh-missing", f"mesh file `{display}` does not exist", span, hint=hint)
         return None
     try:
         mesh, checked = _read(path, status.st_mtime_ns, status.st_size, scale, is_builtin)

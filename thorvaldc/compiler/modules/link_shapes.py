@@ -149,6 +149,7 @@ class LinkShapeReader:
             scale=factors,
             collides=collides,
             is_builtin=self.is_builtin,
+            named_in=(self.folder, file),
         )
         if mesh is None:
             return None

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from thorvaldc.compiler.geometry.wheel_geometry import PlacedWheel, spin_joint
 from thorvaldc.compiler.modules.driver_settings import read_noise
 from thorvaldc.compiler.modules.value_reader import ValueReader, entries
+from thorvaldc.compiler.source.near_files import DOCUMENTS, missing_file_hint
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
@@ -85,7 +86,12 @@ def load_calibration(
             "calibration-missing",
             f"there is no file `{node.value}`",
             node.span,
-            hint="make it with `thorvaldc calibrate`, or leave the line out",
+            hint=missing_file_hint(
+                base_dir,
+                node,
+                DOCUMENTS,
+                "make it with `thorvaldc calibrate`, or leave the line out",
+            ),
         )
         return None
     files[node.value] = path

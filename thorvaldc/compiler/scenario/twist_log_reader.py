@@ -47,9 +47,6 @@ def read_twists(
     topic : name of a topic in a ROS bag.  Empty: the topic is chosen by the name of each robot.
     files : the function adds each file that was read, by the name of the file in spans.
     """
-    if not path.exists():
-        report.add("script-log", f"there is no file `{display}`", span)
-        return {}
     if is_bag(path):
         bag_files = sorted(path.iterdir()) if path.is_dir() else [path]
         files.update((f"{display}/{f.name}" if path.is_dir() else display, f) for f in bag_files)
