@@ -11,7 +11,10 @@ from dataclasses import replace
 from thorvaldc.diagnostics import Diagnostic, Label, Report, Severity
 from thorvaldc.diagnostics.codes import STRUCTURE
 
-_WIRING = {"can-bus-unknown", "channel-unknown", "motor-conflict", "channel-role"}
+_WIRING = {
+    *("can-bus-unknown", "channel-unknown", "motor-conflict", "channel-role"),
+    "mount-occupied",
+}
 # Codes of 1xx to 3xx and 7xx whose cause is often another error in the structure.
 _CONSEQUENCES = {"root-missing", "root-ambiguous", "scenario-robots-missing", "calibration-wheel"}
 # Checks of the physics of the whole robot.

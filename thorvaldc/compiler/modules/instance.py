@@ -113,6 +113,11 @@ class Mount(NamedTuple):
     pose: Pose
     span: Span
 
+    @property
+    def place(self) -> tuple[int, str, Pose]:
+        """The carrying module, its link and the pose, which two modules cannot share."""
+        return id(self.leaf), self.link, self.pose.clean()
+
 
 def used_by(path: str, span: Span) -> Label:
     """Returns a diagnostic label that names the module of the robot.

@@ -156,9 +156,7 @@ class Mounting:
         """Checks that the kind of a port fits the mount kinds of the module type."""
         if mounted_leaf.type is None or not kind:
             return
-        mount = mounted_leaf.type.document.get("mount")
-        kinds = mount.get("kinds") if mount is not None else None
-        fitting_kinds = [str(k) for k in kinds.plain()] if kinds is not None else []
+        fitting_kinds = _fitting_kinds(mounted_leaf)
         if kind in fitting_kinds:
             return
         shown_kinds = " or ".join(f"`{k}`" for k in fitting_kinds) or "no port at all"
@@ -169,6 +167,43 @@ class Mounting:
             node.span,
             labels=[Label(port_section.where, f"`{kind}` is declared here")],
         )
+
+    def check_places(self, robot: Instance) -> None:
+        """Reports two modules on the same port or at the same position of a module."""
+        first_at: dict[tuple[int, str, Pose], tuple[Instance, Mount]] = {}
+        mounted = [(leaf, leaf.mount) for leaf in robot.leaves() if leaf.mount is not None]
+        for leaf, mount in mounted:
+            first_at.setdefault(mount.place, (leaf, mount))
+        for leaf, mount in mounted:
+            first, first_mount = first_at[mount.place]
+            if first is leaf:
+                continue
+            free = self._free_ports(leaf, mount.leaf, set(first_at))
+            hint: str = "mount one of them somewhere else"
+            if free and "." not in mount.leaf.path:
+                ports = ", ".join(f"`{port}`" for port in free)
+                hint = Proposal(f"mount it on a free port: {ports}", *free[:3], is_example=True)
+            self.report.add(
+                "mount-occupied",
+                f"`{leaf.path}` is mounted at the same place as `{first.path}`",
+                mount.span,
+                labels=[Label(first_mount.span, f"`{first.path}` is mounted here")],
+                hint=hint,
+            )
+
+    def _free_ports(
+        self, mounted: Instance, carrier: Instance, occupied: set[tuple[int, str, Pose]]
+    ) -> list[str]:
+        """Returns the references to the free ports of a module that fit a mounted module."""
+        references = []
+        for name, section in carrier.type.section("ports").items() if carrier.type else ():
+            link = carrier.scope.text(section.get("link"))
+            mount = Mount(carrier, link, carrier.scope.pose(section), section.span)
+            kind = carrier.scope.text(section.get("kind"))
+            is_present = carrier.scope.boolean(section.get("when"), True)
+            if is_present and mount.place not in occupied and kind in _fitting_kinds(mounted):
+                references.append(f"{carrier.path}.{name}")
+        return references
 
     def check_no_cycle(self, robot: Instance) -> None:
         """Reports modules that are mounted on each other in a cycle.
@@ -195,3 +230,10 @@ class Mounting:
                 + ", ".join(f"`{leaf.path}`" for leaf in cycle),
                 cycle[0].mount.span if cycle[0].mount is not None else cycle[0].span,
             )
+
+
+def _fitting_kinds(leaf: Instance) -> list[str]:
+    """Returns the kinds of ports that a module fits."""
+    mount = leaf.type.document.get("mount") if leaf.type is not None else None
+    kinds = mount.get("kinds") if mount is not None else None
+    return [str(kind) for kind in kinds.plain()] if kinds is not None else []

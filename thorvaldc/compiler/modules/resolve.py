@@ -57,6 +57,7 @@ class Resolver:
         self._mounting.mount_parts(robot)
         self._check_devices(robot)
         self._mounting.check_no_cycle(robot)
+        self._mounting.check_places(robot)
         return robot
 
     def expand(self, parent: Instance, name: str, entry: Node) -> None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from thorvaldc.compiler.modules.bounded_quantities import BoundedQuantities
 from thorvaldc.compiler.modules.value_reader import ValueReader, entries, items
+from thorvaldc.compiler.scenario.start_checks import check_obstacles
 from thorvaldc.compiler.scenario.variations import (
     read_variations,
     with_changes,
@@ -89,6 +90,7 @@ def _read(document: Node, fleet: Fleet, report: Report) -> Scenario:
     world = read_world(document, quantities, report)
     fleet = replace(fleet, name=name, description=description, world=world)
     check_starts(fleet, document, report)
+    check_obstacles(fleet, document, report)
     sections = _SectionReader(fleet, quantities, report)
     record = document.get("record")
     open_loop = document.get("open_loop")
