@@ -25,9 +25,9 @@ from urllib.parse import unquote
 
 from thorvaldc.compiler.geometry.mesh_formats import CheckedMesh, MeshError, check_mesh, too_large
 from thorvaldc.compiler.geometry.mesh_worker import IMPORTS
-from thorvaldc.compiler.worker_process import WorkerLimitError, WorkerLimits, WorkerProcess
 from thorvaldc.compiler.source.near_files import missing_file_hint, near_path
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.worker_process import WorkerLimitError, WorkerLimits, WorkerProcess
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.bounded_file import read_bounded
 from thorvaldc.model import Mesh, Vec3
