@@ -11,9 +11,10 @@ from dataclasses import replace
 from thorvaldc.diagnostics import Diagnostic, Label, Report, Severity
 from thorvaldc.diagnostics.codes import STRUCTURE
 
+_OCCUPIED = "mount-occupied"  # an invalid length in another line can move two ports together
 _WIRING = {
     *("can-bus-unknown", "channel-unknown", "motor-conflict", "channel-role"),
-    "mount-occupied",
+    _OCCUPIED,
 }
 # Codes of 1xx to 3xx and 7xx whose cause is often another error in the structure.
 _CONSEQUENCES = {"root-missing", "root-ambiguous", "scenario-robots-missing", "calibration-wheel"}
@@ -21,6 +22,7 @@ _CONSEQUENCES = {"root-missing", "root-ambiguous", "scenario-robots-missing", "c
 _PHYSICS = {
     *("link-massless", "no-wheels", "wheel-off-ground", "wheels-overlap", "unstable"),
     *("no-free-motion", "twist-uncontrolled", "slope-too-steep", "frame-height"),
+    "start-in-obstacle",
 }
 _NO_UNIT = "number-without-unit"
 _UNUSED_ARGUMENT = "extra-argument-unused"  # a warning that names the cause of an error
@@ -58,6 +60,8 @@ def _follows(diagnostic: Diagnostic, causes: list[Diagnostic]) -> bool:
     code = diagnostic.code
     if code.name in _CONSEQUENCES:
         return any(cause.code.number < "TV304" for cause in causes)
+    if code.name == _OCCUPIED:
+        return any(cause.code.name != _OCCUPIED for cause in causes)
     if diagnostic.severity is Severity.ERROR:
         return code.name in _PHYSICS
     return _is_remark(diagnostic) and code.name != _UNUSED_ARGUMENT

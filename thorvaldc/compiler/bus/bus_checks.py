@@ -48,6 +48,7 @@ def _check_bitrate(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
         if all(rate in device.node.bitrates for device in limited)
     ]
     rates = ", ".join(f"{rate / 1000:g}" for rate in common)
+    bare = "a number without a unit is in bit/s; " if bus.bitrate * 1000 in common else ""
     report.add(
         "can-bitrate",
         f"the bus `{bus.name}` has {bus.bitrate / 1000:g} kbit/s, which {names} cannot use",
@@ -56,7 +57,7 @@ def _check_bitrate(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
             *(Label(device.span, "this device is on the bus") for device in unable[:2]),
             Label(first.module_span, f"the bitrates of `{first.path}`"),
         ],
-        hint=f"all devices on the bus support {rates} kbit/s"
+        hint=f"{bare}all devices on the bus support {rates} kbit/s"
         if rates
         else "no bitrate suits all devices: put some of them on another bus",
     )

@@ -181,7 +181,7 @@ class Mounting:
             free = self._free_ports(leaf, mount.leaf, set(first_at))
             hint: str = "mount one of them somewhere else"
             if free and "." not in mount.leaf.path:
-                ports = ", ".join(f"`{port}`" for port in free)
+                ports = ", ".join(f"`{port}`" for port in free[:3])
                 hint = Proposal(f"mount it on a free port: {ports}", *free[:3], is_example=True)
             self.report.add(
                 "mount-occupied",

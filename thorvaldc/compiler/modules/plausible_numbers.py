@@ -24,13 +24,25 @@ The largest values are above those of large field robots, with a length of 10 m 
 """
 
 
-def probable_unit(value: float, quantity: str) -> str:
+_USUAL_IN_SCENARIO: dict[str, tuple[float, float, tuple[str, ...]]] = {
+    "length": (0.0, 1_000.0, ("mm",)),
+    "time": (0.0, 14_400.0, ("ms",)),
+    "velocity": (0.0, 30.0, ("mm/s", "km/h")),
+    "angular_velocity": (0.0, 20.0, ("deg/s", "rpm")),
+    "energy": (0.0, math.inf, ()),
+}
+"""Values as in ``_USUAL`` of numbers in fleets and scenarios: places, commands and durations."""
+
+
+def probable_unit(value: float, quantity: str, *, on_robot: bool = True) -> str:
     """Returns the unit in which a number was probably meant, or an empty text if it is SI.
 
     - ``value``: number without a unit, which the compiler takes in SI units.
     - ``quantity``: kind of quantity, such as ``length``.
+    - ``on_robot``: whether the number describes a robot, and not a fleet or scenario.
     """
-    least, largest, units = _USUAL.get(quantity, (0.0, math.inf, ()))
+    table = _USUAL if on_robot else _USUAL_IN_SCENARIO
+    least, largest, units = table.get(quantity, (0.0, math.inf, ()))
     size = abs(value)
     if size == 0.0 or least <= size <= largest:
         return ""

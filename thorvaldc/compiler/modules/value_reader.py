@@ -146,14 +146,14 @@ class ValueReader(Mapping[str, Any]):
                     f"{value:g} rad",
                 ),
             )
-        unit = probable_unit(value, quantity) if self.on_robot else ""
+        unit = probable_unit(value, quantity, on_robot=self.on_robot)
         if unit:
             kind = QUANTITIES[quantity]
             number = f"{value:.12g}"
             self.report.add(
                 "number-without-unit",
-                f"`{number}` without a unit is {kind} of {number} {kind.unit}, which is unusual on"
-                " a robot",
+                f"`{number}` without a unit is {kind} of {number} {kind.unit}, which is unusual "
+                f"{'on a robot' if self.on_robot else 'in a scenario'}",
                 node.span,
                 hint=Proposal(
                     f"write `{number} {unit}` if {unit} is meant, else `{number} {kind.unit}`",

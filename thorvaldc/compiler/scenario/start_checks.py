@@ -102,7 +102,7 @@ def _report(
         )
     report.add(
         "start-in-obstacle",
-        f"`{placement.name}` starts {depth:.2g} m inside {what}",
+        f"`{placement.name}` starts {depth:.2f} m inside {what}",
         node.where,
         hint=hint,
     )

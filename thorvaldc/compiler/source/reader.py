@@ -316,9 +316,15 @@ class _Reader:
     def _mapping(self, raw: Any, key_span: Span | None) -> Node:
         values: dict[str, Node] = {}
         last: Node | None = None
+        numbers: dict[str, Span] = {}  # keys without a value, which may be parts of a list
         for raw_key, raw_value in raw.value:
             entry_span = self._span(raw_key)
-            key = self._key(raw_key, entry_span)
+            is_part = raw.flow_style and raw_value.value == "" and not raw_value.style
+            if is_part and raw_key.id == "scalar" and key_kind(raw_key.value) == "a number":
+                key = raw_key.value
+                numbers.setdefault(key, entry_span)
+            else:
+                key = self._key(raw_key, entry_span)
             last = self.node(raw_value, entry_span)
             if key is not None and ":" in key:
                 key, last = self._without_missing_space(raw_key, key, last)
@@ -338,6 +344,9 @@ class _Reader:
         span = self._collection_span(raw, last.span if last else None)
         if raw.flow_style:
             values = split_values.joined(values, self.report)
+        for key, entry_span in numbers.items():
+            if key in values:
+                self._report_key(key, "a number", entry_span)
         return Node(values, span, key_span)
 
     def _without_missing_space(self, raw_key: Any, key: str, value: Node) -> tuple[str, Node]:
@@ -391,18 +400,22 @@ class _Reader:
             return None
         kind = key_kind(text)
         if kind is not None:
-            hint: str | None = None
-            if kind != "a number" and text:
-                hint = Proposal(f'if this is the name, write `"{text}"`', f'"{text}"')
-            elif text:
-                hint = "a name begins with a letter"
-            self.report.add(
-                "yaml-key-not-text",
-                f"the key `{text}` is {kind}; expected text" if text else "a key is empty",
-                key_span,
-                hint=hint,
-            )
+            self._report_key(text, kind, key_span)
         return text
+
+    def _report_key(self, text: str, kind: str, key_span: Span) -> None:
+        """Reports an unquoted key that YAML reads as a number or another value, and not as text."""
+        hint: str | None = None
+        if kind != "a number" and text:
+            hint = Proposal(f'if this is the name, write `"{text}"`', f'"{text}"')
+        elif text:
+            hint = "a name begins with a letter"
+        self.report.add(
+            "yaml-key-not-text",
+            f"the key `{text}` is {kind}; expected text" if text else "a key is empty",
+            key_span,
+            hint=hint,
+        )
 
     def _report_tag(self, raw: Any) -> None:
         tag = raw.tag.replace("tag:yaml.org,2002:", "!!")

@@ -8,8 +8,10 @@ from __future__ import annotations
 import re
 
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.scalars import plain_scalar
 from thorvaldc.diagnostics import Proposal, Report, Span
 
+_ELEMENT = re.compile(r"[+-]?\d[\w.+-]*( ?[A-Za-z°%][\w/^]*)?")
 _DECIMALS = re.compile(r"\d+(\s*[A-Za-z°%].*)?")
 
 
@@ -21,6 +23,7 @@ def joined(values: dict[str, Node], report: Report) -> dict[str, Node]:
     if all(node.value is not None for node in values.values()):
         return values
     result: dict[str, Node] = {}
+    lists: dict[str, list[Node]] = {}  # elements of lists without brackets
     for key, node in values.items():
         last_key, last = next(reversed(result.items()), (None, None))
         if last_key is None or last is None or node.value is not None or node.key_span is None:
@@ -39,6 +42,26 @@ def joined(values: dict[str, Node], report: Report) -> dict[str, Node]:
             result[last_key] = Node(text, span, last.key_span)
         elif isinstance(last.value, str) and last.value.startswith("(") and not last.quoted:
             result[last_key] = Node(f"{last.value}, {key}", span, last.key_span)
+        elif not is_adjacent and _is_element(last) and _ELEMENT.fullmatch(key):
+            element = Node(plain_scalar(key, node.key_span, report), node.key_span)
+            elements = lists.setdefault(last_key, [last])
+            elements.append(element)
+            result[last_key] = Node(tuple(elements), span, last.key_span)
         else:
             result[key] = node
+    for key in lists:
+        text = "[" + ", ".join(str(element.value) for element in lists[key]) + "]"
+        report.add(
+            "wrong-type",
+            f"`{key}` has {len(lists[key])} values without brackets; a comma ends an entry",
+            result[key].span,
+            hint=Proposal(f"write `{text}`", text),
+        )
     return result
+
+
+def _is_element(node: Node) -> bool:
+    """Returns whether a value is a number or a quantity, or the start of a list of them."""
+    if isinstance(node.value, tuple):
+        return True
+    return not isinstance(node.value, bool) and bool(_ELEMENT.fullmatch(str(node.value)))
