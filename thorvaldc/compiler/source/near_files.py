@@ -48,17 +48,17 @@ def near_path(folder: Path, name: str, suffixes: Sequence[str]) -> str | None:
     name = name.strip().replace("\\", "/")
     if not name or name.startswith(("/", "~")) or len(name) > 300 or "\0" in name:
         return None
-    wanted = [part for part in name.split("/") if part not in ("", ".")]
-    current, found = folder, []
-    for number, part in enumerate(wanted, 1):
-        is_last = number == len(wanted)
+    parts_of_name = [part for part in name.split("/") if part not in ("", ".")]
+    current, existing_parts = folder, []
+    for number, part in enumerate(parts_of_name, 1):
+        is_last = number == len(parts_of_name)
         choices = _listing(current, suffixes if is_last else FOLDERS)
         match = part if part in choices or part == ".." else _nearest_file(part, choices)
         if match is None:
-            return _elsewhere(folder, wanted[-1], suffixes)
-        found.append(match)
+            return _elsewhere(folder, parts_of_name[-1], suffixes)
+        existing_parts.append(match)
         current = current / match
-    return "/".join(found)
+    return "/".join(existing_parts)
 
 
 def _nearest_file(name: str, choices: Sequence[str]) -> str | None:
