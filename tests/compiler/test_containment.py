@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from thorvaldc.compiler import containment
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux has the layers")
 
@@ -120,3 +123,27 @@ def test_landlock_alone_permits_no_other_file(tmp_path: Path) -> None:
 def test_seccomp_alone_permits_nothing_but_reading(tmp_path: Path) -> None:
     reads = {*READS, "read outside", "read by a link", "list outside", "environment of the parent"}
     assert {*run(tmp_path, "seccomp")} <= reads
+
+
+HEADERS = (  # of the kernel, by the column of the table
+    Path("/usr/include/x86_64-linux-gnu/asm/unistd_64.h"),
+    Path("/usr/include/asm-generic/unistd.h"),
+)
+
+
+@pytest.mark.parametrize("column", [0, 1])
+def test_the_numbers_of_the_calls_are_those_of_the_kernel(column: int) -> None:
+    """aarch64 uses the generic numbers."""
+    if not HEADERS[column].is_file():
+        pytest.skip("the headers of the kernel (linux-libc-dev) are not installed")
+    text = HEADERS[column].read_text(encoding="utf-8")
+    kernel = {
+        name: int(number)
+        for name, number in re.findall(r"#define __NR(?:3264)?_(\w+)\s+(\d+)", text)
+    }
+    kernel.setdefault("newfstatat", kernel.get("fstatat", -1))
+    table = {name: numbers[column] for name, numbers in containment._PERMITTED.items()}
+    table |= {name: numbers[column] for name, numbers in containment._OPEN.items()}
+    table |= {"prlimit64": containment._OWN_LIMITS[column], "fcntl": containment._FCNTL[column]}
+    wrong = {name: n for name, n in table.items() if n != -1 and kernel.get(name) != n}
+    assert wrong == {}
