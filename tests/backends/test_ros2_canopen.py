@@ -14,7 +14,7 @@ from tests.backend_files import files_of
 from tests.examples import ROBOTS, example_robot
 from tests.outside_tools import path_of_dcfgen
 from tests.simulation.bus.master import Master
-from tests.simulation.bus.robots import cia402_robot
+from tests.simulation.bus.robots import cia402_robot, uneven_robot
 from thorvaldc.backends.can import Can
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import OBJECT_TYPES, Node
@@ -84,3 +84,20 @@ def test_dcfgen_writes_all_values(name: str, tmp_path: Path) -> None:
             if required := required_values(node):
                 written = concise_dcf((tmp_path / "can" / f"{node.name}.bin").read_bytes())
                 assert written == required, node.name
+
+
+def test_the_axes_of_a_drive_are_in_the_order_of_its_channels() -> None:
+    robot = uneven_robot()
+    bus = yaml.safe_load(files_of(Can, robot)["can/bus.yml"])
+    orders = set()
+    for node in robot.buses[0].nodes:
+        if not node.is_cia402:
+            continue
+        entry = bus.get(node.name) or bus["nodes"][node.name]
+        order = [channel.name for channel in node.channels]
+        assert entry["channel_names"] == [f"{node.name}_{name}" for name in order]
+        for name, axis in zip(order, entry["channels"], strict=True):
+            quantity = "pos" if name == "steering" else "vel"
+            assert f"scale_{quantity}_to_dev" in axis, (node.name, name)
+        orders.add(tuple(order))
+    assert len(orders) == 2
