@@ -101,6 +101,13 @@ def test_a_broken_backend() -> None:
     )
 
 
+def test_broken_metadata_of_a_package(packages: Path) -> None:
+    (packages / "wheel_targets-1.dist-info/entry_points.txt").write_text("[x]\nno value\n")
+    assert set(backends.names()) == set(backends.TARGETS)
+    with pytest.raises(TargetError, match="cannot be loaded"):
+        backends.load("wheels")
+
+
 def test_a_broken_backend_on_the_command_line(packages: Path) -> None:
     def thorvaldc(*arguments: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(

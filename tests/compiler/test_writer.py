@@ -103,8 +103,11 @@ def test_folder_with_other_files_is_refused(tmp_path: Path) -> None:
     assert contents(tmp_path) == {"thesis.tex": b"years of work"}
 
 
-def test_folder_with_manifest_of_another_program_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "manifest.json").write_text('{"files": ["a"]}')
+@pytest.mark.parametrize(
+    "manifest", ['{"files": ["a"]}', '{"format": "thorvaldc-manifest"}', "[" * 100_000]
+)
+def test_folder_with_manifest_of_another_program_is_refused(tmp_path: Path, manifest: str) -> None:
+    (tmp_path / "manifest.json").write_text(manifest)
     with pytest.raises(WriteError, match=r"manifest\.json"):
         write(ONE, tmp_path)
 

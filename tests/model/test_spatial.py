@@ -240,3 +240,8 @@ def test_a_flat_plate_stays_possible() -> None:
     plate = Inertial(1.0, (0.0, 0.0, 0.0), (1 / 3, 1 / 7, 1 / 3 + 1 / 7, 0.0, 0.0, 0.0))
     low, middle, high = plate.clean().principal_moments()
     assert low + middle >= high
+
+
+def test_eigenvalues_of_numbers_whose_squares_overflow() -> None:
+    m = ((3e200, 1e200, 0.0), (1e200, 3e200, 0.0), (0.0, 0.0, 1e200))
+    assert symmetric_eigenvalues(m) == pytest.approx((1e200, 2e200, 4e200))

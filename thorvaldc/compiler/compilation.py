@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import stat
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.compiler.validation.document_kinds import is_fleet, is_scenario, report_wrong_kind
 from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics.bounded_file import MAX_LOG_BYTES
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.schema.documents import Kind
 
@@ -181,6 +183,10 @@ class Compilation:
         for name in sorted(self.files):
             digest.update(name.encode() + b"\0")
             try:
+                status = os.stat(self.files[name])
+                # A reader has refused a pipe, which never ends, and a file above the limit of logs.
+                if not stat.S_ISREG(status.st_mode) or status.st_size > MAX_LOG_BYTES:
+                    continue
                 with self.files[name].open("rb") as file:  # records and meshes can be large
                     while part := file.read(1 << 20):
                         digest.update(part)

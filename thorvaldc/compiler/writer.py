@@ -257,7 +257,9 @@ class _FolderContent(NamedTuple):
 def _list_content(target: Path) -> _FolderContent:
     """Lists the files of the last build and the files of the user in the build folder."""
     built: dict[str, None] | None = None
-    with contextlib.suppress(OSError, ValueError, AttributeError, TypeError):
+    with contextlib.suppress(
+        OSError, ValueError, AttributeError, TypeError, LookupError, RecursionError
+    ):
         manifest_content = json.loads(read_bounded(target / MANIFEST, _MAX_MANIFEST_BYTES))
         if manifest_content.get("format") == FORMAT:
             built = {path: None for path in manifest_content["files"] if _is_inside(path)}

@@ -14,6 +14,7 @@ Rules if several packages provide a plug-in with the same name:
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
@@ -59,7 +60,10 @@ class PluginTable(Generic[T]):
     def names(self) -> list[str]:
         """All plug-in names in alphabetical order: the built-in names and the names from other
         packages."""
-        return sorted({*self.builtin, *(entry.name for entry in _entry_points(self.group))})
+        offered: list[EntryPoint] = []
+        with contextlib.suppress(Exception):  # `load` reports metadata that cannot be read
+            offered = _entry_points(self.group)
+        return sorted({*self.builtin, *(entry.name for entry in offered)})
 
     def load(self, name: str) -> type[T] | PluginFailure:
         """Import and return the plug-in class that has the name ``name``.

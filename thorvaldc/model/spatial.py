@@ -295,6 +295,11 @@ def symmetric_eigenvalues(m: Mat3) -> Vec3:
     p, the eigenvalues are q + 2 p cos(phi + 2 pi k / 3), where phi = arccos(det(B) / 2) / 3 and k =
     0, 1, 2.
     """
+    largest = max(abs(number) for row in m for number in row)
+    if largest > 1e150:  # the squares of such numbers overflow
+        x, y, z = ((r[0] / largest, r[1] / largest, r[2] / largest) for r in m)
+        low, middle, high = symmetric_eigenvalues((x, y, z))
+        return (low * largest, middle * largest, high * largest)
     p1 = m[0][1] ** 2 + m[0][2] ** 2 + m[1][2] ** 2
     q = (m[0][0] + m[1][1] + m[2][2]) / 3
     p2 = (m[0][0] - q) ** 2 + (m[1][1] - q) ** 2 + (m[2][2] - q) ** 2 + 2 * p1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -40,3 +41,18 @@ def test_a_small_bag_with_very_many_messages(
     monkeypatch.setattr("thorvaldc.compiler.source.ros_bag._MEMORY_OF_SMALL_BAG", 5_000)
     monkeypatch.setattr("thorvaldc.compiler.source.ros_bag._EXPANSION", 0)
     assert "its messages have many times the size of the file" in error_of(tmp_path, "log.bag")
+
+
+@pytest.mark.parametrize("kind", ["pipe", "huge"])
+def test_a_refused_file_is_not_read(tmp_path: Path, kind: str) -> None:
+    """Neither by the reader nor for the hash of the sources."""
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    (bag / "metadata.yaml").write_bytes(products()["bag_db3/metadata.yaml"])
+    if kind == "pipe":
+        os.mkfifo(bag / "bag_db3.db3")
+    else:
+        (bag / "bag_db3.db3").touch()
+        os.truncate(bag / "bag_db3.db3", 2**36)
+    expected = "it is a pipe" if kind == "pipe" else "has more than 256 MB"
+    assert expected in error_of(tmp_path, "bag")
