@@ -176,8 +176,8 @@ class Mounting:
             first_at.setdefault(mount.place, (leaf, mount))
         for leaf, mount in mounted:
             first, first_mount = first_at[mount.place]
-            if first is leaf:
-                continue
+            if first is leaf or first.type is not leaf.type:
+                continue  # modules of different types can share a place, such as a box in a frame
             free = self._free_ports(leaf, mount.leaf, set(first_at))
             hint: str = "mount one of them somewhere else"
             if free and "." not in mount.leaf.path:
