@@ -179,7 +179,8 @@ def test_mesh_path_is_relative_to_the_module(workshop: Workshop) -> None:
 def test_modules_share_one_mesh(workshop: Workshop) -> None:
     workshop.write("my_modules/t/part/cover.obj", TETRAHEDRON)
     workshop.module("t/part", body(part("shape: {mesh: {file: cover.obj}}")))
-    more = "".join(f"    p{i}: {{type: t/part, mount: body.front}}\n" for i in range(3))
+    mounts = [f"{{port: body.front, xyz: [0, 0, 0.{i}]}}" for i in range(3)]
+    more = "".join(f"    p{i}: {{type: t/part, mount: {m}}}\n" for i, m in enumerate(mounts))
     robot = workshop.robot(CART + more)
     assert len(robot.meshes) == 1
     assert len({v.shape for i in range(3) for v in robot.link(f"p{i}_body").visuals}) == 1
