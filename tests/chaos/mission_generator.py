@@ -238,6 +238,10 @@ class MissionGenerator:
             yield ChaosEvent(at, "raw", {"client": "hostile", "text": text, "times": times})
         elif kind == 1:
             source = draw.choice(("teleop_joy", "teleop_joy", "auto_nav", LOUD_SOURCE))
+            if source == "teleop_joy":  # the pilot holds the source, and drives slowly
+                slow = {"source": source, "twist": [draw.choice((0.0, 0.2)), 0.0, 0.0]}
+                slow |= {"client": "pilot", "seconds": 2.0, "rate": 10.0}
+                yield ChaosEvent(at - 0.5, "drive", slow)
             values = {"source": source, "twist": self.fast_twist(), "seconds": 1.0, "rate": 50.0}
             yield ChaosEvent(at, "drive", {"client": "hostile", **values})
         elif kind == 2:

@@ -312,6 +312,12 @@ def test_other_texts_are_errors(text: str) -> None:
             ...,
             "robot.links[1].visuals[0].shape: the field `kind` is missing",
         ),
+        (
+            "model.joints.0.type",
+            "ball",
+            "robot.joints[0].type: "
+            'expected one of fixed, revolute, continuous, prismatic, found "ball"',
+        ),
         ("kind", "Rover", 'kind: expected Robot or Fleet, found "Rover"'),
         ("kind", ..., "the field `kind` is missing"),
         ("date", "today", "there is no field `date`"),

@@ -21,9 +21,10 @@ from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.bounded_file import read_bounded
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.model.bus import OBJECT_TYPES, FrameDefinition, ObjectValue
 from thorvaldc.model.element import values_getter
 from thorvaldc.model.fleet import Fleet
-from thorvaldc.model.robot import Robot, Shape
+from thorvaldc.model.robot import Actuator, Joint, JointServo, Robot, Shape
 
 FORMAT = "thorvaldc-model"
 VERSION = 5
@@ -127,6 +128,15 @@ def to_json(model: Robot | Fleet) -> str:
 
 # -- reading ------------------------------------------------------------------------------
 
+_WORDS: dict[tuple[type, str], tuple[str, ...]] = {
+    (Actuator, "role"): ("propulsion", "steering"),
+    (FrameDefinition, "mapping"): tuple(OBJECT_TYPES),
+    (Joint, "type"): ("fixed", "revolute", "continuous", "prismatic"),
+    (JointServo, "interface"): ("position", "velocity"),
+    (ObjectValue, "type"): tuple(OBJECT_TYPES),
+}
+"""Fields whose text, or last text of each item, must be one of some words."""
+
 _Decoder = Callable[[Any, str], Any]
 """A decoder converts a JSON value at a path to a value of the model.
 
@@ -160,6 +170,9 @@ def _decoder(hint: Any) -> _Decoder:
 
 def _object_decoder(cls: type) -> _Decoder:
     decoders = {name: _decoder(hint) for name, hint in type_hints(cls).items()}
+    for (owner, name), words in _WORDS.items():
+        if owner is cls:
+            decoders[name] = _word_decoder(decoders[name], words)
 
     def decode(value: Any, path: str) -> Any:
         _require(value, dict, path)
@@ -170,6 +183,18 @@ def _object_decoder(cls: type) -> _Decoder:
         )
 
     return decode
+
+
+def _word_decoder(decode: _Decoder, words: tuple[str, ...]) -> _Decoder:
+    def decode_word(value: Any, path: str) -> Any:
+        decoded = decode(value, path)
+        for word in (decoded,) if isinstance(decoded, str) else [item[-1] for item in decoded]:
+            if word not in words:
+                expected = ", ".join(words)
+                raise ModelFormatError(f"expected one of {expected}, found {_text(word)}", path)
+        return decoded
+
+    return decode_word
 
 
 def _report_fields(value: dict[str, Any], fields: list[str], path: str) -> None:

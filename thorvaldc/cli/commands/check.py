@@ -7,6 +7,7 @@ import sys
 from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
 from thorvaldc.cli.options import Format, Library, ModelFiles, Strict, Trust, library_folders
 from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.compiler.worker_process import containment_gaps
 from thorvaldc.model import Fleet, Robot
 
 
@@ -25,6 +26,9 @@ def check(
         output.add(compilation.report, compilation.sources)
         if compilation.model is not None:
             output.result(f"{file}: {compilation.model.name}, {_summary(compilation.model)}")
+    if format == "text" and containment_gaps:
+        gaps = ", ".join(f"{layer} ({reason})" for layer, reason in containment_gaps.items())
+        print(f"note: xacro and mesh files were read without these layers: {gaps}", file=sys.stderr)
     return output.finish(strict)
 
 
