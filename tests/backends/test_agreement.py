@@ -19,6 +19,7 @@ from tests.examples import ROBOTS as EXAMPLES
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.backends.urdf import Urdf
 from thorvaldc.model import Fleet, Robot
+from thorvaldc.model.statics.standing_pose import solve_statics
 
 Written = Callable[[Robot], Path]
 WrittenFleet = Callable[[Fleet], Path]
@@ -27,6 +28,21 @@ WrittenFleet = Callable[[Fleet], Path]
 @pytest.mark.parametrize("name", sorted(ROBOTS))
 def test_formats_agree(name: str, written: Written) -> None:
     assert differences(written(ROBOTS[name]), ROBOTS[name]) == []
+
+
+def test_formats_agree_on_swing_arms_that_turn_far(written: Written) -> None:
+    """The robot stands at rest in MuJoCo with its arms turned by 3 to 9 degrees."""
+    plans = [
+        Plan(0.6, 0.5, suspended=True, arm=0.25, sag=0.06),
+        Plan(0.55, -0.45, suspended=True, arm=-0.3, sag=-0.08),
+        Plan(-0.5, 0.4, suspended=True, arm=0.2, sag=0.05),
+        Plan(-0.6, -0.5, "fixed", suspended=True, arm=0.35, sag=0.16, radius=0.25),
+    ]
+    robot = build(plans, body_com=(0.1, -0.05, 0.0))
+    statics = solve_statics(robot)
+    assert statics.settled
+    assert max(map(abs, statics.positions.values())) > 0.1
+    assert differences(written(robot), robot) == []
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

@@ -59,7 +59,9 @@ from thorvaldc.model.statics.wheel_contact import (
     softened_weights,
 )
 
-_MAX_ITERATIONS = 60
+_MAX_ITERATIONS = 600
+"""Most robots need 5 to 10 iterations. Stiff contacts allow only small rotations of swing arms in
+one iteration: arms that turn by 0.25 rad need about 300."""
 _MAX_HALVINGS = 12
 _MAX_STEP = 0.05  # m or rad
 
