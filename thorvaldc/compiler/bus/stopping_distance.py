@@ -20,7 +20,7 @@ from dataclasses import replace
 
 from thorvaldc.compiler.bus.device_sections import MASTER_HEARTBEAT_PERIOD
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.model.robot import DriverSettings, ParameterSet, Robot
 from thorvaldc.model.stopping import (
     COMMAND_TIMEOUT,
@@ -104,12 +104,12 @@ def master_heartbeat_period(consumer_time: float, cycle: float) -> float:
     return min(MASTER_HEARTBEAT_PERIOD, max(cycles, 1) * cycle)
 
 
-def check_stopping_distance(robot: Robot, node: Node | None, report: Report) -> None:
+def check_stopping_distance(robot: Robot, driver: Node, report: Report) -> None:
     """Reports an error if a kind of stop is longer than the stated stopping distance.
 
-    ``node``: value of ``stopping_distance`` in the robot file.
+    ``driver``: mapping ``driver`` of the robot file.
     """
-    distance = robot.driver.stopping_distance
+    distance, node = robot.driver.stopping_distance, driver.get("stopping_distance")
     if distance is None or node is None:
         return
     bounds = stop_bounds(robot)
@@ -124,12 +124,16 @@ def check_stopping_distance(robot: Robot, node: Node | None, report: Report) -> 
         if speed > 0.0
         else "drives that brake by themselves"
     )
+    hint = f"use {remedy}, or a stopping distance that all stops can keep"
+    stated_speed = driver.get("max_linear_velocity")
+    if speed > 0.0 and stated_speed is not None:
+        hint = Proposal(hint, f"{speed:g} m/s", span=stated_speed.span)
     report.add(
         "stopping-distance",
         f"the robot needs {reached} to stop {_CAUSES[worst.kind]}{fixed}; "
         f"the stopping distance is {distance:g} m",
         node.span,
-        hint=f"use {remedy}, or a stopping distance that all stops can keep",
+        hint=hint,
     )
 
 

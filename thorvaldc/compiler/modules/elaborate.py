@@ -254,7 +254,7 @@ class _Elaborator:
             twist_locks=twist_locks,
             joint_servos=tuple(parts.joint_servos),
         )
-        check_stopping_distance(model, stated.get("stopping_distance"), self.report)
+        check_stopping_distance(model, stated, self.report)
         return model
 
     def _wiring(self, parts: RobotParts, report: Report) -> Wiring:
