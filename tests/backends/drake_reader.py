@@ -56,13 +56,15 @@ def set_state(plant: Any, context: Any, values: dict[str, float]) -> None:
 
 
 def frames(plant: Any) -> dict[str, Any]:
-    result = {}
-    for i in range(plant.num_frames()):
-        frame = plant.get_frame(type(plant.world_frame().index())(i))
-        name = frame.name()
-        if name and not name.endswith("_parent"):
-            result[name] = frame
-    return result
+    index = type(plant.world_frame().index())
+    every = [plant.get_frame(index(i)) for i in range(plant.num_frames())]
+    return {frame.name(): frame for frame in every}
+
+
+def bodies(plant: Any) -> dict[str, Any]:
+    index = type(plant.world_body().index())
+    every = [plant.get_body(index(i)) for i in range(1, plant.num_bodies())]
+    return {body.name(): body.body_frame() for body in every}
 
 
 def dynamics(plant: Any, context: Any, names: list[str]) -> np.ndarray:
@@ -102,7 +104,7 @@ def compare(urdf: Path, sdf: Path) -> list[str]:
             differences.append(f"limits of {name}: {limits}")
         if min(speeds[0], 1e8) != min(speeds[1], 1e8):
             differences.append(f"speed limit of {name}: {speeds}")
-    wanted = frames(plants[0])
+    wanted = bodies(plants[0])
     given = frames(plants[1])
     missing = sorted(wanted.keys() - given.keys())
     if missing:

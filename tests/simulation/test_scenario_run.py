@@ -204,8 +204,8 @@ def test_tip_over_is_reported_with_time_and_direction_and_the_record_is_kept(
 
 
 def test_a_start_inside_an_obstacle_has_its_own_hint(tmp_path: Path) -> None:
-    crate = "{shape: box, xyz: [0.55, 0, 0.1], size: [1.2, 1.2, 0.1]}"
-    drive = simulation(tmp_path, HEAD + f"world: {{obstacles: {{crate: {crate}}}}}\n")
+    kerb = "{from: [0.55, -2], to: [0.55, 2], height: 0.15, width: 1.2}"
+    drive = simulation(tmp_path, HEAD + f"world: {{kerbs: [{kerb}]}}\n")
     report = Report()
     drive.play(report, [])
     assert "start inside an obstacle" in (report.errors[0].hint or "")

@@ -116,12 +116,15 @@ def _triangles(suffix: str, data: bytes, files: _Files) -> list[tuple[Vec3, Vec3
 
 
 def _is_out_of_memory(error: BaseException | None) -> bool:
-    """Whether a MemoryError is a cause of the error."""
+    """Whether a MemoryError is a cause of the error.
+
+    A ``SystemError`` is one, too: C code without memory may not even have an exception.
+    """
     for _ in range(20):
-        if error is None or isinstance(error, MemoryError):
+        if error is None or isinstance(error, (MemoryError, SystemError)):
             break
         error = error.__cause__ or error.__context__
-    return isinstance(error, MemoryError)
+    return isinstance(error, (MemoryError, SystemError))
 
 
 def _in_metres(
