@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import signal
@@ -213,16 +214,19 @@ def over_slcan(
         *("good.yaml", "--bus", f"slcan:{adapter.path}", "--twist", "0.4,0,0"),
         *("--duration", "3 s", "--json"),
     )
-    fastest = 0.0
+    fastest, ended_at = 0.0, math.inf
 
     def over() -> bool:
-        nonlocal fastest
+        nonlocal fastest, ended_at
         for wheel in robot.wheels:
             actuator = robot.actuator_of(wheel.spin_joint)
             assert actuator is not None
             motor = simulated.motors[actuator.name]
             fastest = max(fastest, motor.read(simulated.timeline.seconds).velocity)
-        return process.poll() is not None
+        if process.poll() is not None:
+            ended_at = min(ended_at, time.monotonic())
+        # The last frames of the driver wait in the serial line; then each node sends a heartbeat.
+        return time.monotonic() > ended_at + 0.5
 
     adapter.serve(over, 60.0)
     out, err = process.communicate(timeout=10)

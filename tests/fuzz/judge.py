@@ -32,6 +32,8 @@ from thorvaldc.cli.exits import DONE, INPUT, OUTSIDE, USAGE
 from thorvaldc.cli.main import run_command
 
 MAX_MEMORY = 500_000_000
+USUAL_MEMORY = 150_000_000
+"""Memory of ``python -m tests.fuzz`` before a case (bytes); a process of pytest may have more."""
 MAX_CPU = 20
 """Limit of the processor time of a command (s)."""
 MAX_WALL = 120.0
@@ -142,12 +144,19 @@ def judge(case: Case, parent: Path | None = None) -> Verdict:
         elif left:
             violations.append("left a process")
         memory = usage.ru_maxrss * 1024
-        if memory > MAX_MEMORY:
+        # The command runs in a copy of this process, which has the memory of this process.
+        if memory > MAX_MEMORY + max(0, _resident() - USUAL_MEMORY):
             violations.append(f"memory: {memory / 1e6:.0f} MB")
         violations += _judge_output(case, status, output)
         violations += _judge_files(case, before, folder)
         cpu = usage.ru_utime + usage.ru_stime
         return Verdict(tuple(violations), status, cpu, wall, memory, output)
+
+
+def _resident() -> int:
+    """Returns the memory of this process in bytes."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize()
 
 
 def _run_child(case: Case, folder: Path) -> None:
