@@ -229,6 +229,7 @@ def over_slcan(
         return time.monotonic() > ended_at + 0.5
 
     adapter.serve(over, 60.0)
+    simulated.run(0.2)  # the next heartbeats contain the last state
     out, err = process.communicate(timeout=10)
     adapter.close()
     return process.returncode, out, err, adapter, frames_seen, fastest
