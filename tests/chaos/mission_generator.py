@@ -240,8 +240,10 @@ class MissionGenerator:
             source = draw.choice(("teleop_joy", "teleop_joy", "auto_nav", LOUD_SOURCE))
             if source == "teleop_joy":  # the pilot holds the source, and drives slowly
                 slow = {"source": source, "twist": [draw.choice((0.0, 0.2)), 0.0, 0.0]}
-                slow |= {"client": "pilot", "seconds": 2.0, "rate": 10.0}
-                yield ChaosEvent(at - 0.5, "drive", slow)
+                slow |= {"client": "pilot", "seconds": 2.5, "rate": 10.0}
+                yield from self.arm(at, "pilot")
+                yield ChaosEvent(at + 0.1, "drive", slow)
+                at += 0.8
             values = {"source": source, "twist": self.fast_twist(), "seconds": 1.0, "rate": 50.0}
             yield ChaosEvent(at, "drive", {"client": "hostile", **values})
         elif kind == 2:
@@ -254,6 +256,8 @@ class MissionGenerator:
                 yield _call(at + 0.01 * step, "hostile", service)
         else:
             client, text = draw.choice((("hostile", '{"call": "state"}\n'), ("pilot", TWIST)))
+            if client == "pilot":
+                yield from self.arm(at - 0.2, "pilot")
             yield ChaosEvent(at, "raw", {"client": client, "text": text, "times": 5000})
             if client == "pilot":
                 yield ChaosEvent(at + 0.01, "hang", {"client": client})

@@ -142,6 +142,8 @@ class Permission:
             self.zero_first = False
 
     def calls(self, client: str, service: str, arguments: dict[str, object], now: float) -> None:
+        if service == "arm" and self.armed and not self.must_reset:
+            return  # nothing changes
         if service == "arm":
             self._arming_until = now + ARM_TIME if self.needs_arming else -math.inf
             # A motion that comes after the request may be its first motion.
