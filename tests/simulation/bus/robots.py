@@ -59,7 +59,7 @@ name: uneven
 modules:
   frame: {{type: frame/tube_rectangular, params: {{length: 1.1 m, width: 0.9 m, height: 650 mm}}}}
   fl: {{{STEERED}/steering_first}}, mount: frame.front_left, can: {{id: 7, serial: "0x107"}}}}
-  fr: {{{STEERED}/cia402_propulsion_steering, gear_ratio: 30}}, mount: frame.front_right,
+  fr: {{{STEERED}/steering_listed_first, gear_ratio: 30}}, mount: frame.front_right,
     can: {{id: 2, serial: "0x102"}}}}
   rl: {{{STEERED}/steering_first, gear_ratio: 50}}, mount: frame.rear_left,
     can: {{id: 5, serial: "0x105"}}}}
@@ -71,7 +71,8 @@ modules:
 def uneven_robot() -> Robot:
     """Returns a robot whose controllers differ in the order of their channels and in their gears.
 
-    Two controllers have the steering as their first channel.  The wheel ``rr`` has a controller of
+    Two controllers have the steering as their first channel and their first motor; another one
+    lists the steering first, but has it as its second motor.  The wheel ``rr`` has a controller of
     another kind, and its steering joint has no limits.
     """
     with tempfile.TemporaryDirectory() as name:
@@ -80,6 +81,9 @@ def uneven_robot() -> Robot:
         first, second = "  propulsion: {role: propulsion}\n", "  steering: {role: steering}\n"
         assert first + second in text
         text = text.replace(first + second, second + first)
+        (folder / "library/controller/steering_listed_first").mkdir(parents=True)
+        path = folder / "library/controller/steering_listed_first/module.yaml"
+        path.write_text(text, "utf-8")
         # The objects of the first axis begin at 0x6000, those of the second at 0x6800.
         text = re.sub(r"0x6[0-9A-F]{3}\b", lambda m: f"{int(m[0], 16) ^ 0x800:#06x}", text)
         (folder / "library/controller/steering_first").mkdir(parents=True)

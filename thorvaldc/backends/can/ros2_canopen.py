@@ -14,15 +14,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from operator import itemgetter
 
 from thorvaldc.backends.can.dcf import RPDOS, TPDOS, described
 from thorvaldc.model.bus import Bus, Node, ObjectValue
+from thorvaldc.model.cia402_motors import FIRST_INDEX, STRIDE, motor_numbers
 
 # Maps the unit of a CAN signal to the name of the physical quantity in ros2_canopen.
 SCALES = {"rad": "pos", "rad/s": "vel"}
 MODES = {1: "position_mode", 8: "position_mode", 3: "velocity_mode", 9: "velocity_mode"}
 NO_TEXT = ("true", "false", "null", "yes", "no", "on", "off", "y", "n")
-MODE_OF_OPERATION, AXIS = 0x6060, 0x800
+MODE_OF_OPERATION = 0x6060
 MAPPING = 0x200
 """Distance of the index of a PDO mapping from the index of the communication parameters."""
 SWITCHED_OFF = 1 << 31
@@ -142,12 +144,13 @@ def _axes(bus: Bus, node: Node) -> Iterator[str]:
 
     For a CiA 402 drive with several axes, `bus.yml` has a group of lines for each axis.
     """
-    axes = [list(_axis(bus, node, number)) for number in range(len(node.channels))]
+    order = sorted(zip(motor_numbers(bus, node), node.channels, strict=True), key=itemgetter(0))
+    axes = [list(_axis(bus, node, number)) for number, _ in order]
     if len(axes) == 1:
         yield from axes[0]
         return
     yield f"num_channels: {len(axes)}"
-    yield f"channel_names: [{', '.join(f'{node.name}_{c.name}' for c in node.channels)}]"
+    yield f"channel_names: [{', '.join(f'{node.name}_{c.name}' for _, c in order)}]"
     yield "channels:"
     for lines in axes:
         if not lines:
@@ -157,9 +160,9 @@ def _axes(bus: Bus, node: Node) -> Iterator[str]:
 
 
 def _axis(bus: Bus, node: Node, number: int) -> Iterator[str]:
-    objects = range(0x6000 + AXIS * number, 0x6000 + AXIS * (number + 1))
+    objects = range(FIRST_INDEX + STRIDE * number, FIRST_INDEX + STRIDE * (number + 1))
     for entry in node.objects:
-        if entry.index == MODE_OF_OPERATION + AXIS * number and entry.value in MODES:
+        if entry.index == MODE_OF_OPERATION + STRIDE * number and entry.value in MODES:
             yield f"{MODES[entry.value]}: {entry.value}"
     for frame in bus.frames:
         if not frame.mapping or node.name not in (frame.producer, *frame.consumers):

@@ -10,6 +10,7 @@ from thorvaldc.can.canopen import NmtState
 from thorvaldc.can.cia402 import DriveState
 from thorvaldc.model import Actuator
 from thorvaldc.model.bus import OBJECT_TYPES, FrameDefinition, Node
+from thorvaldc.model.cia402_motors import FIRST_INDEX, STRIDE, motor_numbers
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.cia402_axis import Axis, AxisSettings
 from thorvaldc.simulation.bus.device_description import DeviceDescription, commissioned_memory
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
 
 CONTROL_PERIOD = 0.002
 """Period of the control loop (s)."""
-STRIDE = 0x800
-"""Difference between the object indices of two successive motors (CiA 402)."""
 DEVICE_TYPE = 0x00020192
 """Value of object 0x1000 for a servo drive with the device profile 402."""
 MOTION_ERROR = 0x20
@@ -45,6 +44,9 @@ class Cia402Drive(CanopenDevice):
     missing, the CAN controller is in bus-off, or the NMT state leaves OPERATIONAL while a motor is
     powered.
 
+    ``numbers`` has the number of each motor in the object dictionary: the objects of motor 0 begin
+    at 0x6000, those of motor 1 at 0x6800.  By default the motors are numbered in their order.
+
     ``control_period`` is the period of the control loop (s).  A longer period saves computing time
     in simulations of many hours.
     """
@@ -60,6 +62,7 @@ class Cia402Drive(CanopenDevice):
         description: DeviceDescription,
         axes: Sequence[tuple[AxisSettings, MotorModel]],
         *,
+        numbers: Sequence[int] | None = None,
         received: Sequence[Pdo] = (),
         sent: Sequence[Pdo] = (),
         seed: int = 0,
@@ -69,6 +72,7 @@ class Cia402Drive(CanopenDevice):
             name, wire, bitrate, node_id, description, seed=seed, nonvolatile=nonvolatile
         )
         self.axes = [Axis(settings, motor, self._report_error) for settings, motor in axes]
+        self._numbers = tuple(range(len(axes)) if numbers is None else numbers)
         self._received = tuple(received)
         self._sent = tuple(sent)
 
@@ -90,6 +94,7 @@ class Cia402Drive(CanopenDevice):
             node.id,
             DeviceDescription.from_specification(specification, "CiA 402 drive", DEVICE_TYPE),
             axes,
+            numbers=motor_numbers(specification.bus, node),
             received=_factory_pdos(specification.received, node),
             sent=_factory_pdos(specification.sent, node),
             seed=specification.seed,
@@ -102,8 +107,8 @@ class Cia402Drive(CanopenDevice):
         return self.axes[index].encoder, self.axes[index].motor
 
     def add_objects(self, objects: ObjectDictionary) -> None:
-        for number, axis in enumerate(self.axes):
-            axis.add_objects(objects, 0x6000 + STRIDE * number)
+        for number, axis in zip(self._numbers, self.axes, strict=True):
+            axis.add_objects(objects, FIRST_INDEX + STRIDE * number)
 
     def make_pdos(self, objects: ObjectDictionary) -> PdoSet:
         received, sent = (
