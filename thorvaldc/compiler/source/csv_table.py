@@ -6,6 +6,7 @@ The first line of a CSV file contains the names of the columns.  One column of t
 
 from __future__ import annotations
 
+import codecs
 import math
 from array import array
 from collections.abc import Iterator, Sequence
@@ -18,6 +19,10 @@ from thorvaldc.diagnostics.bounded_file import MAX_LOG_BYTES
 
 TIME = "time"
 _MAX_COLUMNS = 10_000
+_MAX_NUMBERS = 20_000_000
+"""Limit of the numbers in a file, which bounds the memory: 160 MB."""
+_MAX_HEADER_BYTES = 1_000_000
+_CHUNK = 1 << 20
 _MAX_INVALID_LINES = 10
 """The reader stops after this number of invalid lines in a file."""
 
@@ -69,23 +74,36 @@ def read_table(path: Path, display: str, report: Report) -> Table | None:
     error.  If the last line of the CSV file is incomplete, the reader ignores the line and reports
     a warning.
     """
-    text = read_utf8(path, display, report)
-    if text is None:
+    data = read_utf8(path, display, report)
+    if data is None:
         return None
-    header = first_line(text)
-    names = [name.strip() for name in header.split(",", _MAX_COLUMNS)]
+    header = first_line(data)
+    names = column_names(header)
     error = _header_error(names)
     if error is not None:
         message = f"`{display}` is not a table of a run: its first line has {error}"
         report.add("record-unreadable", message, Span(display, 1, 1, 1, 1))
         return None
-    columns = read_columns(text, names, display, report, _RECORD_ROWS)
+    columns = read_columns(data, names, display, report, _RECORD_ROWS)
     return None if columns is None else Table(display, header, columns)
 
 
-def first_line(text: str) -> str:
-    """Returns the first line of a CSV file, with the column names."""
-    return text[: text.find("\n")].rstrip("\r") if "\n" in text else text.rstrip("\r")
+def first_line(data: bytes) -> str:
+    """Returns the first line of a CSV file, with the column names.
+
+    A first line of more than 1 MB is cut.
+    """
+    end = data.find(b"\n", 0, _MAX_HEADER_BYTES)
+    line = data[: end if end >= 0 else _MAX_HEADER_BYTES]
+    return line.decode("utf-8", "replace").rstrip("\r")
+
+
+def column_names(header: str) -> list[str]:
+    """Returns the names in the first line of a CSV file.
+
+    After the largest number of columns, the rest of the line is one name.
+    """
+    return [name.strip() for name in header.split(",", _MAX_COLUMNS)]
 
 
 def _header_error(names: Sequence[str]) -> str | None:
@@ -100,20 +118,21 @@ def _header_error(names: Sequence[str]) -> str | None:
 
 
 def read_columns(
-    text: str, names: Sequence[str], display: str, report: Report, rules: RowRules
+    data: bytes, names: Sequence[str], display: str, report: Report, rules: RowRules
 ) -> dict[str, Sequence[float]] | None:
     """Returns the numbers in each column of a CSV file, or ``None`` if a line is invalid.
 
-    - ``text``: text of the file, including the first line with the column names.
+    - ``data``: bytes of the file in UTF-8, including the first line with the column names.
     - ``names``: names of the columns, in the order of the file.
     - ``rules``: diagnostic codes for invalid lines.
 
     Each invalid line of the CSV file is reported with its line and column number.  Stops after
-    ``_MAX_INVALID_LINES`` invalid lines of the CSV file.
+    ``_MAX_INVALID_LINES`` invalid lines of the CSV file, and with more than 20 million numbers.
     """
     columns = [array("d") for _ in names]
+    most_rows = _MAX_NUMBERS // len(names)
     invalid_lines, last_time, time_index = 0, -math.inf, names.index(TIME)
-    for line_number, line, is_last in _data_lines(text):
+    for line_number, line, is_last in _data_lines(data):
         cells = line.split(",", len(names))  # at most one cell more than columns
         line_span = Span(display, line_number, 1, line_number, len(line) + 1)
         is_cut = len(cells) != len(names) and is_last
@@ -123,6 +142,10 @@ def read_columns(
             break
         error = _value_error(cells, names, time_index, rules)
         time = parse_number(cells[time_index]) if error is None else math.nan
+        if time > last_time and len(columns[0]) >= most_rows:
+            message = f"`{display}` has more than {_MAX_NUMBERS / 1e6:g} million numbers"
+            report.add("file-unreadable", message, line_span)
+            return None
         if time > last_time:
             for column, cell in zip(columns, cells, strict=True):
                 column.append(parse_number(cell))
@@ -144,15 +167,15 @@ def read_columns(
     return dict(zip(names, columns, strict=True))
 
 
-def _data_lines(text: str) -> Iterator[tuple[int, str, bool]]:
+def _data_lines(data: bytes) -> Iterator[tuple[int, str, bool]]:
     """Yields the number and text of each line with data, and whether the line is the last one.
 
     A list of all lines would need several times the memory of a long file.
     """
-    number, start = 1, text.find("\n") + 1
+    number, start = 1, data.find(b"\n") + 1
     while start > 0:
-        end = text.find("\n", start)
-        line = text[start : end if end >= 0 else len(text)].rstrip("\r")
+        end = data.find(b"\n", start)
+        line = data[start : end if end >= 0 else len(data)].decode("utf-8").rstrip("\r")
         number += 1
         if line.strip():
             yield number, line, end < 0
@@ -177,19 +200,24 @@ def _value_error(
     return None
 
 
-def read_utf8(path: Path, display: str, report: Report) -> str | None:
-    """Returns the text of a UTF-8 file.
+def read_utf8(path: Path, display: str, report: Report) -> bytes | None:
+    """Returns the bytes of a file in UTF-8, without a byte order mark.
 
-    If the file cannot be read, adds an error to ``report`` and returns ``None``.
+    The text of a long log would need the memory of the log a second time.  If the file cannot be
+    read, adds an error to ``report`` and returns ``None``.
     """
     data = read_bytes(path, display, report, limit=MAX_LOG_BYTES)
     if data is None:
         return None
+    decoder = codecs.getincrementaldecoder("utf-8")()
     try:
-        return data.decode("utf-8-sig")
+        for start in range(0, len(data), _CHUNK):
+            decoder.decode(data[start : start + _CHUNK])
+        decoder.decode(b"", final=True)
     except UnicodeDecodeError:
         report.add("file-unreadable", f"`{display}` is not UTF-8 text", Span(display))
         return None
+    return data.removeprefix(codecs.BOM_UTF8)
 
 
 def parse_number(cell: str) -> float:

@@ -28,6 +28,7 @@ from thorvaldc.compiler.source.csv_table import (
     TIME,
     RowRules,
     cell_span,
+    column_names,
     first_line,
     read_columns,
     read_utf8,
@@ -154,13 +155,13 @@ def read_log(path: Path, display: str, robot: Robot, report: Report) -> JointLog
     If the joint log is invalid, the function adds the problems with line and column to ``report``
     and returns ``None``.  ``display`` is the name of the file for the diagnostics.
     """
-    text = read_utf8(path, display, report)
-    if text is None:
+    data = read_utf8(path, display, report)
+    if data is None:
         return None
-    header = _header(first_line(text), display, report)
+    header = _header(first_line(data), display, report)
     if header is None or not _joints_match(header, display, robot, report):
         return None
-    columns = read_columns(text, header, display, report, _ROW_RULES)
+    columns = read_columns(data, header, display, report, _ROW_RULES)
     if columns is None:
         return None
     times = columns[TIME]
@@ -181,7 +182,7 @@ def read_log(path: Path, display: str, robot: Robot, report: Report) -> JointLog
 
 def _header(line: str, display: str, report: Report) -> list[str] | None:
     """Returns the column names, or ``None`` if the file is not a joint log."""
-    names = [name.strip() for name in line.split(",")]
+    names = column_names(line)
     for i, name in enumerate(names):
         span = cell_span(display, 1, line, i)
         joint, _, quantity = name.rpartition(".")
