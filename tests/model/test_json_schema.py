@@ -23,6 +23,7 @@ FINGERPRINTS = {
     3: "63f3bc7bf99cdf3b",
     4: "9a53c07dbe71e660",
     5: "05ce76bf36bb8ee5",
+    6: "cdf1ea8ff9bb55d2",
 }
 
 SCHEMA = model_schema()

@@ -322,7 +322,7 @@ def test_other_texts_are_errors(text: str) -> None:
         ("kind", ..., "the field `kind` is missing"),
         ("date", "today", "there is no field `date`"),
         ("format", "urdf", "not a thorvaldc-model file"),
-        ("version", "3", 'version "3"; this program reads 5'),
+        ("version", "3", 'version "3"; this program reads 6'),
     ],
 )
 def test_the_message_names_the_path(path: str, value: Any, message: str) -> None:
@@ -340,5 +340,5 @@ def test_a_path_in_a_fleet() -> None:
 
 
 def test_the_message_of_another_version_names_both() -> None:
-    with pytest.raises(ModelFormatError, match=r"version 1; this program reads 5"):
+    with pytest.raises(ModelFormatError, match=r"version 1; this program reads 6"):
         from_json(changed("version", 1))

@@ -213,6 +213,11 @@ _TABLE: tuple[Code, ...] = (
     _error("TV581", "bus-not-canopen", "no node of a bus can be configured over CANopen"),
     # 6xx: backends
     _note("TV601", "urdf-only-element", "an element of an extra is written to URDF only"),
+    _error("TV612", "ros-package-name", "a ROS 2 package cannot have this name"),
+    _error("TV613", "ros-package-duplicate", "two robots of a fleet have the same ROS 2 package"),
+    _error("TV614", "ros-frame-name", "a link has a name that no frame of ROS 2 can have"),
+    _error("TV615", "ros-frame-reserved", "a link has the name of a frame of the localization"),
+    _error("TV616", "ros-topic-duplicate", "a twist source or lock has a topic that is used"),
     _warning("TV620", "dbc-text", "a text contains characters that a DBC file cannot represent"),
     # 7xx: library and extras
     _error("TV701", "library-missing", "a library folder does not exist"),

@@ -24,10 +24,11 @@ from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.bus import OBJECT_TYPES, FrameDefinition, ObjectValue
 from thorvaldc.model.element import values_getter
 from thorvaldc.model.fleet import Fleet
-from thorvaldc.model.robot import Actuator, Joint, JointServo, Robot, Shape
+from thorvaldc.model.robot import Actuator, Joint, JointServo, Robot, RosSettings, Shape
+from thorvaldc.model.ros import DISTROS, DRIVER, EKF
 
 FORMAT = "thorvaldc-model"
-VERSION = 5
+VERSION = 6
 """Version of the JSON format, increased with every change of the model's fields.
 
 The page ``docs/model.md`` lists all versions of the JSON format.
@@ -134,6 +135,8 @@ _WORDS: dict[tuple[type, str], tuple[str, ...]] = {
     (Joint, "type"): ("fixed", "revolute", "continuous", "prismatic"),
     (JointServo, "interface"): ("position", "velocity"),
     (ObjectValue, "type"): tuple(OBJECT_TYPES),
+    (RosSettings, "distro"): DISTROS,
+    (RosSettings, "odom_tf"): (DRIVER, EKF),
 }
 """Fields whose text, or last text of each item, must be one of some words."""
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from thorvaldc.diagnostics import Span
 from thorvaldc.model.bus import Bus, Channel, FrameDefinition, Node, ObjectValue, Scalar, Signal
 from thorvaldc.model.element import Element
+from thorvaldc.model.ros import DEFAULT_SETTINGS, RosSettings
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
 # The module ``model/bus.py`` defines the classes of the CAN bus. This module also exports the
@@ -38,6 +39,7 @@ __all__ = [
     "ObjectValue",
     "ParameterSet",
     "Robot",
+    "RosSettings",
     "Scalar",
     "Sensor",
     "Shape",
@@ -494,6 +496,7 @@ class Robot(Element):
     - ``joint_servos``: servos on joints of extras.
     - ``urdf_extensions``: XML elements from extras that only URDF can express, such as
       ``<gazebo>``.
+    - ``ros``: settings of the ROS 2 package.
     """
 
     name: str
@@ -516,6 +519,7 @@ class Robot(Element):
     twist_sources: tuple[TwistInput, ...] = ()
     twist_locks: tuple[TwistInput, ...] = ()
     joint_servos: tuple[JointServo, ...] = ()
+    ros: RosSettings = DEFAULT_SETTINGS
 
     @property
     def prefix(self) -> str:

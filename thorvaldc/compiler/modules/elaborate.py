@@ -32,6 +32,7 @@ from thorvaldc.compiler.modules.hardware_parts import Hardware
 from thorvaldc.compiler.modules.instance import Instance, used_by
 from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.modules.robot_parts import RobotParts
+from thorvaldc.compiler.modules.ros_settings import check_ros_names, read_ros_settings
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.modules.twist_inputs import TwistInputReader
 from thorvaldc.compiler.modules.wheel_calibration import (
@@ -253,7 +254,9 @@ class _Elaborator:
             twist_sources=twist_sources,
             twist_locks=twist_locks,
             joint_servos=tuple(parts.joint_servos),
+            ros=read_ros_settings(self.document, self.scope, self.report),
         )
+        check_ros_names(model, self.document, self.report)
         check_stopping_distance(model, stated, self.report)
         return model
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from thorvaldc.compiler.geometry.convex_hull import Point, convex_hull, separates
 from thorvaldc.compiler.geometry.wheel_geometry import contact_point
 from thorvaldc.compiler.modules.bounded_quantities import BoundedQuantities
+from thorvaldc.compiler.modules.ros_settings import package_name
 from thorvaldc.compiler.modules.value_reader import ValueReader
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report, Span
@@ -56,6 +57,7 @@ class Placements:
         self._report = report
         self._quantities = BoundedQuantities(ValueReader(report), report)
         self._spans: dict[str, Span] = {}
+        self._packages: dict[str, tuple[str, Span]] = {}
         self._footprints: list[_Footprint] = []
 
     def add(self, entry: str, node: Node, robot: Robot) -> None:
@@ -79,9 +81,23 @@ class Placements:
                     labels=[Label(first_span, "first used here")],
                 )
                 return
-            placement = Placement(name, pose, replace(robot, namespace=name))
+            placement = Placement(name, pose, self._member(name, robot, node))
             self._check_overlap(_footprint(entry, placement), node.where, reported_entries)
             self.placed.append(placement)
+
+    def _member(self, name: str, robot: Robot, node: Node) -> Robot:
+        """Returns the model of a robot with its name space and its ROS 2 package in the fleet."""
+        package = package_name(f"{robot.ros.package}_{name}")
+        first_name, first_span = self._packages.setdefault(package, (name, node.where))
+        if first_name != name:
+            self._report.add(
+                "ros-package-duplicate",
+                f"the ROS 2 packages of `{first_name}` and `{name}` have the name `{package}`",
+                node.where,
+                hint="rename one of the robots of the fleet",
+                labels=[Label(first_span, "first used here")],
+            )
+        return replace(robot, namespace=name, ros=replace(robot.ros, package=package))
 
     def _poses(self, entry: str, node: Node) -> Iterator[tuple[str, Pose]]:
         """Yields the name and the pose of each robot that an entry of the section `robots` places.
