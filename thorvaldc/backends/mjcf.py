@@ -26,7 +26,7 @@ from thorvaldc.backends.xml_writer import Element, parse, to_bytes
 from thorvaldc.diagnostics import CODES, Diagnostic
 from thorvaldc.model import Fleet, Pose, Robot
 from thorvaldc.model.statics.joint_tree import JointTree
-from thorvaldc.model.statics.standing_pose import Statics
+from thorvaldc.model.statics.standing_pose import Statics, solve_statics
 
 
 class Mjcf(StaticsBackend):
@@ -52,18 +52,7 @@ class Mjcf(StaticsBackend):
             )
 
     def emit_with_statics(self, robot: Robot, statics: Statics) -> dict[str, bytes]:
-        tree = JointTree(robot.links, robot.joints)
-        sections = ModelSections(robot.name, [robot], ["../meshes"])
-        RobotWriter(sections, robot, tree, 0, statics).write(None)
-        scene = Element("mujoco", model=f"{robot.name} scene")
-        scene.add("include", file="robot.xml")
-        add_surroundings(scene, [robot], [Pose()])
-        add_home(scene, [robot], [tree], [statics], [Pose()])
-        return {
-            "mjcf/robot.xml": to_bytes(sections.root()),
-            "mjcf/scene.xml": to_bytes(scene),
-            **mesh_files(robot),
-        }
+        return {**_robot_and_scene(robot, statics), **mesh_files(robot)}
 
     def emit_fleet_with_statics(self, fleet: Fleet, statics: Sequence[Statics]) -> dict[str, bytes]:
         files = super().emit_fleet_with_statics(fleet, statics)
@@ -81,3 +70,27 @@ class Mjcf(StaticsBackend):
         add_home(scene, robots, trees, statics, poses)
         files["mjcf/scene.xml"] = to_bytes(scene)
         return files
+
+
+def ros2_control_files(robot: Robot) -> dict[str, bytes]:
+    """Return robot and scene for mujoco_ros2_control, by path; their meshes are in ``meshes/``.
+
+    This program takes every actuator with a position gain for a position servo, such as
+    ``intvelocity``. In these files, the drives are ``velocity`` servos.
+    """
+    return _robot_and_scene(robot, solve_statics(robot), velocity_servos=True)
+
+
+def _robot_and_scene(
+    robot: Robot, statics: Statics, *, velocity_servos: bool = False
+) -> dict[str, bytes]:
+    tree = JointTree(robot.links, robot.joints)
+    sections = ModelSections(robot.name, [robot], ["../meshes"])
+    writer = RobotWriter(sections, robot, tree, 0, statics, velocity_servos=velocity_servos)
+    writer.write(None)
+    scene = Element("mujoco", model=f"{robot.name} scene")
+    scene.add("include", file="robot.xml")
+    add_surroundings(scene, [robot], [Pose()])
+    home = ([robot], [tree], [statics], [Pose()])
+    add_home(scene, *home, velocity_servos=velocity_servos)
+    return {"mjcf/robot.xml": to_bytes(sections.root()), "mjcf/scene.xml": to_bytes(scene)}

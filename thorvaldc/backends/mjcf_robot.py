@@ -40,6 +40,9 @@ TORSION = 1 / 16
 ROLLING_FRICTION = 0.0005  # third friction coefficient of MuJoCo, not used with condim 4
 DRIVE_FREQUENCY = 20.0  # rad/s, natural frequency of the propulsion servo
 DRIVE_DAMPING = 1.0  # damping ratio: critical
+# s, time constant of a ``velocity`` servo of a drive. On a slope such a servo creeps: a robot rolls
+# back at the speed g sin(slope) times this, 1.7 mm/s on 10 degrees.
+VELOCITY_TIME = 0.001
 FLANGE = 0.004  # m, thickness of the flange of a rail tread
 STEERING_STIFFNESS = 4000.0  # N m/rad
 WORLD = "world"  # name of the root body in MuJoCo
@@ -80,8 +83,18 @@ class RobotWriter:
     """Writes one robot into the sections of an MJCF model."""
 
     def __init__(
-        self, sections: ModelSections, robot: Robot, tree: JointTree, number: int, statics: Statics
+        self,
+        sections: ModelSections,
+        robot: Robot,
+        tree: JointTree,
+        number: int,
+        statics: Statics,
+        *,
+        velocity_servos: bool = False,
     ) -> None:
+        """Prepare to write a robot. With ``velocity_servos``, servos that are commanded a speed are
+        ``velocity`` instead of ``intvelocity``."""
+        self.velocity_servos = velocity_servos
         self.sections = sections
         self.robot = robot
         self.number = number
@@ -285,6 +298,9 @@ class RobotWriter:
         # (``intvelocity``) integrates the speed set point to an angle. The speed servo holds the
         # integrated angle, so the robot stands still on a slope. The integrated angle of a speed
         # servo has no limit.
+        if self.velocity_servos:
+            self._add_velocity_servo(names, inertia / VELOCITY_TIME, joint_inertia, torque, speed)
+            return
         damping = 2 * DRIVE_DAMPING * inertia * DRIVE_FREQUENCY
         self._note_damping(damping, joint_inertia)
         self.sections.actuators.add(
@@ -297,6 +313,23 @@ class RobotWriter:
             actlimited=False,
         )
 
+    def _add_velocity_servo(
+        self,
+        names: dict[str, str],
+        damping: float,
+        inertia: float,
+        effort: float | None,
+        speed: float | None,
+    ) -> None:
+        self._note_damping(damping, inertia)
+        self.sections.actuators.add(
+            "velocity",
+            **names,
+            kv=clean(damping),
+            ctrlrange=(-speed, speed) if speed else None,
+            forcerange=(-effort, effort) if effort else None,
+        )
+
     def _add_joint_servo(self, servo: JointServo) -> None:
         joint = self.tree.joints[servo.joint]
         inertia = self.statics.inertias[servo.joint] + joint.armature
@@ -305,6 +338,11 @@ class RobotWriter:
         if joint.lower is not None and joint.upper is not None:
             limits = (joint.lower, joint.upper)
         motors = [actuator.name for actuator in self.robot.actuators]
+        if self.velocity_servos and servo.interface == "velocity":
+            names = {"name": self.prefix + _free(servo.joint, motors)}
+            names["joint"] = self.prefix + servo.joint
+            self._add_velocity_servo(names, damping, inertia, joint.effort, joint.velocity)
+            return
         element = self.sections.actuators.add(
             "position" if servo.interface == "position" else "intvelocity",
             name=self.prefix + _free(servo.joint, motors),

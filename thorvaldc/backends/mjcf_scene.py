@@ -99,10 +99,13 @@ def add_home(
     trees: Sequence[JointTree],
     statics: Sequence[Statics],
     poses: Sequence[Pose],
+    *,
+    velocity_servos: bool = False,
 ) -> None:
     """Add the MuJoCo key frame ``home``, in which every robot stands still.
 
     In the key frame ``home``, every servo holds its joint at the position of the standing pose.
+    ``velocity_servos`` is that of ``RobotWriter``: such servos have no state.
     """
     qpos: list[float] = []
     ctrl: list[float] = []
@@ -123,4 +126,5 @@ def add_home(
             ctrl.append(position if servo.interface == "position" else 0.0)
             act += [position] if servo.interface == "velocity" else []
     key = scene.add("keyframe").add("key", name="home", qpos=tuple(qpos))
-    key.set(ctrl=tuple(ctrl) if ctrl else None, act=tuple(act) if act else None)
+    has_state = act and not velocity_servos
+    key.set(ctrl=tuple(ctrl) if ctrl else None, act=tuple(act) if has_state else None)

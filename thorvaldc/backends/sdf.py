@@ -9,7 +9,8 @@ The files have the version 1.9 of SDF, which Gazebo Fortress and all newer versi
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from thorvaldc.backends import Backend
 from thorvaldc.backends.colors_and_meshes import mesh_files
@@ -46,10 +47,8 @@ class Sdf(Backend):
             )
 
     def emit(self, robot: Robot) -> dict[str, bytes]:
-        model = Element("sdf", version=VERSION)
-        add_robot(model, robot, None)
         return {
-            "sdf/model.sdf": to_bytes(model),
+            "sdf/model.sdf": model_text(robot).encode(),
             "sdf/model.config": _config(robot),
             "sdf/world.sdf": _world(robot.name, [(robot, Pose(), "../meshes")], None)[0],
             **mesh_files(robot),
@@ -59,6 +58,37 @@ class Sdf(Backend):
         robots = [(p.robot, p.pose, f"../{p.name}/meshes") for p in fleet.placements]
         world, files = _world(fleet.name, robots, fleet.world)
         return {**super().emit_fleet(fleet), "sdf/world.sdf": world, **files}
+
+
+def model_text(robot: Robot, meshes: str = "../meshes", share: str | None = None) -> str:
+    """Return the SDF file of a robot as text, without a world.
+
+    - ``meshes``: folder of the mesh files, relative to the file, or as a URI.
+    - ``share``: shared folder of the ROS package, as a path or as the xacro expression
+      ``$(find package)``. The model then has the plug-in of ros2_control, which reads
+      ``config/controllers.yaml`` there, in place of Gazebo's controllers of single joints.
+    """
+    root = Element("sdf", version=VERSION)
+    add_robot(root, robot, None, meshes, share)
+    return to_bytes(root).decode()
+
+
+def world_text(name: str, robots: Sequence[Robot], surroundings: World | None = None) -> str:
+    """Return an SDF world in which the robots can be spawned: systems for their sensors, ground and
+    obstacles.
+
+    Rough ground needs a mesh file, which ``Sdf`` writes; it is left out here.
+    """
+    flat = surroundings
+    if flat is not None and flat.ground.amplitude:
+        flat = replace(flat, ground=replace(flat.ground, amplitude=0.0))
+    root = Element("sdf", version=VERSION)
+    world = root.add("world", name=name)
+    add_systems(world, robots, flat)
+    add_ground(world, flat, [])
+    if flat is not None:
+        add_blocks(world, flat)
+    return to_bytes(root).decode()
 
 
 def _config(robot: Robot) -> bytes:

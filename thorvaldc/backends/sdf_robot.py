@@ -11,6 +11,8 @@ circle of the wheel, see ``rolling_sphere``.  Rings that roll on rails stay cyli
 
 from __future__ import annotations
 
+from thorvaldc.backends.gazebo_topics import JOINT_STATES, TRUE_ODOMETRY, joint_commands
+from thorvaldc.backends.ros2_controllers import CONTROLLER_FILE
 from thorvaldc.backends.sdf_elements import add_geometry, add_pose, add_system
 from thorvaldc.backends.sdf_sensors import add_sensor
 from thorvaldc.backends.xml_writer import Element, number, numbers
@@ -31,15 +33,27 @@ from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.model.statics.standing_pose import spin_axis
 from thorvaldc.model.statics.wheel_contact import rolling_sphere
 
+GZ_ROS2_CONTROL = ("gz_ros2_control-system", "gz_ros2_control::GazeboSimROS2ControlPlugin")
+"""File and class of the plug-in of ros2_control for Gazebo."""
+POSITION_GAIN = 0.5
+"""Share of the position error that a joint with a position interface makes up in one step of the
+controller manager. The default of the plug-in, 0.1, steers with a delay of 0.2 s at 50 Hz."""
+
 
 def add_robot(
-    parent: Element, robot: Robot, pose: Pose | None, meshes: str = "../meshes"
+    parent: Element,
+    robot: Robot,
+    pose: Pose | None,
+    meshes: str = "../meshes",
+    share: str | None = None,
 ) -> Element:
     """Add a robot as a model, at the pose ``pose`` of its ``base_link`` in the world.
 
-    ``meshes`` is the folder of the mesh files, relative to the file.
+    - ``meshes``: folder of the mesh files, relative to the file.
+    - ``share``: shared folder of the ROS package for a model that ros2_control drives, or ``None``
+      for a model with a controller of Gazebo on each driven joint.
     """
-    return _RobotWriter(robot, meshes).write(parent, pose)
+    return _RobotWriter(robot, meshes, share).write(parent, pose)
 
 
 class _RobotWriter:
@@ -49,9 +63,10 @@ class _RobotWriter:
     - ``group_of``: name of the uppermost link of the group of each link.
     """
 
-    def __init__(self, robot: Robot, meshes: str) -> None:
+    def __init__(self, robot: Robot, meshes: str, share: str | None) -> None:
         self.robot = robot
         self.meshes = meshes
+        self.share = share
         self.prefix = robot.prefix
         self.tree = JointTree(robot.links, robot.joints)
         self.wheels = {wheel.link: wheel for wheel in robot.wheels}
@@ -199,31 +214,47 @@ class _RobotWriter:
 
     def _add_systems(self, model: Element) -> None:
         """Add the systems of Gazebo that drive the joints and publish states and odometry."""
-        states = add_system(model, "joint-state-publisher", "JointStatePublisher")
-        states.add("topic").text = f"{self.prefix}joint_states"
-        for joint in self.tree.moving:
-            states.add("joint_name").text = self.prefix + joint.name
         odometry = add_system(model, "odometry-publisher", "OdometryPublisher")
         odometry.add("odom_frame").text = f"{self.prefix}odom"
         odometry.add("robot_base_frame").text = self.prefix + self.robot.links[0].name
-        odometry.add("odom_topic").text = f"{self.prefix}odometry/true"
+        odometry.add("odom_topic").text = self.prefix + TRUE_ODOMETRY
+        if self.share is not None:
+            self._add_ros2_control(model, self.share)
+            return
+        states = add_system(model, "joint-state-publisher", "JointStatePublisher")
+        states.add("topic").text = self.prefix + JOINT_STATES
+        for joint in self.tree.moving:
+            states.add("joint_name").text = self.prefix + joint.name
+        topics = dict(joint_commands(self.robot))
         for actuator in self.robot.actuators:
-            self._add_controller(model, actuator.joint, _controlled_by(actuator), actuator)
+            self._add_controller(model, actuator, self.prefix + topics[actuator.joint])
         for servo in self.robot.joint_servos:
-            self._add_controller(model, servo.joint, servo.interface, servo)
+            self._add_controller(model, servo, self.prefix + topics[servo.joint])
 
-    def _add_controller(
-        self, model: Element, joint: str, interface: str, motor: Actuator | JointServo
-    ) -> None:
+    def _add_ros2_control(self, model: Element, share: str) -> None:
+        """Add the plug-in that runs a controller manager of ros2_control inside Gazebo.
+
+        The plug-in reads the interfaces of the joints from the URDF that robot_state_publisher
+        has, see ``ros2_control``.
+        """
+        plugin = model.add("plugin", filename=GZ_ROS2_CONTROL[0], name=GZ_ROS2_CONTROL[1])
+        plugin.add("parameters").text = f"{share}/{CONTROLLER_FILE}"
+        plugin.add("position_proportional_gain").text = number(POSITION_GAIN)
+        if self.robot.namespace:
+            plugin.add("ros").add("namespace").text = f"/{self.robot.namespace}"
+
+    def _add_controller(self, model: Element, motor: Actuator | JointServo, topic: str) -> None:
+        joint = motor.joint
         name = self.prefix + joint
+        interface = motor.interface if isinstance(motor, JointServo) else _controlled_by(motor)
         if interface == "velocity":
             system = add_system(model, "joint-controller", "JointController")
             system.add("joint_name").text = name
-            system.add("topic").text = f"{name}/cmd_vel"
+            system.add("topic").text = topic
             return
         system = add_system(model, "joint-position-controller", "JointPositionController")
         system.add("joint_name").text = name
-        system.add("topic").text = f"{name}/cmd_pos"
+        system.add("topic").text = topic
         # The controller asks for the speed that reaches the target within one step, up to the
         # largest speed of the joint.
         system.add("use_velocity_commands").text = "true"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from thorvaldc.backends.gazebo_topics import sensor_topics
 from thorvaldc.backends.sdf_elements import add_pose
 from thorvaldc.backends.xml_writer import Element, number
 from thorvaldc.model import Pose, Scalar, Sensor
@@ -28,8 +29,8 @@ Values = Mapping[str, Scalar]
 def add_sensor(link: Element, sensor: Sensor, pose: Pose, prefix: str) -> None:
     """Add a sensor to an SDF link. ``pose`` is the pose of the measurement frame in the link.
 
-    The name of the sensor, with ``prefix``, is also its topic. A sensor of a type without a
-    counterpart in SDF is left out.
+    ``gazebo_topics`` has the topics of the sensor. A sensor of a type without a counterpart in SDF
+    is left out.
     """
     kind = SENSORS.get(sensor.type)
     if kind is None:
@@ -39,10 +40,12 @@ def add_sensor(link: Element, sensor: Sensor, pose: Pose, prefix: str) -> None:
     add_pose(element, pose * CAMERA if kind == "camera" else pose)
     element.add("always_on").text = "true"
     element.add("update_rate").text = number(_number(values, "rate", 10.0))
-    element.add("topic").text = prefix + sensor.name
+    first, *others = (prefix + topic for topic, _, _ in sensor_topics(sensor))
+    # A lidar publishes scans on its topic, and points on the topic ``points`` below it.
+    element.add("topic").text = first.removesuffix("/points")
     element.add("gz_frame_id").text = prefix + sensor.link
     if kind == "camera":
-        _add_camera(element, values)
+        _add_camera(element, values, others[0])
     elif kind == "gpu_lidar":
         _add_lidar(element, values, sensor.type)
     elif kind == "imu":
@@ -76,8 +79,9 @@ def _add_scan(element: Element, angle: float, samples: int) -> None:
     element.add("max_angle").text = number(clean(angle / 2))
 
 
-def _add_camera(element: Element, values: Values) -> None:
+def _add_camera(element: Element, values: Values, info_topic: str) -> None:
     camera = element.add("camera")
+    camera.add("camera_info_topic").text = info_topic
     angle = _number(values, "horizontal_field_of_view", math.radians(69.0))
     camera.add("horizontal_fov").text = number(angle)
     image = camera.add("image")

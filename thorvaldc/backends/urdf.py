@@ -9,12 +9,15 @@ import functools
 
 from thorvaldc.backends import Backend
 from thorvaldc.backends.colors_and_meshes import Palette, mesh_files
+from thorvaldc.backends.ros2_control import kept_extensions, ros2_control_elements
 from thorvaldc.backends.xml_writer import Element, Rename, number, parse, to_bytes
 from thorvaldc.model import Box, Cylinder, Joint, Link, MeshShape, Pose, Robot, Shape, Wheel
 from thorvaldc.model.spatial import clean
 
 # URDF requires limits for revolute and prismatic joints. The joint limit 1e9 means "no limit".
 UNLIMITED = 1e9
+MESHES = "../meshes"
+"""Folder of the mesh files in a build, relative to the URDF file."""
 
 
 class Urdf(Backend):
@@ -28,25 +31,32 @@ class Urdf(Backend):
 
 
 @functools.lru_cache(maxsize=8)
-def urdf_text(robot: Robot) -> str:
+def urdf_text(
+    robot: Robot, meshes: str = MESHES, hardware: str | None = None, share: str = ""
+) -> str:
     """Return the URDF file of a robot as text. ROS nodes receive the text of the URDF file in a
     parameter.
+
+    - ``meshes``: folder of the mesh files, such as ``package://my_robot/meshes``.
+    - ``hardware``: kind of hardware of the ``<ros2_control>`` elements, a key of
+      ``ros2_control.PLUGINS``, or ``None`` for a URDF without these elements of our own.
+    - ``share``: shared folder of the ROS package, see ``ros2_control_elements``.
 
     The text of the URDF file is cached, because the targets `urdf` and `ros2` both need the text.
     For a robot with nine wheels, writing the URDF text takes 3 ms, and looking it up in the cache
     takes 0.7 ms.
     """
-    return to_bytes(_robot(robot)).decode()
+    return to_bytes(_robot(robot, meshes, hardware, share)).decode()
 
 
-def _robot(robot: Robot) -> Element:
+def _robot(robot: Robot, meshes: str, hardware: str | None, share: str) -> Element:
     prefix = robot.prefix
     root = Element("robot", name=robot.name)
     # By default, MuJoCo merges base_link into the world and discards the masses of all links that
     # are fixed to base_link, discards visual shapes, and computes masses from shapes.
     root.add("mujoco").add(
         "compiler",
-        meshdir="../meshes",
+        meshdir=MESHES,
         strippath=True,
         fusestatic=False,
         discardvisual=False,
@@ -57,13 +67,15 @@ def _robot(robot: Robot) -> Element:
     for name, color in palette.entries():
         root.add("material", name=name).add("color", rgba=color)
     for link in robot.links:
-        _add_link(root, link, prefix, palette)
+        _add_link(root, link, prefix, palette, meshes)
     for joint in robot.joints:
         _add_joint(root, joint, prefix)
     _add_gazebo(root, robot, prefix)
     rename = _prefixing(robot, prefix) if prefix else None
-    for text in robot.urdf_extensions:
+    for text in kept_extensions(robot, hardware):
         root.append(parse(text, rename))
+    if hardware is not None:
+        root.children += ros2_control_elements(robot, hardware, share)
     return root
 
 
@@ -96,7 +108,7 @@ def _add_origin(parent: Element, pose: Pose) -> None:
         parent.add("origin", xyz=pose.xyz, rpy=rpy)
 
 
-def _add_geometry(parent: Element, shape: Shape) -> None:
+def _add_geometry(parent: Element, shape: Shape, meshes: str) -> None:
     geometry = parent.add("geometry")
     match shape:
         case Box(size):
@@ -106,14 +118,14 @@ def _add_geometry(parent: Element, shape: Shape) -> None:
         case MeshShape(mesh, scale):
             geometry.add(
                 "mesh",
-                filename=f"../meshes/{mesh}",
+                filename=f"{meshes}/{mesh}",
                 scale=None if scale == (1.0, 1.0, 1.0) else scale,
             )
         case _:
             geometry.add("sphere", radius=shape.radius)
 
 
-def _add_link(root: Element, link: Link, prefix: str, palette: Palette) -> None:
+def _add_link(root: Element, link: Link, prefix: str, palette: Palette, meshes: str) -> None:
     element = root.add("link", name=prefix + link.name)
     if link.inertial is not None:
         xx, yy, zz, xy, xz, yz = link.inertial.inertia
@@ -125,12 +137,12 @@ def _add_link(root: Element, link: Link, prefix: str, palette: Palette) -> None:
     for visual in link.visuals:
         part = element.add("visual")
         _add_origin(part, visual.pose)
-        _add_geometry(part, visual.shape)
+        _add_geometry(part, visual.shape, meshes)
         part.add("material", name=palette.name(visual.color))
     for collision in link.collisions:
         part = element.add("collision")
         _add_origin(part, collision.pose)
-        _add_geometry(part, collision.shape)
+        _add_geometry(part, collision.shape, meshes)
 
 
 def _add_joint(root: Element, joint: Joint, prefix: str) -> None:
