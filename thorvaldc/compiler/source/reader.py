@@ -278,7 +278,8 @@ class _Reader:
         if raw.tag:
             self._report_tag(raw)
         if raw.id == "mapping":
-            return self._mapping(raw, key_span)
+            name = _template_name(raw)
+            return self._template(raw, name, key_span) if name else self._mapping(raw, key_span)
         if raw.id == "sequence":
             return self._sequence(raw, key_span)
         span = self._span(raw)
@@ -288,6 +289,17 @@ class _Reader:
         if not text.isascii():
             text = lookalikes.corrected(text, span, self.report)
         return Node(plain_scalar(text, span, self.report), span, key_span)
+
+    def _template(self, raw: Any, name: str, key_span: Span | None) -> Node:
+        """Reports ``{{ name }}``, which YAML reads as two mappings, and returns ``${name}``."""
+        span, expression = self._span(raw), f"${{{name}}}"
+        self.report.add(
+            "yaml-key-not-text",
+            f"`{{{{ {name} }}}}` is the template of another tool; YAML reads it as a mapping",
+            span,
+            hint=f'write the value itself; in a module, an expression is `"{expression}"`',
+        )
+        return Node(expression, span, key_span, True)
 
     def _span(self, raw: Any) -> Span:
         start, end = raw.start_mark, raw.end_mark
@@ -425,3 +437,14 @@ class _Reader:
             _character_span(raw.start_mark, self.file),
             hint="remove the tag; quote the value if it is text",
         )
+
+
+def _template_name(raw: Any) -> str:
+    """Returns the name in ``{{ name }}``, or an empty text for any other mapping."""
+    for _ in range(2):
+        if raw.id != "mapping" or not raw.flow_style or len(raw.value) != 1:
+            return ""
+        raw, value = raw.value[0]
+        if value.value or value.id != "scalar" or value.style:
+            return ""
+    return raw.value if raw.id == "scalar" and not raw.style else ""
