@@ -146,6 +146,7 @@ def _shrink(schedule: Schedule, outcome: Outcome, folder: Path | None) -> None:
     print(script.to_json(), _text(run_schedule(script)), flush=True)
     if folder is not None:
         name = f"{outcome.invariant.replace(' ', '_')}_{schedule.seed}.json"
+        folder.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(script.to_json(), encoding="utf-8")
 
 

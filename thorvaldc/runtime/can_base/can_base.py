@@ -230,13 +230,17 @@ class CanBase(BaseHandle):
             except ValueError as error:
                 state_machine.fail(str(error))
                 return False
+            # Commands that stop the motors are never too old.  A script that receives the first of
+            # two frames alone would resume the old speed of its second motor.
+            expires = intent in (Intent.FOLLOW, Intent.HOME)
             for frame in commands:
-                if connection.overdue or not connection.send(frame, self._send_timeout):
+                late = expires and connection.overdue
+                if late or not connection.send(frame, self._send_timeout):
                     complete = False
                     break
             # The SYNC frame is not sent if a motor command could not be sent, so that the drives do
             # not apply an incomplete set of commands.
-            complete = complete and not connection.overdue
+            complete = complete and not (expires and connection.overdue)
             complete = complete and connection.send_sync(self._send_timeout)
         driving = state_machine.state.drives
         occasional = connection.occasional_frames(intent, now, state_machine.may_command, driving)
