@@ -213,6 +213,12 @@ _TABLE: tuple[Code, ...] = (
     _error("TV581", "bus-not-canopen", "no node of a bus can be configured over CANopen"),
     # 6xx: backends
     _note("TV601", "urdf-only-element", "an element of an extra is written to URDF only"),
+    _error("TV602", "control-joint-unknown", "<ros2_control> names a joint that does not exist"),
+    _error("TV603", "control-joint-duplicate", "<ros2_control> defines a joint twice"),
+    _error("TV604", "control-joint-of-robot", "an extra controls a joint of the robot itself"),
+    _error("TV605", "control-name-duplicate", "two <ros2_control> elements have the same name"),
+    _warning("TV606", "control-incomplete", "<ros2_control> has no name, type or plug-in"),
+    _warning("TV607", "control-joint-refused", "ros2_control refuses a joint of an extra"),
     _error("TV612", "ros-package-name", "a ROS 2 package cannot have this name"),
     _error("TV613", "ros-package-duplicate", "two robots of a fleet have the same ROS 2 package"),
     _error("TV614", "ros-frame-name", "a link has a name that no frame of ROS 2 can have"),

@@ -30,7 +30,11 @@ GRIPPER = (
     + '<link name="world"/><joint name="${p}base_joint" type="fixed"><origin xyz="0 0 0.1"/>'
     + '<parent link="world"/><child link="${p}hand"/></joint>'
     + "\n".join(re.findall(r'<xacro:body name="(?:hand|left_finger|right_finger)".*', CONTROL))
-    + CONTROL[CONTROL.index('<xacro:hinge name="knuckle"') :]
+    + re.sub(
+        '<xacro:driven name="(shoulder|elbow|wrist)".*',
+        "",
+        CONTROL[CONTROL.index('<xacro:hinge name="knuckle"') :],
+    )
 )
 WITHOUT_WORLD = ARM.replace('<link name="world"/>', "").replace(
     '<joint name="${p}base_joint" type="fixed">\n  <parent link="world"/>\n'

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 from thorvaldc.compiler.extras.urdf_reader import UrdfParts
+from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
@@ -93,6 +94,7 @@ class ExtrasJoiner:
         self.meshes: dict[str, Mesh] = {}
         self.extensions: list[str] = []
         self.stated_servos: list[JointServo] = []
+        self.controls: list[Element] = []
 
     def add(self, entry: Placement, parts: UrdfParts) -> None:
         """Checks the links and joints of one xacro file, and connects them to the robot.
@@ -108,6 +110,7 @@ class ExtrasJoiner:
             self.meshes.setdefault(mesh.name, mesh)
         self.extensions += parts.extensions
         self.stated_servos += parts.servos
+        self.controls += parts.controls
         roots = [link for link in links.values() if link.name not in joint_to]
         mounts = self.mount(entry, roots) if roots or not is_mounted else []
         children: dict[str, list[Joint]] = {}

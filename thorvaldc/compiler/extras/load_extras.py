@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from thorvaldc.compiler.extras.control_checks import check_controls
 from thorvaldc.compiler.extras.join_extras import (
     Attachment,
     ExtrasJoiner,
@@ -124,6 +125,7 @@ def _load(
         if parts is not None:
             joiner.add(entry.placement(expanded_file.known_arguments), parts)
     joiner.check_mimics()
+    check_controls(joiner.controls, joiner.new_joints, joints, report)
     return ExtraParts(
         tuple(joiner.new_links),
         tuple(joiner.new_joints),

@@ -62,7 +62,8 @@ _PLACEHOLDER = 0.05
 class UrdfParts:
     """The links, joints, meshes and URDF extensions of one xacro file, in the order of the file.
 
-    ``servos`` are the servos that the URDF extensions state.
+    ``servos`` are the servos that the URDF extensions state, ``controls`` the ``<ros2_control>``
+    elements among them.
     """
 
     links: tuple[Link, ...]
@@ -70,6 +71,7 @@ class UrdfParts:
     meshes: tuple[Mesh, ...]
     extensions: tuple[str, ...]
     servos: tuple[JointServo, ...] = ()
+    controls: tuple[Element, ...] = ()
 
 
 def read_urdf(
@@ -132,6 +134,7 @@ class _Reader(ElementReader):
             tuple(self.meshes.values()),
             tuple(element.xml for element in extensions),
             tuple(stated_servos(extensions)),
+            tuple(element for element in extensions if element.tag == "ros2_control"),
         )
 
     def pose(self, owner: Element) -> Pose:
