@@ -31,6 +31,7 @@ def test_help_names_every_command(thorvaldc: Command) -> None:
         "schema",
         "explain",
         "modules",
+        "audit",
     ]:
         assert re.search(rf"^  {word} ", output.out, re.M), word
     assert thorvaldc("-h") == output

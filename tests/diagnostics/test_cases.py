@@ -19,6 +19,7 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
   - ``drive``: run the base driver on simulated buses, whose devices are those of the robot or
     of the file ``devices``, with the injected faults of faults.yaml;
   - ``scenario``; ``import``;
+  - ``audit`` of the folder or file ``entry``;
   - ``demo``: run the demo of the build folder ``entry``;
   - ``log``: read joints.csv, or record it first with the arguments ``record``;
   - ``calibrate``: as ``log``, then calibrate, with the measured ``distance``;
@@ -76,6 +77,10 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
         from thorvaldc.compiler.importer import import_original
 
         return list(import_original(Path(entry))[1])
+    if command == "audit":
+        from thorvaldc.tools.audit.audit_run import audit
+
+        return list(audit([entry]).report)
     if command == "demo":
         from thorvaldc.simulation.simulation_run import drive_build
 

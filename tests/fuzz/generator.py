@@ -98,11 +98,26 @@ RUN = "--bus virtual --fast --duration 0.1"
 @functools.cache
 def kinds() -> tuple[Kind, ...]:
     """Returns all kinds of files."""
-    return (*_documents(), *_bus_files(), *_logs(), *_shapes(), *_others())
+    return (*_documents(), *_bus_files(), *_logs(), *_shapes(), *_others(), *_audited())
 
 
 def _read(path: str) -> bytes:
     return (ROOT / path).read_bytes()
+
+
+def _audited() -> tuple[Kind, ...]:
+    """Returns the files of a robot of other programs."""
+    folder = ROOT / "tests/tools/audit/robots/cart"
+    paths = sorted(path for path in folder.rglob("*") if path.is_file())
+    files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+    changes = {".yaml": YAML, ".yml": YAML, ".py": TEXT, ".stl": BYTES}
+    by_suffix: dict[str, list[tuple[str, Files]]] = {}
+    for path in paths:
+        by_suffix.setdefault(path.suffix, []).append((path.relative_to(folder).as_posix(), files))
+    return tuple(
+        Kind(f"audited {suffix}", ["audit ."], examples, changes.get(suffix, XML), weight=0.5)
+        for suffix, examples in by_suffix.items()
+    )
 
 
 def _robots() -> list[tuple[str, Files]]:

@@ -10,7 +10,7 @@ Subject of a diagnostic, by the first digit of the diagnostic code:
 - 6: backends
 - 7: library and extras
 - 8: runtime, simulation and commissioning
-- 9: files and import
+- 9: files, import and audit
 
 The number of a removed diagnostic code is never used again for another code.  The page
 ``docs/diagnostics/<number>.md`` explains each diagnostic code.
@@ -335,6 +335,13 @@ _TABLE: tuple[Code, ...] = (
     _note("TV936", "import-left-out", "a value of an original file cannot be converted"),
     _warning("TV937", "import-assumed", "the import assumes a value that a file does not give"),
     _warning("TV938", "import-duplicate-key", "an original file contains the same key twice"),
+    _note("TV940", "audit-file-skipped", "the audit does not read a file"),
+    _note("TV941", "audit-limit", "a folder has more files than the audit reads"),
+    _error("TV942", "audit-nothing-found", "a folder contains no robot files"),
+    _warning("TV943", "audit-wheel-radius", "two files state different radii of one wheel"),
+    _warning("TV944", "audit-wheel-separation", "two files state different wheel separations"),
+    _error("TV945", "audit-joint-unknown", "a file names a joint that the robot does not have"),
+    _error("TV946", "audit-description-broken", "a description is not a tree of known links"),
 )
 
 CODES: dict[str, Code] = {code.name: code for code in _TABLE}

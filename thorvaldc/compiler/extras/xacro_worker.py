@@ -500,8 +500,8 @@ def _walk(node: Any) -> Iterator[Any]:
 def _encode(node: Any, root: Any) -> dict[str, Any]:
     """Converts an XML element to a JSON object for the answer to the compiler.
 
-    The JSON object of a URDF extension, such as ``<gazebo>``, contains the XML text of the element,
-    and only for ``<ros2_control>`` its child elements.
+    The JSON object of a URDF extension, such as ``<gazebo>``, contains the XML text of the element
+    beside its child elements.
     """
     position, calls = node.getUserData(_KEY) or (None, ())
     element = {
@@ -521,8 +521,6 @@ def _encode(node: Any, root: Any) -> dict[str, Any]:
                 ):
                     node.setAttribute(name, value)
         element["xml"] = node.toxml()
-        if node.tagName != "ros2_control":
-            return element
     texts = [
         c.data
         for c in node.childNodes
