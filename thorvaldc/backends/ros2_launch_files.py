@@ -1,0 +1,247 @@
+"""The launch files of a ROS 2 package, as Python programs for the launch system of ROS 2.
+
+``base.launch.py`` starts the robot's description and its base driver; the launch files of
+simulations and of the real robot include it with other arguments. The texts contain the names of
+the package, of its name space and of topics; the parameter files have all other values.
+"""
+
+from __future__ import annotations
+
+from thorvaldc.model import Robot
+from thorvaldc.model.ros import EKF
+
+_HEAD = '''\
+"""@SUMMARY@"""
+
+@IMPORTS@
+
+PACKAGE = "@PACKAGE@"
+NAMESPACE = "@NAMESPACE@"
+
+
+def generate_launch_description():
+    share = get_package_share_directory(PACKAGE)
+'''
+_IMPORTS = {
+    "os": "import os",
+    "get_package_share_directory": (
+        "from ament_index_python.packages import get_package_share_directory"
+    ),
+    "LaunchDescription": "from launch import LaunchDescription",
+    "DeclareLaunchArgument": "from launch.actions import DeclareLaunchArgument",
+    "ExecuteProcess": "from launch.actions import ExecuteProcess",
+    "GroupAction": "from launch.actions import GroupAction",
+    "IncludeLaunchDescription": "from launch.actions import IncludeLaunchDescription",
+    "SetEnvironmentVariable": "from launch.actions import SetEnvironmentVariable",
+    "IfCondition": "from launch.conditions import IfCondition",
+    "PythonLaunchDescriptionSource": (
+        "from launch.launch_description_sources import PythonLaunchDescriptionSource"
+    ),
+    "EqualsSubstitution": "from launch.substitutions import EqualsSubstitution",
+    "LaunchConfiguration": "from launch.substitutions import LaunchConfiguration",
+    "Node": "from launch_ros.actions import Node",
+    "ParameterValue": "from launch_ros.parameter_descriptions import ParameterValue",
+    "xacro": "import xacro",
+}
+_PLAIN_IMPORTS = ("os", "xacro")
+
+BASE = """\
+    config = os.path.join(share, "config")
+    with open(os.path.join(share, "urdf", "robot.urdf"), encoding="utf-8") as file:
+        description = file.read()
+
+    def argument(name, value_type):
+        return ParameterValue(LaunchConfiguration(name), value_type=value_type)
+
+    use_sim_time = {"use_sim_time": argument("use_sim_time", bool)}
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "base",
+                default_value="bus",
+                choices=["ideal", "mujoco", "virtual", "bus"],
+                description="ideal joints, MuJoCo, a simulated bus, or the robot's bus",
+            ),
+            DeclareLaunchArgument(
+                "bus",
+                default_value="@BUS@",
+                description="CAN interface of the robot's bus, as in thorvaldc run --bus",
+            ),
+            DeclareLaunchArgument(
+                "real_time_factor",
+                default_value="1.0",
+                description="speed of a simulation; 0.0: as fast as possible",
+            ),
+            DeclareLaunchArgument(
+                "use_sim_time", default_value="false", description="take the time from /clock"
+            ),
+            DeclareLaunchArgument(
+                "publish_clock", default_value="false", description="publish /clock"
+            ),
+            DeclareLaunchArgument(
+                "enable_odom_tf",
+                default_value="@ODOM_TF@",
+                description="the base driver publishes the transform from odom to base_link",
+            ),
+            DeclareLaunchArgument(
+                "odom_frame_id",
+                default_value="@ODOM_FRAME@",
+                description="frame of the odometry; the files of the navigation have the default",
+            ),
+            DeclareLaunchArgument("rviz", default_value="false", description="start RViz"),
+            Node(
+                package="robot_state_publisher",
+                executable="robot_state_publisher",
+                name="robot_state_publisher",
+                namespace=NAMESPACE,
+                output="screen",
+                parameters=[
+                    os.path.join(config, "robot_state_publisher.yaml"),
+                    {"robot_description": ParameterValue(description, value_type=str)},
+                    use_sim_time,
+                ],
+            ),
+            Node(
+                package=PACKAGE,
+                executable="base_driver",
+                name="base_driver",
+                namespace=NAMESPACE,
+                output="screen",
+                parameters=[
+                    os.path.join(config, "base_driver.yaml"),
+                    {
+                        "model_file": os.path.join(config, "model.json"),
+                        "base": argument("base", str),
+                        "bus": argument("bus", str),
+                        "real_time_factor": argument("real_time_factor", float),
+                        "publish_clock": argument("publish_clock", bool),
+                        "enable_odom_tf": argument("enable_odom_tf", bool),
+                        "odom_frame_id": argument("odom_frame_id", str),
+                    },
+                    use_sim_time,
+                ],
+            ),
+            Node(
+                condition=IfCondition(LaunchConfiguration("rviz")),
+                package="rviz2",
+                executable="rviz2",
+                name="rviz2",
+                namespace=NAMESPACE,
+                arguments=["-d", os.path.join(share, "rviz", "robot.rviz")],
+                parameters=[use_sim_time],
+            ),
+        ]
+    )
+"""
+
+_INCLUDE_BASE = """\
+    base = os.path.join(share, "launch", "base.launch.py")
+    return LaunchDescription(
+        [
+            IncludeLaunchDescription(
+                PythonLaunchDescriptionSource(base),
+                launch_arguments={@ARGUMENTS@}.items(),
+            )
+        ]
+    )
+"""
+
+TELEOP = """\
+    config = os.path.join(share, "config")
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "teleop_controller",
+                default_value="",
+                description="name of the pad as SDL reports it; default: the first pad",
+            ),
+            Node(
+                package="joy",
+                executable="game_controller_node",
+                name="game_controller_node",
+                namespace=NAMESPACE,
+                output="screen",
+                parameters=[
+                    os.path.join(config, "teleop_twist_joy.yaml"),
+                    {
+                        "device_name": ParameterValue(
+                            LaunchConfiguration("teleop_controller"), value_type=str
+                        )
+                    },
+                ],
+            ),
+            Node(
+                package="teleop_twist_joy",
+                executable="teleop_node",
+                name="teleop_twist_joy_node",
+                namespace=NAMESPACE,
+                output="screen",
+                parameters=[os.path.join(config, "teleop_twist_joy.yaml")],
+                remappings=[("cmd_vel", "@TELEOP_TOPIC@")],
+            ),
+        ]
+    )
+"""
+
+
+def launch_files(robot: Robot) -> dict[str, str]:
+    """Return the launch files of a robot by their path in the package."""
+    values = {
+        "PACKAGE": robot.ros.package,
+        "NAMESPACE": robot.namespace,
+        "BUS": ",".join(f"{bus.name}=socketcan:can{i}" for i, bus in enumerate(robot.buses))
+        if len(robot.buses) > 1
+        else "socketcan:can0",
+        "ODOM_TF": "false" if robot.ros.odom_tf == EKF else "true",
+        "ODOM_FRAME": f"{robot.prefix}odom",
+        "TELEOP_TOPIC": _source_topic(robot, "teleop_joy"),
+    }
+    files = {
+        "base": (
+            "The robot's description and its base driver; other launch files include it.",
+            BASE,
+        ),
+        "ideal": (
+            "Simulation with ideal joints, without physics.",
+            _include_base(base="ideal"),
+        ),
+        "mujoco": (
+            "Simulation in MuJoCo, which gives the time of all nodes by /clock.",
+            _include_base(base="mujoco", use_sim_time="true", publish_clock="true"),
+        ),
+        "teleop": ("A pad moves the robot, while its upper left or right button is held.", TELEOP),
+    }
+    if robot.buses:
+        files["virtual"] = (
+            "The real driver on a simulated bus with simulated drives.",
+            _include_base(base="virtual"),
+        )
+        files["robot"] = ("The real robot on its CAN bus.", _include_base(base="bus"))
+    return {
+        f"launch/{name}.launch.py": _program(summary, body, values)
+        for name, (summary, body) in files.items()
+    }
+
+
+def _source_topic(robot: Robot, name: str) -> str:
+    for source in robot.twist_sources:
+        if source.name == name:
+            return source.topic
+    return f"{name}/cmd_vel"
+
+
+def _include_base(**arguments: str) -> str:
+    items = ", ".join(f'"{name}": "{value}"' for name, value in arguments.items())
+    return _INCLUDE_BASE.replace("@ARGUMENTS@", items)
+
+
+def _program(summary: str, body: str, values: dict[str, str]) -> str:
+    """Return the text of a launch file with its imports and the values of the robot."""
+    text = _HEAD + body
+    used = [name for name in _IMPORTS if f"{name}(" in text or f"{name}." in text]
+    plain = [_IMPORTS[name] for name in used if name in _PLAIN_IMPORTS]
+    others = sorted(_IMPORTS[name] for name in used if name not in _PLAIN_IMPORTS)
+    imports = "\n".join([*plain, *([""] if plain else []), *others])
+    for key, value in {"SUMMARY": summary, "IMPORTS": imports, **values}.items():
+        text = text.replace(f"@{key}@", value)
+    return text
