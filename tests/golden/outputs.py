@@ -1,8 +1,9 @@
 """The outputs of the examples, and the rule for golden files.
 
-The text files that people read are golden files: URDF, MJCF, ROS 2 parameters and the files
-of the bus (the long DCFs and the C header for one example only).  Of all files, also of meshes, the
-model and files that repeat others, the SHA-256 is kept, so no byte changes without notice.
+The text files that people read are golden files: URDF, MJCF, ROS 2 parameters and the files of the
+bus; launch files, the long DCFs and the C header for one example only.  Of all files, also of
+meshes, the model and files that repeat others, the SHA-256 is kept, so no byte changes without
+notice.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ def current_files(example: str) -> dict[str, str]:
     return {**golden, SUMS: "".join(sums)}
 
 
+WITH_LAUNCH = "4wd4ws_wide"  # a robot with most parts of a ROS 2 package
 WITH_DCF = "1wd1ws_front"  # a robot with one motor controller
 
 
@@ -51,7 +53,13 @@ def _is_golden(example: str, path: str) -> bool:
         return path.startswith("mjcf/")  # its robots are in other examples
     if path.startswith("can/dcf/") or path.endswith(".h"):
         return example == WITH_DCF
-    # The description in the ROS 2 parameters repeats the URDF; the JSON budget repeats the table.
-    return path.startswith(("urdf/", "mjcf/", "ros2/", "can/")) and not path.endswith(
-        ("robot_state_publisher.yaml", "budget.json")
-    )
+    if path.startswith("ros2/"):
+        # The launch files of the examples differ in names only; URDF, MJCF, meshes and the model
+        # repeat other files.
+        if path.startswith(("ros2/config/", "ros2/README.md")):
+            return not path.endswith(".json")
+        return example == WITH_LAUNCH and not path.startswith(
+            ("ros2/urdf/", "ros2/meshes/", "ros2/mjcf/", "ros2/sdf/", "ros2/resource/")
+        )
+    # The JSON budget repeats the table.
+    return path.startswith(("urdf/", "mjcf/", "can/")) and not path.endswith("budget.json")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import posixpath
 
 from thorvaldc.backends import Backend
-from thorvaldc.backends.ros2_launch_files import launch_files
+from thorvaldc.backends.ros2_launch_files import fleet_launch_file, launch_files
 from thorvaldc.backends.ros2_package_files import driver_module, package_files
 from thorvaldc.backends.ros2_parameter_file import parameter_file
 from thorvaldc.backends.ros2_parameters import (
@@ -20,11 +20,12 @@ from thorvaldc.backends.ros2_parameters import (
     teleop,
 )
 from thorvaldc.backends.ros2_parts import Parts, node_space, parts_of
-from thorvaldc.backends.ros2_readme import readme
+from thorvaldc.backends.ros2_readme import fleet_readme, readme
 from thorvaldc.backends.ros2_rviz import rviz_text
 from thorvaldc.backends.urdf import urdf_text
-from thorvaldc.model import Robot
+from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.model_json import to_json
+from thorvaldc.model.ros import package_name
 
 FOLDER = "ros2"
 
@@ -36,6 +37,30 @@ class Ros2(Backend):
     def emit(self, robot: Robot) -> dict[str, bytes]:
         return {f"{FOLDER}/{path}": data for path, data in package_of(robot).items()}
 
+    def emit_fleet(self, fleet: Fleet) -> dict[str, bytes]:
+        """Return the package of each robot, and a package that starts all robots."""
+        files = fleet_package(fleet)
+        return {
+            **super().emit_fleet(fleet),
+            **{f"{FOLDER}/{path}": data for path, data in files.items()},
+        }
+
+
+def fleet_package(fleet: Fleet) -> dict[str, bytes]:
+    """Return the files of the ROS 2 package that starts all robots of a fleet, by their path in
+    the package."""
+    members = [placement.robot.ros.package for placement in fleet.placements]
+    package = package_name(f"{fleet.name}_fleet")
+    while package in members:
+        package += "_all"
+    launch = fleet_launch_file(fleet)
+    files = {
+        "README.md": fleet_readme(fleet, package).encode(),
+        "launch/fleet.launch.py": launch.encode(),
+    }
+    description = f"The fleet {fleet.name}, made by thorvaldc"
+    return {**package_files(package, description, files, [launch], members), **files}
+
 
 def package_of(robot: Robot) -> dict[str, bytes]:
     """Return the files of the ROS 2 package of a robot, by their path in the package."""
@@ -46,7 +71,7 @@ def package_of(robot: Robot) -> dict[str, bytes]:
         **driver_module(robot),
         "README.md": readme(robot, parts, names).encode(),
         "config/model.json": to_json(robot).encode(),
-        "urdf/robot.urdf": _urdf(robot),
+        "urdf/robot.urdf": urdf_text(robot, f"package://{robot.ros.package}/meshes").encode(),
         **{f"meshes/{mesh.name}": mesh.data for mesh in robot.meshes},
         "rviz/robot.rviz": rviz_text(robot, parts).encode(),
         **{path: text.encode() for path, text in launches.items()},
@@ -57,15 +82,6 @@ def package_of(robot: Robot) -> dict[str, bytes]:
         **package_files(robot.ros.package, description, files, launches.values()),
         **files,
     }
-
-
-def _urdf(robot: Robot) -> bytes:
-    """Return the URDF whose meshes are found wherever the package is installed."""
-    return (
-        urdf_text(robot)
-        .replace('filename="../meshes/', f'filename="package://{robot.ros.package}/meshes/')
-        .encode()
-    )
 
 
 def _parameter_files(robot: Robot, parts: Parts) -> dict[str, bytes]:

@@ -7,7 +7,9 @@ the package, of its name space and of topics; the parameter files have all other
 
 from __future__ import annotations
 
-from thorvaldc.model import Robot
+import json
+
+from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.ros import EKF
 
 _HEAD = '''\
@@ -29,10 +31,7 @@ _IMPORTS = {
     ),
     "LaunchDescription": "from launch import LaunchDescription",
     "DeclareLaunchArgument": "from launch.actions import DeclareLaunchArgument",
-    "ExecuteProcess": "from launch.actions import ExecuteProcess",
-    "GroupAction": "from launch.actions import GroupAction",
     "IncludeLaunchDescription": "from launch.actions import IncludeLaunchDescription",
-    "SetEnvironmentVariable": "from launch.actions import SetEnvironmentVariable",
     "IfCondition": "from launch.conditions import IfCondition",
     "PythonLaunchDescriptionSource": (
         "from launch.launch_description_sources import PythonLaunchDescriptionSource"
@@ -83,11 +82,6 @@ BASE = """\
                 default_value="@ODOM_TF@",
                 description="the base driver publishes the transform from odom to base_link",
             ),
-            DeclareLaunchArgument(
-                "odom_frame_id",
-                default_value="@ODOM_FRAME@",
-                description="frame of the odometry; the files of the navigation have the default",
-            ),
             DeclareLaunchArgument("rviz", default_value="false", description="start RViz"),
             Node(
                 package="robot_state_publisher",
@@ -116,7 +110,6 @@ BASE = """\
                         "real_time_factor": argument("real_time_factor", float),
                         "publish_clock": argument("publish_clock", bool),
                         "enable_odom_tf": argument("enable_odom_tf", bool),
-                        "odom_frame_id": argument("odom_frame_id", str),
                     },
                     use_sim_time,
                 ],
@@ -140,7 +133,8 @@ _INCLUDE_BASE = """\
         [
             IncludeLaunchDescription(
                 PythonLaunchDescriptionSource(base),
-                launch_arguments={@ARGUMENTS@}.items(),
+                launch_arguments={
+@ARGUMENTS@                }.items(),
             )
         ]
     )
@@ -184,6 +178,83 @@ TELEOP = """\
 """
 
 
+_FLEET = '''\
+"""All robots of the fleet @FLEET@, each at its place in the frame map."""
+
+import os
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.actions import GroupAction
+from launch.actions import IncludeLaunchDescription
+from launch.conditions import IfCondition
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+# Package, name space, and place in the frame map: x, y, z in m, quaternion x, y, z, w.
+ROBOTS = [
+@ROBOTS@]
+
+
+def robot(package, namespace, pose):
+    options = ("--x", "--y", "--z", "--qx", "--qy", "--qz", "--qw")
+    place = [text for item in zip(options, pose) for text in (item[0], str(item[1]))]
+    share = get_package_share_directory(package)
+    # The group keeps the arguments of a robot from the others.
+    return GroupAction(
+        [
+            IncludeLaunchDescription(
+                PythonLaunchDescriptionSource(os.path.join(share, "launch", "base.launch.py")),
+                launch_arguments={"base": LaunchConfiguration("base")}.items(),
+            ),
+            Node(
+                condition=IfCondition(LaunchConfiguration("poses")),
+                package="tf2_ros",
+                executable="static_transform_publisher",
+                name="map_to_odom",
+                namespace=namespace,
+                arguments=place + ["--frame-id", "map", "--child-frame-id", f"{namespace}/odom"],
+            ),
+        ]
+    )
+
+
+def generate_launch_description():
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "base",
+                default_value="ideal",
+                choices=["ideal", "virtual"],
+                description="ideal joints, or simulated buses",
+            ),
+            DeclareLaunchArgument(
+                "poses",
+                default_value="true",
+                description="publish the transforms from map to the odom frame of each robot",
+            ),
+            *[robot(*values) for values in ROBOTS],
+        ]
+    )
+'''
+
+
+def fleet_launch_file(fleet: Fleet) -> str:
+    """Return the text of the launch file that starts all robots of a fleet at their places.
+
+    MuJoCo is not among the bases: each base driver would have its own world and its own clock.
+    """
+    robots = ""
+    for placement in fleet.placements:
+        robot, pose = placement.robot, placement.pose
+        w, *xyz = pose.quat
+        values = (robot.ros.package, robot.namespace, [*pose.xyz, *xyz, w])
+        robots += f"    ({', '.join(json.dumps(value) for value in values)}),\n"
+    return _FLEET.replace("@FLEET@", fleet.name).replace("@ROBOTS@", robots)
+
+
 def launch_files(robot: Robot) -> dict[str, str]:
     """Return the launch files of a robot by their path in the package."""
     values = {
@@ -193,7 +264,6 @@ def launch_files(robot: Robot) -> dict[str, str]:
         if len(robot.buses) > 1
         else "socketcan:can0",
         "ODOM_TF": "false" if robot.ros.odom_tf == EKF else "true",
-        "ODOM_FRAME": f"{robot.prefix}odom",
         "TELEOP_TOPIC": _source_topic(robot, "teleop_joy"),
     }
     files = {
@@ -231,7 +301,8 @@ def _source_topic(robot: Robot, name: str) -> str:
 
 
 def _include_base(**arguments: str) -> str:
-    items = ", ".join(f'"{name}": "{value}"' for name, value in arguments.items())
+    indent = " " * 20
+    items = "".join(f'{indent}"{name}": "{value}",\n' for name, value in arguments.items())
     return _INCLUDE_BASE.replace("@ARGUMENTS@", items)
 
 

@@ -77,7 +77,7 @@ def package_files(
     - ``files``: the other files of the package. Their folders are installed.
     - ``launch_texts``: text of the launch files. The package depends on the ROS packages that the
       launch files name.
-    - ``plugins``: ROS packages that only parameter files name.
+    - ``plugins``: ROS packages that the launch files do not name by themselves.
     """
     depends = set(_RUNTIME) | set(plugins)
     for text in launch_texts:

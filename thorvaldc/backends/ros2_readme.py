@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from thorvaldc.backends.ros2_parts import Parts, full_topic, sensor_topic
-from thorvaldc.model import Robot
+from thorvaldc.model import Fleet, Robot
 
 _TEXT = """\
 # @PACKAGE@
@@ -136,3 +136,36 @@ SENSOR_TYPES = {
     "imu": "sensor_msgs/msg/Imu",
     "gnss": "sensor_msgs/msg/NavSatFix",
 }
+
+
+_FLEET = """\
+# @PACKAGE@
+
+Starts all robots of the fleet `@FLEET@` in ROS 2. `thorvaldc build` wrote it; changes here are
+lost.
+In the folder that also contains the packages of the robots:
+
+```bash
+rosdep install --from-paths . --ignore-src -y
+colcon build --base-paths .
+source install/setup.bash
+ros2 launch @PACKAGE@ fleet.launch.py                 # ideal joints
+ros2 launch @PACKAGE@ fleet.launch.py base:=virtual   # simulated buses
+```
+
+`map` is the frame of the fleet file: a static transform places the `odom` frame of each robot.
+Start with `poses:=false` where a localization publishes these transforms.
+
+| robot | package | name space |
+| --- | --- | --- |
+@ROBOTS@"""
+
+
+def fleet_readme(fleet: Fleet, package: str) -> str:
+    """Return the text of the README of the package that starts all robots of a fleet."""
+    robots = "".join(
+        f"| {p.robot.name} | `{p.robot.ros.package}` | `/{p.robot.namespace}` |\n"
+        for p in fleet.placements
+    )
+    text = _FLEET.replace("@PACKAGE@", package).replace("@FLEET@", fleet.name)
+    return text.replace("@ROBOTS@", robots)

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from thorvaldc.compiler.modules.ros_settings import package_name
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Fleet, Robot, RosSettings
+from thorvaldc.model.ros import package_name
 
 BODY = """\
 modules:

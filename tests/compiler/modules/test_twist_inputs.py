@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import GOOD
+from thorvaldc.backends.ros2_parameter_file import parameter_file
+from thorvaldc.backends.ros2_parameters import twist_mux
 from thorvaldc.compiler.compilation import Compilation
-from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import from_json, to_json
 from thorvaldc.model.robot import TwistInput
@@ -55,7 +57,7 @@ def test_sources_of_the_file_are_in_the_ros_parameters(tmp_path: Path) -> None:
     ]
     assert model.twist_locks[-1] == TwistInput("gate", "gate/lock", 30, 0.5)
     assert from_json(to_json(model)) == model
-    text = emit(model, ["ros2"])["ros2/config/twist_mux.yaml"].decode()
+    text = parameter_file({"twist_mux": twist_mux(model)})
     assert 'topic: "nav2/cmd_vel"\n        timeout: 1.0\n        priority: 10\n' in text
     assert 'topic: "gate/lock"\n        timeout: 0.5\n        priority: 30\n' in text
 

@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import keyword
-import re
-
 from thorvaldc.compiler.modules.value_reader import ValueReader, entries
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.model.robot import Robot
-from thorvaldc.model.ros import MAP_FRAME, ODOM_FRAME, RESERVED_TOPICS, RosSettings
-
-# Python packages that the nodes and launch files of a ROS 2 package import.  A ROS 2 package with
-# such a name would hide the Python package.
-_IMPORTED = frozenset(
-    ["ament_index_python", "can", "launch", "launch_ros", "mujoco", "numpy", "rclpy", "setuptools"]
-    + ["std_srvs", "test", "tests", "thorvaldc", "yaml"]
-    + [f"{kind}_msgs" for kind in ("diagnostic", "geometry", "nav", "sensor", "std", "tf2")]
+from thorvaldc.model.ros import (
+    MAP_FRAME,
+    ODOM_FRAME,
+    RESERVED_TOPICS,
+    RosSettings,
+    package_name,
+    package_problem,
 )
-# The names that REP 144 and the ROS 2 build tools allow; two or more characters.
-_PACKAGE = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 
 
 def read_ros_settings(document: Node, reader: ValueReader, report: Report) -> RosSettings:
@@ -33,7 +27,7 @@ def read_ros_settings(document: Node, reader: ValueReader, report: Report) -> Ro
     package = package_name(reader.text(document.get("name"), default.package))
     if stated is not None:
         package = reader.text(stated, package)
-        problem = _package_problem(package)
+        problem = package_problem(package)
         if problem is not None:
             report.add(
                 "ros-package-name",
@@ -46,32 +40,6 @@ def read_ros_settings(document: Node, reader: ValueReader, report: Report) -> Ro
         reader.text(node.get("odom_tf"), default.odom_tf),
         package,
     )
-
-
-def package_name(text: str) -> str:
-    """Returns an allowed name of a ROS 2 package that is similar to a text.
-
-    An allowed name of a ROS 2 package does not change.
-    """
-    words = [word for word in re.split(r"[^a-z0-9]+", text.lower()) if word]
-    name = "_".join(words)
-    if not name[:1].isalpha():
-        name = f"robot_{name}".rstrip("_")
-    return name if _package_problem(name) is None else f"{name}_robot"
-
-
-def _package_problem(name: str) -> str | None:
-    """Returns why a ROS 2 package cannot have a name, or ``None`` if it can."""
-    if not _PACKAGE.fullmatch(name) or len(name) < 2:
-        return (
-            "expected two or more lower-case letters, digits and single `_`, with a letter first"
-            " and no `_` last"
-        )
-    if keyword.iskeyword(name) or keyword.issoftkeyword(name):
-        return "it is a keyword of Python"
-    if name in _IMPORTED:
-        return f"it would hide the Python package `{name}`"
-    return None
 
 
 def check_ros_names(robot: Robot, document: Node, report: Report) -> None:

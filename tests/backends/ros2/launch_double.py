@@ -1,0 +1,393 @@
+"""A small double of ``launch`` and ``launch_ros``, which no package registry contains.
+
+The classes have the names and the keyword arguments of the real ones in Jazzy and Kilted; every
+other argument is an error. ``run`` executes a launch file and returns the nodes and processes that
+it would start, with all substitutions resolved.
+"""
+
+from __future__ import annotations
+
+import runpy
+import sys
+import types
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+TRUTH = {"true": True, "1": True, "false": False, "0": False}
+
+
+class LaunchError(Exception):
+    """The real launch system would stop with an error."""
+
+
+@dataclass
+class Context:
+    """State of a launch: its arguments, what it starts, and the folders of installed packages."""
+
+    shares: Mapping[str, Path]
+    configurations: dict[str, str] = field(default_factory=dict)
+    environment: dict[str, str] = field(default_factory=dict)
+    started: list[Started] = field(default_factory=list)
+    declared: dict[str, str] = field(default_factory=dict)
+    included: list[Path] = field(default_factory=list)
+
+    def text(self, value: Any) -> str:
+        """Resolve a substitution, a text, or a list of these."""
+        if isinstance(value, str):
+            return value
+        if isinstance(value, Substitution):
+            return value.perform(self)
+        if isinstance(value, Path):
+            return str(value)
+        if isinstance(value, Iterable):
+            return "".join(self.text(item) for item in value)
+        raise LaunchError(f"expected a text or a substitution, got {value!r}")
+
+
+@dataclass
+class Started:
+    """A node or process that the launch starts; a process has an empty ``package``."""
+
+    package: str
+    executable: str
+    name: str
+    namespace: str
+    parameters: dict[str, Any]
+    files: list[Path]
+    remappings: dict[str, str]
+    arguments: list[str]
+
+
+# -- substitutions ----------------------------------------------------------------
+
+
+class Substitution:
+    def perform(self, context: Context) -> str:
+        raise NotImplementedError
+
+
+class LaunchConfiguration(Substitution):
+    def __init__(self, variable_name: Any, *, default: Any = None) -> None:
+        self.name, self.default = variable_name, default
+
+    def perform(self, context: Context) -> str:
+        if self.name in context.configurations:
+            return context.configurations[self.name]
+        if self.default is None:
+            raise LaunchError(f"launch configuration '{self.name}' does not exist")
+        return context.text(self.default)
+
+
+class EqualsSubstitution(Substitution):
+    def __init__(self, left: Any, right: Any) -> None:
+        self.left, self.right = left, right
+
+    def perform(self, context: Context) -> str:
+        return str(context.text(self.left) == context.text(self.right)).lower()
+
+
+class NotEqualsSubstitution(EqualsSubstitution):
+    def perform(self, context: Context) -> str:
+        return str(context.text(self.left) != context.text(self.right)).lower()
+
+
+# -- conditions -------------------------------------------------------------------
+
+
+class IfCondition:
+    def __init__(self, predicate_expression: Any) -> None:
+        self.expression = predicate_expression
+
+    def holds(self, context: Context) -> bool:
+        text = context.text(self.expression).strip().lower()
+        if text not in TRUTH:
+            raise LaunchError(f"condition expression evaluated to '{text}'")
+        return TRUTH[text]
+
+
+class UnlessCondition(IfCondition):
+    def holds(self, context: Context) -> bool:
+        return not super().holds(context)
+
+
+# -- actions ------------------------------------------------------------------------
+
+
+class Action:
+    def __init__(self, *, condition: IfCondition | None = None) -> None:
+        self.condition = condition
+
+    def visit(self, context: Context) -> None:
+        if self.condition is None or self.condition.holds(context):
+            self.execute(context)
+
+    def execute(self, context: Context) -> None:
+        raise NotImplementedError
+
+
+class LaunchDescription:
+    def __init__(
+        self, initial_entities: Iterable[Any] | None = None, *, deprecated_reason: Any = None
+    ) -> None:
+        self.entities = list(initial_entities or [])
+
+
+class DeclareLaunchArgument(Action):
+    def __init__(
+        self,
+        name: str,
+        *,
+        default_value: Any = None,
+        description: str | None = None,
+        choices: Iterable[str] | None = None,
+        **kwargs: Any,
+    ) -> None:
+        super().__init__(**kwargs)
+        self.name, self.default = name, default_value
+        self.choices = list(choices) if choices is not None else None
+        if not description:
+            raise LaunchError(f"the argument {name} has no description")
+
+    def execute(self, context: Context) -> None:
+        if self.name not in context.configurations:
+            if self.default is None:
+                raise LaunchError(f"the argument {self.name} is required")
+            context.configurations[self.name] = context.text(self.default)
+        value = context.configurations[self.name]
+        context.declared[self.name] = value
+        if self.choices is not None and value not in self.choices:
+            raise LaunchError(f"argument {self.name} is {value}; choices are {self.choices}")
+
+
+class PythonLaunchDescriptionSource:
+    def __init__(self, launch_file_path: Any) -> None:
+        self.path = launch_file_path
+
+
+class IncludeLaunchDescription(Action):
+    def __init__(
+        self, launch_description_source: Any, *, launch_arguments: Any = None, **kwargs: Any
+    ) -> None:
+        super().__init__(**kwargs)
+        self.source = launch_description_source
+        self.arguments = list(launch_arguments or [])
+
+    def execute(self, context: Context) -> None:
+        path = Path(context.text(self.source.path))
+        if not path.is_file():
+            raise LaunchError(f"there is no launch file {path}")
+        for name, value in self.arguments:
+            context.configurations[name] = context.text(value)
+        context.included.append(path)
+        before = dict(context.declared)
+        context.declared.clear()
+        visit_file(path, context)
+        unknown = [name for name, _ in self.arguments if name not in context.declared]
+        if unknown:
+            raise LaunchError(f"{path.name} declares no argument {', '.join(unknown)}")
+        context.declared = {**before, **context.declared}
+
+
+class GroupAction(Action):
+    def __init__(
+        self,
+        actions: Iterable[Any],
+        *,
+        scoped: bool = True,
+        forwarding: bool = True,
+        launch_configurations: Mapping[str, Any] | None = None,
+        **kwargs: Any,
+    ) -> None:
+        super().__init__(**kwargs)
+        self.actions, self.scoped = list(actions), scoped
+
+    def execute(self, context: Context) -> None:
+        outer = dict(context.configurations)
+        for action in self.actions:
+            action.visit(context)
+        if self.scoped:
+            context.configurations = outer
+
+
+class AppendEnvironmentVariable(Action):
+    def __init__(
+        self,
+        name: Any,
+        value: Any,
+        prepend: Any = False,
+        separator: Any = ":",
+        **kwargs: Any,
+    ) -> None:
+        super().__init__(**kwargs)
+        self.name, self.value, self.separator = name, value, separator
+
+    def execute(self, context: Context) -> None:
+        old = context.environment.get(self.name, "")
+        new = context.text(self.value)
+        context.environment[self.name] = f"{old}{self.separator}{new}" if old else new
+
+
+class _Process(Action):
+    def __init__(
+        self,
+        *,
+        arguments: Iterable[Any] = (),
+        condition: IfCondition | None = None,
+        output: str = "log",
+        respawn: bool = False,
+        on_exit: Any = None,
+        additional_env: Any = None,
+    ) -> None:
+        super().__init__(condition=condition)
+        if output not in ("log", "screen", "both", "own_log", "full"):
+            raise LaunchError(f"{output} is no output")
+        self.arguments = list(arguments)
+
+
+class Node(_Process):
+    def __init__(
+        self,
+        *,
+        executable: Any,
+        package: Any = None,
+        name: Any = None,
+        namespace: Any = None,
+        exec_name: Any = None,
+        parameters: Iterable[Any] | None = None,
+        remappings: Iterable[tuple[Any, Any]] | None = None,
+        ros_arguments: Iterable[Any] | None = None,
+        **kwargs: Any,
+    ) -> None:
+        super().__init__(**kwargs)
+        self.package, self.executable, self.name = package, executable, name
+        self.namespace = namespace
+        self.parameters, self.remappings = list(parameters or []), list(remappings or [])
+
+    def execute(self, context: Context) -> None:
+        files: list[Path] = []
+        parameters: dict[str, Any] = {}
+        for given in self.parameters:
+            if isinstance(given, Mapping):
+                parameters.update({key: _value(value, context) for key, value in given.items()})
+                continue
+            path = Path(context.text(given))
+            if not path.is_file():
+                raise LaunchError(f"there is no parameter file {path}")
+            files.append(path)
+        context.started.append(
+            Started(
+                context.text(self.package),
+                context.text(self.executable),
+                context.text(self.name or ""),
+                context.text(self.namespace or ""),
+                parameters,
+                files,
+                {context.text(a): context.text(b) for a, b in self.remappings},
+                [context.text(item) for item in self.arguments],
+            )
+        )
+
+
+def _value(value: Any, context: Context) -> Any:
+    if isinstance(value, ParameterValue):
+        return value.evaluate(context)
+    if isinstance(value, Substitution | list | tuple) and not isinstance(value, str):
+        if isinstance(value, list | tuple) and not any(isinstance(v, Substitution) for v in value):
+            return list(value)
+        return yaml.safe_load(context.text(value))
+    if isinstance(value, str):
+        # launch_ros reads such a text as YAML too, so that "1" would become a number.
+        read = yaml.safe_load(value)
+        if read != value:
+            raise LaunchError(f"the text {value!r} would become {read!r}; use ParameterValue")
+    return value
+
+
+class ParameterValue:
+    def __init__(self, value: Any, *, value_type: type | None = None) -> None:
+        self.value, self.value_type = value, value_type
+
+    def evaluate(self, context: Context) -> Any:
+        text = context.text(self.value)
+        if self.value_type is str:
+            return text
+        value = yaml.safe_load(text)
+        if type(value) is not self.value_type and self.value_type is not None:
+            raise LaunchError(f"expected {self.value_type.__name__}, got {text!r}")
+        return value
+
+
+# -- running ------------------------------------------------------------------------
+
+
+def visit_file(path: Path, context: Context) -> None:
+    names = runpy.run_path(str(path))
+    description = names["generate_launch_description"]()
+    if not isinstance(description, LaunchDescription):
+        raise LaunchError(f"{path.name} returns no LaunchDescription")
+    for entity in description.entities:
+        entity.visit(context)
+
+
+@contextmanager
+def _modules(context: Context) -> Iterator[None]:
+    def share(package: str) -> str:
+        if package not in context.shares:
+            raise LaunchError(f"package '{package}' not found")
+        return str(context.shares[package])
+
+    contents: dict[str, dict[str, Any]] = {
+        "launch": {"LaunchDescription": LaunchDescription},
+        "launch.actions": {
+            "AppendEnvironmentVariable": AppendEnvironmentVariable,
+            "DeclareLaunchArgument": DeclareLaunchArgument,
+            "GroupAction": GroupAction,
+            "IncludeLaunchDescription": IncludeLaunchDescription,
+        },
+        "launch.conditions": {"IfCondition": IfCondition, "UnlessCondition": UnlessCondition},
+        "launch.launch_description_sources": {
+            "PythonLaunchDescriptionSource": PythonLaunchDescriptionSource
+        },
+        "launch.substitutions": {
+            "EqualsSubstitution": EqualsSubstitution,
+            "LaunchConfiguration": LaunchConfiguration,
+            "NotEqualsSubstitution": NotEqualsSubstitution,
+        },
+        "launch_ros": {},
+        "launch_ros.actions": {"Node": Node},
+        "launch_ros.parameter_descriptions": {"ParameterValue": ParameterValue},
+        "ament_index_python": {},
+        "ament_index_python.packages": {"get_package_share_directory": share},
+    }
+    saved = {name: sys.modules.get(name) for name in contents}
+    for name, members in contents.items():
+        module = types.ModuleType(name)
+        vars(module).update(members)
+        sys.modules[name] = module
+    try:
+        yield
+    finally:
+        for name, old in saved.items():
+            if old is None:
+                del sys.modules[name]
+            else:
+                sys.modules[name] = old
+
+
+def run(path: Path, shares: Mapping[str, Path], **arguments: str) -> Context:
+    """Execute a launch file with command-line arguments.
+
+    ``shares`` maps each installed package to its shared folder.
+    """
+    context = Context(shares, dict(arguments))
+    with _modules(context):
+        visit_file(path, context)
+    unknown = [name for name in arguments if name not in context.declared]
+    if unknown:
+        raise LaunchError(f"{path.name} declares no argument {', '.join(unknown)}")
+    return context

@@ -1,0 +1,67 @@
+"""Builds ROS 2 packages of examples in a folder, as if colcon had installed them."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from tests.backends.rcl_parameters import read
+from tests.backends.ros2.launch_double import Context, run
+from tests.examples import example_robot
+from thorvaldc.backends.ros2 import Ros2, package_of
+from thorvaldc.model import Fleet, Robot
+
+DISTROS = ("jazzy", "kilted", "lyrical")
+
+
+def variant(name: str, **settings: str) -> Robot:
+    """Return an example with other settings of its section `ros`, and its name space."""
+    robot = example_robot(name)
+    namespace = settings.pop("namespace", robot.namespace)
+    ros = dataclasses.replace(robot.ros, **settings)
+    return dataclasses.replace(robot, namespace=namespace, ros=ros)
+
+
+def write(folder: Path, files: dict[str, bytes]) -> Path:
+    for path, data in files.items():
+        file = folder / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(data)
+    return folder
+
+
+def install(robot: Robot, folder: Path) -> dict[str, Path]:
+    """Write the package of a robot; return the shared folder by the name of the package."""
+    return {robot.ros.package: write(folder / robot.ros.package, package_of(robot))}
+
+
+def install_fleet(fleet: Fleet, folder: Path) -> dict[str, Path]:
+    write(folder, Ros2().emit_fleet(fleet))
+    shares = {p.robot.ros.package: folder / p.name / "ros2" for p in fleet.placements}
+    return {**shares, f"{fleet.name}_fleet": folder / "ros2"}
+
+
+def parameters(robot: Robot) -> dict[str, dict[str, Any]]:
+    """Return the parameters of each node in all files, as rcl reads them.
+
+    The overlays of ``config/overlay_*.yaml`` are left out.
+    """
+    nodes: dict[str, dict[str, Any]] = {}
+    for path, data in package_of(robot).items():
+        if path.startswith("config/") and path.endswith(".yaml") and is_parameter_file(path):
+            for node, values in read(data.decode()).items():
+                assert node not in nodes, f"{node} is in two files"
+                nodes[node] = values
+    return nodes
+
+
+def is_parameter_file(path: str) -> bool:
+    return "overlay_" not in path and not path.endswith("gz_bridge.yaml")
+
+
+def launch(robot: Robot, folder: Path, file: str, **arguments: str) -> Context:
+    """Execute a launch file of the package of a robot."""
+    shares = install(robot, folder)
+    path = shares[robot.ros.package] / "launch" / f"{file}.launch.py"
+    return run(path, shares, **arguments)

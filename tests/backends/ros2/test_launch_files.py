@@ -1,0 +1,242 @@
+"""Launch files, executed against a double of the launch system."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+from tests.backends.rcl_parameters import read
+from tests.backends.ros2.launch_double import LaunchError, Started, run
+from tests.backends.ros2.packages import DISTROS, install, install_fleet, launch, variant
+from tests.examples import ROBOTS, example_fleet, example_robot
+from thorvaldc.backends.ros2 import package_of
+from thorvaldc.model import Robot
+
+# Executables of each ROS package in Jazzy and Kilted.
+EXECUTABLES = {
+    "joy": {"game_controller_node", "joy_node"},
+    "robot_state_publisher": {"robot_state_publisher"},
+    "rviz2": {"rviz2"},
+    "teleop_twist_joy": {"teleop_node"},
+    "tf2_ros": {"static_transform_publisher"},
+}
+
+
+def launch_names(robot: Robot) -> list[str]:
+    paths = [path for path in package_of(robot) if path.startswith("launch/")]
+    return [Path(path).name.removesuffix(".launch.py") for path in paths]
+
+
+def started(robot: Robot, folder: Path, file: str, **arguments: str) -> dict[str, Started]:
+    context = launch(robot, folder, file, **arguments)
+    nodes = {node.name: node for node in context.started}
+    assert len(nodes) == len(context.started), "two nodes have one name"
+    return nodes
+
+
+def full_name(node: Started) -> str:
+    return f"/{node.namespace}/{node.name}" if node.namespace else f"/{node.name}"
+
+
+def depends(robot: Robot) -> set[str | None]:
+    manifest = ElementTree.fromstring(package_of(robot)["package.xml"])
+    return {element.text for element in manifest.iter("exec_depend")}
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_everything_that_a_launch_file_names_exists(name: str, tmp_path: Path) -> None:
+    """Packages are dependencies, executables exist, and each parameter file has its node."""
+    robot = example_robot(name)
+    declared = depends(robot)
+    for file in launch_names(robot):
+        context = launch(robot, tmp_path, file)
+        for node in context.started:
+            if node.package == robot.ros.package:
+                assert f"{robot.ros.package}/{node.executable}.py" in package_of(robot)
+            else:
+                assert node.package in declared
+                assert node.executable in EXECUTABLES[node.package]
+            for path in node.files:
+                assert full_name(node) in read(path.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("name", ["4wd4ws_wide", "car"])
+@pytest.mark.parametrize("namespace", ["", "r1"])
+def test_all_launch_files_start_in_the_name_space(
+    name: str, namespace: str, tmp_path: Path
+) -> None:
+    robot = variant(name, namespace=namespace)
+    for file in launch_names(robot):
+        for node in launch(robot, tmp_path, file, **extra_arguments(file)).started:
+            assert node.namespace == namespace
+
+
+def extra_arguments(file: str) -> dict[str, str]:
+    return {"rviz": "true"} if file in ("base", "ideal", "mujoco", "robot", "virtual") else {}
+
+
+@pytest.mark.parametrize(
+    ("file", "base", "simulated_time"),
+    [
+        ("ideal", "ideal", False),
+        ("mujoco", "mujoco", True),
+        ("virtual", "virtual", False),
+        ("robot", "bus", False),
+    ],
+)
+def test_bases(file: str, base: str, simulated_time: bool, tmp_path: Path) -> None:
+    """Each node gets the time from /clock, or none does; the base driver publishes it."""
+    robot = example_robot("4wd4ws_wide")
+    nodes = started(robot, tmp_path, file, rviz="true")
+    assert set(nodes) == {"base_driver", "robot_state_publisher", "rviz2"}
+    driver = nodes["base_driver"].parameters
+    assert driver["base"] == base
+    assert driver["publish_clock"] is simulated_time
+    assert all(node.parameters["use_sim_time"] is simulated_time for node in nodes.values())
+    assert Path(driver["model_file"]).is_file()
+    assert driver["real_time_factor"] == 1.0
+
+
+def test_arguments_reach_the_base_driver(tmp_path: Path) -> None:
+    robot = example_robot("4wd4ws_wide")
+    nodes = started(robot, tmp_path, "robot", bus="pcan:PCAN_USBBUS1", enable_odom_tf="false")
+    driver = nodes["base_driver"].parameters
+    assert driver["bus"] == "pcan:PCAN_USBBUS1"
+    assert driver["enable_odom_tf"] is False
+    assert "rviz2" not in nodes
+    with pytest.raises(LaunchError, match="choices"):
+        launch(robot, tmp_path, "base", base="real")
+    with pytest.raises(LaunchError, match="declares no argument"):
+        launch(robot, tmp_path, "ideal", basis="ideal")
+
+
+@pytest.mark.parametrize("owner", ["driver", "ekf"])
+def test_one_node_publishes_the_transform_from_odom(owner: str, tmp_path: Path) -> None:
+    nodes = started(variant("4wd4ws_wide", odom_tf=owner), tmp_path, "ideal")
+    driver = nodes["base_driver"]
+    assert driver.parameters["enable_odom_tf"] is (owner == "driver")
+    file = read(driver.files[0].read_text(encoding="utf-8"))["/base_driver"]
+    assert file["enable_odom_tf"] is (owner == "driver")
+
+
+def test_description_is_the_urdf_of_the_package(tmp_path: Path) -> None:
+    robot = variant("4wd4ws_wide", namespace="r1")
+    nodes = started(robot, tmp_path, "ideal")
+    text = nodes["robot_state_publisher"].parameters["robot_description"]
+    root = ElementTree.fromstring(text)
+    files = package_of(robot)
+    meshes = {mesh.get("filename") for mesh in root.iter("mesh")}
+    assert meshes
+    start = f"package://{robot.ros.package}/"
+    assert all(mesh is not None and mesh.removeprefix(start) in files for mesh in meshes)
+    driver = read(nodes["base_driver"].files[0].read_text(encoding="utf-8"))["/r1/base_driver"]
+    assert driver["base_frame_id"] in {link.get("name") for link in root.iter("link")}
+    assert driver["odom_frame_id"] == "r1/odom"
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+def test_the_pad_moves_the_robot(distro: str, tmp_path: Path) -> None:
+    """The pad's twists arrive at a source of the driver, with the type that it subscribes to."""
+    robot = variant("4wd4ws_wide", distro=distro, namespace="r1")
+    nodes = started(robot, tmp_path, "teleop")
+    teleop = nodes["teleop_twist_joy_node"]
+    topic = teleop.remappings["cmd_vel"]
+    assert topic in {source.topic for source in robot.twist_sources}
+    values = read(teleop.files[0].read_text(encoding="utf-8"))
+    stamped = robot.ros.stamped
+    assert values["/r1/teleop_twist_joy_node"]["publish_stamped_twist"] is stamped
+    driver = read(package_of(robot)["config/base_driver.yaml"].decode())["/r1/base_driver"]
+    assert driver["stamped"] is stamped
+    # The pad is silent for less than the time-out of the source.
+    rate = values["/r1/game_controller_node"]["autorepeat_rate"]
+    assert all(source.timeout > 2.0 / rate for source in robot.twist_sources)
+
+
+def test_several_buses_have_an_interface_each(tmp_path: Path) -> None:
+    robot = example_robot("4wd4ws_wide")
+    second = dataclasses.replace(robot.buses[0], name="implement")
+    robot = dataclasses.replace(robot, buses=(*robot.buses, second))
+    driver = started(robot, tmp_path, "robot")["base_driver"].parameters
+    assert driver["bus"] == "main=socketcan:can0,implement=socketcan:can1"
+
+
+def test_a_robot_without_a_bus_has_no_launch_file_for_it() -> None:
+    robot = dataclasses.replace(example_robot("4wd4ws_wide"), buses=())
+    assert {"robot", "virtual"}.isdisjoint(launch_names(robot))
+
+
+def test_fleet(tmp_path: Path) -> None:
+    """One launch file starts all robots, each with its own arguments, frames and place."""
+    fleet = example_fleet("fleet_of_four")
+    shares = install_fleet(fleet, tmp_path)
+    context = run(shares["fleet_of_four_fleet"] / "launch" / "fleet.launch.py", shares)
+    nodes = {full_name(node): node for node in context.started}
+    assert len(nodes) == len(context.started) == 3 * len(fleet.placements)
+    for placement in fleet.placements:
+        driver = nodes[f"/{placement.name}/base_driver"]
+        assert driver.package == placement.robot.ros.package
+        assert driver.parameters["base"] == "ideal"
+        assert str(shares[driver.package]) in driver.parameters["model_file"]
+        pose = nodes[f"/{placement.name}/map_to_odom"].arguments
+        options = dict(zip(pose[::2], pose[1::2], strict=True))
+        assert float(options["--x"]) == placement.pose.xyz[0]
+        assert float(options["--y"]) == placement.pose.xyz[1]
+        assert float(options["--qw"]) == placement.pose.quat[0]
+        assert options["--child-frame-id"] == f"{placement.name}/odom"
+    without = run(
+        shares["fleet_of_four_fleet"] / "launch" / "fleet.launch.py",
+        shares,
+        poses="false",
+        base="virtual",
+    )
+    assert len(without.started) == 2 * len(fleet.placements)
+
+
+def test_rviz_shows_the_frames_and_topics_of_the_robot() -> None:
+    robot = variant("4wd4ws_wide", namespace="r1")
+    config: Any = yaml.safe_load(package_of(robot)["rviz/robot.rviz"])
+    manager = config["Visualization Manager"]
+    assert manager["Global Options"]["Fixed Frame"] == "r1/odom"
+    topics = re.findall(r'Value: "(\S+)"', package_of(robot)["rviz/robot.rviz"].decode())
+    assert {"/r1/robot_description", "/r1/odometry/base_raw", "/r1/lidar_front/scan"} <= set(topics)
+    assert all(topic.startswith("/r1/") for topic in topics)
+
+
+# -- the double ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'Node(package="a", executable="b", namespaces="c")',
+        'Node(package="a", executable="b", parameters=["/no/such/file.yaml"])',
+        'Node(package="a", executable="b", parameters=[{"text": "1"}])',
+        'Node(package="a", executable="b", output="console")',
+        'DeclareLaunchArgument("a")',
+        'IncludeLaunchDescription(PythonLaunchDescriptionSource("/no/such.launch.py"))',
+    ],
+)
+def test_the_double_refuses_what_the_launch_system_refuses(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.launch.py"
+    path.write_text(
+        "from launch import LaunchDescription\n"
+        "from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription\n"
+        "from launch.launch_description_sources import PythonLaunchDescriptionSource\n"
+        "from launch_ros.actions import Node\n"
+        f"def generate_launch_description():\n    return LaunchDescription([{text}])\n",
+        encoding="utf-8",
+    )
+    with pytest.raises((LaunchError, TypeError)):
+        run(path, {})
+
+
+def test_installed_packages_are_those_of_the_test(tmp_path: Path) -> None:
+    shares = install(example_robot("car"), tmp_path)
+    with pytest.raises(LaunchError, match="not found"):
+        run(next(iter(shares.values())) / "launch" / "ideal.launch.py", {})

@@ -1,0 +1,91 @@
+"""Parameter files of the package, as rcl reads them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.backends.rcl_parameters import read
+from tests.backends.ros2.packages import DISTROS, is_parameter_file, parameters, variant
+from tests.examples import ROBOTS, example_robot
+from tests.robots import make_robot
+from thorvaldc.backends.ros2 import package_of
+from thorvaldc.backends.ros2_parameters import teleop, twist_mux
+from thorvaldc.model import Robot
+
+
+def flat(value: Any, prefix: str = "") -> dict[str, Any]:
+    if not isinstance(value, dict):
+        return {prefix[:-1]: value}
+    out: dict[str, Any] = {}
+    for key, inner in value.items():
+        out.update(flat(inner, f"{prefix}{key}."))
+    return out
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_rcl_and_pyyaml_read_the_same(name: str) -> None:
+    for path, data in package_of(example_robot(name)).items():
+        if not (path.endswith(".yaml") and is_parameter_file(path)):
+            continue
+        nodes = read(data.decode())
+        for node, content in yaml.safe_load(data).items():
+            plain = flat(content["ros__parameters"])
+            full = node if node.startswith("/") else f"/{node}"
+            assert plain == nodes[full]
+            assert all(type(value) is type(nodes[full][key]) for key, value in plain.items())
+
+
+@pytest.mark.parametrize("namespace", ["", "r1"])
+def test_the_name_space_is_in_the_names_of_nodes_and_frames_once(namespace: str) -> None:
+    nodes = parameters(variant("4wd4ws_wide", namespace=namespace))
+    start = f"/{namespace}/" if namespace else "/"
+    assert all(node.startswith(start) for node in nodes)
+    driver = nodes[f"{start}base_driver"]
+    assert driver["base_frame_id"] == f"{start[1:]}base_link"
+    assert driver["odom_frame_id"] == f"{start[1:]}odom"
+    assert nodes[f"{start}robot_state_publisher"]["frame_prefix"] == ""
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+@pytest.mark.parametrize("owner", ["driver", "ekf"])
+def test_base_driver_has_only_what_the_model_does_not_have(distro: str, owner: str) -> None:
+    driver = parameters(variant("4wd4ws_wide", distro=distro, odom_tf=owner))["/base_driver"]
+    assert driver == {
+        "stamped": distro != "jazzy",
+        "enable_odom_tf": owner == "driver",
+        "odom_frame_id": "odom",
+        "base_frame_id": "base_link",
+        "publish_description": False,
+        "autostart": True,
+    }
+
+
+def test_teleoperation_has_priority_over_navigation() -> None:
+    mux = flat(twist_mux(example_robot("4wd4ws_wide")))
+    assert mux["topics.teleop_joy.topic"] == "teleop_joy/cmd_vel"
+    assert mux["topics.auto_nav.topic"] == "auto_nav/cmd_vel"
+    assert mux["topics.teleop_joy.timeout"] == mux["topics.auto_nav.timeout"] == 0.5
+    stop, pause = mux["locks.safety_stop.priority"], mux["locks.auto_nav_pause.priority"]
+    assert stop > mux["topics.teleop_joy.priority"] > pause > mux["topics.auto_nav.priority"]
+    assert all(type(v) is int and 0 <= v <= 255 for k, v in mux.items() if k.endswith("priority"))
+
+
+def test_teleop_scales_reach_the_robots_limits() -> None:
+    robot = example_robot("4wd4ws_wide")
+    values = flat(teleop(robot, stamped=False))
+    linear, angular = robot.driver.max_linear_velocity, robot.driver.max_angular_velocity
+    assert values["scale_linear_turbo.x"] == values["scale_linear_turbo.y"] == linear
+    assert values["scale_angular_turbo.yaw"] == angular
+    assert 0 < values["scale_linear.x"] < linear
+    assert type(values["axis_linear.y"]) is int
+    fixed = make_robot([(0.5, 0.4, "fixed"), (0.5, -0.4, "fixed"), (-0.5, 0.0, "swivel")])
+    assert flat(teleop(fixed, stamped=False))["scale_linear_turbo.y"] == 0.0
+
+
+def test_a_robot_without_wheels_has_no_empty_lists() -> None:
+    robot = make_robot([])
+    assert isinstance(robot, Robot)
+    assert parameters(robot)["/base_driver"]

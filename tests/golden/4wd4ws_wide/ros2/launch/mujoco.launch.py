@@ -1,0 +1,28 @@
+"""Simulation in MuJoCo, which gives the time of all nodes by /clock."""
+
+import os
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchDescription
+from launch.actions import IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+
+PACKAGE = "thorvald_4wd4ws_wide"
+NAMESPACE = ""
+
+
+def generate_launch_description():
+    share = get_package_share_directory(PACKAGE)
+    base = os.path.join(share, "launch", "base.launch.py")
+    return LaunchDescription(
+        [
+            IncludeLaunchDescription(
+                PythonLaunchDescriptionSource(base),
+                launch_arguments={
+                    "base": "mujoco",
+                    "use_sim_time": "true",
+                    "publish_clock": "true",
+                }.items(),
+            )
+        ]
+    )
