@@ -123,9 +123,6 @@ class MemoryStorage:
         self.data += data
         self.flushed.append(len(self.data))
 
-    def close(self) -> None:
-        pass
-
 
 class Bench:
     """A robot's bus.  ``memory``: contents of the non-volatile memory by node; id 255: none."""

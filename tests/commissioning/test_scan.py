@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 
 import pytest
 
@@ -46,6 +47,48 @@ def test_a_passive_scan_sends_nothing() -> None:
     bench = Bench(cia402_robot(), delivered=False)
     passive(bench)
     assert bench.interface.controller.sent == 0
+
+
+def requests_of(bench: Bench) -> list[tuple[int, int, int]]:
+    """Returns a list that receives node, index and subindex of each SDO upload request."""
+    requests: list[tuple[int, int, int]] = []
+
+    def watch(time: int, frame: CanFrame, senders: object) -> None:
+        if 0x600 < frame.id <= 0x6FF and frame.data[0] == 0x40:
+            requests.append((frame.id - 0x600, *struct.unpack_from("<HB", frame.data, 1)))
+
+    bench.wire.observers.append(watch)
+    return requests
+
+
+def test_requests_of_a_scan() -> None:
+    """The serial number is read twice, since two nodes with one id have different ones."""
+    bench = Bench(four_drives(), delivered=False, timing=QUICK)
+    requests = requests_of(bench)
+    scan = bench.scan(values=False)
+    assert [r[0] for r in requests[:126]] == list(range(1, 127))
+    identity = [(0x1000, 0), (0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4), (0x1018, 4)]
+    texts = [(0x1008, 0), (0x1009, 0), (0x100A, 0)]
+    expected = [(node, *key) for node in (1, 2, 3, 4) for key in identity + texts]
+    assert [r for r in requests[126:] if r[1] < 0x2000] == expected
+    for name in NODES:
+        device = scan.entry(name).device
+        assert device is not None
+        assert device.texts == (bench.devices()[name].description.name, "1.0", "1.0")
+
+
+def test_values_are_read_from_nodes_that_have_them() -> None:
+    """A rollback may want a node without an id; such a node has no SDO server."""
+    bench = Bench(four_drives(), delivered=False, timing=QUICK)
+    nodes = bench.configuration.nodes
+    nodes = (nodes[0], replace(nodes[1], sdo=False), replace(nodes[2], id=255), *nodes[3:])
+    bench.devices()[nodes[2].name].power_off()
+    bench.configuration = replace(bench.configuration, nodes=nodes)
+    requests = requests_of(bench)
+    scan = bench.scan()
+    assert set(scan.values) == {nodes[0].name, nodes[3].name}
+    assert scan.values[nodes[0].name] == {value.key: value.value for value in nodes[0].values}
+    assert max(node for node, _, _ in requests) == 126
 
 
 def test_new_and_exchanged_nodes() -> None:

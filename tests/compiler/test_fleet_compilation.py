@@ -76,6 +76,30 @@ def test_a_grid_places_equal_robots_row_by_row(workshop: Workshop) -> None:
     assert (alone.name, alone.pose.xyz[0]) == ("b_1", -5.0)
 
 
+@pytest.mark.parametrize(
+    ("other", "overlaps"),
+    [
+        # The wheels of a cart cover 1.4 m x 0.9 m.
+        ("xyz: [1.41 m, 0, 0]", False),
+        ("xyz: [1.39 m, 0, 0]", True),
+        ("xyz: [0, 0.91 m, 0]", False),
+        ("xyz: [0, 0.89 m, 0]", True),
+        ("xyz: [-1.16 m, 0, 0], yaw: 90 deg", False),
+        ("xyz: [-1.14 m, 0, 0], yaw: 90 deg", True),
+        ("xyz: [1.0 m, 1.0 m, 0], yaw: 45 deg", True),
+        ("xyz: [1.0 m, 1.0 m, 0], yaw: -45 deg", False),
+    ],
+)
+def test_turned_robots_overlap_where_their_wheels_do(
+    workshop: Workshop, other: str, overlaps: bool
+) -> None:
+    workshop.robot_file(CART, "", "robots/one.yaml")
+    compilation = fleet(
+        workshop, f"  a: {{robot: robots/one.yaml}}\n  b: {{robot: robots/one.yaml, {other}}}\n"
+    )
+    assert ("fleet-overlap" in [d.code.name for d in compilation.report]) is overlaps
+
+
 def test_narrow_grid_is_reported_once(workshop: Workshop) -> None:
     workshop.robot_file(CART, "", "robots/one.yaml")
     compilation = fleet(

@@ -58,8 +58,6 @@ class Storage(Protocol):
     def append(self, data: bytes) -> None:
         """Appends bytes to the journal file, and returns when the bytes are stored on the disk."""
 
-    def close(self) -> None: ...
-
 
 class JournalFile:
     """Journal file, which is locked for this process while the file is open."""
@@ -221,9 +219,6 @@ class Journal:
 
     def end(self) -> None:
         self._append({"record": "end"})
-
-    def close(self) -> None:
-        self.storage.close()
 
     # -- inside -----------------------------------------------------------------------------
 

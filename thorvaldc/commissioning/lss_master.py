@@ -36,6 +36,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Collection, Iterator
+from itertools import islice
 
 from thorvaldc.can import lss
 from thorvaldc.can.frame import CanFrame
@@ -143,9 +144,10 @@ class LssMaster:
             if not self._fastscan_request(number, 0, position, position + 1):
                 raise LssError("a device without id does not confirm its identity")
         present = {identity[part] for identity in known if identity[:part] == first}
-        for count, number in enumerate(list(self._numbers(part, 0, 32, present)), 1):
-            if count > MAXIMUM_SLAVES:
-                raise LssError(f"more than {MAXIMUM_SLAVES} devices without id respond")
+        numbers = list(islice(self._numbers(part, 0, 32, present), MAXIMUM_SLAVES + 1))
+        if len(numbers) > MAXIMUM_SLAVES:
+            raise LssError(f"more than {MAXIMUM_SLAVES} devices without id respond")
+        for number in numbers:
             if part == LAST_PART:
                 vendor, product, revision = first
                 yield Identity(vendor, product, revision, number)

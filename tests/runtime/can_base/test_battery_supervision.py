@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import replace
 
 import pytest
@@ -14,7 +15,8 @@ from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault, BusFaults
 from thorvaldc.model.robot import AUTOMATIC, BatterySettings
 from thorvaldc.runtime.can_base.base_state import BaseState
-from thorvaldc.runtime.can_base.battery_supervision import BatteryLevel
+from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryDriver
+from thorvaldc.runtime.can_base.battery_supervision import BatteryLevel, BatterySupervision
 from thorvaldc.runtime.runner import RequestRefused
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
@@ -181,3 +183,116 @@ def test_the_lowest_battery_counts() -> None:
     rig.run(2.0)
     assert level(rig) is BatteryLevel.LIMIT
     assert supervision.reason == "spare: 7 % left"
+
+
+# -- exact limits, without a bus ---------------------------------------------------------------
+
+
+class PlainBattery(BatteryDriver):
+    """A battery whose reports a test sets."""
+
+    warning = ""
+
+    def __init__(self) -> None:
+        (bus,) = cia402().buses
+        super().__init__(bus, next(node for node in bus.nodes if node.name == "battery"))
+
+    def report(self, charge: float, now: float) -> None:
+        self.state.charge, self.state.time = charge, now
+
+
+SETTINGS = BatterySettings(warn=0.5, limit=0.375, stop=0.25, arm=0.4375, speed=0.75, silence=4.0)
+
+
+def supervised() -> tuple[PlainBattery, BatterySupervision]:
+    battery = PlainBattery()
+    supervision = BatterySupervision(SETTINGS, [battery])
+    battery.report(1.0, 0.0)
+    assert supervision.update(0.0) is BatteryLevel.OK
+    return battery, supervision
+
+
+@pytest.mark.parametrize(
+    ("threshold", "at", "below", "share"),
+    [
+        (0.5, BatteryLevel.OK, BatteryLevel.WARN, 1.0),
+        (0.375, BatteryLevel.WARN, BatteryLevel.LIMIT, 0.75),
+        (0.25, BatteryLevel.LIMIT, BatteryLevel.STOP, 0.0),
+    ],
+)
+def test_a_level_begins_below_its_threshold(
+    threshold: float, at: BatteryLevel, below: BatteryLevel, share: float
+) -> None:
+    battery, supervision = supervised()
+    for now in (1.0, 2.0):
+        battery.report(threshold, now)
+        supervision.update(now)
+    assert supervision.level is at
+    for now in (3.0, 3.875):
+        battery.report(threshold - 1e-9, now)
+        assert supervision.update(now) is at
+    battery.report(threshold - 1e-9, 4.0)  # one second after the first report of this level
+    assert supervision.update(4.0) is below
+    assert supervision.speed_share == share
+    assert supervision.reason == f"battery: {100 * threshold - 1e-7:.0f} % left"
+
+
+def test_a_wrong_report_between_right_ones_changes_nothing() -> None:
+    battery, supervision = supervised()
+    for k in range(1, 30):
+        battery.report(0.0 if k % 3 else 1.0, 0.5 * k)
+        assert supervision.update(0.5 * k) is BatteryLevel.OK
+
+
+def test_a_silent_battery_has_exact_limits() -> None:
+    battery, supervision = supervised()
+    battery.report(1.0, 2.0)
+    expected = {
+        3.0: BatteryLevel.OK,
+        3.125: BatteryLevel.LIMIT,
+        6.0: BatteryLevel.LIMIT,
+        6.125: BatteryLevel.STOP,
+    }
+    assert {now: supervision.update(now) for now in expected} == expected
+    assert supervision.warnings() == ["battery: no reports of its charge for 4 s"]
+    battery.report(1.0, 7.0)
+    assert supervision.update(7.0) is BatteryLevel.OK
+
+
+def test_silence_does_not_improve_the_level() -> None:
+    battery, supervision = supervised()
+    for now in (1.0, 2.0):
+        battery.report(0.0, now)
+        supervision.update(now)
+    assert supervision.update(3.5) is BatteryLevel.STOP
+
+
+def test_the_batteries_are_judged_ten_times_a_second() -> None:
+    battery, supervision = supervised()
+    battery.report(1.0, 1.0)
+    supervision.update(1.0)
+    battery.report(math.nan, -5.0)
+    assert supervision.update(1.09) is BatteryLevel.OK
+    assert supervision.update(1.101) is BatteryLevel.LIMIT
+
+
+def test_charge_and_age_that_suffice_to_arm() -> None:
+    battery, supervision = supervised()
+    battery.report(0.4375, 1.0)
+    assert list(supervision.arming_reasons(2.0)) == []
+    assert list(supervision.arming_reasons(2.125)) == ["battery: no reports of its charge"]
+    battery.report(0.43, 1.0)
+    assert list(supervision.arming_reasons(2.0)) == ["battery: 43 % left, less than 44 %"]
+    battery.report(math.nan, 1.0)
+    assert list(supervision.arming_reasons(1.0)) == ["battery: no reports of its charge"]
+
+
+def test_the_hysteresis_is_two_percent() -> None:
+    battery, supervision = supervised()
+    for now in (1.0, 2.0):
+        battery.report(0.4, now)
+        supervision.update(now)
+    battery.report(0.5199, 3.0)
+    assert supervision.update(3.0) is BatteryLevel.WARN
+    battery.report(0.5201, 4.0)
+    assert supervision.update(4.0) is BatteryLevel.OK

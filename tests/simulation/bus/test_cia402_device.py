@@ -411,6 +411,24 @@ def test_a_speed_that_is_not_reached_is_a_fault(what: str) -> None:
     assert drive.joint[1] == 0.0
 
 
+@pytest.mark.parametrize(("mode", "shown"), [(1, True), (3, False), (8, True), (9, False)])
+def test_only_modes_of_the_position_report_a_following_error(mode: int, shown: bool) -> None:
+    drive = Drive()
+    drive.set(0x6065, 0.1 * COUNT)
+    drive.set(0x6066, 10_000, 2)
+    drive.enable(mode)
+    assert not drive.word & 1 << 13
+    drive.motor.blocked = True
+    drive.set(0x607A, 2.0 * COUNT)
+    drive.set(0x60FF, 2.0 * COUNT)
+    drive.control(ENABLE | 0x10)
+    for _ in range(10):
+        drive.master.send(0x080, b"")
+        drive.sleep(0.03)
+    assert drive.state == "operation enabled"
+    assert bool(drive.word & 1 << 13) is shown
+
+
 def test_cyclic_velocity_needs_no_sync_by_an_event_driven_pdo() -> None:
     drive = Drive()
     drive.enable(9)

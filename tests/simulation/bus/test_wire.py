@@ -211,6 +211,42 @@ def test_recovery_from_bus_off() -> None:
     assert b.state is ErrorState.ACTIVE
 
 
+def test_the_recovery_takes_128_times_11_bits() -> None:
+    wire, (a, _), _ = make("a", "b")
+    automatic = CanController(wire, "automatic", RATE)
+    wire.attach(automatic)
+    automatic.switch_on()
+    automatic.go_bus_off()
+    a.sleep((128 * 11 - 1) * BIT * 1e-9)
+    assert automatic.state is ErrorState.BUS_OFF
+    a.sleep(BIT * 1e-9)
+    assert automatic.state is ErrorState.ACTIVE
+
+
+def test_a_controller_that_joins_waits_for_11_recessive_bits() -> None:
+    wire, (a, b), log = make("a", "b")
+    a.controller.switch_off()
+    a.sleep(0.001)
+    a.controller.switch_on()
+    start = wire.timeline.now
+    frame = CanFrame(0x123, bytes(8))
+    a.send(frame)
+    b.sleep(0.01)
+    assert log.entries[-1][0] - start == (11 + frame_bits(frame) - 3) * BIT
+
+
+def test_an_error_passive_sender_waits_8_more_bits() -> None:
+    _, (a, b), log = make("a", "b")
+    frames = [CanFrame(0x100, bytes(8)), CanFrame(0x101, bytes(8))]
+    for errors, gap in ((127, 0), (200, 8)):
+        a.controller.transmit_errors = errors
+        for frame in frames:
+            a.send(frame)
+        b.sleep(0.01)
+        first, second = (entry[0] for entry in log.entries[-2:])
+        assert second - first == (frame_bits(frames[1]) + gap) * BIT
+
+
 def test_a_full_queue_refuses_the_newest() -> None:
     wire, (_,), log = make("a")
     small = VirtualTimeInterface(wire, "small", send_limit=3)

@@ -25,6 +25,36 @@ LIMITS = Limits(1.5, 2.0, True)
 CODES = {"ABS_Z": js.ABS_Z, "ABS_RX": js.ABS_RX, "BTN_TOP2": js.BTN_TOP2, "KEY_A": 30}
 
 
+def test_codes_are_those_of_linux() -> None:
+    """The numbers of linux/input-event-codes.h."""
+    codes = {
+        "EV_SYN": 0x00,
+        "EV_KEY": 0x01,
+        "EV_ABS": 0x03,
+        "SYN_DROPPED": 3,
+        "ABS_X": 0x00,
+        "ABS_Y": 0x01,
+        "ABS_Z": 0x02,
+        "ABS_RX": 0x03,
+        "ABS_RY": 0x04,
+        "ABS_RZ": 0x05,
+        "BTN_TRIGGER": 0x120,
+        "BTN_THUMB": 0x121,
+        "BTN_THUMB2": 0x122,
+        "BTN_TOP": 0x123,
+        "BTN_TOP2": 0x124,
+        "BTN_PINKIE": 0x125,
+        "BTN_SOUTH": 0x130,
+        "BTN_EAST": 0x131,
+        "BTN_NORTH": 0x133,
+        "BTN_TL": 0x136,
+        "BTN_TR": 0x137,
+        "BTN_SELECT": 0x13A,
+        "BTN_START": 0x13B,
+    }
+    assert {name: getattr(js, name) for name in codes} == codes
+
+
 class Event(NamedTuple):
     type: int
     code: int

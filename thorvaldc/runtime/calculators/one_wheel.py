@@ -55,9 +55,7 @@ class OneWheel(BaseCalculator):
         self._nx, self._ny, self._d = self._fixed.rows[0]
         nx, ny = self._nx, self._ny
         self._axle_positions = tuple(nx * w.x + ny * w.y for w in geometry.wheels if w.fixed)
-        self._index, self._wheel = next(
-            (i, w) for i, w in enumerate(geometry.wheels) if w.steered and w.driven
-        )
+        self._index, self._wheel = next((i, w) for i, w in enumerate(geometry.wheels) if w.steered)
         self._motors = DriveMotors(geometry)
         self._steering = SteeringJoint(geometry.wheels, (self._index,), self.options.hysteresis)
 
