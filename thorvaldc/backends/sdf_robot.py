@@ -4,9 +4,7 @@ Rigid groups.  All links that fixed joints connect become one SDF link, which ha
 uppermost of them.  The other links are frames (``<frame>``) of the SDF link.  Gazebo would give a
 link without mass the mass of 1 kg, so that only groups can have the mass of the model.
 
-Contact of tyres.  A cylinder rolls on its edge in Gazebo's engine (DART): a robot that turns on the
-spot is 14 % too fast.  Each tyre is therefore a sphere whose lowest point lies on the rolling
-circle of the wheel, see ``rolling_sphere``.  Rings that roll on rails stay cylinders.
+Contact of tyres.  Each tyre is a sphere, see ``tyre_shapes``.
 """
 
 from __future__ import annotations
@@ -19,19 +17,15 @@ from thorvaldc.backends.xml_writer import Element, number, numbers
 from thorvaldc.model import (
     Actuator,
     Collision,
-    Cylinder,
     Joint,
     JointServo,
     Link,
     Pose,
     Robot,
-    Sphere,
-    Wheel,
 )
-from thorvaldc.model.spatial import clean, combine, quat_from_z_to
+from thorvaldc.model.spatial import clean, combine
 from thorvaldc.model.statics.joint_tree import JointTree
-from thorvaldc.model.statics.standing_pose import spin_axis
-from thorvaldc.model.statics.wheel_contact import rolling_sphere
+from thorvaldc.model.statics.tyre_shapes import rigid_contact_shapes
 
 GZ_ROS2_CONTROL = ("gz_ros2_control-system", "gz_ros2_control::GazeboSimROS2ControlPlugin")
 """File and class of the plug-in of ros2_control for Gazebo."""
@@ -144,7 +138,7 @@ class _RobotWriter:
         wheel = self.wheels.get(link.name)
         shapes: tuple[Collision, ...] = link.collisions
         if wheel is not None:
-            shapes = self._wheel_collisions(wheel)
+            shapes = rigid_contact_shapes(self.tree, wheel)
         for i, collision in enumerate(shapes):
             part = element.add("collision", name=f"{link.name}_collision_{i}")
             add_pose(part, at * collision.pose)
@@ -154,18 +148,6 @@ class _RobotWriter:
                 ode = friction.add("ode")
                 for name in ("mu", "mu2"):
                     ode.add(name).text = number(wheel.friction)
-
-    def _wheel_collisions(self, wheel: Wheel) -> tuple[Collision, ...]:
-        """Return the sphere of the tyre, and a cylinder for each ring that rolls on a rail."""
-        axis = spin_axis(self.tree, wheel)
-        tilt = self.tree.pose[wheel.link].rotate(axis)[2]
-        sphere = rolling_sphere(wheel.radius, axis, tilt)
-        rings = []
-        for tread in wheel.treads:
-            radius = wheel.radius_named(tread.name)
-            turned = Pose(tread.center, quat_from_z_to(axis))
-            rings.append(Collision(Cylinder(radius, tread.width), turned))
-        return (Collision(Sphere(sphere.radius), Pose(sphere.center)), *rings)
 
     def _add_frame(self, model: Element, link: Link) -> None:
         top = self.prefix + self.group_of[link.name]

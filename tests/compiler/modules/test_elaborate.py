@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.workshop import CART, Workshop
+from tests.workshop import CART, MODULES, Workshop
 from thorvaldc.model import Cylinder, Robot
 from thorvaldc.model.robot import Wheel
 
@@ -217,6 +217,22 @@ def test_wheel_link_has_a_collision_cylinder(workshop: Workshop) -> None:
     assert collision.shape == Cylinder(0.2, 0.1)
     along = collision.pose.rotate((0.0, 0.0, 1.0))
     assert (abs(along[1]), along[0], along[2]) == pytest.approx((1.0, 0.0, 0.0), abs=1e-9)
+
+
+def test_a_tyre_that_a_module_repeats_collides_once(workshop: Workshop) -> None:
+    """Shapes of another place, size or kind stay: guards and hubs of the wheel."""
+    part = 'shape: {cylinder: {radius: "${radius}", length: 0.1}}'
+    lines = [
+        f"shape: {{cylinder: {{radius: {radius}, length: 0.1}}}}, rpy: [90 deg, 0, 0]"
+        for radius in (0.203, 0.1)
+    ]
+    extra = "".join(f"{{{line}, collide: true}}\n{' ' * 14}- " for line in lines)
+    text = MODULES["t/leg"]
+    assert part in text
+    workshop.module("t/leg", text.replace(part, extra + part))
+    robot = workshop.robot(on_plate(*THREE))
+    shapes = [collision.shape for collision in robot.link("a_tyre").collisions]
+    assert shapes == [Cylinder(0.2, 0.1), Cylinder(0.1, 0.1)]
 
 
 # -- masses --------------------------------------------------------------------------------

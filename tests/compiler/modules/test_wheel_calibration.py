@@ -74,6 +74,7 @@ def test_robot_stands_level_on_all_its_wheels(folder: Path) -> None:
 def test_every_output_has_the_measured_radius(folder: Path) -> None:
     robot = calibrated(folder)
     shapes = {w.name: robot.link(w.link).collisions[0].shape for w in robot.wheels}
+    assert all(len(robot.link(w.link).collisions) == 1 for w in robot.wheels)
     for name, shape in shapes.items():
         assert isinstance(shape, Cylinder)
         assert shape.radius == MEASURED[name]

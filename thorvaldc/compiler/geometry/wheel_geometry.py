@@ -24,13 +24,16 @@ from typing import NamedTuple
 from thorvaldc.compiler.modules.hardware_parts import WheelPart
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model.robot import Actuator, Collision, Cylinder, Joint, Link, Wheel
-from thorvaldc.model.spatial import Pose, Vec3, add, clean, cross, norm, scale
+from thorvaldc.model.spatial import Pose, Vec3, add, clean, cross, dot, norm, scale
 from thorvaldc.model.statics.joint_tree import JointTree
 
 UP: Vec3 = (0.0, 0.0, 1.0)
 # Sine of 10 deg, the least angle between the spin axis of a wheel and the vertical.
 _MIN_FORWARD = 0.17
 _MIN_UPRIGHT = 0.5  # Cosine of 60 deg, the largest tilt of a steering axis.
+
+_SAME_PLACE = 1e-3  # m, and share of the unit vector of an axis
+_SAME_SIZE = 0.05  # share of the radius and width of a tyre
 
 
 class PlacedWheel(NamedTuple):
@@ -244,8 +247,9 @@ def _turning_point(
 def add_wheel_collisions(links: list[Link], wheels: Sequence[PlacedWheel], tree: JointTree) -> None:
     """Adds a collision cylinder for each wheel to the link of the wheel.
 
-    The axis of the collision cylinder is the spin axis of the wheel.  The function replaces the
-    links of the wheels in the list ``links``.
+    The axis of the collision cylinder is the spin axis of the wheel.  A cylinder of the module that
+    is the tyre once more is left out.  The function replaces the links of the wheels in the list
+    ``links``.
     """
     index = {link.name: i for i, link in enumerate(links)}
     for wheel in wheels:
@@ -257,7 +261,25 @@ def add_wheel_collisions(links: list[Link], wheels: Sequence[PlacedWheel], tree:
         pose = Pose(quat=_rotation_from_z_to(axis)).clean()
         cylinder = Collision(Cylinder(wheel.part.radius, wheel.part.width), pose)
         link = links[index[wheel.link]]
-        links[index[wheel.link]] = replace(link, collisions=(cylinder, *link.collisions))
+        others = tuple(c for c in link.collisions if not _is_same_tyre(c, cylinder))
+        links[index[wheel.link]] = replace(link, collisions=(cylinder, *others))
+
+
+def _is_same_tyre(collision: Collision, tyre: Collision) -> bool:
+    """Returns whether a collision shape is a cylinder in the place of the tyre and of its size.
+
+    The radius of the tyre can be calibrated: it differs from that of the shape by some per cent.
+    """
+    shape, cylinder = collision.shape, tyre.shape
+    if not isinstance(shape, Cylinder) or not isinstance(cylinder, Cylinder):
+        return False
+    along = dot(collision.pose.rotate(UP), tyre.pose.rotate(UP))
+    return (
+        norm(collision.pose.xyz) < _SAME_PLACE
+        and abs(along) > 1.0 - _SAME_PLACE
+        and abs(shape.radius - cylinder.radius) < _SAME_SIZE * cylinder.radius
+        and shape.length < (1.0 + _SAME_SIZE) * cylinder.length
+    )
 
 
 def _rotation_from_z_to(axis: Vec3) -> tuple[float, float, float, float]:
