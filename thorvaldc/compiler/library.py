@@ -150,6 +150,8 @@ class Library:
     def __init__(self, folders: Sequence[tuple[Path, str]] = ()) -> None:
         self.folders = [*folders, (data_folder("modules"), BUILTIN_LIBRARY)]
         self._types: dict[str, ModuleType | None] = {}
+        self._names: list[str] | None = None
+        self._hints: dict[str, str | None] = {}
         self._files: dict[str, Path] = {}
         self._palette: dict[str, str] | None = None
 
@@ -186,9 +188,20 @@ class Library:
             "module-type-unknown",
             f"there is no module type `{name}`",
             node.span,
-            hint=did_you_mean(name, self.names()) or "`thorvaldc modules list` shows them",
+            hint=self._near_type(name) or "`thorvaldc modules list` shows them",
         )
         return None
+
+    def _near_type(self, name: str) -> str | None:
+        """Returns the hint with the module types whose names are near ``name``.
+
+        A file with thousands of wrong names would search the folders as often.
+        """
+        if self._names is None:
+            self._names = self.names()
+        if name not in self._hints:
+            self._hints[name] = did_you_mean(name, self._names)
+        return self._hints[name]
 
     def names(self) -> list[str]:
         """Returns the sorted names of the module types in all library folders."""
