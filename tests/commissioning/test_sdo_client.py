@@ -80,3 +80,23 @@ def test_a_first_response_to_another_object_is_not_taken() -> None:
     client = server.client()
     with pytest.raises(SdoTimeout):
         client.read_number(NODE, 0x1000, 0, "unsigned32")
+    assert client.upload_all(NODE, 0x1000, 0, timeout=0.1) == []
+
+
+def test_two_nodes_respond_with_lengths_or_aborts() -> None:
+    server = Server(b"a text of some length")
+    spare = VirtualTimeInterface(server.wire, "spare")
+    spare_data = [0x41]
+
+    def respond(time: int, frame: CanFrame, senders: object) -> None:
+        if frame.id == 0x600 + NODE:
+            data = struct.pack("<BHBI", spare_data[0], NAME, 0, 0x06020000)
+            spare.send(CanFrame(0x580 + NODE, data))
+
+    server.wire.observers.append(respond)
+    client = server.client()
+    lengths = client.upload_all(NODE, NAME, 0, timeout=0.1)
+    assert sorted(r.data for r in lengths) == [bytes([0, 0, 2, 6]), bytes([21, 0, 0, 0])]
+    spare_data[0] = 0x80
+    aborts = client.upload_all(NODE, NAME, 0, timeout=0.1)
+    assert {r.abort for r in aborts} == {None, 0x06020000}

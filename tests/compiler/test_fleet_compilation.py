@@ -80,14 +80,14 @@ def test_a_grid_places_equal_robots_row_by_row(workshop: Workshop) -> None:
     ("other", "overlaps"),
     [
         # The wheels of a cart cover 1.4 m x 0.9 m.
-        ("xyz: [1.41 m, 0, 0]", False),
-        ("xyz: [1.39 m, 0, 0]", True),
-        ("xyz: [0, 0.91 m, 0]", False),
-        ("xyz: [0, 0.89 m, 0]", True),
-        ("xyz: [-1.16 m, 0, 0], yaw: 90 deg", False),
-        ("xyz: [-1.14 m, 0, 0], yaw: 90 deg", True),
-        ("xyz: [1.0 m, 1.0 m, 0], yaw: 45 deg", True),
-        ("xyz: [1.0 m, 1.0 m, 0], yaw: -45 deg", False),
+        ("xyz: [6.41 m, -3 m, 0]", False),
+        ("xyz: [6.39 m, -3 m, 0]", True),
+        ("xyz: [5 m, -2.09 m, 0]", False),
+        ("xyz: [5 m, -2.11 m, 0]", True),
+        ("xyz: [3.84 m, -3 m, 0], yaw: 90 deg", False),
+        ("xyz: [3.86 m, -3 m, 0], yaw: 90 deg", True),
+        ("xyz: [6 m, -2 m, 0], yaw: 45 deg", True),
+        ("xyz: [6 m, -2 m, 0], yaw: -45 deg", False),
     ],
 )
 def test_turned_robots_overlap_where_their_wheels_do(
@@ -95,7 +95,9 @@ def test_turned_robots_overlap_where_their_wheels_do(
 ) -> None:
     workshop.robot_file(CART, "", "robots/one.yaml")
     compilation = fleet(
-        workshop, f"  a: {{robot: robots/one.yaml}}\n  b: {{robot: robots/one.yaml, {other}}}\n"
+        workshop,
+        "  a: {robot: robots/one.yaml, xyz: [5 m, -3 m, 0]}\n"
+        f"  b: {{robot: robots/one.yaml, {other}}}\n",
     )
     assert ("fleet-overlap" in [d.code.name for d in compilation.report]) is overlaps
 

@@ -36,9 +36,9 @@ def heights(ground: Ground, starts: Sequence[Pose]) -> list[list[float]]:
             inside = min(x - xs[0], xs[-1] - x, y - ys[0], ys[-1] - y)
             edge = _step(inside / ground.wavelength)
             row[i] = edge * (0.5 + 0.5 * share * row[i])
-    # MuJoCo scales the heights of a height-field file to 0..1, so the grid must contain both 0 and
-    # 1.
-    rows[0][0], rows[0][-1] = 0.0, 1.0
+    # MuJoCo scales the heights of a height-field file to 0..1, so the grid must contain both 0, the
+    # height of its edge, and 1.
+    rows[0][-1] = 1.0
     return rows
 
 

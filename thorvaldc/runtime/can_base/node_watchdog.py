@@ -150,8 +150,7 @@ class NodeWatchdog:
         if state == NmtState.INITIALISING:
             self._controllers[name].handle_restart()
             self._restarted.add(name)
-            previous = self._heartbeats.get(name, Heartbeat(-math.inf, NmtState.STOPPED))
-            if previous.state != state or time - previous.time > BOOT_TIME:
+            if last is None or last.state != state or time - last.time > BOOT_TIME:
                 self._boot_ups[name] = self._boot_ups.get(name, 0) + 1
         self._heartbeats[name] = Heartbeat(time, state)
 

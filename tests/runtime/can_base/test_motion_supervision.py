@@ -1,0 +1,146 @@
+"""Measured motion of a motor beside its target: what deviates, and for how long it may."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from tests.runtime.can_base.fault_matrix import cia402
+from thorvaldc.runtime.can_base.motion_supervision import MotionSupervision
+from thorvaldc.runtime.can_base.motor_controller import Axis
+
+PERIOD = 1 / 64  # s; sums of it are exact
+
+
+def make_axis(role: str) -> Axis:
+    actuator = next(a for a in cia402().actuators if a.role == role)
+    return Axis(actuator, 0, role)
+
+
+class Cycles:
+    """Control cycles with the same measured velocity until the next change."""
+
+    def __init__(self, axis: Axis) -> None:
+        self.axis = axis
+        self.supervision = MotionSupervision([axis])
+        self.now = 0.0
+
+    def run(self, seconds: float, velocity: float, target: float, position: float = 0.0) -> None:
+        end = self.now + seconds
+        while self.now < end:
+            self.now += PERIOD
+            self.axis.target = target
+            self.axis.update(self.now, position, velocity)
+            self.supervision.update(True, self.now)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "target", "deviates"),
+    [
+        (0.0, 0.3, False),
+        (0.0, 0.35, True),
+        (0.0, -0.35, True),
+        (2.1, 4.0, False),
+        (1.9, 4.0, True),
+        (5.9, 4.0, False),
+        (6.1, 4.0, True),
+        (-2.1, -4.0, False),
+        (-1.9, -4.0, True),
+        (-6.1, -4.0, True),
+        (4.0, -4.0, True),
+    ],
+)
+def test_a_wheel_may_deviate_by_half_of_its_target(
+    velocity: float, target: float, deviates: bool
+) -> None:
+    cycles = Cycles(make_axis("propulsion"))
+    cycles.run(0.1, velocity, target)
+    assert cycles.supervision.deviates is deviates
+    assert cycles.supervision.problems == []
+    cycles.run(PERIOD, velocity, target)
+    expected = ["the propulsion does not follow its target"] if deviates else []
+    assert cycles.supervision.problems == expected
+
+
+def test_a_wheel_may_be_between_its_targets_of_half_a_second() -> None:
+    cycles = Cycles(make_axis("propulsion"))
+    cycles.run(1.0, 0.0, 0.0)
+    cycles.run(0.5, 0.0, 4.0)
+    assert not cycles.supervision.deviates
+    cycles.run(PERIOD, 0.0, 4.0)
+    assert cycles.supervision.deviates
+    cycles.run(PERIOD, 4.0, 4.0)
+    assert not cycles.supervision.deviates
+
+
+def test_targets_before_a_pause_do_not_count() -> None:
+    cycles = Cycles(make_axis("propulsion"))
+    cycles.run(0.25, 4.0, 4.0)
+    cycles.supervision.update(False, cycles.now)
+    assert not cycles.supervision.deviates
+    cycles.run(PERIOD, 4.0, 0.0)
+    assert cycles.supervision.deviates
+    cycles.supervision.update(False, cycles.now)
+    assert not cycles.supervision.deviates
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity", "deviates"),
+    [(0.81, 0.0, False), (0.79, 0.0, True), (1.21, -0.019, True), (0.0, 0.03, False)],
+)
+def test_a_steering_joint_that_stands_must_be_at_its_target(
+    position: float, velocity: float, deviates: bool
+) -> None:
+    cycles = Cycles(make_axis("steering"))
+    cycles.run(0.5 + PERIOD, velocity, 1.0, position)
+    assert cycles.supervision.deviates is deviates
+    assert cycles.supervision.problems == []
+    cycles.run(PERIOD, velocity, 1.0, position)
+    assert bool(cycles.supervision.problems) is deviates
+
+
+def test_velocity_from_positions() -> None:
+    axis = make_axis("propulsion")
+    axis.update(1.0, 2.0)
+    assert axis.velocity == 0.0
+    axis.update(1.5, 3.0)
+    assert axis.velocity == 2.0
+    axis.update(1.5, 3.5)
+    assert axis.velocity == 0.0
+    axis.update(2.5, 9.0)  # too long ago
+    assert axis.velocity == 0.0
+    axis.update(2.75, 8.0)
+    assert (axis.time, axis.position, axis.velocity) == (2.75, 8.0, -4.0)
+
+
+@pytest.mark.parametrize(("seconds", "counted"), [(0.02, 0.04), (0.04, 0.04), (0.5, 0.5)])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_jump_of_a_steering_angle(seconds: float, counted: float, sign: float) -> None:
+    """The joint may turn 1.5 times as fast as its motor for at least 0.04 s, and 0.1 rad more."""
+    for excess, homed, jumps in ((-1e-6, True, False), (1e-6, True, True), (1.0, False, False)):
+        axis = make_axis("steering")
+        assert math.isnan(axis.position)
+        axis.homed = homed
+        change = 1.5 * axis.actuator.max_velocity * counted + 0.1 + excess
+        axis.update(1.0, 0.2, 0.0)
+        axis.update(1.0 + seconds, 0.2 + sign * change, 0.0)
+        assert axis.jump == pytest.approx(change if jumps else 0.0)
+        if jumps:  # the first jump is kept
+            axis.update(2.0, 0.2 + 3.0 * sign * change, 0.0)
+            assert axis.jump == pytest.approx(change)
+
+
+def test_a_wheel_has_no_jump() -> None:
+    axis = make_axis("propulsion")
+    axis.update(1.0, 0.0, 0.0)
+    axis.update(1.02, 100.0, 0.0)
+    assert axis.jump == 0.0
+
+
+def test_a_restart_loses_the_reference_of_steering_only() -> None:
+    for role, homed in (("propulsion", True), ("steering", False)):
+        axis = make_axis(role)
+        axis.homed, axis.target = True, 1.5
+        axis.lose_reference()
+        assert (axis.homed, axis.target) == (homed, 0.0)
