@@ -1,0 +1,166 @@
+"""The parameters of the ROS 2 node ``base_driver``, as a table that needs no ROS."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from thorvaldc.model import Robot
+from thorvaldc.model.ros import DRIVER, ODOM_FRAME
+from thorvaldc.runtime.run_time_parameters import LARGEST, LIMITS
+
+ParameterValue = str | bool | float
+BASES = ("ideal", "mujoco", "virtual", "bus")
+"""Values of the parameter ``base``: ideal joints, a simulation in MuJoCo, a simulated bus in the
+process of the node, or the buses of the robot."""
+MODEL_FILE, PARAMETER_SET = "model_file", "parameter_set"
+COMMAND_TIMEOUT = "command_timeout"
+SMALLEST = 1e-6
+"""Smallest limit and time-out in SI units; 0 is not allowed."""
+
+
+@dataclass(frozen=True, slots=True)
+class NodeParameter:
+    """A parameter of the node.
+
+    - ``kind``: type of the value, which is ``text``, ``flag`` or ``number``;
+    - ``default``: default value, or a function that returns the default value for a robot;
+    - ``unit``: unit of a number, or an empty text;
+    - ``read_only``: ``True`` if the value is fixed when the node starts;
+    - ``lowest``, ``highest``: range of a number; ``highest`` may depend on the robot;
+    - ``choices``: allowed texts, or empty for any text.
+    """
+
+    name: str
+    kind: str
+    default: ParameterValue | Callable[[Robot], ParameterValue]
+    description: str
+    unit: str = ""
+    read_only: bool = True
+    lowest: float = -math.inf
+    highest: float | Callable[[Robot], float] = math.inf
+    choices: tuple[str, ...] = ()
+
+    def default_for(self, robot: Robot) -> ParameterValue:
+        """Returns the default value for a robot."""
+        return self.default(robot) if callable(self.default) else self.default
+
+    def range_for(self, robot: Robot) -> tuple[float, float]:
+        """Returns the lowest and the highest value for a robot; infinite without a range."""
+        highest = self.highest(robot) if callable(self.highest) else self.highest
+        return self.lowest, highest
+
+    @property
+    def text(self) -> str:
+        """Description with the unit and the choices, for the descriptor of the parameter."""
+        unit = f" [{self.unit}]" if self.unit else ""
+        choices = f": {', '.join(self.choices)}" if self.choices else ""
+        return f"{self.description}{choices}{unit}"
+
+
+def _limit(name: str) -> NodeParameter:
+    speed = "velocity" if name.endswith("velocity") else "acceleration"
+    kind = "linear" if "linear" in name else "angular"
+    return NodeParameter(
+        name,
+        "number",
+        lambda robot: float(getattr(robot.driver, name)),
+        f"limit of the {kind} {speed} of the commanded twist",
+        LIMITS[name],
+        read_only=False,
+        lowest=SMALLEST,
+        highest=LARGEST,
+    )
+
+
+PARAMETERS: tuple[NodeParameter, ...] = (
+    NodeParameter(
+        MODEL_FILE,
+        "text",
+        "",
+        "path of the file model.json of a build; everything about the robot comes from it",
+    ),
+    NodeParameter("base", "text", "bus", "what the node drives", choices=BASES),
+    NodeParameter(
+        "bus", "text", "socketcan:can0", "CAN interface of the base `bus`, as `run --bus` takes it"
+    ),
+    NodeParameter(
+        "real_time_factor",
+        "number",
+        1.0,
+        "speed of a simulation relative to the real time; 0: as fast as possible",
+        lowest=0.0,
+        highest=1000.0,
+    ),
+    NodeParameter(
+        "publish_clock", "flag", False, "publish the simulated time on /clock (ideal, mujoco)"
+    ),
+    NodeParameter(
+        "autostart", "flag", True, "configure and activate the node at its start; never arms it"
+    ),
+    NodeParameter(
+        "stamped",
+        "flag",
+        lambda robot: robot.ros.stamped,
+        "twists are messages of the type TwistStamped, not Twist",
+    ),
+    NodeParameter(
+        "enable_odom_tf",
+        "flag",
+        lambda robot: robot.ros.odom_tf == DRIVER,
+        "publish the transform from odom_frame_id to base_frame_id",
+        read_only=False,
+    ),
+    NodeParameter(
+        "odom_frame_id", "text", lambda robot: robot.prefix + ODOM_FRAME, "frame of the odometry"
+    ),
+    NodeParameter(
+        "base_frame_id",
+        "text",
+        lambda robot: robot.prefix + robot.links[0].name,
+        "frame of the robot",
+    ),
+    NodeParameter(
+        "publish_description",
+        "flag",
+        False,
+        "publish the URDF on robot_description, where no robot_state_publisher does",
+    ),
+    NodeParameter(
+        "rate",
+        "number",
+        lambda robot: robot.driver.rate,
+        "frequency of the control loop, from the model",
+        "Hz",
+    ),
+    NodeParameter(
+        COMMAND_TIMEOUT,
+        "number",
+        lambda robot: robot.driver.command_timeout,
+        "age of a twist at which the robot stops; at most the value of the robot file",
+        "s",
+        read_only=False,
+        lowest=SMALLEST,
+        highest=lambda robot: robot.driver.command_timeout,
+    ),
+    *(_limit(name) for name in LIMITS),
+    NodeParameter(
+        PARAMETER_SET,
+        "text",
+        "",
+        "parameter set of the robot file that is in force; empty: the ordinary values",
+        read_only=False,
+    ),
+    NodeParameter(
+        "max_command_age",
+        "number",
+        lambda robot: robot.driver.command_timeout,
+        "a stamped twist that is older is refused",
+        "s",
+        read_only=False,
+        lowest=SMALLEST,
+        highest=10.0,
+    ),
+)
+"""All parameters of the node, in the order in which they are declared."""
