@@ -1,6 +1,7 @@
 """Reads URDF and SDF files with Drake; runs in an environment with Drake, without thorvaldc.
 
 ``compare URDF SDF`` prints the differences of two descriptions of one robot as JSON.
+``world SDF`` prints the robots of a world as JSON.
 ``drive SDF`` prints how far a robot with steered wheels comes, as JSON.
 """
 
@@ -133,6 +134,23 @@ def compare(urdf: Path, sdf: Path) -> list[str]:
     return differences
 
 
+def world(sdf: Path) -> dict[str, Any]:
+    """The pose of each floating body, the bodies that are fixed to the ground, and the mass of the
+    floating models."""
+    plant = read(sdf)
+    context = plant.CreateDefaultContext()
+    floating = [plant.get_body(i) for i in sorted(plant.GetFloatingBaseBodies())]
+    models = [body.model_instance() for body in floating]
+    return {
+        "floating": {
+            body.name(): plant.EvalBodyPoseInWorld(context, body).translation().tolist()
+            for body in floating
+        },
+        "fixed": [body.name() for body in plant.GetBodiesWeldedTo(plant.world_body())],
+        "mass": sum(plant.CalcTotalMass(context, [model]) for model in models),
+    }
+
+
 def drive(sdf: Path, wheels: list[dict[str, Any]], seconds: float) -> dict[str, Any]:
     """Drives a robot for ``seconds``; returns its motion after a ramp, in the frame of its base.
 
@@ -199,7 +217,8 @@ def main() -> None:
     for job in jobs:
         kind = job.pop("kind")
         paths = {key: Path(job[key]) for key in ("urdf", "sdf") if key in job}
-        results.append(compare(**paths) if kind == "compare" else drive(**{**job, **paths}))
+        call = {"compare": compare, "world": world, "drive": drive}[kind]
+        results.append(call(**{**job, **paths}))
     json.dump(results, sys.stdout)
 
 

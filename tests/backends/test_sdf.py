@@ -1,47 +1,27 @@
-"""SDF files: Drake and libsdformat read the robot of the URDF, and it drives as computed."""
+"""SDF files: Drake reads the robot of the URDF; sensors, controllers, contact shapes, worlds."""
 
 from __future__ import annotations
 
-import json
 import math
 import struct
-import subprocess
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import pytest
 
 from tests.backend_files import files_of
 from tests.backends.conftest import write
+from tests.backends.drake_jobs import read_by_drake
 from tests.backends.plans import ROBOTS as PLANS
 from tests.backends.plans import Plan, build
 from tests.examples import FLEETS, FOLDER, example_fleet, example_robot
 from tests.examples import ROBOTS as EXAMPLES
-from tests.outside_tools import path_of_drake_python
 from thorvaldc.backends.sdf import Sdf
 from thorvaldc.backends.sdf_sensors import CAMERA
 from thorvaldc.backends.urdf import Urdf
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.spatial import rotate
-
-READER = Path(__file__).with_name("drake_reader.py")
-SECONDS = 3.0
-MOTIONS = {"straight": (0.8, 0.0, 0.0), "sideways": (0.0, 0.5, 0.0), "spot turn": (0.0, 0.0, 0.6)}
-
-
-def read_by_drake(jobs: Sequence[dict[str, Any]]) -> list[Any]:
-    process = subprocess.run(
-        [path_of_drake_python(), str(READER)],
-        input=json.dumps(jobs),
-        capture_output=True,
-        text=True,
-    )
-    assert process.returncode == 0, process.stderr
-    result: list[Any] = json.loads(process.stdout)
-    return result
 
 
 def robots() -> dict[str, Robot]:
@@ -86,58 +66,10 @@ def test_drake_notices_changes(change: str, tmp_path: Path) -> None:
     assert read_by_drake([job])[0]
 
 
-def wheel_targets(robot: Robot, twist: tuple[float, float, float]) -> list[dict[str, Any]]:
-    """The angles and speeds of steered wheels: each rolls across the line to the centre."""
-    vx, vy, wz = twist
-    targets = []
-    for wheel in robot.wheels:
-        ux, uy = vx - wz * wheel.y, vy + wz * wheel.x
-        speed = math.hypot(ux, uy) / wheel.radius
-        angle = math.remainder(math.atan2(uy, ux) - wheel.heading, math.tau)
-        if abs(angle) > math.pi / 2 + 1e-9:
-            angle, speed = math.remainder(angle + math.pi, math.tau), -speed
-        angle *= wheel.steering_sign
-        targets.append(
-            {"drive": wheel.spin_joint, "speed": speed}
-            | {"steering": wheel.steering_joint, "angle": angle}
-        )
-    return targets
-
-
-def test_robot_drives_as_computed_in_drake(tmp_path: Path) -> None:
-    robot = example_robot("4wd4ws_wide")
-    sdf = write(files_of(Sdf, robot), tmp_path) / "sdf/model.sdf"
-    jobs = [
-        {"kind": "drive", "sdf": str(sdf), "wheels": wheel_targets(robot, twist)}
-        | {"seconds": SECONDS}
-        for twist in MOTIONS.values()
-    ]
-    for (name, (vx, vy, wz)), motion in zip(MOTIONS.items(), read_by_drake(jobs), strict=True):
-        x, y, _ = motion["move"]
-        assert math.hypot(x, y) == pytest.approx(math.hypot(vx, vy) * SECONDS, rel=5e-3, abs=0.01)
-        assert motion["yaw"] == pytest.approx(wz * SECONDS, rel=5e-3, abs=0.005), name
-        assert motion["height"] == pytest.approx(0.0, abs=0.005), name
-
-
 def scenario_fleet(name: str) -> Fleet:
     fleet = compile_file(FOLDER / "scenarios" / f"{name}.yaml").model
     assert isinstance(fleet, Fleet)
     return fleet
-
-
-@pytest.mark.parametrize("name", [*EXAMPLES, *FLEETS, "field_edge", "greenhouse_rails"])
-def test_libsdformat_accepts_model_and_world(name: str, tmp_path: Path, ign: str) -> None:
-    model: Robot | Fleet
-    if name in EXAMPLES:
-        model = example_robot(name)
-    else:
-        model = example_fleet(name) if name in FLEETS else scenario_fleet(name)
-    write(files_of(Sdf, model), tmp_path)
-    for path in sorted(tmp_path.rglob("*.sdf")):
-        process = subprocess.run([ign, "sdf", "-k", str(path)], capture_output=True, text=True)
-        assert process.stdout.splitlines()[-1:] == ["Valid."], process.stdout + process.stderr
-        for uri in ElementTree.parse(path).iter("uri"):
-            assert (path.parent / str(uri.text)).is_file()
 
 
 def test_massless_links_are_frames() -> None:

@@ -22,8 +22,9 @@ from thorvaldc.backends.mjcf_scene import add_home, add_surroundings
 from thorvaldc.backends.mjcf_sections import ModelSections
 from thorvaldc.backends.mjcf_world import add_world
 from thorvaldc.backends.statics_backend import StaticsBackend
-from thorvaldc.backends.xml_writer import Element, parse, to_bytes
-from thorvaldc.diagnostics import CODES, Diagnostic
+from thorvaldc.backends.urdf_only import urdf_only_elements
+from thorvaldc.backends.xml_writer import Element, to_bytes
+from thorvaldc.diagnostics import Diagnostic
 from thorvaldc.model import Fleet, Pose, Robot
 from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.model.statics.standing_pose import Statics, solve_statics
@@ -39,17 +40,7 @@ class Mjcf(StaticsBackend):
     summary = "MuJoCo model (mjcf/robot.xml) and scene (mjcf/scene.xml) with its meshes"
 
     def unsupported(self, robot: Robot) -> Iterable[Diagnostic]:
-        tags = [f"<{parse(text).tag}>" for text in robot.urdf_extensions]
-        if robot.joint_servos:  # read from these elements
-            tags = [tag for tag in tags if tag not in ("<ros2_control>", "<transmission>")]
-        if tags:
-            yield Diagnostic(
-                CODES["urdf-only-element"],
-                "MJCF has no elements for these parts of the extras: "
-                + ", ".join(f"{tags.count(tag)} x {tag}" for tag in dict.fromkeys(tags)),
-                robot.span,
-                "the URDF has them",
-            )
+        return urdf_only_elements(robot, "MJCF")
 
     def emit_with_statics(self, robot: Robot, statics: Statics) -> dict[str, bytes]:
         return {**_robot_and_scene(robot, statics), **mesh_files(robot)}

@@ -24,6 +24,7 @@ from typing import NamedTuple
 from thorvaldc.backends.ros2_parameter_file import Value
 from thorvaldc.model import Robot, Wheel
 from thorvaldc.model.float_sum import float_sum
+from thorvaldc.model.ros import DRIVER
 
 Parameters = dict[str, Value]
 
@@ -211,7 +212,7 @@ def _diff_drive(robot: Robot) -> Controller:
         "tf_frame_prefix_enable": False,
         "odom_frame_id": f"{robot.prefix}odom",
         "base_frame_id": robot.prefix + robot.links[0].name,
-        "enable_odom_tf": True,
+        "enable_odom_tf": robot.ros.odom_tf == DRIVER,
         "position_feedback": True,
         "open_loop": False,
         "twist_covariance_diagonal": TWIST_COVARIANCE,
@@ -263,7 +264,7 @@ def _ackermann(robot: Robot) -> Controller:
         "reference_timeout": robot.driver.command_timeout,
         "odom_frame_id": f"{robot.prefix}odom",
         "base_frame_id": robot.prefix + robot.links[0].name,
-        "enable_odom_tf": True,
+        "enable_odom_tf": robot.ros.odom_tf == DRIVER,
         "position_feedback": True,
         "open_loop": False,
         "twist_covariance_diagonal": TWIST_COVARIANCE,
@@ -307,7 +308,7 @@ def _swerve(robot: Robot) -> Controller:
         "cmd_vel_timeout": robot.driver.command_timeout,
         "odom": f"{robot.prefix}odom",
         "base_footprint": robot.prefix + robot.links[0].name,
-        "enable_odom_tf": True,
+        "enable_odom_tf": robot.ros.odom_tf == DRIVER,
         "open_loop": False,
         "twist_covariance_diagonal": TWIST_COVARIANCE,
     }

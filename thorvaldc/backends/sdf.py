@@ -16,8 +16,9 @@ from thorvaldc.backends import Backend
 from thorvaldc.backends.colors_and_meshes import mesh_files
 from thorvaldc.backends.sdf_robot import add_robot
 from thorvaldc.backends.sdf_world import add_blocks, add_ground, add_systems
-from thorvaldc.backends.xml_writer import Element, parse, to_bytes
-from thorvaldc.diagnostics import CODES, Diagnostic
+from thorvaldc.backends.urdf_only import urdf_only_elements
+from thorvaldc.backends.xml_writer import Element, to_bytes
+from thorvaldc.diagnostics import Diagnostic
 from thorvaldc.model import Fleet, Pose, Robot, World
 
 VERSION = "1.9"
@@ -33,18 +34,7 @@ class Sdf(Backend):
     summary = "Gazebo model (sdf/model.sdf) and world (sdf/world.sdf) with its meshes"
 
     def unsupported(self, robot: Robot) -> Iterable[Diagnostic]:
-        tags = [f"<{parse(text).tag}>" for text in robot.urdf_extensions]
-        mimics = len([joint for joint in robot.joints if joint.mimic is not None])
-        parts = [f"{tags.count(tag)} x {tag}" for tag in dict.fromkeys(tags)]
-        if mimics:
-            parts.append(f"{mimics} x <mimic>")
-        if parts:
-            yield Diagnostic(
-                CODES["urdf-only-element"],
-                f"SDF {VERSION} has no elements for these parts of the extras: " + ", ".join(parts),
-                robot.span,
-                "the URDF has them",
-            )
+        return urdf_only_elements(robot, f"SDF {VERSION}", mimics=True)
 
     def emit(self, robot: Robot) -> dict[str, bytes]:
         return {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -10,6 +11,8 @@ from tests.compiler.extras.arms import ARM, arm_robot
 from tests.compiler.extras.xacro_files import INERTIAL, Loaded, load_one
 from thorvaldc import compile, emit
 from thorvaldc.backends.mjcf_joint_servos import DEFLECTION
+from thorvaldc.backends.sdf import model_text
+from thorvaldc.backends.urdf import urdf_text
 
 POSITION = '<command_interface name="position"/>'
 VELOCITY = '<command_interface name="velocity"/>'
@@ -126,3 +129,33 @@ def test_a_servo_moves_its_joint_to_a_set_point(tmp_path: Path) -> None:
     while data.time < 2.0:
         mujoco.mj_step(model, data)
     assert data.joint("arm_elbow").qpos[0] == pytest.approx(0.2, abs=DEFLECTION / 2)
+
+
+def test_every_output_drives_the_joints_of_an_arm_as_stated(tmp_path: Path) -> None:
+    """Gazebo and the simulated hardware of ros2_control: interface, start and limits of a joint."""
+    robot = compile(arm_robot(tmp_path)).model
+    stated = {"arm_shoulder": 0.3, "arm_elbow": 1.2, "arm_wrist": -0.5, "arm_knuckle": -0.4}
+    model = ElementTree.fromstring(model_text(robot))
+    controllers = {
+        joint: plugin
+        for plugin in model.iter("plugin")
+        if plugin.get("name") == "gz::sim::systems::JointPositionController"
+        and (joint := plugin.findtext("joint_name")) in stated
+    }
+    assert controllers.keys() == stated.keys()
+    urdf = ElementTree.fromstring(urdf_text(robot, hardware="gazebo"))
+    assert [e.get("name") for e in urdf.iter("ros2_control")] == ["robot_gazebo"]
+    for name, initial in stated.items():
+        joint = robot.joint(name)
+        assert float(controllers[name].findtext("initial_position") or "0") == initial
+        assert float(controllers[name].findtext("cmd_max") or "nan") == joint.velocity
+        (element,) = urdf.findall(f"ros2_control/joint[@name='{name}']")
+        values = [float(param.text or "") for param in element.iter("param")]
+        assert values == [joint.lower, joint.upper, initial]
+        assert [e.get("name") for e in element.findall("command_interface")] == ["position"]
+    follower = urdf.find("ros2_control/joint[@name='arm_finger']")
+    assert follower is not None
+    assert follower.find("command_interface") is None
+    # The hardware that the description names drives the arm of the real robot.
+    plain = ElementTree.fromstring(urdf_text(robot))
+    assert [e.get("name") for e in plain.iter("ros2_control")] == ["arm_control"]
