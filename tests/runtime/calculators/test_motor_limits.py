@@ -82,6 +82,7 @@ def test_all_changes_are_scaled_to_the_acceleration_of_one(
         (-2.0, -0.25, -0.75),
         (2.0, -0.25, 1.25),
         (-2.0, 0.25, -1.25),
+        (0.875, 0.5, 0.5),
         (2.0, 1.5, 0.0),
     ],
 )
@@ -90,7 +91,7 @@ def test_a_push_uses_part_of_the_acceleration(speed: float, push: float, limited
     _, speeds = drive_motors.limit_accelerations(TWIST, [0.0, speed, 0.0], 0.5, [0.0, push, 0.0])
     assert speeds == pytest.approx([0.0, limited + push, 0.0])
     assert drive_motors.rolling_speeds == pytest.approx([0.0, limited, 0.0])
-    # The push continues: its change is 0, so that all of the acceleration is left.
+    # The push continues: its change is 0, and all of the acceleration is left.
     _, speeds = drive_motors.limit_accelerations(
         TWIST, [0.0, 10 * speed, 0.0], 0.5, [0.0, push, 0.0]
     )

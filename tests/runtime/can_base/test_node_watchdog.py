@@ -38,12 +38,12 @@ class Controller:
 class Setup:
     """A watchdog of one node, which sends heartbeats every 0.1 s and reports every 20 ms."""
 
-    def __init__(self, timeout: float | None = None) -> None:
+    def __init__(self, timeout: float | None = None, *, heartbeat: bool = True) -> None:
         bus = cia402().buses[0]
         frames = tuple(
             replace(f, period=0.1) if f.cob_id == HEARTBEAT else f
             for f in bus.frames
-            if f.cob_id in (HEARTBEAT, REPORT)
+            if f.cob_id == REPORT or (f.cob_id == HEARTBEAT and heartbeat)
         )
         self.controller: Any = Controller(timeout)
         self.latest: dict[int, LatestFrame] = {}
@@ -78,6 +78,24 @@ def test_a_missing_heartbeat(timeout: float | None, limit: float) -> None:
     setup.watchdog.start(49.0)  # the time before the start does not count
     assert setup.problem_at(49.0 + limit - 0.001) == ""
     assert setup.problem_at(49.0 + limit + 0.001) == text
+
+
+def test_a_node_that_never_sends_a_heartbeat() -> None:
+    setup = Setup()
+    setup.report(99.0)
+    setup.watchdog.start(1.0)
+    assert setup.problem_at(1.29) == ""
+    assert setup.problem_at(1.31) == "no heartbeat for 310 ms"
+
+
+def test_a_node_without_heartbeat_is_watched_by_its_reports() -> None:
+    setup = Setup(heartbeat=False)
+    setup.watchdog.start(1.0)
+    setup.report(1.0)
+    assert setup.problem_at(1.04) == ""
+    assert setup.problem_at(1.06) == "no tpdo1 for 60 ms"
+    assert not setup.watchdog.is_silent(setup.controller)
+    assert setup.watchdog.is_in_state(setup.controller, NmtState.OPERATIONAL, 1.0)
 
 
 def test_a_missing_or_malformed_report() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.simulation.bus.master import Master
+from tests.simulation.bus.master import Master, Refused
 from thorvaldc.simulation.bus.cia402_axis import AxisSettings
 from thorvaldc.simulation.bus.cia402_device import Cia402Drive
 from thorvaldc.simulation.bus.device_description import DeviceDescription
@@ -93,6 +93,88 @@ class Drive:
     def joint(self) -> tuple[float, float]:
         state = self.motor.read(self.wire.timeline.seconds)
         return state.position, state.velocity
+
+
+def test_factory_values() -> None:
+    """Positions in encoder counts, speeds in counts/s, of a gear of 42:1 with 1024 pulses."""
+    drive = Drive()
+    expected = {
+        (0x6007, 0): 1,
+        (0x605A, 0): 2,
+        (0x605C, 0): 1,
+        (0x605E, 0): 2,
+        (0x6060, 0): 0,
+        (0x6065, 0): round(math.radians(10) * COUNT),
+        (0x6066, 0): 100,
+        (0x6067, 0): round(math.radians(0.5) * COUNT),
+        (0x6068, 0): 10,
+        (0x606D, 0): round(0.02 * TOP * COUNT),
+        (0x6079, 0): 48_000,
+        (0x607A, 0): 0,
+        (0x607C, 0): 0,
+        (0x607D, 0): 2,
+        (0x607D, 1): round(-LIMIT * COUNT),
+        (0x607D, 2): round(LIMIT * COUNT),
+        (0x607F, 0): round(TOP * COUNT),
+        (0x6080, 0): round(TOP * 42 * 60 / math.tau),
+        (0x6081, 0): round(TOP * COUNT),
+        **{(index, 0): round(ACCELERATION * COUNT) for index in (0x6083, 0x6084, 0x6085)},
+        (0x6098, 0): 37,
+        (0x6099, 0): 2,
+        (0x6099, 1): round(0.25 * TOP * COUNT),
+        (0x6099, 2): round(0.05 * TOP * COUNT),
+        (0x609A, 0): round(ACCELERATION * COUNT),
+        (0x608F, 0): 2,
+        (0x608F, 1): 4096,
+        (0x608F, 2): 1,
+        (0x60C2, 0): 2,
+        (0x60C2, 1): 20,
+        (0x60C2, 2): -3,
+        (0x60C5, 0): round(ACCELERATION * COUNT),
+        (0x60FF, 0): 0,
+        # Profile position and velocity, homing, cyclic position and velocity.
+        (0x6502, 0): 0b1_1010_0101,
+    }
+    values = {key: drive.get(*key) for key in expected}
+    values[0x606D, 0] &= 0xFFFF
+    assert values == expected
+    lengths = {
+        drive_object: len(drive.master.read(NODE, *drive_object)) for drive_object in expected
+    }
+    assert {key for key, length in lengths.items() if length == 1} == {
+        *((0x6060, 0), (0x6098, 0), (0x60C2, 1), (0x60C2, 2)),
+        *((index, 0) for index in (0x607D, 0x6099, 0x608F, 0x60C2)),
+    }
+    assert {key for key, length in lengths.items() if length == 2} == {
+        (index, 0) for index in (0x6007, 0x605A, 0x605C, 0x605E, 0x6066, 0x6068, 0x606D)
+    }
+
+
+@pytest.mark.parametrize(
+    ("index", "subindex", "size", "lowest", "highest"),
+    [
+        (0x6007, 0, 2, 0, 3),
+        (0x605A, 0, 2, 0, 6),
+        (0x605C, 0, 2, 0, 1),
+        (0x605E, 0, 2, 0, 2),
+        (0x6083, 0, 4, 1, None),
+        (0x60C5, 0, 4, 1, None),
+        (0x6099, 1, 4, 1, None),
+        (0x60C2, 1, 1, 1, None),
+        (0x60C2, 2, 1, -6, 0),
+    ],
+)
+def test_ranges_of_objects(
+    index: int, subindex: int, size: int, lowest: int, highest: int | None
+) -> None:
+    drive = Drive()
+    drive.set(index, lowest, size, subindex)
+    for value in (lowest - 1, *(() if highest is None else (highest + 1,))):
+        if value >= 0 or size != 4:
+            with pytest.raises(Refused, match="0x06090030"):
+                drive.set(index, value, size, subindex)
+    if highest is not None:
+        drive.set(index, highest, size, subindex)
 
 
 # -- states -------------------------------------------------------------------------------

@@ -247,6 +247,51 @@ def test_an_error_passive_sender_waits_8_more_bits() -> None:
         assert second - first == (frame_bits(frames[1]) + gap) * BIT
 
 
+def test_error_counters_and_states() -> None:
+    _, (a, b), _ = make("a", "b")
+    controller = b.controller
+    states: list[ErrorState] = []
+    controller.on_state = states.append
+    controller.count_errors(receive=127)
+    assert states == []
+    controller.count_errors(receive=1)
+    assert (controller.receive_errors, states) == (128, [ErrorState.PASSIVE])
+    controller.count_errors(receive=200)
+    assert controller.receive_errors == 255
+    for number, expected in enumerate((127, 126, 125)):
+        a.send(CanFrame(0x100 + number))
+        a.sleep(0.001)
+        assert controller.receive_errors == expected
+    assert states == [ErrorState.PASSIVE, ErrorState.ACTIVE]
+    controller.count_errors(transmit=128)
+    b.send(CanFrame(0x200))
+    a.sleep(0.001)
+    assert controller.transmit_errors == 127
+    controller.count_errors(transmit=128)
+    assert controller.state is ErrorState.PASSIVE, "255 is not yet bus-off"
+    controller.count_errors(transmit=1)
+    assert states[2:] == [
+        *(ErrorState.PASSIVE, ErrorState.ACTIVE, ErrorState.PASSIVE),
+        ErrorState.BUS_OFF,
+    ]
+    controller.restart()
+    assert (controller.transmit_errors, controller.receive_errors) == (0, 0)
+
+
+def test_counts_of_a_controller() -> None:
+    _, (a, b), _ = make("a", "b")
+    b.controller.accepts = lambda frame: frame.id != 0x101
+    for identifier in (0x100, 0x101, 0x102):
+        a.send(CanFrame(identifier))
+    assert a.controller.pending == 3
+    a.sleep(0.01)
+    assert (a.controller.sent, a.controller.received, a.controller.lost) == (3, 0, 0)
+    assert (b.controller.sent, b.controller.received, b.controller.lost) == (0, 2, 1)
+    a.controller.switch_off()
+    assert not a.send(CanFrame(0x100))
+    assert a.controller.refused == 1
+
+
 def test_a_full_queue_refuses_the_newest() -> None:
     wire, (_,), log = make("a")
     small = VirtualTimeInterface(wire, "small", send_limit=3)

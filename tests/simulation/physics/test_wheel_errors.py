@@ -51,6 +51,20 @@ def follow(base: BaseHandle, angle: float, speed: float, seconds: float) -> None
         base.write(JointCommands([speed if tick >= 50 else 0.0] * n, [angle] * n), tick / 50)
 
 
+def test_ranges_of_wheel_errors() -> None:
+    for ratio in (0.5, 2.0):
+        assert WheelErrors.by_name(ROBOT, {"w1": ratio}).radius_ratios == (1.0, ratio, 1.0, 1.0)
+    for ratio in (0.49, 2.01, math.nan):
+        with pytest.raises(DiagnosticError, match=r"radius ratio of `w1` is .* 0.5 to 2"):
+            WheelErrors.by_name(ROBOT, {"w1": ratio})
+    for offset in (-1.0, 1.0):
+        errors = WheelErrors.by_name(ROBOT, None, {"w2": offset})
+        assert errors.steering_offsets == (0.0, 0.0, offset, 0.0)
+    for offset in (-1.01, 1.01, math.nan):
+        with pytest.raises(DiagnosticError, match=r"steering offset of `w2` is .* -1 to 1"):
+            WheelErrors.by_name(ROBOT, None, {"w2": offset})
+
+
 # -- ideal joints on ideal ground -------------------------------------------------------
 
 

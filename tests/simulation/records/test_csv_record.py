@@ -1,0 +1,113 @@
+"""CSV records: each value in its own column, and the same values when they are read."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.robots import FOUR_STEERED, make_robot
+from thorvaldc.diagnostics import Report
+from thorvaldc.runtime.base_interface import JointCommands, JointStates
+from thorvaldc.runtime.se2 import Pose2, Twist
+from thorvaldc.simulation.control_loop import Sample
+from thorvaldc.simulation.records.csv_record import CsvRecorder, read_csv_record
+
+ROBOT = make_robot(FOUR_STEERED)
+COMMANDS = JointCommands([1.5, 2.5, 3.5, 4.5], [0.15, 0.25, 0.35, 0.45])
+GROUPS = ("odometry", "truth", "twist", "joints")
+
+
+def sample(time: float) -> Sample:
+    return Sample(
+        time,
+        Twist(1.0, 2.0, 3.0),
+        Twist(4.0, 5.0, 6.0),
+        Twist(7.0, 8.0, 9.0),
+        Twist(10.0, 11.0, 12.0),
+        Pose2(13.0, 14.0, 15.0),
+        Pose2(16.0, 17.0, 18.0),
+        JointStates(time, [1.0, 2.0, 3.0, 4.0], [0.1, 0.2, 0.3, 0.4], [0.0] * 4, [5.0, 6, 7, 8]),
+        (19.0, 20.0, 21.0),
+    )
+
+
+def write(path: Path, groups: tuple[str, ...] = GROUPS, every: float = 0.0) -> None:
+    recorder = CsvRecorder(path, [("one", ROBOT)], groups, every)
+    for tick in range(5):
+        recorder.record("one", sample(0.25 * tick), COMMANDS)
+    recorder.close()
+
+
+def test_columns_of_all_groups(tmp_path: Path) -> None:
+    write(tmp_path)
+    header, line = (tmp_path / "one.csv").read_text().splitlines()[:2]
+    cells = dict(zip(header.split(","), map(float, line.split(",")), strict=True))
+    parts = {"pose": ("x", "y", "yaw"), "twist": ("vx", "vy", "wz")}
+    expected = {"time": 0.0}
+    for name, kind, first in (
+        ("odometry", "pose", 13),
+        ("odometry", "twist", 7),
+        ("true", "pose", 16),
+        ("true", "twist", 10),
+        ("asked", "twist", 1),
+        ("aimed", "twist", 4),
+    ):
+        expected |= {f"{name}_{part}": first + k for k, part in enumerate(parts[kind])}
+    expected |= {"true_z": 19.0, "true_roll": 20.0, "true_pitch": 21.0}
+    for k, wheel in enumerate(ROBOT.wheels):
+        spin, steering = wheel.spin_joint, wheel.steering_joint
+        expected[f"{spin}_position"], expected[f"{spin}_velocity"] = 5.0 + k, 1.0 + k
+        expected[f"{spin}_command"] = 1.5 + k
+        expected[f"{steering}_position"] = pytest.approx(0.1 + 0.1 * k)
+        expected[f"{steering}_command"] = pytest.approx(0.15 + 0.1 * k)
+    assert cells == expected
+
+
+def test_a_record_is_read_as_it_was_written(tmp_path: Path) -> None:
+    write(tmp_path)
+    report = Report()
+    for path in (tmp_path, tmp_path / "one.csv"):
+        runs = read_csv_record(path, [("other_name", ROBOT)], report)
+        assert runs is not None
+        assert not list(report)
+        run = runs["other_name"]
+        assert run.groups == GROUPS
+        assert run.samples == [sample(0.25 * tick) for tick in range(5)]
+        assert run.commands == [COMMANDS] * 5
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_groups_that_are_not_recorded_are_unknown(tmp_path: Path, group: str) -> None:
+    write(tmp_path, (group,))
+    runs = read_csv_record(tmp_path, [("one", ROBOT)], Report())
+    assert runs is not None
+    run, full = runs["one"], sample(0.0)
+    assert run.groups == (group,)
+    first = run.samples[0]
+    known = {
+        "odometry": first.estimated == full.estimated
+        and first.pose_estimated == full.pose_estimated,
+        "truth": (first.true, first.pose_true, first.posture)
+        == (full.true, full.pose_true, full.posture),
+        "twist": first.commanded == full.commanded and first.limited == full.limited,
+        "joints": first.joints == full.joints and run.commands[0] == COMMANDS,
+    }
+    assert [name for name, is_known in known.items() if is_known] == [group]
+
+
+def test_samples_at_an_interval(tmp_path: Path) -> None:
+    write(tmp_path / "one.csv", ("twist",), 0.5)
+    lines = (tmp_path / "one.csv").read_text().splitlines()[1:]
+    assert [float(line.partition(",")[0]) for line in lines] == [0.0, 0.5, 1.0]
+
+
+def test_numbers_have_nine_digits_and_no_negative_zero(tmp_path: Path) -> None:
+    recorder = CsvRecorder(tmp_path, [("one", ROBOT)], ("twist",))
+    numbers = Twist(1 / 3, -0.0, math.nan)
+    recorder.record("one", replace(sample(0.0), commanded=numbers), COMMANDS)
+    recorder.close()
+    cells = (tmp_path / "one.csv").read_text().splitlines()[1].split(",")
+    assert cells[:4] == ["0", "0.333333333", "0", ""]
