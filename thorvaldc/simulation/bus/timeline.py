@@ -66,21 +66,6 @@ class Timeline:
         """Schedules a call of ``action`` after ``delay`` ns."""
         return self.at(self.now + delay, action)
 
-    def step(self) -> bool:
-        """Runs the next event of the simulation.
-
-        Returns ``False`` if no event is scheduled.
-        """
-        queue = self._queue
-        while queue:
-            time, _, _, event = heapq.heappop(queue)
-            action, event.action = event.action, None
-            if action is not None:
-                self.now = time
-                action()
-                return True
-        return False
-
     def run_until(self, time: int, stop: Callable[[], bool] | None = None) -> bool:
         """Runs all events until ``time`` (ns), including events at ``time``.
 
