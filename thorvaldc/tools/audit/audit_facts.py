@@ -75,7 +75,7 @@ class Body:
 class BodyJoint:
     """A joint of a description; ``pose`` is the pose of the child in the frame of the parent.
 
-    - ``axis``: axis in the frame of the child.
+    - ``axis``: axis in the frame of the child; ``anchor``: a point on it.
     - ``limits``: facts ``lower``, ``upper``, ``velocity`` and ``effort`` by name.
     """
 
@@ -86,6 +86,7 @@ class BodyJoint:
     span: Span
     pose: Pose = field(default_factory=Pose)
     axis: Vec3 = (1.0, 0.0, 0.0)
+    anchor: Vec3 = (0.0, 0.0, 0.0)
     limits: dict[str, Fact] = field(default_factory=dict)
 
     @property
@@ -203,6 +204,7 @@ class LaunchedNode:
     parameters: Mapping[str, Fact]
     parameter_files: tuple[Fact, ...] = ()
     remappings: tuple[tuple[str, str], ...] = ()
+    arguments: tuple[str, ...] = ()
     conditional: bool = False
 
 
@@ -221,7 +223,7 @@ class Evidence:
     """All that the audit has read.
 
     - ``facts``: statements of the parameter files, made from ``sections``.
-    - ``incomplete``: whether a description could not be read, so that names can be missing.
+    - ``incomplete``: names of the descriptions that could not be read.
     - ``packages``: folder of each ROS package, by its name.
     """
 
@@ -254,7 +256,15 @@ class Evidence:
         words = path_words(file)
         affinities = [len(words & path_words(d.file)) for d in candidates]
         best = max(affinities, default=0)
+        if any(len(words & path_words(unread)) > best for unread in self.incomplete):
+            return []  # it probably belongs to a description that cannot be read
         return [d for d, value in zip(candidates, affinities, strict=True) if value == best]
+
+
+def is_nearer(file: str, unread: str, other: str) -> bool:
+    """Whether a file belongs to ``unread`` at least as probably as to ``other``, by its path."""
+    words = path_words(file)
+    return len(words & path_words(unread)) >= len(words & path_words(other))
 
 
 _GENERAL_WORDS = frozenset(

@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
-import re
-import time
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from thorvaldc.compiler.extras.xacro_expand import (
-    DisplayPaths,
-    ExpandedFile,
-    ExpansionRequest,
-    expand,
-)
+from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.diagnostics import Report
 from thorvaldc.tools.audit.audit_facts import Evidence
 from thorvaldc.tools.audit.audit_rules import RULES
 from thorvaldc.tools.audit.drive_facts import controller_facts
+from thorvaldc.tools.audit.expanded_descriptions import read_urdf_files
+from thorvaldc.tools.audit.file_rules import bus_facts
 from thorvaldc.tools.audit.folder_survey import RobotFile, Survey, skip, survey
+from thorvaldc.tools.audit.launch_files import (
+    is_python_launch,
+    read_python_launch,
+    read_xml_launch,
+    read_yaml_launch,
+)
+from thorvaldc.tools.audit.mjcf_description import read_mjcf_description
+from thorvaldc.tools.audit.node_facts import launched_facts, node_facts
 from thorvaldc.tools.audit.parameter_files import UnreadableYaml, parameter_sections, read_yaml
-from thorvaldc.tools.audit.urdf_description import read_urdf_description
-
-# Time in s after which no further xacro files are expanded.  An endless file takes 20 s.
-EXPANSION_SECONDS = 60.0
-_FILES_PER_WORKER = 4
+from thorvaldc.tools.audit.sdf_description import read_sdf_descriptions
+from thorvaldc.tools.audit.xml_document import XmlError, read_xml, walk
 
 
 @dataclass(slots=True)
@@ -46,99 +47,129 @@ def audit(names: Sequence[str], *, trust: bool = False) -> Audit:
     """
     result = Audit()
     report, evidence = result.report, result.evidence
-    found_files = survey(list(names), report)
-    evidence.packages.update(found_files.packages)
-    xacro_files: list[tuple[RobotFile, bytes]] = []
-    for file in found_files.files:
+    robot_files = survey(list(names), report)
+    evidence.packages.update(robot_files.packages)
+    reader = _Reader(robot_files, result)
+    for file in robot_files.files:
         result.sources[file.display] = file.path
-        if file.path.suffix in (".urdf", ".xacro"):
-            data = found_files.content(file, report)
-            if data is not None:
-                xacro_files.append((file, data))
-        elif file.path.suffix in (".yaml", ".yml"):
-            _read_parameters(file, found_files, result)
-    _read_urdf_files(xacro_files, found_files, result, trust)
+        reader.read(file)
+    reader.read_mjcf_files()
+    expanded = read_urdf_files(reader.urdf_files, robot_files.packages, evidence, report, trust)
+    result.sources.update(expanded)
     for section in evidence.sections:
-        evidence.facts += controller_facts(section)
-    if not (evidence.descriptions or evidence.sections or evidence.launches):
-        if not report.has_errors:
-            shown = ", ".join(f"`{name}`" for name in names)
-            report.add("audit-nothing-found", f"{shown} contains no robot files that are read")
-        return result
+        evidence.facts += controller_facts(section) + node_facts(section)
+    evidence.facts += launched_facts(evidence)
+    read = (evidence.descriptions, evidence.sections, evidence.launches, evidence.facts)
+    if not any(read) and not report.has_errors:
+        shown = ", ".join(f"`{name}`" for name in names)
+        report.add("audit-nothing-found", f"{shown} contains no robot files that are read")
     for rule in RULES:
         rule(evidence, report)
     return result
 
 
-def _read_parameters(file: RobotFile, found_files: Survey, result: Audit) -> None:
-    data = found_files.content(file, result.report)
-    if data is None or b"ros__parameters" not in data:
-        return
-    try:
-        document, _ = read_yaml(data, file.display)
-    except UnreadableYaml as error:
-        diagnostic = error.diagnostic
-        skip(file.display, diagnostic.message, result.report, diagnostic.span)
-        return
-    if document is not None:
-        result.evidence.sections += parameter_sections(document, file.display, file.path)
+class _Reader:
+    """Chooses the reader of each file by its name and its root element."""
 
+    def __init__(self, robot_files: Survey, result: Audit) -> None:
+        self.robot_files = robot_files
+        self.evidence = result.evidence
+        self.report = result.report
+        self.urdf_files: list[tuple[RobotFile, bytes]] = []
+        self.mjcf_files: dict[str, tuple[RobotFile, Element]] = {}
 
-# -- URDF and xacro -------------------------------------------------------------------
-
-_ROBOT = re.compile(rb"<robot\b([^>]*)>")
-_INCLUDE = re.compile(rb"<xacro:include\b[^>]*\bfilename\s*=\s*[\"']([^\"']+)[\"']")
-
-
-def _read_urdf_files(
-    files: list[tuple[RobotFile, bytes]], found_files: Survey, result: Audit, trust: bool
-) -> None:
-    """Expands the files that describe a robot: named ones, and those that no other includes."""
-    included = {
-        Path(name.decode("utf-8", "replace")).name
-        for _, data in files
-        for name in _INCLUDE.findall(data)
-    }
-    tops = []
-    for file, data in files:
-        robot = _ROBOT.search(data)
-        if robot is None:
-            continue
-        if b"name" in robot[1] or file.path.name not in included:
-            tops.append(file)
-    packages = {name: str(folder) for name, folder in found_files.packages.items()}
-    end = time.monotonic() + EXPANSION_SECONDS
-    for start in range(0, len(tops), _FILES_PER_WORKER):
-        chunk = tops[start : start + _FILES_PER_WORKER]
-        if time.monotonic() > end:
-            for file in tops[start:]:
-                skip(file.display, "the expansion of the other files took too long", result.report)
-                result.evidence.incomplete.append(file.display)
+    def read(self, file: RobotFile) -> None:
+        if file.path.name == "package.xml":
             return
-        for file in chunk:
-            request = ExpansionRequest(file.path, {}, packages)
-            display = "" if file.root_display == "." else file.root_display
-            paths = DisplayPaths(file.root, display, {})
-            _read_expanded(file, expand([request], paths, trust=trust)[0], result)
+        data = self.robot_files.content(file, self.report)
+        if data is None:
+            return
+        suffix = file.path.suffix.lower()
+        if suffix in (".urdf", ".xacro"):
+            self.urdf_files.append((file, data))
+        elif suffix in (".yaml", ".yml"):
+            self.read_yaml_file(file, data)
+        elif suffix == ".py":
+            if is_python_launch(data):
+                try:
+                    launch = read_python_launch(data, file.display, file.path)
+                except ValueError as error:
+                    skip(file.display, str(error), self.report)
+                else:
+                    self.evidence.launches.append(launch)
+        else:
+            self.read_xml_file(file, data)
+
+    def read_yaml_file(self, file: RobotFile, data: bytes) -> None:
+        is_parameters = b"ros__parameters" in data
+        is_launch = b"launch:" in data and ".launch" in file.path.name
+        if not is_parameters and not is_launch and b"node_id" not in data:
+            return
+        try:
+            document = read_yaml(data, file.display, self.report)
+        except UnreadableYaml as error:
+            diagnostic = error.diagnostic
+            skip(file.display, diagnostic.message, self.report, diagnostic.span)
+            return
+        if document is None:
+            return
+        if is_parameters:
+            self.evidence.sections += parameter_sections(document, file.display, file.path)
+        elif is_launch:
+            self.evidence.launches.append(read_yaml_launch(document, file.display, file.path))
+        else:
+            self.evidence.facts += bus_facts(document)
+
+    def read_xml_file(self, file: RobotFile, data: bytes) -> None:
+        try:
+            root = read_xml(data, file.display, file.path)
+        except XmlError as error:
+            skip(file.display, str(error), self.report, error.span)
+            return
+        if root.tag == "sdf":
+            models = read_sdf_descriptions(root, file.display, file.path, self.report)
+            self.evidence.descriptions += models
+        elif root.tag in ("mujoco", "mujocoinclude"):
+            self.mjcf_files[os.path.realpath(file.path)] = file, root
+        elif root.tag == "launch":
+            self.evidence.launches.append(read_xml_launch(root, file.display, file.path))
+        elif root.tag == "robot":
+            self.urdf_files.append((file, data))
+
+    def read_mjcf_files(self) -> None:
+        """Reads the MJCF files that no other MJCF file includes."""
+        # MuJoCo finds included files from the folder of the main file, or of the including file.
+        included = {
+            Path(element.attributes.get("file", "")).name
+            for _, root in self.mjcf_files.values()
+            for element in walk(root)
+            if element.tag in ("include", "model")
+        }
+        for path, (file, root) in self.mjcf_files.items():
+            if root.tag != "mujoco" or file.path.name in included:
+                continue
+            missing: list[str] = []
+
+            def include(
+                name: str, element: Element, top: str = path, missing: list[str] = missing
+            ) -> Element | None:
+                for start in (top, os.path.realpath(element.file)):
+                    entry = self.mjcf_files.get(_beside(start, name))
+                    if entry is not None:
+                        return entry[1]
+                missing.append(name)
+                return None
+
+            scratch = Report()
+            model = read_mjcf_description(root, file.display, file.path, include, scratch)
+            if missing:
+                text = f"the included file `{missing[0]}` is not in the audited folders"
+                skip(file.display, text, self.report)
+                self.evidence.incomplete.append(file.display)
+            elif model is not None:
+                self.report.extend(scratch)
+                self.evidence.descriptions.append(model)
 
 
-def _read_expanded(file: RobotFile, expanded: ExpandedFile, result: Audit) -> None:
-    result.sources.update(expanded.files)
-    if expanded.failure is not None:
-        failure = expanded.failure
-        reason = _REASONS.get(failure.kind, "{}").format(failure.text)
-        skip(file.display, reason, result.report, failure.span)
-        result.evidence.incomplete.append(file.display)
-        return
-    description = read_urdf_description(expanded.elements, file.display, file.path, result.report)
-    if description is not None:
-        result.evidence.descriptions.append(description)
-
-
-_REASONS = {
-    "argument": "the xacro argument `{}` has no default",
-    "environment": "it reads the environment variable `{}`",
-    "package": "the package `{}` is not in the audited folders",
-    "xml": "it is not XML: {}",
-    "root": "its root element is {}",
-}
+def _beside(path: str, name: str) -> str:
+    return os.path.realpath(os.path.join(os.path.dirname(path), name)) if "\0" not in name else ""

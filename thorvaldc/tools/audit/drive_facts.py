@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from thorvaldc.model import Pose, Vec3
-from thorvaldc.model.spatial import dot, norm
+from thorvaldc.model.spatial import dot, norm, sub
 from thorvaldc.tools.audit.audit_facts import (
     BodyJoint,
     Description,
@@ -111,10 +111,11 @@ def _round_shapes(description: Description, joint: BodyJoint) -> list[tuple[str,
             placed = pose * shape.pose
             direction = placed.rotate((0.0, 0.0, 1.0))
             along = abs(dot(direction, (axis[0], axis[1], axis[2])))
-            position = placed.xyz
+            position = sub(placed.xyz, joint.anchor)
             on_axis = dot(position, (axis[0], axis[1], axis[2]))
             offset = math.sqrt(max(0.0, dot(position, position) - on_axis * on_axis))
-            is_wheel = shape.kind == "sphere" or (shape.kind == "cylinder" and along > 0.99)
+            flat = shape.kind in ("cylinder", "tyre", "capsule")
+            is_wheel = shape.kind == "sphere" or (flat and along > 0.99)
             if is_wheel and shape.size[0] > 0.0 and offset < 0.1 * shape.size[0]:
                 shapes.append((body.name, shape._replace(pose=placed)))
     return shapes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.tools.audit.audit_facts import Description, Evidence, Fact
+from thorvaldc.tools.audit.audit_facts import Description, Evidence, Fact, is_nearer
 
 
 def check_joint_names(evidence: Evidence, report: Report) -> None:
@@ -22,6 +22,8 @@ def check_joint_names(evidence: Evidence, report: Report) -> None:
         related = evidence.related(file, names)
         if not related and not evidence.incomplete:
             related = evidence.related(file)
+        if related and any(is_nearer(file, u, related[0].file) for u in evidence.incomplete):
+            continue
         for fact in facts:
             if related and not any(fact.value in d.joints for d in evidence.descriptions):
                 _report(fact, related[0], report)

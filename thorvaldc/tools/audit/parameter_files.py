@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.compiler.source.reader import read_text
-from thorvaldc.diagnostics import Diagnostic, Report
+from thorvaldc.compiler.source.reader import MAX_DEPTH, MAX_VALUES, compose
+from thorvaldc.compiler.source.scalars import plain_scalar
+from thorvaldc.diagnostics import CODES, Diagnostic, Label, Report, Span
 from thorvaldc.tools.audit.audit_facts import ParameterSection
 
 _KEY = "ros__parameters"
@@ -21,16 +23,83 @@ class UnreadableYaml(Exception):
         self.diagnostic = diagnostic
 
 
-def read_yaml(data: bytes, display: str) -> tuple[Node | None, Report]:
-    """Returns the document of a YAML file, and the diagnostics of the strict reader.
+def read_yaml(data: bytes, display: str, report: Report) -> Node | None:
+    """Returns the document of a YAML file as ROS reads it, or ``None`` if it is empty.
 
-    The document is ``None`` if the file is empty.  Raises ``UnreadableYaml``.
+    ROS merges mappings with the same key, and of two values it takes the last one, which is
+    reported if they differ.  Raises ``UnreadableYaml``.
     """
-    report = Report()
-    document = read_text(data, display, report)
-    if document is None and not any(d.code.name == "yaml-empty" for d in report):
-        raise UnreadableYaml(report.sorted()[0])
-    return document, report
+    strict = Report()
+    root = compose(data, display, strict)
+    if root is None:
+        if any(d.code.name == "yaml-empty" for d in strict):
+            return None
+        raise UnreadableYaml(strict.sorted()[0])
+    converter = _Converter(display, report)
+    try:
+        return converter.node(root, None, 0)
+    except OverflowError:
+        text = f"the document has more than {MAX_VALUES} values, aliases expanded"
+        raise UnreadableYaml(
+            Diagnostic(CODES["yaml-too-many-values"], text, Span(display))
+        ) from None
+
+
+class _Converter:
+    """Converts the nodes of PyYAML; repeated keys, merge keys and aliases are allowed."""
+
+    def __init__(self, file: str, report: Report) -> None:
+        self.file = file
+        self.report = report
+        self.count = 0
+        self.ignored = Report()  # words such as `yes`: readers of ROS know them
+
+    def span(self, raw: Any) -> Span:
+        start, end = raw.start_mark, raw.end_mark
+        if raw.id != "scalar":
+            return Span(
+                self.file, start.line + 1, start.column + 1, start.line + 1, start.column + 2
+            )
+        return Span(self.file, start.line + 1, start.column + 1, end.line + 1, end.column + 1)
+
+    def node(self, raw: Any, key_span: Span | None, depth: int) -> Node:
+        self.count += 1
+        if self.count > MAX_VALUES or depth > MAX_DEPTH:  # also an alias that contains itself
+            raise OverflowError
+        span = self.span(raw)
+        if raw.id == "scalar":
+            value = raw.value if raw.style else plain_scalar(raw.value, span, self.ignored)
+            return Node(value, span, key_span, bool(raw.style))
+        if raw.id == "sequence":
+            return Node(tuple(self.node(v, None, depth + 1) for v in raw.value), span, key_span)
+        values: dict[str, Node] = {}
+        for raw_key, raw_value in raw.value:
+            key = str(raw_key.value) if raw_key.id == "scalar" else ""
+            value = self.node(raw_value, self.span(raw_key), depth + 1)
+            if key == "<<" and isinstance(value.value, dict):
+                values = {**value.value, **values}
+            elif key in values:
+                values[key] = self.merged(key, values[key], value)
+            else:
+                values[key] = value
+        return Node(values, span, key_span)
+
+    def merged(self, key: str, first: Node, last: Node) -> Node:
+        """Returns the value of a key that occurs twice in one mapping."""
+        if isinstance(first.value, dict) and isinstance(last.value, dict):
+            values = dict(first.value)
+            for name, value in last.value.items():
+                values[name] = self.merged(name, values[name], value) if name in values else value
+            return Node(values, first.span, first.key_span)
+        if first.plain() != last.plain() and first.key_span != last.key_span:
+            self.report.add(
+                "audit-key-twice",
+                f"the key `{key}` occurs twice with different values; ROS uses the last one",
+                last.where,
+                hint="keep one of them",
+                labels=[Label(first.where, "first used here")],
+            )
+        return last
 
 
 def parameter_sections(document: Node, display: str, path: Path) -> list[ParameterSection]:
