@@ -10,6 +10,13 @@ import posixpath
 
 from thorvaldc.backends import Backend
 from thorvaldc.backends.ros2_launch_files import fleet_launch_file, launch_files
+from thorvaldc.backends.ros2_localization import (
+    ekf_map,
+    ekf_odom,
+    navsat_transform,
+    slam_toolbox,
+)
+from thorvaldc.backends.ros2_navigation import global_costmap, nav2, plugin_packages
 from thorvaldc.backends.ros2_package_files import driver_module, package_files
 from thorvaldc.backends.ros2_parameter_file import parameter_file
 from thorvaldc.backends.ros2_parameters import (
@@ -65,7 +72,7 @@ def fleet_package(fleet: Fleet) -> dict[str, bytes]:
 def package_of(robot: Robot) -> dict[str, bytes]:
     """Return the files of the ROS 2 package of a robot, by their path in the package."""
     parts = parts_of(robot)
-    launches = launch_files(robot)
+    launches = launch_files(robot, parts)
     names = [posixpath.basename(path).removesuffix(".launch.py") for path in launches]
     files = {
         **driver_module(robot),
@@ -79,13 +86,15 @@ def package_of(robot: Robot) -> dict[str, bytes]:
     }
     description = f"The robot {robot.name}, made by thorvaldc"
     return {
-        **package_files(robot.ros.package, description, files, launches.values()),
+        **package_files(
+            robot.ros.package, description, files, launches.values(), plugin_packages(robot, parts)
+        ),
         **files,
     }
 
 
 def _parameter_files(robot: Robot, parts: Parts) -> dict[str, bytes]:
-    nodes: dict[str, dict[str, Parameters]] = {
+    files: dict[str, dict[str, Parameters]] = {
         "base_driver": {"base_driver": base_driver(robot)},
         "robot_state_publisher": {"robot_state_publisher": robot_state_publisher(robot)},
         "teleop_twist_joy": {
@@ -93,10 +102,25 @@ def _parameter_files(robot: Robot, parts: Parts) -> dict[str, bytes]:
             "teleop_twist_joy_node": teleop(robot, robot.ros.stamped),
         },
     }
+    if parts.local_ekf:
+        files["ekf_odom"] = {"ekf_odom": ekf_odom(robot, parts)}
+    if parts.gnss is not None:
+        files["gnss"] = {
+            "ekf_map": ekf_map(robot, parts),
+            "navsat_transform": navsat_transform(robot, parts),
+        }
+    if parts.slam is not None:
+        files["slam_toolbox"] = {"slam_toolbox": slam_toolbox(robot, parts.slam)}
+    if parts.navigation:
+        files["nav2"] = nav2(robot, parts)
+        for source in parts.map_sources or ("none",):
+            files[f"global_costmap_{source}"] = {
+                "global_costmap/global_costmap": global_costmap(robot, parts, source)
+            }
     space = node_space(robot)
     return {
         f"config/{file}.yaml": parameter_file(
-            {space + node: values for node, values in content.items()}
+            {space + node: values for node, values in nodes.items()}
         ).encode()
-        for file, content in nodes.items()
+        for file, nodes in files.items()
     }

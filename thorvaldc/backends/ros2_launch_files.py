@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import json
 
+from thorvaldc.backends.ros2_navigation import Motion
+from thorvaldc.backends.ros2_parts import Parts, sensor_topic, source_topic
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.ros import EKF
 
@@ -31,14 +33,17 @@ _IMPORTS = {
     ),
     "LaunchDescription": "from launch import LaunchDescription",
     "DeclareLaunchArgument": "from launch.actions import DeclareLaunchArgument",
+    "GroupAction": "from launch.actions import GroupAction",
     "IncludeLaunchDescription": "from launch.actions import IncludeLaunchDescription",
     "IfCondition": "from launch.conditions import IfCondition",
+    "UnlessCondition": "from launch.conditions import UnlessCondition",
     "PythonLaunchDescriptionSource": (
         "from launch.launch_description_sources import PythonLaunchDescriptionSource"
     ),
     "EqualsSubstitution": "from launch.substitutions import EqualsSubstitution",
     "LaunchConfiguration": "from launch.substitutions import LaunchConfiguration",
     "Node": "from launch_ros.actions import Node",
+    "SetParameter": "from launch_ros.actions import SetParameter",
     "ParameterValue": "from launch_ros.parameter_descriptions import ParameterValue",
     "xacro": "import xacro",
 }
@@ -114,7 +119,7 @@ BASE = """\
                     use_sim_time,
                 ],
             ),
-            Node(
+@EKF@            Node(
                 condition=IfCondition(LaunchConfiguration("rviz")),
                 package="rviz2",
                 executable="rviz2",
@@ -125,6 +130,18 @@ BASE = """\
             ),
         ]
     )
+"""
+
+EKF_NODE = """\
+            Node(
+                condition=UnlessCondition(LaunchConfiguration("enable_odom_tf")),
+                package="robot_localization",
+                executable="ekf_node",
+                name="ekf_odom",
+                namespace=NAMESPACE,
+                output="screen",
+                parameters=[os.path.join(config, "ekf_odom.yaml"), use_sim_time],
+            ),
 """
 
 _INCLUDE_BASE = """\
@@ -177,6 +194,157 @@ TELEOP = """\
     )
 """
 
+
+_TIME = """\
+            DeclareLaunchArgument(
+                "use_sim_time", default_value="false", description="take the time from /clock"
+            ),
+"""
+
+GNSS = """\
+    config = os.path.join(share, "config")
+    use_sim_time = {
+        "use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
+    }
+    return LaunchDescription(
+        [
+@TIME@            Node(
+                package="robot_localization",
+                executable="ekf_node",
+                name="ekf_map",
+                namespace=NAMESPACE,
+                output="screen",
+                parameters=[os.path.join(config, "gnss.yaml"), use_sim_time],
+                remappings=[("odometry/filtered", "odometry/filtered_map")],
+            ),
+            Node(
+                package="robot_localization",
+                executable="navsat_transform_node",
+                name="navsat_transform",
+                namespace=NAMESPACE,
+                output="screen",
+                parameters=[os.path.join(config, "gnss.yaml"), use_sim_time],
+                remappings=[
+                    ("odometry/filtered", "odometry/filtered_map"),
+                    ("gps/fix", "@GNSS_TOPIC@"),
+@IMU@                ],
+            ),
+        ]
+    )
+"""
+
+SLAM = """\
+    config = os.path.join(share, "config")
+    use_sim_time = {
+        "use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
+    }
+    return LaunchDescription(
+        [
+@TIME@            Node(
+                package="slam_toolbox",
+                executable="async_slam_toolbox_node",
+                name="slam_toolbox",
+                namespace=NAMESPACE,
+                output="screen",
+                parameters=[os.path.join(config, "slam_toolbox.yaml"), use_sim_time],
+            ),
+            # slam_toolbox is a lifecycle node without the bond of Nav2's nodes.
+            Node(
+                package="nav2_lifecycle_manager",
+                executable="lifecycle_manager",
+                name="lifecycle_manager_slam",
+                namespace=NAMESPACE,
+                output="screen",
+                parameters=[
+                    {"autostart": True, "node_names": ["slam_toolbox"], "bond_timeout": 0.0},
+                    use_sim_time,
+                ],
+            ),
+        ]
+    )
+"""
+
+NAVIGATION = """\
+    nav2 = os.path.join(share, "config", "nav2.yaml")
+    localization = LaunchConfiguration("localization")
+
+    def node(package, name, *parameters, remappings=()):
+        return Node(
+            package=package,
+            executable=name,
+            name=name,
+            namespace=NAMESPACE,
+            output="screen",
+            parameters=[nav2, *parameters],
+            remappings=remappings,
+        )
+
+    # velocity_smoother and collision_monitor pass the twists on to the base driver.
+    out = [("cmd_vel", "cmd_vel_nav")]
+    costmap = [os.path.join(share, "config", "global_costmap_"), localization, ".yaml"]
+    return LaunchDescription(
+        [
+@TIME@            DeclareLaunchArgument(
+                "localization",
+                default_value="@DEFAULT_SOURCE@",
+                choices=@SOURCES@,
+                description="node that publishes the transform from map to odom",
+            ),
+            GroupAction(
+                [
+                    SetParameter("use_sim_time", LaunchConfiguration("use_sim_time")),
+@LOCALIZATIONS@                    node("nav2_controller", "controller_server", remappings=out),
+                    node("nav2_smoother", "smoother_server"),
+                    node("nav2_planner", "planner_server", costmap),
+                    node("nav2_behaviors", "behavior_server", remappings=out),
+                    node("nav2_bt_navigator", "bt_navigator"@TREE@),
+                    node("nav2_waypoint_follower", "waypoint_follower"),
+                    node("nav2_velocity_smoother", "velocity_smoother", remappings=out),
+                    node("nav2_collision_monitor", "collision_monitor"),
+                    Node(
+                        package="nav2_lifecycle_manager",
+                        executable="lifecycle_manager",
+                        name="lifecycle_manager_navigation",
+                        namespace=NAMESPACE,
+                        output="screen",
+                        parameters=[{"autostart": True, "node_names": NODES}],
+                    ),
+                ]
+            ),
+        ]
+    )
+
+
+NODES = [
+    "controller_server",
+    "smoother_server",
+    "planner_server",
+    "behavior_server",
+    "bt_navigator",
+    "waypoint_follower",
+    "velocity_smoother",
+    "collision_monitor",
+]
+"""
+
+_LOCALIZATION = """\
+                    IncludeLaunchDescription(
+                        PythonLaunchDescriptionSource(
+                            os.path.join(share, "launch", "@SOURCE@.launch.py")
+                        ),
+                        condition=IfCondition(EqualsSubstitution(localization, "@SOURCE@")),
+                    ),
+"""
+
+# A robot that cannot turn on the spot has no recoveries, which would turn it.
+_TREE = """\
+, {
+                        "default_nav_to_pose_bt_xml": os.path.join(
+                            get_package_share_directory("nav2_bt_navigator"),
+                            "behavior_trees",
+                            "navigate_w_replanning_time.xml",
+                        )
+                    }"""
 
 _FLEET = '''\
 """All robots of the fleet @FLEET@, each at its place in the frame map."""
@@ -255,8 +423,9 @@ def fleet_launch_file(fleet: Fleet) -> str:
     return _FLEET.replace("@FLEET@", fleet.name).replace("@ROBOTS@", robots)
 
 
-def launch_files(robot: Robot) -> dict[str, str]:
+def launch_files(robot: Robot, parts: Parts) -> dict[str, str]:
     """Return the launch files of a robot by their path in the package."""
+    turns = Motion(robot).kind != "ackermann"
     values = {
         "PACKAGE": robot.ros.package,
         "NAMESPACE": robot.namespace,
@@ -264,7 +433,19 @@ def launch_files(robot: Robot) -> dict[str, str]:
         if len(robot.buses) > 1
         else "socketcan:can0",
         "ODOM_TF": "false" if robot.ros.odom_tf == EKF else "true",
-        "TELEOP_TOPIC": _source_topic(robot, "teleop_joy"),
+        "TELEOP_TOPIC": source_topic(robot, "teleop_joy"),
+        "EKF": EKF_NODE if parts.local_ekf else "",
+        "TIME": _TIME,
+        "GNSS_TOPIC": sensor_topic(robot, parts.gnss) if parts.gnss is not None else "",
+        "IMU": f'                    ("imu", "{sensor_topic(robot, parts.imu)}"),\n'
+        if parts.imu is not None
+        else "",
+        "SOURCES": json.dumps(parts.map_sources or ("none",)),
+        "DEFAULT_SOURCE": (parts.map_sources or ("none",))[0],
+        "LOCALIZATIONS": "".join(
+            _LOCALIZATION.replace("@SOURCE@", source) for source in parts.map_sources
+        ),
+        "TREE": "" if turns else _TREE,
     }
     files = {
         "base": (
@@ -287,17 +468,16 @@ def launch_files(robot: Robot) -> dict[str, str]:
             _include_base(base="virtual"),
         )
         files["robot"] = ("The real robot on its CAN bus.", _include_base(base="bus"))
+    if parts.gnss is not None:
+        files["gnss"] = ("GNSS, odometry and IMU give the pose in the frame map.", GNSS)
+    if parts.slam is not None:
+        files["slam"] = ("slam_toolbox makes a map and gives the pose in it.", SLAM)
+    if parts.navigation:
+        files["navigation"] = ("Nav2 and its localization; the robot must run already.", NAVIGATION)
     return {
         f"launch/{name}.launch.py": _program(summary, body, values)
         for name, (summary, body) in files.items()
     }
-
-
-def _source_topic(robot: Robot, name: str) -> str:
-    for source in robot.twist_sources:
-        if source.name == name:
-            return source.topic
-    return f"{name}/cmd_vel"
 
 
 def _include_base(**arguments: str) -> str:
@@ -309,10 +489,10 @@ def _include_base(**arguments: str) -> str:
 def _program(summary: str, body: str, values: dict[str, str]) -> str:
     """Return the text of a launch file with its imports and the values of the robot."""
     text = _HEAD + body
+    for key, value in values.items():
+        text = text.replace(f"@{key}@", value)
     used = [name for name in _IMPORTS if f"{name}(" in text or f"{name}." in text]
     plain = [_IMPORTS[name] for name in used if name in _PLAIN_IMPORTS]
     others = sorted(_IMPORTS[name] for name in used if name not in _PLAIN_IMPORTS)
     imports = "\n".join([*plain, *([""] if plain else []), *others])
-    for key, value in {"SUMMARY": summary, "IMPORTS": imports, **values}.items():
-        text = text.replace(f"@{key}@", value)
-    return text
+    return text.replace("@SUMMARY@", summary).replace("@IMPORTS@", imports)

@@ -9,7 +9,9 @@ from collections.abc import Iterable, Mapping
 from thorvaldc.backends.xml_writer import Element, to_bytes
 from thorvaldc.model import Robot
 
-_NEEDED = re.compile(r'package="([a-z0-9_]+)"|get_package_share_directory\("([a-z0-9_]+)"\)')
+_NEEDED = re.compile(
+    r'package="([a-z0-9_]+)"|get_package_share_directory\("([a-z0-9_]+)"\)|node\("([a-z0-9_]+)", "'
+)
 _RUNTIME = ("ament_index_python", "launch", "launch_ros", "rclpy")
 _MESSAGES = ("diagnostic_msgs", "geometry_msgs", "nav_msgs", "rosgraph_msgs", "sensor_msgs")
 _MORE_MESSAGES = ("std_msgs", "std_srvs", "tf2_msgs")

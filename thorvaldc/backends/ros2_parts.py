@@ -36,6 +36,13 @@ class Parts(NamedTuple):
         return bool(self.lidars)
 
     @property
+    def map_sources(self) -> tuple[str, ...]:
+        """The localizations that publish the transform from ``map`` to ``odom``; the launch file
+        starts the first one by default."""
+        sources = (("slam", self.slam), ("gnss", self.gnss))
+        return tuple(name for name, sensor in sources if sensor is not None)
+
+    @property
     def localization(self) -> bool:
         """True if the package starts an EKF."""
         return self.gnss is not None or self.local_ekf
@@ -75,8 +82,8 @@ def _first(robot: Robot, kind: str) -> Sensor | None:
 
 
 def node_space(robot: Robot) -> str:
-    """Return what stands before the name of a node, such as ``/r1/``, or an empty text."""
-    return f"/{robot.namespace}/" if robot.namespace else ""
+    """Return what stands before the name of a node: ``/r1/``, or ``/`` without a name space."""
+    return f"/{robot.prefix}"
 
 
 def full_topic(robot: Robot, topic: str) -> str:
@@ -87,6 +94,14 @@ def full_topic(robot: Robot, topic: str) -> str:
 def sensor_topic(robot: Robot, sensor: Sensor) -> str:
     """Return the full name of the topic of a sensor, such as ``/r1/lidar/scan``."""
     return full_topic(robot, f"{sensor.name.replace('.', '_')}/{SENSOR_TOPICS[sensor.type]}")
+
+
+def source_topic(robot: Robot, name: str) -> str:
+    """Return the topic of a source of twists, relative to the name space."""
+    for source in robot.twist_sources:
+        if source.name == name:
+            return source.topic
+    return f"{name}/cmd_vel"
 
 
 def odom_frame(robot: Robot) -> str:

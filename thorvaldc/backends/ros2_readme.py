@@ -79,9 +79,9 @@ LAUNCHES = {
     "teleop": "a pad moves the robot",
     "gazebo": "simulation in Gazebo",
     "ros2_control": "controllers of ros2_control in place of the base driver; `hardware:=mock`",
-    "localization": "EKF and GNSS",
+    "gnss": "GNSS, odometry and IMU give the pose in `map`",
     "slam": "slam_toolbox makes a map",
-    "navigation": "Nav2, with its localization",
+    "navigation": "Nav2 with its localization, beside a launch file that starts the robot",
     "fleet": "all robots of the fleet",
     "base": "part of others: description and base driver",
 }

@@ -17,6 +17,7 @@ ODOM_FRAME, MAP_FRAME = "odom", "map"
 RESERVED_TOPICS = {
     "odometry/base_raw": "the odometry of the base driver",
     "odometry/filtered": "the output of the EKF",
+    "odometry/filtered_map": "the output of the EKF with GNSS",
     "odometry/gps": "the output of navsat_transform",
     "joint_states": "the joint states",
     "battery_data": "the state of the batteries",

@@ -35,6 +35,7 @@ class Context:
     started: list[Started] = field(default_factory=list)
     declared: dict[str, str] = field(default_factory=dict)
     included: list[Path] = field(default_factory=list)
+    parameters: dict[str, Any] = field(default_factory=dict)
 
     def text(self, value: Any) -> str:
         """Resolve a substitution, a text, or a list of these."""
@@ -207,11 +208,23 @@ class GroupAction(Action):
         self.actions, self.scoped = list(actions), scoped
 
     def execute(self, context: Context) -> None:
-        outer = dict(context.configurations)
+        outer, parameters = dict(context.configurations), context.parameters
         for action in self.actions:
             action.visit(context)
         if self.scoped:
-            context.configurations = outer
+            context.configurations, context.parameters = outer, parameters
+
+
+class SetParameter(Action):
+    """Sets a parameter of all nodes that start later in the group."""
+
+    def __init__(self, name: Any, value: Any, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self.name, self.value = name, value
+
+    def execute(self, context: Context) -> None:
+        name = context.text(self.name)
+        context.parameters = {**context.parameters, name: yaml.safe_load(context.text(self.value))}
 
 
 class AppendEnvironmentVariable(Action):
@@ -270,7 +283,7 @@ class Node(_Process):
 
     def execute(self, context: Context) -> None:
         files: list[Path] = []
-        parameters: dict[str, Any] = {}
+        parameters = dict(context.parameters)
         for given in self.parameters:
             if isinstance(given, Mapping):
                 parameters.update({key: _value(value, context) for key, value in given.items()})
@@ -359,7 +372,7 @@ def _modules(context: Context) -> Iterator[None]:
             "NotEqualsSubstitution": NotEqualsSubstitution,
         },
         "launch_ros": {},
-        "launch_ros.actions": {"Node": Node},
+        "launch_ros.actions": {"Node": Node, "SetParameter": SetParameter},
         "launch_ros.parameter_descriptions": {"ParameterValue": ParameterValue},
         "ament_index_python": {},
         "ament_index_python.packages": {"get_package_share_directory": share},

@@ -42,26 +42,32 @@ def install_fleet(fleet: Fleet, folder: Path) -> dict[str, Path]:
     return {**shares, f"{fleet.name}_fleet": folder / "ros2"}
 
 
-def parameters(robot: Robot) -> dict[str, dict[str, Any]]:
-    """Return the parameters of each node in all files, as rcl reads them.
+def parameter_files(robot: Robot) -> dict[str, dict[str, dict[str, Any]]]:
+    """Return the parameters of each node, as rcl reads them, by the name of the file."""
+    return {
+        Path(path).stem: read(data.decode())
+        for path, data in package_of(robot).items()
+        if path.startswith("config/") and path.endswith(".yaml") and "gz_bridge" not in path
+    }
 
-    The overlays of ``config/overlay_*.yaml`` are left out.
+
+def parameters(robot: Robot) -> dict[str, dict[str, Any]]:
+    """Return the parameters of each node in all files.
+
+    The global costmap has a file for each localization; the first one counts.
     """
     nodes: dict[str, dict[str, Any]] = {}
-    for path, data in package_of(robot).items():
-        if path.startswith("config/") and path.endswith(".yaml") and is_parameter_file(path):
-            for node, values in read(data.decode()).items():
-                assert node not in nodes, f"{node} is in two files"
-                nodes[node] = values
+    for file, content in parameter_files(robot).items():
+        for node, values in content.items():
+            assert node not in nodes or file.startswith("global_costmap"), f"{node} is in two files"
+            nodes.setdefault(node, values)
     return nodes
-
-
-def is_parameter_file(path: str) -> bool:
-    return "overlay_" not in path and not path.endswith("gz_bridge.yaml")
 
 
 def launch(robot: Robot, folder: Path, file: str, **arguments: str) -> Context:
     """Execute a launch file of the package of a robot."""
     shares = install(robot, folder)
+    # Nav2 is not installed where the tests run.
+    shares["nav2_bt_navigator"] = folder / "nav2_bt_navigator"
     path = shares[robot.ros.package] / "launch" / f"{file}.launch.py"
     return run(path, shares, **arguments)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-from thorvaldc.compiler.geometry.convex_hull import convex_hull
 from thorvaldc.compiler.geometry.mobility_checks import check_controllable, check_steering_range
 from thorvaldc.compiler.geometry.wheel_geometry import contact_point
 from thorvaldc.compiler.modules.design_requirements import DesignRequirements
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.robot import Robot, Wheel
+from thorvaldc.model.statics.convex_hull import convex_hull
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.joint_tree import JointTree
 

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
-from thorvaldc.compiler.geometry.convex_hull import Point, convex_hull, separates
 from thorvaldc.compiler.geometry.wheel_geometry import contact_point
 from thorvaldc.compiler.modules.bounded_quantities import BoundedQuantities
 from thorvaldc.compiler.modules.value_reader import ValueReader
@@ -15,6 +14,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model import Placement, Pose, Robot
 from thorvaldc.model.ros import package_name
+from thorvaldc.model.statics.convex_hull import Point, convex_hull, separates
 
 # Distance (m) of the robots in a grid if the document contains no valid spacing.  The default
 # distance is large, so that the robots do not overlap.

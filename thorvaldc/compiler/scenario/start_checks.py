@@ -11,12 +11,12 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from thorvaldc.compiler.geometry.convex_hull import Point, convex_hull, overlap
 from thorvaldc.compiler.modules.value_reader import entries, items
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.model import Block, Box, Cylinder, Fleet, Placement, Pose, Shape, Sphere
 from thorvaldc.model.spatial import Vec3
+from thorvaldc.model.statics.convex_hull import Point, convex_hull, overlap
 from thorvaldc.model.statics.joint_tree import JointTree
 
 _CORNERS = 16  # of the polygon that stands for a circle

@@ -1,0 +1,97 @@
+"""Nav2 and its localization; the robot must run already."""
+
+import os
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.actions import GroupAction
+from launch.actions import IncludeLaunchDescription
+from launch.conditions import IfCondition
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import EqualsSubstitution
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.actions import SetParameter
+
+PACKAGE = "thorvald_4wd4ws_wide"
+NAMESPACE = ""
+
+
+def generate_launch_description():
+    share = get_package_share_directory(PACKAGE)
+    nav2 = os.path.join(share, "config", "nav2.yaml")
+    localization = LaunchConfiguration("localization")
+
+    def node(package, name, *parameters, remappings=()):
+        return Node(
+            package=package,
+            executable=name,
+            name=name,
+            namespace=NAMESPACE,
+            output="screen",
+            parameters=[nav2, *parameters],
+            remappings=remappings,
+        )
+
+    # velocity_smoother and collision_monitor pass the twists on to the base driver.
+    out = [("cmd_vel", "cmd_vel_nav")]
+    costmap = [os.path.join(share, "config", "global_costmap_"), localization, ".yaml"]
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "use_sim_time", default_value="false", description="take the time from /clock"
+            ),
+            DeclareLaunchArgument(
+                "localization",
+                default_value="slam",
+                choices=["slam", "gnss"],
+                description="node that publishes the transform from map to odom",
+            ),
+            GroupAction(
+                [
+                    SetParameter("use_sim_time", LaunchConfiguration("use_sim_time")),
+                    IncludeLaunchDescription(
+                        PythonLaunchDescriptionSource(
+                            os.path.join(share, "launch", "slam.launch.py")
+                        ),
+                        condition=IfCondition(EqualsSubstitution(localization, "slam")),
+                    ),
+                    IncludeLaunchDescription(
+                        PythonLaunchDescriptionSource(
+                            os.path.join(share, "launch", "gnss.launch.py")
+                        ),
+                        condition=IfCondition(EqualsSubstitution(localization, "gnss")),
+                    ),
+                    node("nav2_controller", "controller_server", remappings=out),
+                    node("nav2_smoother", "smoother_server"),
+                    node("nav2_planner", "planner_server", costmap),
+                    node("nav2_behaviors", "behavior_server", remappings=out),
+                    node("nav2_bt_navigator", "bt_navigator"),
+                    node("nav2_waypoint_follower", "waypoint_follower"),
+                    node("nav2_velocity_smoother", "velocity_smoother", remappings=out),
+                    node("nav2_collision_monitor", "collision_monitor"),
+                    Node(
+                        package="nav2_lifecycle_manager",
+                        executable="lifecycle_manager",
+                        name="lifecycle_manager_navigation",
+                        namespace=NAMESPACE,
+                        output="screen",
+                        parameters=[{"autostart": True, "node_names": NODES}],
+                    ),
+                ]
+            ),
+        ]
+    )
+
+
+NODES = [
+    "controller_server",
+    "smoother_server",
+    "planner_server",
+    "behavior_server",
+    "bt_navigator",
+    "waypoint_follower",
+    "velocity_smoother",
+    "collision_monitor",
+]
