@@ -18,7 +18,6 @@ _HEAD = '''\
 """@SUMMARY@"""
 
 @IMPORTS@
-
 PACKAGE = "@PACKAGE@"
 NAMESPACE = "@NAMESPACE@"
 
@@ -26,28 +25,24 @@ NAMESPACE = "@NAMESPACE@"
 def generate_launch_description():
     share = get_package_share_directory(PACKAGE)
 '''
-_IMPORTS = {
-    "os": "import os",
-    "get_package_share_directory": (
-        "from ament_index_python.packages import get_package_share_directory"
-    ),
-    "LaunchDescription": "from launch import LaunchDescription",
-    "DeclareLaunchArgument": "from launch.actions import DeclareLaunchArgument",
-    "GroupAction": "from launch.actions import GroupAction",
-    "IncludeLaunchDescription": "from launch.actions import IncludeLaunchDescription",
-    "IfCondition": "from launch.conditions import IfCondition",
-    "UnlessCondition": "from launch.conditions import UnlessCondition",
-    "PythonLaunchDescriptionSource": (
-        "from launch.launch_description_sources import PythonLaunchDescriptionSource"
-    ),
-    "EqualsSubstitution": "from launch.substitutions import EqualsSubstitution",
-    "LaunchConfiguration": "from launch.substitutions import LaunchConfiguration",
-    "Node": "from launch_ros.actions import Node",
-    "SetParameter": "from launch_ros.actions import SetParameter",
-    "ParameterValue": "from launch_ros.parameter_descriptions import ParameterValue",
-    "xacro": "import xacro",
+# Module of each name that the launch files use.
+_MODULES = {
+    "get_package_share_directory": "ament_index_python.packages",
+    "LaunchDescription": "launch",
+    "AppendEnvironmentVariable": "launch.actions",
+    "DeclareLaunchArgument": "launch.actions",
+    "GroupAction": "launch.actions",
+    "IncludeLaunchDescription": "launch.actions",
+    "IfCondition": "launch.conditions",
+    "UnlessCondition": "launch.conditions",
+    "PythonLaunchDescriptionSource": "launch.launch_description_sources",
+    "EqualsSubstitution": "launch.substitutions",
+    "LaunchConfiguration": "launch.substitutions",
+    "NotEqualsSubstitution": "launch.substitutions",
+    "Node": "launch_ros.actions",
+    "SetParameter": "launch_ros.actions",
+    "ParameterValue": "launch_ros.parameter_descriptions",
 }
-_PLAIN_IMPORTS = ("os", "xacro")
 
 BASE = """\
     config = os.path.join(share, "config")
@@ -353,9 +348,7 @@ import os
 
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
-from launch.actions import GroupAction
-from launch.actions import IncludeLaunchDescription
+from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
 from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
@@ -491,8 +484,13 @@ def _program(summary: str, body: str, values: dict[str, str]) -> str:
     text = _HEAD + body
     for key, value in values.items():
         text = text.replace(f"@{key}@", value)
-    used = [name for name in _IMPORTS if f"{name}(" in text or f"{name}." in text]
-    plain = [_IMPORTS[name] for name in used if name in _PLAIN_IMPORTS]
-    others = sorted(_IMPORTS[name] for name in used if name not in _PLAIN_IMPORTS)
-    imports = "\n".join([*plain, *([""] if plain else []), *others])
+    used: dict[str, list[str]] = {}
+    for name, module in _MODULES.items():
+        if f" {name}(" in text or f"={name}(" in text or f"({name}(" in text:
+            used.setdefault(module, []).append(name)
+    imports = "".join(f"from {module} import {', '.join(used[module])}\n" for module in used)
+    if "xacro." in text:
+        imports = f"import xacro\n{imports}"
+    if "os." in text:
+        imports = f"import os\n\n{imports}"
     return text.replace("@SUMMARY@", summary).replace("@IMPORTS@", imports)

@@ -97,7 +97,6 @@ def slam_toolbox(robot: Robot, lidar: Sensor) -> Parameters:
     transform from ``map`` to ``odom``."""
     properties = dict(lidar.properties)
     values: Parameters = {
-        "mode": "mapping",
         "map_frame": map_frame(robot),
         "odom_frame": odom_frame(robot),
         "base_frame": base_frame(robot),
