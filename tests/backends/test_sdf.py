@@ -16,7 +16,7 @@ from tests.backends.plans import ROBOTS as PLANS
 from tests.backends.plans import Plan, build
 from tests.examples import FLEETS, FOLDER, example_fleet, example_robot
 from tests.examples import ROBOTS as EXAMPLES
-from thorvaldc.backends.sdf import Sdf
+from thorvaldc.backends.sdf import Sdf, world_files
 from thorvaldc.backends.sdf_sensors import CAMERA
 from thorvaldc.backends.urdf import Urdf
 from thorvaldc.compiler.pipeline import compile_file
@@ -132,6 +132,29 @@ def test_each_motor_has_a_controller() -> None:
     }
 
 
+# Elements that the systems of Gazebo read, from the sources of gz-sim on 2026-07-02.
+SYSTEM_ELEMENTS = {
+    "JointController": "joint_name topic cmd_max cmd_min initial_velocity use_force_commands",
+    "JointPositionController": "joint_name topic cmd_max cmd_min initial_position "
+    "use_velocity_commands",
+    "JointStatePublisher": "joint_name topic update_rate",
+    "OdometryPublisher": "odom_frame robot_base_frame odom_topic odom_publish_frequency "
+    "dimensions tf_topic xyz_offset rpy_offset gaussian_noise odom_covariance_topic",
+}
+
+
+def test_systems_of_gazebo_know_their_elements() -> None:
+    for robot in robots().values():
+        root = ElementTree.fromstring(files_of(Sdf, robot)["sdf/model.sdf"])
+        for plugin in root.iter("plugin"):
+            library, name = str(plugin.get("filename")), str(plugin.get("name"))
+            assert name.startswith("gz::sim::systems::")
+            name = name.removeprefix("gz::sim::systems::")
+            words = library.removeprefix("gz-sim-").removesuffix("-system").split("-")
+            assert "".join(map(str.capitalize, words)) == name
+            assert {element.tag for element in plugin} <= set(SYSTEM_ELEMENTS[name].split())
+
+
 @pytest.mark.parametrize("camber", [0.0, 0.1, -0.2])
 def test_sphere_of_a_tyre_touches_where_the_wheel_rolls(camber: float) -> None:
     """The lowest point of the sphere lies on the rolling circle, also with camber."""
@@ -174,3 +197,23 @@ def test_a_slope_inclines_gravity_and_rough_ground_is_a_mesh() -> None:
     xs, ys, zs = ([v for t in triangles for v in t[3 + k :: 3]] for k in range(3))
     assert (min(xs), max(xs), min(ys), max(ys)) == pytest.approx((-20.0, 20.0, -12.0, 12.0))
     assert (min(zs), max(zs)) == pytest.approx((-0.015, 0.015), abs=1e-6)
+
+
+def test_a_world_without_robots_has_all_else() -> None:
+    fleet = scenario_fleet("field_edge")
+    robots = [placement.robot for placement in fleet.placements]
+    poses = [placement.pose for placement in fleet.placements]
+    files = world_files(fleet.name, robots, fleet.world, poses)
+    complete = files_of(Sdf, fleet)
+    assert files["sdf/terrain.stl"] == complete["sdf/terrain.stl"]
+    expected = world(fleet).find("world")
+    empty = ElementTree.fromstring(files["sdf/world.sdf"]).find("world")
+    assert expected is not None
+    assert empty is not None
+    spaces = {robot.namespace or robot.name for robot in robots}
+    kept = [e for e in expected if e.tag != "model" or e.get("name") not in spaces]
+    assert list(map(canonical, empty)) == list(map(canonical, kept))
+
+
+def canonical(element: ElementTree.Element) -> str:
+    return ElementTree.canonicalize(ElementTree.tostring(element, "unicode"), strip_text=True)

@@ -10,7 +10,6 @@ The files have the version 1.9 of SDF, which Gazebo Fortress and all newer versi
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 
 from thorvaldc.backends import Backend
 from thorvaldc.backends.colors_and_meshes import mesh_files
@@ -63,22 +62,20 @@ def model_text(robot: Robot, meshes: str = "../meshes", share: str | None = None
     return to_bytes(root).decode()
 
 
-def world_text(name: str, robots: Sequence[Robot], surroundings: World | None = None) -> str:
-    """Return an SDF world in which the robots can be spawned: systems for their sensors, ground and
-    obstacles.
+def world_files(
+    name: str,
+    robots: Sequence[Robot],
+    surroundings: World | None = None,
+    starts: Sequence[Pose] = (),
+) -> dict[str, bytes]:
+    """Return a world without robots, ``sdf/world.sdf``, and the mesh of rough ground.
 
-    Rough ground needs a mesh file, which ``Sdf`` writes; it is left out here.
+    - ``robots``: robots that will be spawned; the world has the systems for their sensors.
+    - ``starts``: poses of the robots: rough ground is level around them.
     """
-    flat = surroundings
-    if flat is not None and flat.ground.amplitude:
-        flat = replace(flat, ground=replace(flat.ground, amplitude=0.0))
-    root = Element("sdf", version=VERSION)
-    world = root.add("world", name=name)
-    add_systems(world, robots, flat)
-    add_ground(world, flat, [])
-    if flat is not None:
-        add_blocks(world, flat)
-    return to_bytes(root).decode()
+    root, world = _empty_world(name, robots, surroundings)
+    files = _add_surroundings(world, surroundings, starts)
+    return {"sdf/world.sdf": to_bytes(root), **files}
 
 
 def _config(robot: Robot) -> bytes:
@@ -98,12 +95,27 @@ def _world(
 
     Each robot has its pose in the world and the folder of its meshes.
     """
-    root = Element("sdf", version=VERSION)
-    world = root.add("world", name=name)
-    add_systems(world, [robot for robot, _, _ in robots], surroundings)
-    files = add_ground(world, surroundings, [pose for _, pose, _ in robots])
-    if surroundings is not None:
-        add_blocks(world, surroundings)
+    root, world = _empty_world(name, [robot for robot, _, _ in robots], surroundings)
+    files = _add_surroundings(world, surroundings, [pose for _, pose, _ in robots])
     for robot, pose, meshes in robots:
         add_robot(world, robot, pose, meshes)
     return to_bytes(root), files
+
+
+def _empty_world(
+    name: str, robots: Sequence[Robot], surroundings: World | None
+) -> tuple[Element, Element]:
+    """Return the root of a file and its world, with the systems of Gazebo."""
+    root = Element("sdf", version=VERSION)
+    world = root.add("world", name=name)
+    add_systems(world, robots, surroundings)
+    return root, world
+
+
+def _add_surroundings(
+    world: Element, surroundings: World | None, starts: Sequence[Pose]
+) -> dict[str, bytes]:
+    files = add_ground(world, surroundings, starts)
+    if surroundings is not None:
+        add_blocks(world, surroundings)
+    return files

@@ -200,11 +200,15 @@ class _RobotWriter:
         odometry.add("odom_frame").text = f"{self.prefix}odom"
         odometry.add("robot_base_frame").text = self.prefix + self.robot.links[0].name
         odometry.add("odom_topic").text = self.prefix + TRUE_ODOMETRY
+        odometry.add("odom_publish_frequency").text = number(self.robot.driver.rate)
+        odometry.add("dimensions").text = "3"
         if self.share is not None:
             self._add_ros2_control(model, self.share)
             return
         states = add_system(model, "joint-state-publisher", "JointStatePublisher")
         states.add("topic").text = self.prefix + JOINT_STATES
+        # By default, Gazebo publishes the states after each step, 1000 times a second.
+        states.add("update_rate").text = number(self.robot.driver.rate)
         for joint in self.tree.moving:
             states.add("joint_name").text = self.prefix + joint.name
         topics = dict(joint_commands(self.robot))
