@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from thorvaldc.tools.calibration.error_correlation import (
     TIME_CONSTANTS,
@@ -24,7 +25,11 @@ def exponential(tau: float, lasting: float = 0.0) -> Correlation:
     return Correlation((0.0, 0.0, 0.0), shares, lasting)
 
 
-def residuals_of(tau: float, ticks: int, seed: int = 1) -> np.ndarray:
+def times_of(ticks: int) -> NDArray[np.float64]:
+    return np.linspace(0.0, DT * (ticks - 1), ticks)
+
+
+def residuals_of(tau: float, ticks: int, seed: int = 1) -> NDArray[np.float64]:
     """Two measurements whose errors have the correlation exp(-lag / tau)."""
     rng = np.random.default_rng(seed)
     ratio = math.exp(-DT / tau)
@@ -79,7 +84,7 @@ def test_the_spread_is_the_double_sum_over_all_ticks(ticks: int) -> None:
 @pytest.mark.parametrize("tau", [0.05, 0.2, 0.8])
 def test_an_exponential_correlation_is_found(tau: float) -> None:
     ticks = 6000
-    times = DT * np.arange(ticks)
+    times = times_of(ticks)
     correlation = estimate_correlation(times, residuals_of(tau, ticks), np.ones(ticks), 2.0)
     assert correlation.lasting == 0.0
     expected = exponential(tau).time_per_sample(DT)
@@ -88,7 +93,7 @@ def test_an_exponential_correlation_is_found(tau: float) -> None:
 
 def test_white_errors_stay_white() -> None:
     ticks = 6000
-    times = DT * np.arange(ticks)
+    times = times_of(ticks)
     rng = np.random.default_rng(3)
     weights = rng.uniform(0.5, 2.0, ticks)
     residuals = rng.normal(size=(ticks, 2)) / np.sqrt(weights)[:, None]
@@ -99,7 +104,7 @@ def test_white_errors_stay_white() -> None:
 
 def test_a_constant_error_lasts() -> None:
     ticks = 3000
-    times = DT * np.arange(ticks)
+    times = times_of(ticks)
     residuals = residuals_of(0.05, ticks)
     residuals += np.array([1.0, -1.0])
     correlation = estimate_correlation(times, residuals, np.ones(ticks), 2.0)
@@ -110,7 +115,7 @@ def test_pairs_of_ticks_over_a_gap_do_not_count() -> None:
     """The sign of the errors changes in each gap; without the gaps they would be constant."""
     ticks = 1200
     number = np.arange(ticks)
-    times = DT * number + 5.0 * (number // 20)
+    times = times_of(ticks) + 5.0 * (number // 20)
     residuals = np.where(number // 20 % 2, 1.0, -1.0)[:, None] * np.ones((1, 2))
     correlation = estimate_correlation(times, residuals, np.ones(ticks), 2.0)
     assert correlation.time_per_sample(DT) + correlation.lasting > 0.3
@@ -126,7 +131,7 @@ def test_pairs_of_ticks_over_a_gap_do_not_count() -> None:
         (np.zeros((100, 2)), 2.0),
     ],
 )
-def test_logs_from_which_nothing_follows(residuals: np.ndarray, redundancy: float) -> None:
+def test_logs_from_which_nothing_follows(residuals: NDArray[np.float64], redundancy: float) -> None:
     ticks = len(residuals)
-    times = DT * np.arange(ticks)
+    times = times_of(ticks)
     assert estimate_correlation(times, residuals, np.ones(ticks), redundancy) == WHITE
