@@ -40,9 +40,10 @@ TORSION = 1 / 16
 ROLLING_FRICTION = 0.0005  # third friction coefficient of MuJoCo, not used with condim 4
 DRIVE_FREQUENCY = 20.0  # rad/s, natural frequency of the propulsion servo
 DRIVE_DAMPING = 1.0  # damping ratio: critical
-# s, time constant of a ``velocity`` servo of a drive. On a slope such a servo creeps: a robot rolls
-# back at the speed g sin(slope) times this, 1.7 mm/s on 10 degrees.
-VELOCITY_TIME = 0.001
+# s, time constant of a ``velocity`` servo of a drive with its share of the robot's mass. On a slope
+# of 10 degrees, such a robot creeps by 6 to 7 mm/s. With 2 ms it creeps by 3 mm/s, but the torque
+# of robots with few driven wheels then jumps between its limits in ramps.
+VELOCITY_TIME = 0.005
 FLANGE = 0.004  # m, thickness of the flange of a rail tread
 STEERING_STIFFNESS = 4000.0  # N m/rad
 WORLD = "world"  # name of the root body in MuJoCo
