@@ -22,7 +22,7 @@ from tests.examples import ROBOTS as EXAMPLES
 from tests.robots import SPAN
 from tests.simulation.bus.robots import cia402_robot, uneven_robot
 from thorvaldc.backends.colors_and_meshes import mesh_files
-from thorvaldc.backends.gazebo_topics import bridged_topics, gz_bridge
+from thorvaldc.backends.gazebo_topics import bridged_topics, gz_bridge, topic_of
 from thorvaldc.backends.mjcf import ros2_control_files
 from thorvaldc.backends.ros2_control import PLUGINS, SIMULATED, hardware_problem
 from thorvaldc.backends.ros2_controllers import (
@@ -428,6 +428,13 @@ def test_bridge_file_is_the_list_that_the_bridge_reads() -> None:
     commands = [e for e in entries if e["direction"] == "ROS_TO_GZ"]
     assert len(commands) == len(robot.actuators)
     assert "/clock" not in gz_bridge(robot, clock=False)
+
+
+@pytest.mark.parametrize(
+    ("name", "topic"), [("a-b.c/cmd_pos", "a_b_c/cmd_pos"), ("//3rd finger", "_3rd_finger")]
+)
+def test_topics_have_only_characters_of_ros(name: str, topic: str) -> None:
+    assert topic_of(name) == topic
 
 
 def test_a_model_for_ros2_control_has_its_plugin() -> None:

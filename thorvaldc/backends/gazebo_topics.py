@@ -27,7 +27,7 @@ SENSOR_TOPICS = {
     ),
 }
 """Topics of a sensor below its name, with the type in ROS and in Gazebo, by the sensor's type."""
-_NO_TOPIC = re.compile(r"[^A-Za-z0-9_/]")
+_NO_TOPIC = re.compile(r"[^A-Za-z0-9_]")
 
 
 class BridgedTopic(NamedTuple):
@@ -55,8 +55,13 @@ def sensor_topics(sensor: Sensor) -> list[tuple[str, str, str]]:
 
 
 def topic_of(name: str) -> str:
-    """Return a name as a topic: each character that ROS does not allow becomes an underscore."""
-    return _NO_TOPIC.sub("_", name)
+    """Return a name as a topic of ROS.
+
+    Each character that ROS does not allow becomes an underscore. A part that begins with a digit
+    gets an underscore in front.
+    """
+    parts = [_NO_TOPIC.sub("_", part) for part in name.split("/") if part]
+    return "/".join(f"_{part}" if part[0].isdigit() else part for part in parts)
 
 
 def joint_commands(robot: Robot) -> Iterator[tuple[str, str]]:
