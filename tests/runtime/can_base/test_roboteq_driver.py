@@ -99,7 +99,8 @@ def test_motion_reports() -> None:
     driver = steered()
     report(driver, "tpdo1", struct.pack("<hhi", 1000, -500, 20_000), 1.0)
     wheel, steering = driver.axes
-    assert (wheel.time, wheel.velocity) == (1.0, pytest.approx(1000 * 0.002493327502849042))
+    assert wheel.time == 1.0
+    assert wheel.velocity == pytest.approx(1000 * 0.002493327502849042)
     assert steering.position == pytest.approx(20_000 * 3.5792885014872076e-05)
     assert steering.velocity == pytest.approx(-500 * 0.0024434609503486003)
 
