@@ -209,6 +209,7 @@ class AbortCode(enum.IntEnum):
     TOGGLE_NOT_ALTERNATED = 0x05030000
     TIMED_OUT = 0x05040000
     COMMAND_UNKNOWN = 0x05040001
+    CRC_WRONG = 0x05040004
     UNSUPPORTED_ACCESS = 0x06010000
     WRITE_ONLY = 0x06010001
     READ_ONLY = 0x06010002
@@ -236,6 +237,7 @@ _ABORT_TEXTS: dict[int, str] = {
     AbortCode.TOGGLE_NOT_ALTERNATED: "the toggle bit did not alternate",
     AbortCode.TIMED_OUT: "the SDO protocol timed out",
     AbortCode.COMMAND_UNKNOWN: "the command specifier is unknown",
+    AbortCode.CRC_WRONG: "the checksum of a block transfer is wrong",
     AbortCode.UNSUPPORTED_ACCESS: "this access is not supported",
     AbortCode.WRITE_ONLY: "the object is write-only",
     AbortCode.READ_ONLY: "the object is read-only",

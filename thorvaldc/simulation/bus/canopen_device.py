@@ -211,8 +211,12 @@ class CanopenDevice(SimulatedDevice):
         if self.pdos is not None:
             self.pdos.apply_quirks(quirks)
         objects.restore(self.nonvolatile.get(PARAMETERS, {}))
-        segmented = Quirk.SEGMENTED_TRANSFERS in quirks
-        self._sdo = SdoServer(objects, self._respond, segmented=segmented)
+        self._sdo = SdoServer(
+            objects,
+            self._respond,
+            segmented=Quirk.SEGMENTED_TRANSFERS in quirks,
+            blocks=Quirk.BLOCK_TRANSFERS in quirks,
+        )
         self.handlers[canopen.NMT] = self._nmt
         self.handlers[canopen.SYNC] = self._sync
         self.handlers[canopen.SDO_REQUEST + self.node_id] = self._sdo_request

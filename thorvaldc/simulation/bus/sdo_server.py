@@ -8,15 +8,21 @@ from collections.abc import Callable
 from thorvaldc.can import sdo
 from thorvaldc.can.sdo import EXPEDITED, SIZE_INDICATED, AbortCode, ClientCommand
 from thorvaldc.simulation.bus.object_dictionary import DelayedWrite, ObjectDictionary, SdoAbort
+from thorvaldc.simulation.bus.sdo_block_transfer import (
+    BLOCK_DOWNLOAD,
+    BLOCK_UPLOAD,
+    BlockTransfer,
+)
 
 
 class SdoServer:
     """Answers the SDO requests of a client, one transfer at a time.
 
-    The function ``respond`` sends a response to the SDO client.  The server aborts a block transfer
-    with the abort code "command unknown".  An SDO client then uses a segmented transfer instead of
-    a block transfer.  A new SDO request ends an unfinished SDO transfer.  If ``segmented`` is true,
-    the server transfers short values in segments too, and refuses expedited downloads.
+    The function ``respond`` sends a response to the SDO client.  Unless ``blocks`` is true, the
+    server aborts a block transfer with the abort code "command unknown".  An SDO client then uses a
+    segmented transfer instead of a block transfer.  A new SDO request ends an unfinished SDO
+    transfer.  If ``segmented`` is true, the server transfers short values in segments too, and
+    refuses expedited downloads.
     """
 
     def __init__(
@@ -25,8 +31,10 @@ class SdoServer:
         respond: Callable[[bytes], None],
         *,
         segmented: bool = False,
+        blocks: bool = False,
     ) -> None:
         self._segmented = segmented
+        self._blocks = BlockTransfer(objects, respond) if blocks else None
         self._objects = objects
         self._respond = respond
         self._object = (0, 0)
@@ -44,7 +52,15 @@ class SdoServer:
         """
         if len(data) != 8:
             return
-        command = data[0] >> 5
+        command, blocks = data[0] >> 5, self._blocks
+        if blocks is not None and data[0] == sdo.abort_message(0, 0, 0)[0]:
+            blocks.end()
+        if blocks is not None and blocks.download_pending:
+            blocks.segment(data)
+            return
+        if blocks is not None and command in (BLOCK_DOWNLOAD, BLOCK_UPLOAD):
+            self._block_request(blocks, data)
+            return
         try:
             if command == ClientCommand.INITIATE_DOWNLOAD:
                 self._initiate_download(data)
@@ -62,6 +78,17 @@ class SdoServer:
         except SdoAbort as abort:
             self._upload = self._download = None
             self._respond(sdo.abort_message(*self._object, abort.code))
+
+    def _block_request(self, blocks: BlockTransfer, data: bytes) -> None:
+        self._upload = self._download = None
+        is_end = data[0] & 3 == 1 and data[0] >> 5 == BLOCK_DOWNLOAD
+        try:
+            delayed = blocks.request(data)
+        except SdoAbort as abort:
+            self._respond(blocks.abort(abort.code))
+            return
+        if is_end:
+            self._respond_after(delayed, blocks.finished())
 
     def _initiate_download(self, data: bytes) -> None:
         self._upload = self._download = None
