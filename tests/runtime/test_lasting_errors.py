@@ -157,6 +157,46 @@ def test_errors_that_last_some_seconds_have_their_exact_variance() -> None:
         )
 
 
+def test_errors_that_last_some_seconds_on_a_curve() -> None:
+    """The double sum over all blocks, with A the adjoint of the pose in the middle of a block."""
+    tau, dt, ticks = 1.5, 1 / 16, 7  # ticks in a block
+    block = dt * ticks
+    inverse = General(BaseGeometry.from_wheels(FIVE))
+    random_only, lasting = (
+        Odometry(General(BaseGeometry.from_wheels(FIVE), None, noise), (1.5, 1.0))
+        for noise in (RANDOM_ONLY, replace(RANDOM_ONLY, correlation=tau))
+    )
+    poses, products = [ORIGIN], []
+    for k in range(10 * ticks + 1):
+        twist = inverse.feasible(Twist(0.8, 0.0, 0.9 * math.cos(0.03 * k)))
+        joints = inverse.command(twist).joints
+        states = JointStates(k * dt, list(joints.speeds), list(joints.angles), [0.0] * 5)
+        for odometry in (random_only, lasting):
+            odometry.update(states, k * dt)
+        if k and k % ticks == 0:
+            start, end = poses[-1], random_only.pose
+            yaw = (start.yaw + end.yaw) / 2.0
+            c, s, x, y = math.cos(yaw), math.sin(yaw), start.x + end.x, start.y + end.y
+            adjoint = np.array([[c, -s, y / 2.0], [s, c, -x / 2.0], [0.0, 0.0, 1.0]])
+            products.append((adjoint, adjoint @ np.array(random_only.estimate.covariance)))
+            poses.append(end)
+    decay = math.exp(-block / tau)
+    mean = tau * (1.0 - decay)
+    expected = np.zeros((3, 3))
+    for k, (adjoint, product) in enumerate(products):
+        expected += 2.0 * tau * (block - mean) * product @ adjoint.T
+        for j, (_, earlier) in enumerate(products[:k]):
+            part = mean * mean * decay ** (k - j - 1) * earlier @ adjoint.T
+            expected += part + part.T
+    pose = lasting.pose
+    c, s = math.cos(pose.yaw), math.sin(pose.yaw)
+    inward = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ np.array(
+        [[1.0, 0.0, -pose.y], [0.0, 1.0, pose.x], [0.0, 0.0, 1.0]]
+    )
+    growth = np.array(lasting.covariance) - np.array(random_only.covariance)
+    assert growth == pytest.approx(inward @ expected @ inward.T, rel=1e-6, abs=1e-12)
+
+
 def test_common_error_of_all_radii() -> None:
     noise = replace(RANDOM_ONLY, scale_error=1e-4)
     covariance = share(FOUR, FORWARD, noise)

@@ -198,6 +198,16 @@ def test_flags(flags: tuple[int, ...], problem: str, power_loss: str) -> None:
     assert (driver.problem, driver.power_loss) == ("", "")
 
 
+def test_a_wheel_that_does_not_follow_is_a_problem() -> None:
+    driver = two_wheels()
+    modes(driver, Intent.FOLLOW, 0.0)
+    driver.axes[1].target = 2.0
+    for tick in range(1, 8):
+        report(driver, "tpdo1", bytes(8), 0.02 * tick)
+        driver.cyclic_frames(Intent.FOLLOW, 0.02 * tick)
+    assert driver.problem == "the right does not follow its target"
+
+
 def test_an_emergency_is_a_problem() -> None:
     driver = steered()
     driver.error_code = 0x4310
