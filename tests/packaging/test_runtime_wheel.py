@@ -68,7 +68,7 @@ def call(runtime: Path, folder: Path, *arguments: str) -> subprocess.CompletedPr
 
 def test_wheel_contains_only_the_rooms_of_the_runtime(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
-    for room in ("can", "cli", "commissioning", "diagnostics", "model", "runtime"):
+    for room in ("can", "cli", "commissioning", "diagnostics", "model", "ros", "runtime"):
         assert f"thorvaldc/{room}/__init__.py" in names
     for room in ROOMS_LEFT_OUT:
         assert not [name for name in names if name.startswith(f"thorvaldc/{room}/")]

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 
 from thorvaldc.model import Robot
 from thorvaldc.model.ros import DRIVER, ODOM_FRAME
-from thorvaldc.runtime.run_time_parameters import LARGEST, LIMITS
+from thorvaldc.runtime.run_time_parameters import COMMAND_TIMEOUT, LARGEST, LIMITS
 
 ParameterValue = str | bool | float
 BASES = ("ideal", "mujoco", "virtual", "bus")
 """Values of the parameter ``base``: ideal joints, a simulation in MuJoCo, a simulated bus in the
 process of the node, or the buses of the robot."""
 MODEL_FILE, PARAMETER_SET = "model_file", "parameter_set"
-COMMAND_TIMEOUT = "command_timeout"
 SMALLEST = 1e-6
 """Smallest limit and time-out in SI units; 0 is not allowed."""
 

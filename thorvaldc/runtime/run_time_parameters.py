@@ -22,6 +22,12 @@ LIMITS = {
     "max_angular_acceleration": "rad/s^2",
 }
 """Units of the limits."""
+COMMAND_TIMEOUT = "command_timeout"
+"""Time-out (s) of a commanded twist, which can be shortened like a limit.
+
+The stopping distances in the robot file hold for the time-out of the file, so it cannot be
+lengthened.
+"""
 LARGEST_RADIUS = 5.0
 """Largest valid wheel radius (m).
 
@@ -96,6 +102,9 @@ class Parameters:
             _check_positive(f"the radius of {name}", value, "m", LARGEST_RADIUS)
             new_radii[wheels.index(name)] = float(value)
         for name, value in (limits or {}).items():
+            if name == COMMAND_TIMEOUT:
+                _check_positive(name, value, "s", robot.driver.command_timeout)
+                continue
             _check_name("limit", name, list(LIMITS))
             _check_positive(name, value, LIMITS[name], LARGEST)
         new_noise = dict(self.settings.noise)

@@ -209,31 +209,44 @@ class BaseRunner:
 
         CAN frames are sent only during control cycles.
         """
-        clock, timing, period = self.clock, self.timing, self.period
-        deadline = self._deadline if self._deadline is not None else clock.now
         while not (stop is not None and stop()):
-            clock.sleep_until(deadline)
+            deadline = self._deadline = self.deadline
+            self.clock.sleep_until(deadline)
             if self.pace is not None:
                 self.pace(deadline)
-            now = clock.now
-            if now >= until - 1e-9:
+            if self.clock.now >= until - 1e-9:
                 break
-            timing.cycles += 1
-            timing.latest = max(timing.latest, now - deadline)
-            if self._keep_starts:
-                timing.starts.append(now)
-            state = self.cycle(now)
-            if watch is not None:
-                watch(self, state)
-            end = clock.now
-            timing.longest = max(timing.longest, end - now)
-            deadline += period
-            if end > deadline:
-                skipped = math.ceil((end - deadline) / period)
-                timing.overruns += 1
-                timing.skipped += skipped
-                deadline += skipped * period
-            self._deadline = deadline
+            self.run_due_cycle(watch)
+
+    @property
+    def deadline(self) -> float:
+        """Time (s) at which the next control cycle is due."""
+        return self._deadline if self._deadline is not None else self.clock.now
+
+    def run_due_cycle(self, watch: Watch | None = None) -> None:
+        """Runs the control cycle that is due, and updates the timing statistics.
+
+        The caller has waited until ``deadline``.  A program that has other work between two cycles
+        calls ``run_due_cycle`` in place of ``run``.
+        """
+        clock, timing, period, deadline = self.clock, self.timing, self.period, self.deadline
+        now = clock.now
+        timing.cycles += 1
+        timing.latest = max(timing.latest, now - deadline)
+        if self._keep_starts:
+            timing.starts.append(now)
+        state = self.cycle(now)
+        if watch is not None:
+            watch(self, state)
+        end = clock.now
+        timing.longest = max(timing.longest, end - now)
+        deadline += period
+        if end > deadline:
+            skipped = math.ceil((end - deadline) / period)
+            timing.overruns += 1
+            timing.skipped += skipped
+            deadline += skipped * period
+        self._deadline = deadline
 
     def shutdown(self) -> None:
         """Stops the robot, switches the motors off, and closes the CAN interfaces.

@@ -23,9 +23,9 @@ from thorvaldc.model import Robot
 from thorvaldc.model.scenario import GROUPS
 from thorvaldc.model.spatial import matrix_to_rpy, quat_to_matrix
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
+from thorvaldc.runtime.ros_numbers import recorded_joints
 from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
 from thorvaldc.simulation.control_loop import Sample
-from thorvaldc.simulation.records.mcap_writer import recorded_joints
 from thorvaldc.simulation.records.recorded_run import RecordedRun, report_missing_robot
 
 _NO_POSE = Pose2(math.nan, math.nan, math.nan)

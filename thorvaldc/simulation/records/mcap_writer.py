@@ -43,18 +43,21 @@ from thorvaldc.compiler.source.ros_bag import (
 from thorvaldc.diagnostics.interrupts import uninterrupted
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
+from thorvaldc.runtime.ros_numbers import (
+    covariance_numbers,
+    pose_numbers,
+    recorded_joints,
+    twist_numbers,
+)
 from thorvaldc.runtime.se2 import ZERO_COV, Pose2
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.records.recorder import SampleInterval, errors_with_name
 from thorvaldc.simulation.records.ros_messages import (
     MessageTypes,
-    covariance_numbers,
     joints_template,
     latched_qos,
     odometry_template,
-    pose_numbers,
     transforms_template,
-    twist_numbers,
     twist_template,
 )
 
@@ -273,19 +276,3 @@ class _RobotTopics:
             *(commands.speeds[i] for i in drives),
             *(math.nan for _ in steering),
         ]
-
-
-def recorded_joints(robot: Robot) -> tuple[dict[str, int], dict[str, int]]:
-    """Returns the drive joints and the steering joints of a robot.
-
-    The joints are mappings from the joint name to the index of the first wheel on the joint.  Two
-    wheels may share a steering joint or a drive joint.
-    """
-    drives: dict[str, int] = {}
-    steering: dict[str, int] = {}
-    for i, wheel in enumerate(robot.wheels):
-        if wheel.driven:
-            drives.setdefault(wheel.spin_joint, i)
-        if wheel.steering_joint is not None:
-            steering.setdefault(wheel.steering_joint, i)
-    return drives, steering

@@ -1,0 +1,191 @@
+"""A ROS program that drives a node in another process, for the programs of the tests."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Twist, TwistStamped
+from lifecycle_msgs.srv import ChangeState, GetState
+from nav_msgs.msg import Odometry
+from rcl_interfaces.srv import DescribeParameters, SetParametersAtomically
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool, Trigger
+
+TIMEOUT = 20.0
+
+
+class Client:
+    """A node that sends twists, calls services and keeps the newest messages."""
+
+    def __init__(self, space: str = "", stamped: bool = False) -> None:
+        rclpy.init()
+        self.node = rclpy.create_node("client")
+        self.space, self.stamped = space, stamped
+        self.last: dict[str, Any] = {}
+        self.counts: dict[str, int] = {}
+        self._publishers: dict[str, Any] = {}
+        self._clients: dict[str, Any] = {}
+        self.listen(Odometry, f"{space}/odometry/base_raw")
+        self.listen(JointState, f"{space}/joint_states")
+        self.listen(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+
+    def listen(self, kind: Any, topic: str, qos: Any = qos_profile_sensor_data) -> None:
+        name = topic.rsplit("/", 1)[-1]
+
+        def keep(message: Any) -> None:
+            self.last[name] = message
+            self.counts[name] = self.counts.get(name, 0) + 1
+
+        self.node.create_subscription(kind, topic, keep, qos)
+
+    def spin(self, seconds: float = 0.02) -> None:
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            rclpy.spin_once(self.node, timeout_sec=left)
+
+    def wait(
+        self, what: str, condition: Callable[[], Any], work: Callable[[], None] = lambda: None
+    ) -> Any:
+        """Waits until ``condition`` is true and returns its value."""
+        end = time.monotonic() + TIMEOUT
+        while time.monotonic() < end:
+            work()
+            self.spin()
+            if value := condition():
+                return value
+        raise AssertionError(f"not within {TIMEOUT} s: {what}; {self.status()}")
+
+    # -- calls ---------------------------------------------------------------------------------
+
+    def request(self, kind: Any, name: str, request: Any) -> Any:
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(kind, f"{self.space}/{name}")
+        client = self._clients[name]
+        assert client.wait_for_service(TIMEOUT), name
+        future = client.call_async(request)
+        rclpy.spin_until_future_complete(self.node, future, timeout_sec=TIMEOUT)
+        assert future.done(), f"{name} does not answer"
+        return future.result()
+
+    def switch(self, name: str, on: bool = True) -> tuple[bool, str]:
+        answer = self.request(SetBool, name, SetBool.Request(data=on))
+        return answer.success, answer.message
+
+    def trigger(self, name: str) -> tuple[bool, str]:
+        answer = self.request(Trigger, name, Trigger.Request())
+        return answer.success, answer.message
+
+    def change(self, transition: int) -> bool:
+        request = ChangeState.Request()
+        request.transition.id = transition
+        return bool(self.request(ChangeState, "base_driver/change_state", request).success)
+
+    def lifecycle(self) -> str:
+        answer = self.request(GetState, "base_driver/get_state", GetState.Request())
+        return str(answer.current_state.label)
+
+    def set(self, **values: Any) -> str:
+        """Sets parameters and returns the reason of a refusal, or an empty text."""
+        parameters = [Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        name = "base_driver/set_parameters_atomically"
+        result = self.request(SetParametersAtomically, name, request).result
+        assert result.successful is not bool(result.reason)
+        return str(result.reason)
+
+    def describe(self, name: str) -> Any:
+        request = DescribeParameters.Request(names=[name])
+        service = "base_driver/describe_parameters"
+        return self.request(DescribeParameters, service, request).descriptors[0]
+
+    # -- driving -------------------------------------------------------------------------------
+
+    def send(
+        self, vx: float = 0.0, wz: float = 0.0, source: str = "auto_nav", age: float = 0.0
+    ) -> None:
+        topic = f"{self.space}/{source}/cmd_vel"
+        if topic not in self._publishers:
+            kind = TwistStamped if self.stamped else Twist
+            self._publishers[topic] = self.node.create_publisher(kind, topic, 10)
+        message: Any = TwistStamped() if self.stamped else Twist()
+        twist = message.twist if self.stamped else message
+        twist.linear.x, twist.angular.z = vx, wz
+        if self.stamped:
+            stamp = self.node.get_clock().now().nanoseconds - int(age * 1e9)
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
+        self._publishers[topic].publish(message)
+
+    def publish(self, topic: str, message: Any) -> None:
+        path = f"{self.space}/{topic}"
+        if path not in self._publishers:
+            self._publishers[path] = self.node.create_publisher(type(message), path, 10)
+        self._publishers[path].publish(message)
+
+    def lock(self, topic: str, locked: bool) -> None:
+        self.publish(topic, Bool(data=locked))
+
+    def arm(self) -> None:
+        """Arms the robot; on a busy computer a gap in time may refuse it for a moment."""
+        end = time.monotonic() + TIMEOUT
+        while not (answer := self.switch("enable"))[0]:
+            assert time.monotonic() < end, answer
+            self.send(0.0)
+            self.spin(0.05)
+
+    def drive(self, vx: float, source: str = "auto_nav") -> None:
+        """Drives until the odometry shows the speed; a gap in time needs a zero in between."""
+
+        tries = iter(range(1, 100_000))
+
+        def send() -> None:
+            self.send(0.0 if next(tries) % 60 == 0 else vx, source=source)
+
+        self.wait(f"{vx} m/s", lambda: abs(self.speed() - vx) < 0.02, send)
+
+    def keep(self, vx: float, seconds: float, **options: Any) -> list[float]:
+        """Commands a twist for a time, and returns the speeds of the odometry."""
+        speeds, end = [], time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.send(vx, **options)
+            self.spin()
+            speeds.append(self.speed())
+        return speeds
+
+    def rest(self) -> None:
+        self.wait("rest", lambda: abs(self.speed()) < 1e-3)
+
+    def speed(self) -> float:
+        message = self.last.get("base_raw")
+        return float(message.twist.twist.linear.x) if message is not None else 0.0
+
+    def statuses(self) -> dict[str, Any]:
+        message = self.last.get("diagnostics")
+        statuses = message.status if message is not None else []
+        return {status.name.rsplit(": ", 1)[-1]: status for status in statuses}
+
+    def values(self, status: str) -> dict[str, str]:
+        found = self.statuses().get(status)
+        return {value.key: value.value for value in found.values} if found is not None else {}
+
+    def status(self) -> str:
+        """Text of the status of the driver."""
+        found = self.statuses().get("driver")
+        return str(found.message) if found is not None else ""
+
+    def freeze(self, process: int, seconds: float, vx: float) -> None:
+        """Stops a process for a time, while twists for it keep coming."""
+        os.kill(process, signal.SIGSTOP)
+        try:
+            self.keep(0.0, 0.1)
+            self.keep(vx, seconds)
+        finally:
+            os.kill(process, signal.SIGCONT)

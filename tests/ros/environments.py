@@ -1,0 +1,94 @@
+"""The environments with the wheels of ROS 2, in which the tests run the real node.
+
+``python3 tests/ros/environments.py`` makes the environments ``.venv-ros/jazzy`` and
+``.venv-ros/kilted``, as ``.ci/run`` does.  The wheels exist for Linux on x86_64 only.  They are for
+tests; the users of the node have the ROS 2 of their distribution.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+ENVIRONMENTS = ROOT / ".venv-ros"
+DISTROS = ("jazzy", "kilted")
+_PARTS = ("geometry-msgs", "nav-msgs", "sensor-msgs", "std-srvs", "diagnostic-msgs")
+WHEELS = {
+    "jazzy": [
+        "ros-jazzy-rclpy==7.1.6",
+        "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
+        *(f"ros-jazzy-{part}==5.3.6" for part in _PARTS),
+    ],
+    "kilted": [
+        "ros-kilted-rclpy==9.1.2",
+        "ros-kilted-rmw-fastrtps-cpp==9.3.3",
+        *(f"ros-kilted-{part}==5.5.1" for part in _PARTS),
+    ],
+}
+"""Wheels of each distribution, pinned."""
+OTHERS = ["colcon-common-extensions", "jsonschema", "mujoco", "numpy", "python-can", "pyyaml"]
+"""Packages of the build tool, and those that thorvaldc needs for the simulations."""
+
+
+def python_of(distro: str) -> str:
+    """Returns the Python with the ROS 2 of a distribution; the test is skipped without it.
+
+    Where ``CI`` is set, a missing environment is an error on computers that the wheels fit.
+    """
+    import pytest
+
+    from tests.outside_tools import without
+
+    python = ENVIRONMENTS / distro / "bin" / "python"
+    if not python.exists():
+        if not fits():
+            pytest.skip("the wheels of ROS 2 exist for Linux on x86_64 only")
+        without(f"there is no .venv-ros/{distro} (python3 tests/ros/environments.py makes it)")
+    return str(python)
+
+
+def fits() -> bool:
+    """Whether the wheels fit this computer."""
+    return sys.platform == "linux" and platform.machine() == "x86_64"
+
+
+def variables(folder: Path) -> dict[str, str]:
+    """Returns the environment variables of a ROS process of a test with the folder ``folder``.
+
+    Each worker of pytest has a domain of its own, so that tests do not hear each other.
+    """
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")
+    domain = 1 + (7 * os.getppid() + int(worker)) % 100
+    own = {
+        "PYTHONPATH": str(ROOT),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_DOMAIN_ID": str(domain),
+        "ROS_LOG_DIR": str(folder / "ros_log"),
+        "XDG_RUNTIME_DIR": str(folder),
+    }
+    return {**os.environ, **own}
+
+
+def make() -> None:
+    """Makes the environments of all distributions."""
+    for distro in DISTROS:
+        folder = ENVIRONMENTS / distro
+        subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
+        subprocess.run(
+            [
+                *(str(folder / "bin" / "python"), "-m", "pip", "install", "--quiet"),
+                *("--disable-pip-version-check", *WHEELS[distro], *OTHERS),
+            ],
+            check=True,
+        )
+
+
+if __name__ == "__main__":
+    if fits():
+        make()
+    else:
+        print(f"no ROS 2 for the tests: there are no wheels for {platform.machine()}")

@@ -1,0 +1,116 @@
+"""The program ``base_driver``: runs the ROS 2 node until it is ended.
+
+python -m thorvaldc.ros.base_driver --ros-args -p model_file:=build/robot/model.json -p base:=ideal
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.ros.bases import NodeError
+
+LONGEST_WAIT = 0.1
+"""Longest real time (s) for which the program waits for messages before it looks at a signal."""
+INPUT, OUTSIDE = 1, 3
+"""Exit statuses as those of the command ``thorvaldc``: wrong input, failure outside."""
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Runs the node ``base_driver`` and returns the exit status.
+
+    ``args``: arguments of the program, by default those of the process.  Errors are one line on
+    stderr.
+    """
+    try:
+        import rclpy
+        from rclpy.exceptions import ParameterException
+        from rclpy.signals import SignalHandlerOptions
+
+        from thorvaldc.ros.lifecycle_node import BaseDriverNode
+    except ModuleNotFoundError as error:
+        if str(error.name).startswith("thorvaldc"):
+            raise
+        return _fail(
+            f"the Python package {error.name} of ROS 2 is missing in {sys.executable}: install"
+            " ROS 2, and run `source /opt/ros/DISTRO/setup.bash` first",
+            OUTSIDE,
+        )
+    with _ended_by_signal() as ended:
+        try:
+            # The signals end the loop, so that the robot is stopped before ROS is shut down.
+            rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        except Exception as error:
+            return _fail(str(error), INPUT)
+        try:
+            return run_nodes([BaseDriverNode], ended)
+        except DiagnosticError as error:
+            diagnostic = error.diagnostic
+            hint = f"; {diagnostic.hint}" if diagnostic.hint else ""
+            return _fail(f"{diagnostic.message}{hint}", INPUT)
+        except (NodeError, ParameterException) as error:
+            return _fail(str(error), INPUT)
+        finally:
+            rclpy.try_shutdown()
+
+
+def run_nodes(factories: Sequence[Callable[[], Any]], ended: Callable[[], bool]) -> int:
+    """Creates nodes and runs them in this thread until ``ended()``; stops their robots then.
+
+    ``factories``: functions that return a ``BaseDriverNode``, such as
+    ``lambda: BaseDriverNode(namespace="r1", parameter_overrides=[...])``, for several robots in
+    one process.  Raises ``NodeError`` if a node cannot start.
+    """
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.lifecycle import TransitionCallbackReturn
+
+    executor = SingleThreadedExecutor()
+    nodes: list[Any] = []
+    try:
+        for factory in factories:
+            nodes.append(factory())
+            executor.add_node(nodes[-1])
+        for node in nodes:
+            if node.values["autostart"]:
+                for transition in (node.trigger_configure, node.trigger_activate):
+                    if transition() != TransitionCallbackReturn.SUCCESS:
+                        raise NodeError(node.problem)
+        while not ended():
+            wait = min(node.wait() for node in nodes)
+            executor.spin_once(timeout_sec=min(max(wait, 0.0), LONGEST_WAIT))
+            for node in nodes:
+                node.run_due()
+        return 0
+    finally:
+        for node in nodes:
+            node.stop_robot()
+            executor.remove_node(node)
+            node.destroy_node()
+        executor.shutdown()
+
+
+@contextlib.contextmanager
+def _ended_by_signal() -> Iterator[Callable[[], bool]]:
+    ended: list[int] = []
+    previous = {
+        number: signal.signal(number, lambda received, frame: ended.append(received))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield lambda: bool(ended)
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def _fail(message: str, status: int) -> int:
+    print("error:", " ".join(message.split()), file=sys.stderr)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,97 @@
+"""Opens the base that the parameter ``base`` names."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+from collections.abc import Mapping
+from pathlib import Path
+
+from thorvaldc.can.open_interface import lock_buses, open_interfaces
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model import Robot
+from thorvaldc.ros.driven_robot import DrivenRobot, RobotOnBuses, SimulatedRobotInProcess
+
+
+class NodeError(Exception):
+    """The node cannot start or drive; the message is one line for the operator."""
+
+
+def open_robot(robot: Robot, model_file: Path, base: str, bus: str, factor: float) -> DrivenRobot:
+    """Opens a robot on the base ``base``.
+
+    Raises ``NodeError`` if the base needs a package that is not installed, and ``DiagnosticError``
+    if the base cannot be opened.
+    """
+    gc.collect()
+    gc.freeze()  # a pause of the garbage collector delays the control loop
+    if base == "bus":
+        return _on_buses(robot, bus)
+    try:
+        return _simulated(robot, model_file, base, factor)
+    except ModuleNotFoundError as error:
+        raise NodeError(
+            f"base `{base}` needs the Python package {error.name}: install the whole package"
+            " thorvaldc in place of thorvaldc-runtime"
+        ) from None
+
+
+def _on_buses(robot: Robot, bus: str) -> DrivenRobot:
+    with contextlib.ExitStack() as stack:
+        lock_buses(bus, robot, stack)
+        interfaces = open_interfaces(bus, robot)
+        return RobotOnBuses(robot, interfaces, locks=stack.pop_all())
+
+
+def _simulated(robot: Robot, model_file: Path, base: str, factor: float) -> DrivenRobot:
+    # Only a computer with the whole package has these rooms.
+    if base == "virtual":
+        from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+
+        simulated = SimulatedRobot(robot)
+        simulated.power_on()
+        interfaces = {b.name: simulated.interface(b.name, fifo=True) for b in robot.buses}
+        return RobotOnBuses(robot, interfaces, factor)
+    if base == "ideal":
+        from thorvaldc.simulation.physics.sim_base import SimBase
+
+        return SimulatedRobotInProcess(robot, SimBase(robot), factor)
+    from thorvaldc.simulation.physics.mujoco_base import MujocoBase
+    from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
+
+    scene = MujocoScene(_scene_files(robot, model_file))
+    return SimulatedRobotInProcess(robot, MujocoBase(robot, scene), factor)
+
+
+def _scene_files(robot: Robot, model_file: Path) -> Path | Mapping[str, bytes]:
+    """Returns the folder with the MJCF files of the build, or makes them from the model."""
+    from thorvaldc.simulation.physics.mujoco_scene import SCENE
+
+    if (model_file.parent / SCENE).is_file():
+        return model_file.parent
+    from thorvaldc.compiler.pipeline import emit
+    from thorvaldc.diagnostics import Report
+
+    report = Report()
+    files = emit(robot, ["mjcf"], report)
+    if report.has_errors:
+        raise DiagnosticError("simulation-scene", f"{robot.name} cannot be simulated in MuJoCo")
+    return files
+
+
+def description_text(robot: Robot, model_file: Path) -> str:
+    """Returns the URDF of the robot, from the files of the build or made from the model.
+
+    Raises ``NodeError`` if there is no file and the compiler is not installed.
+    """
+    for folder in (model_file.parent, model_file.parent.parent):
+        path = folder / "urdf" / "robot.urdf"
+        if path.is_file():
+            return path.read_text(encoding="utf-8")
+    try:
+        from thorvaldc.backends.urdf import urdf_text
+    except ModuleNotFoundError:
+        raise NodeError(
+            f"publish_description: there is no file urdf/robot.urdf beside {model_file}"
+        ) from None
+    return urdf_text(robot)

@@ -1,0 +1,377 @@
+"""The ROS 2 lifecycle node of the base driver; docs/ros2-node.md describes its interface.
+
+- configured: the model is read, and all topics and services exist;
+- active: the base is open, and the control loop runs; the robot moves only after ``enable``;
+- deactivated: the robot has come to rest, and the base is closed.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Twist as TwistMessage
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import BatteryState, JointState
+from std_msgs.msg import Bool, String
+
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.ros.bases import NodeError, description_text, open_robot
+from thorvaldc.ros.clock_watch import ClockWatch
+from thorvaldc.ros.driven_robot import DrivenRobot, RobotOnBuses, SimulatedRobotInProcess
+from thorvaldc.ros.messages import (
+    JointMessages,
+    battery_message,
+    odometry_message,
+    optional_type,
+    transform_message,
+)
+from thorvaldc.ros.node_diagnostics import diagnostic_statuses
+from thorvaldc.ros.node_parameters import NodeParameters
+from thorvaldc.ros.node_services import create_services
+from thorvaldc.ros.topic_twists import TwistInputs
+from thorvaldc.runtime.control.service_table import ServiceError
+from thorvaldc.runtime.run_session import UNTESTED
+
+NODE_NAME = "base_driver"
+REPORT_PERIOD = 1.0
+"""Real time (s) between two messages on /diagnostics, if nothing changes."""
+RELAY_QUEUE = 64
+"""Frames of foreign devices that wait in a topic, in each direction."""
+DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
+
+def latched(depth: int = 1) -> QoSProfile:
+    """Returns the QoS of a topic whose newest messages also reach later subscribers."""
+    return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class BaseDriverNode(LifecycleNode):  # type: ignore[misc]
+    """The base driver of one robot as a ROS 2 node.
+
+    The program calls ``run_due`` when ``wait`` has passed, and handles the callbacks of the node in
+    the same thread meanwhile.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        """Creates the node and reads the model.
+
+        ``options``: arguments of ``rclpy.node.Node``, such as ``namespace`` and
+        ``parameter_overrides``.  Raises ``NodeError`` or ``DiagnosticError`` if a parameter or the
+        model is wrong.
+        """
+        super().__init__(NODE_NAME, **options)
+        self.parameters = NodeParameters(self)
+        self.parameters.changed = self._use_parameters
+        self.values = self.parameters.values
+        self.model = self.parameters.robot
+        self.model_file = Path(self.values["model_file"])
+        self.robot: DrivenRobot | None = None
+        self.inputs = TwistInputs(self.model, self.values)
+        self.clock_watch = ClockWatch()
+        self.problem = ""
+        """Reason why the node is not active although it was, or why it could not be activated."""
+        self._entities: list[Any] = []
+        self._next_report = 0.0
+        self._reported: Any = None
+        simulated = self.values["base"] in ("ideal", "mujoco")
+        self.owns_clock = simulated and self.values["publish_clock"]
+        if self.values["publish_clock"] and not simulated:
+            self.get_logger().warning("publish_clock: only the bases ideal and mujoco have a clock")
+        self._tf_type: Any = optional_type("tf2_msgs", "TFMessage")
+        self._frame_type: Any = optional_type("can_msgs", "Frame")
+
+    # -- lifecycle -----------------------------------------------------------------------------
+
+    def on_configure(self, state: Any) -> Any:
+        try:
+            self._create_topics()
+        except NodeError as error:
+            self._remove_topics()
+            self.get_logger().error(str(error))
+            self.problem = str(error)
+            return FAILED
+        self._report()
+        return DONE
+
+    def on_activate(self, state: Any) -> Any:
+        return DONE if self._open() else FAILED
+
+    def on_deactivate(self, state: Any) -> Any:
+        self.stop_robot()
+        self._report()
+        return DONE
+
+    def on_cleanup(self, state: Any) -> Any:
+        self._remove_topics()
+        return DONE
+
+    def on_shutdown(self, state: Any) -> Any:
+        self.stop_robot()
+        self._remove_topics()
+        return DONE
+
+    def on_error(self, state: Any) -> Any:
+        self.stop_robot()
+        self._remove_topics()
+        return DONE
+
+    # -- the loop ------------------------------------------------------------------------------
+
+    def wait(self) -> float:
+        """Returns the real time (s) until ``run_due`` must be called."""
+        report = self._next_report - time.monotonic()
+        return report if self.robot is None else min(report, self.robot.wait())
+
+    def run_due(self) -> None:
+        """Runs the control cycle and sends the messages that are due."""
+        robot = self.robot
+        if robot is not None and robot.wait() <= 0.0:
+            self._watch_clock(robot)
+            try:
+                robot.cycle()
+            except BaseException:
+                self.robot = None
+                if isinstance(robot, RobotOnBuses):
+                    robot.close()
+                raise
+            self._publish(robot)
+            self._watch_bus(robot)
+        if time.monotonic() >= self._next_report:
+            self._report()
+
+    def stop_robot(self) -> None:
+        """Stops the robot and closes its base."""
+        robot, self.robot = self.robot, None
+        if robot is not None:
+            robot.stop()
+            self._publish(robot)
+
+    def restart_simulation(self) -> None:
+        """Starts the simulation again at the time 0; the robot is disarmed.
+
+        Raises ``ServiceError`` if it cannot be started.
+        """
+        self.robot = None
+        if not self._open():
+            raise ServiceError(self.problem)
+
+    # -- inside --------------------------------------------------------------------------------
+
+    def _open(self) -> bool:
+        values = self.values
+        if values["base"] == "bus" and not values["bus"].startswith("sim:"):
+            self.get_logger().warning(UNTESTED)
+        try:
+            self.robot = open_robot(
+                self.model,
+                self.model_file,
+                values["base"],
+                values["bus"],
+                values["real_time_factor"],
+            )
+        except DiagnosticError as error:
+            self.problem = str(error.diagnostic.message)
+            if error.diagnostic.hint:
+                self.problem += f"; {error.diagnostic.hint}"
+        except (NodeError, OSError) as error:
+            self.problem = str(error)
+        else:
+            self.problem, self._reported = "", None
+            self._joints = JointMessages(self.model)
+            self._use_parameters()
+            return True
+        self.get_logger().error(self.problem)
+        return False
+
+    def _use_parameters(self) -> None:
+        if self.robot is not None:
+            self.parameters.apply_to(self.robot.driver)
+
+    def _create_topics(self) -> None:
+        model, add = self.model, self._entities.append
+        self._odometry = self.create_publisher(Odometry, "odometry/base_raw", 10)
+        self._joint_states = self.create_publisher(JointState, "joint_states", 10)
+        count = max(len(model.batteries), 1)
+        self._battery = self.create_publisher(BatteryState, "battery_data", latched(count))
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._entities += [self._odometry, self._joint_states, self._battery, self._diagnostics]
+        self._clock_topic = self._tf = self._from_devices = None
+        if self.owns_clock:
+            self._clock_topic = self.create_publisher(Clock, "/clock", 1)
+            add(self._clock_topic)
+        if self._tf_type is not None:
+            self._tf = self.create_publisher(self._tf_type, "/tf", 100)
+            add(self._tf)
+        elif self.values["enable_odom_tf"]:
+            self.get_logger().warning(
+                "tf2_msgs is not installed: the transform from odom to base_link is not published"
+            )
+        twist, callback = TwistMessage, self._on_twist
+        if self.values["stamped"]:
+            twist, callback = TwistStamped, self._on_stamped_twist
+        for source in model.twist_sources:
+            add(
+                self.create_subscription(
+                    twist, source.topic, lambda m, name=source.name: callback(name, m), 1
+                )
+            )
+        for lock in model.twist_locks:
+            add(
+                self.create_subscription(
+                    Bool, lock.topic, lambda m, name=lock.name: self._on_lock(name, m), 10
+                )
+            )
+        if any(frame.kind == "relay" for bus in model.buses for frame in bus.frames):
+            self._create_relay()
+        if self.values["publish_description"]:
+            description = self.create_publisher(String, "robot_description", latched())
+            add(description)
+            description.publish(String(data=description_text(model, self.model_file)))
+        self._entities += create_services(self)
+
+    def _create_relay(self) -> None:
+        frame = self._frame_type
+        if frame is None:
+            self.get_logger().warning(
+                "can_msgs is not installed: no frames of foreign devices are relayed"
+            )
+            return
+        self._from_devices = self.create_publisher(frame, "can_frames_device_r", RELAY_QUEUE)
+        self._entities.append(self._from_devices)
+        self._entities.append(
+            self.create_subscription(frame, "can_frames_device_t", self._on_frame, RELAY_QUEUE)
+        )
+
+    def _remove_topics(self) -> None:
+        for entity in self._entities:
+            entity.destroy()
+            for listed in (self._publishers, self._subscriptions, self._services):
+                if entity in listed:
+                    listed.remove(entity)
+        self._entities.clear()
+
+    # -- messages in ---------------------------------------------------------------------------
+
+    def ros_time(self) -> float:
+        """Returns the time (s) of ROS: simulated, of /clock, or of the computer."""
+        if self.owns_clock and self.robot is not None:
+            return self.robot.now
+        return float(self.get_clock().now().nanoseconds) * 1e-9
+
+    def _on_twist(self, source: str, message: Any) -> None:
+        self.inputs.publish(self.robot, source, message, self.clock_watch.problem)
+
+    def _on_stamped_twist(self, source: str, message: Any) -> None:
+        stamp = message.header.stamp
+        age = self.ros_time() - (stamp.sec + stamp.nanosec * 1e-9)
+        self.inputs.publish(self.robot, source, message.twist, self.clock_watch.problem, age)
+
+    def _on_lock(self, name: str, message: Any) -> None:
+        robot = self.robot
+        if robot is not None:
+            try:
+                robot.call("lock", f"the topic of {name}", name=name, locked=bool(message.data))
+            except ServiceError as error:
+                self.get_logger().warning(str(error))
+
+    def _on_frame(self, message: Any) -> None:
+        robot = self.robot
+        if not isinstance(robot, RobotOnBuses):
+            return
+        data = bytes(message.data[: message.dlc])
+        frame = CanFrame(message.id, data, message.is_extended, message.is_rtr)
+        for connection in robot.runner.base.connections:
+            known = message.id in connection.relay.to_device
+            if not robot.void_reason() and (known or connection.bus is self.model.buses[-1]):
+                connection.relay.offer(frame, robot.now)
+                return
+
+    # -- messages out --------------------------------------------------------------------------
+
+    def _stamp(self, robot: DrivenRobot | None) -> Any:
+        if self.owns_clock and robot is not None:
+            nanoseconds = round(robot.now * 1e9)
+            return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+        return self.get_clock().now().to_msg()
+
+    def _publish(self, robot: DrivenRobot) -> None:
+        state, values = robot.driver.state, self.values
+        stamp = self._stamp(robot)
+        if self._clock_topic is not None:
+            self._clock_topic.publish(Clock(clock=stamp))
+        frames = values["odom_frame_id"], values["base_frame_id"]
+        self._odometry.publish(odometry_message(state, stamp, *frames))
+        if self._tf is not None and values["enable_odom_tf"]:
+            transform = transform_message(state, stamp, *frames)
+            self._tf.publish(self._tf_type(transforms=[transform]))
+        joints = self._joints.message(state, stamp)
+        if joints is not None:
+            self._joint_states.publish(joints)
+        if self._from_devices is not None and isinstance(robot, RobotOnBuses):
+            for connection in robot.runner.base.connections:
+                for frame in connection.relay.received():
+                    message = self._frame_type(id=frame.cob_id, dlc=len(frame.data))
+                    message.header.stamp = stamp
+                    message.data[: len(frame.data)] = list(frame.data)
+                    self._from_devices.publish(message)
+        summary: tuple[Any, ...] = (
+            state.mode,
+            state.fault,
+            robot.armed,
+            getattr(robot, "paused", False),
+        )
+        if isinstance(robot, RobotOnBuses):
+            summary = (*summary, robot.runner.state)
+        if summary != self._reported:
+            self._reported = summary
+            self._next_report = 0.0
+
+    def _report(self) -> None:
+        self._next_report = time.monotonic() + REPORT_PERIOD
+        if not self._entities:
+            return
+        robot, stamp = self.robot, self._stamp(self.robot)
+        message = DiagnosticArray()
+        message.header.stamp = stamp
+        name = f"{self.get_namespace().rstrip('/')}/{NODE_NAME}".lstrip("/")
+        message.status = diagnostic_statuses(name, self, robot)
+        self._diagnostics.publish(message)
+        if self._clock_topic is not None and robot is not None:
+            self._clock_topic.publish(Clock(clock=stamp))  # also while the simulation is paused
+        if isinstance(robot, RobotOnBuses):
+            for battery, reported in robot.runner.batteries().items():
+                frame = self.values["base_frame_id"]
+                self._battery.publish(battery_message(battery, reported, stamp, frame))
+
+    # -- supervision ---------------------------------------------------------------------------
+
+    def _watch_clock(self, robot: DrivenRobot) -> None:
+        """Stops the robot while the ROS clock of another node stands still or jumps."""
+        if self.owns_clock or not self.get_parameter("use_sim_time").value:
+            return
+        timeout = self.values["command_timeout"]
+        jump = self.clock_watch.update(self.ros_time(), time.monotonic(), timeout)
+        if jump or self.clock_watch.problem:
+            robot.void(jump or self.clock_watch.problem)
+
+    def _watch_bus(self, robot: DrivenRobot) -> None:
+        if isinstance(robot, RobotOnBuses) and robot.lost:
+            problem = robot.lost
+            self.get_logger().error(f"{problem}; activate the node again when it is back")
+            self.trigger_deactivate()
+            self.problem = problem
+
+    def simulation(self) -> SimulatedRobotInProcess:
+        """Returns the simulated robot.  Raises ``ServiceError`` if there is none."""
+        if not isinstance(self.robot, SimulatedRobotInProcess):
+            raise ServiceError("there is no simulation: the node is inactive")
+        return self.robot

@@ -1,0 +1,155 @@
+"""Converts states of the base driver to ROS messages, with the message types of ROS 2."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import TransformStamped
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import BatteryState, JointState
+
+from thorvaldc.model import Robot
+from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryState as ReportedBattery
+from thorvaldc.runtime.driver import DriverState
+from thorvaldc.runtime.ros_numbers import (
+    covariance_numbers,
+    pose_numbers,
+    recorded_joints,
+    twist_numbers,
+)
+
+OK, WARN, ERROR = (b"\x00", b"\x01", b"\x02")
+_MOVABLE = ("continuous", "revolute", "prismatic")
+
+
+def optional_type(package: str, name: str) -> Any | None:
+    """Returns a message type, or ``None`` if its ROS package is not installed."""
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name)
+    except ImportError:
+        return None
+
+
+def odometry_message(state: DriverState, stamp: Any, odom_frame: str, base_frame: str) -> Any:
+    """Returns the odometry: the pose in ``odom_frame``, the twist in ``base_frame``.
+
+    The covariance of the pose is in the axes of ``odom_frame``, that of the twist in the axes of
+    ``base_frame``.
+    """
+    message = Odometry()
+    message.header.stamp, message.header.frame_id = stamp, odom_frame
+    message.child_frame_id = base_frame
+    _set_pose(message.pose.pose.position, message.pose.pose.orientation, state)
+    message.pose.covariance = covariance_numbers(state.pose_covariance, state.pose.yaw)
+    twist = message.twist.twist
+    linear, angular = twist.linear, twist.angular
+    numbers = twist_numbers(state.odometry.twist)
+    linear.x, linear.y, linear.z, angular.x, angular.y, angular.z = numbers
+    message.twist.covariance = covariance_numbers(state.odometry.covariance)
+    return message
+
+
+def transform_message(state: DriverState, stamp: Any, odom_frame: str, base_frame: str) -> Any:
+    """Returns the transform from ``odom_frame`` to ``base_frame``."""
+    message = TransformStamped()
+    message.header.stamp, message.header.frame_id = stamp, odom_frame
+    message.child_frame_id = base_frame
+    transform = message.transform
+    _set_pose(transform.translation, transform.rotation, state)
+    return message
+
+
+def _set_pose(position: Any, rotation: Any, state: DriverState) -> None:
+    numbers = pose_numbers(state.pose)
+    position.x, position.y, position.z = numbers[:3]
+    rotation.x, rotation.y, rotation.z, rotation.w = numbers[3:]
+
+
+class JointMessages:
+    """Makes joint states of all joints that can move.
+
+    The base does not measure all of them: joints without encoder stand at 0.  Where the base does
+    not report positions of the drive joints, they are the integral of the speeds.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        drives, steering = recorded_joints(robot)
+        joints = [j.name for j in robot.joints if j.type in _MOVABLE]
+        self._names = [robot.prefix + name for name in joints]
+        index = {name: i for i, name in enumerate(joints)}
+        self._drives = [(index[name], wheel) for name, wheel in drives.items()]
+        self._steering = [(index[name], wheel) for name, wheel in steering.items()]
+        self._turned = [0.0] * len(robot.wheels)
+        self._time = math.nan
+
+    def message(self, state: DriverState, stamp: Any) -> Any | None:
+        """Returns a JointState message, or ``None`` while a measurement is missing."""
+        joints = state.joints
+        if joints is None:
+            return None
+        dt = state.time - self._time
+        self._time = state.time
+        measured = joints.positions
+        positions, velocities = [0.0] * len(self._names), [0.0] * len(self._names)
+        for i, wheel in self._drives:
+            speed = velocities[i] = float(joints.speeds[wheel])
+            if measured is not None:
+                positions[i] = float(measured[wheel])
+                continue
+            if 0.0 < dt < 1.0:
+                self._turned[wheel] += speed * dt
+            positions[i] = self._turned[wheel]
+        for i, wheel in self._steering:
+            positions[i] = float(joints.angles[wheel])
+            velocities[i] = float(joints.angle_rates[wheel])
+        if not all(map(math.isfinite, positions + velocities)):
+            return None
+        message = JointState()
+        message.header.stamp = stamp
+        message.name, message.position, message.velocity = self._names, positions, velocities
+        return message
+
+
+def battery_message(name: str, battery: ReportedBattery, stamp: Any, frame: str) -> Any:
+    """Returns the state of a battery; unknown values are NaN, and a discharge is negative."""
+    message = BatteryState()
+    message.header.stamp, message.header.frame_id = stamp, frame
+    message.location = name
+    message.voltage, message.percentage = battery.voltage, battery.charge
+    message.current = -battery.current
+    message.charge = message.capacity = message.design_capacity = math.nan
+    temperatures = battery.temperatures
+    message.temperature = max(temperatures) if temperatures else math.nan
+    message.present = math.isfinite(battery.time)
+    current = battery.current
+    if math.isnan(current):
+        message.power_supply_status = BatteryState.POWER_SUPPLY_STATUS_UNKNOWN
+    elif current > 0.0:
+        message.power_supply_status = BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
+    elif current < 0.0:
+        message.power_supply_status = BatteryState.POWER_SUPPLY_STATUS_CHARGING
+    else:
+        message.power_supply_status = BatteryState.POWER_SUPPLY_STATUS_NOT_CHARGING
+    return message
+
+
+def diagnostic_status(name: str, hardware: str, level: bytes, text: str, values: Any) -> Any:
+    """Returns a status with nested values as one line for each value, such as ``pose.x``."""
+    pairs = [KeyValue(key=key, value=value) for key, value in _flat(values)]
+    return DiagnosticStatus(
+        name=name, hardware_id=hardware, level=level, message=text, values=pairs
+    )
+
+
+def _flat(values: Any, prefix: str = "") -> list[tuple[str, str]]:
+    if isinstance(values, dict):
+        pairs = [_flat(v, f"{prefix}.{k}" if prefix else str(k)) for k, v in values.items()]
+        return [pair for group in pairs for pair in group]
+    if isinstance(values, list | tuple):
+        return [(prefix, "; ".join(map(str, values)))]
+    if isinstance(values, bool):
+        return [(prefix, str(values).lower())]
+    return [(prefix, f"{values:.6g}" if isinstance(values, float) else str(values))]
