@@ -268,6 +268,31 @@ def test_constants_come_quickly_while_the_motors_are_off() -> None:
     assert driver.shortest_periods()[report_frame] == 0.1
 
 
+def test_a_restart_loses_the_reference() -> None:
+    driver = steered()
+    assert driver.shortest_periods() == {driver.codecs["tpdo4"].frame.name: 0.1}
+    home(driver)
+    assert modes(driver, Intent.FOLLOW, 1.0) == (DRIVE, DRIVE)
+    driver.error_code = 0x4310
+    driver.handle_restart()
+    assert not driver.homed
+    assert not driver.follows
+    assert driver.error_code == 0
+    assert driver.identity_mismatch() is None
+
+
+def test_a_quick_stop_holds_the_angle() -> None:
+    driver = steered()
+    home(driver)
+    wheel, steering = driver.axes
+    wheel.target, steering.target = 1.0, 0.1
+    driver.cyclic_frames(Intent.QUICK_STOP, 1.0)
+    assert (wheel.target, steering.target) == (0.0, steering.position)
+    steering.target = 0.2
+    driver.cyclic_frames(Intent.QUICK_STOP, 1.02)
+    assert steering.target == 0.2, "the angle at the start of the stop is held"
+
+
 def test_the_present_angle_becomes_zero() -> None:
     driver = steered()
     home(driver)
