@@ -6,9 +6,9 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 
-from thorvaldc.compiler.geometry.convex_hull import convex_hull
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.model import Pose
+from thorvaldc.model.statics.convex_hull import convex_hull
 from thorvaldc.tools.audit.audit_facts import (
     BodyJoint,
     Description,
