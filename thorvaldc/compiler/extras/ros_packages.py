@@ -51,3 +51,27 @@ def find_package(
         if (above / name / "package.xml").is_file():
             return str(above / name)
     return None
+
+
+MAX_SOURCE_FOLDERS = 3000
+
+
+def find_in_sources(folder: str, rest: str) -> str | None:
+    """Returns the file of the path ``rest`` in the source folder of a package.
+
+    A package can install `description/urdf/` as `urdf/`.  If the path does not exist in the source
+    folder, returns the only file whose path ends with ``rest``, or ``None``.
+    """
+    path = os.path.join(folder, rest)
+    if os.path.exists(path):
+        return path
+    ending = os.path.join(os.sep, os.path.normpath(rest))
+    matches: list[str] = []
+    for count, (inner, folders, files) in enumerate(os.walk(folder)):
+        if count > MAX_SOURCE_FOLDERS:
+            return None
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        if os.path.basename(rest) in files:
+            candidate = os.path.join(inner, os.path.basename(rest))
+            matches += [candidate] if candidate.endswith(ending) else []
+    return matches[0] if len(matches) == 1 else None

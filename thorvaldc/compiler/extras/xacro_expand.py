@@ -118,12 +118,15 @@ class ExpansionRequest:
     - ``args``: xacro arguments by name.
     - ``env``: environment variables by name; the file reads no others.
     - ``packages``: absolute path of the folder of each ROS package that the robot file names.
+    - ``source_layout``: whether files that a package installs to another folder are found in the
+      source folder of the package.
     """
 
     file: Path
     args: dict[str, str]
     packages: dict[str, str]
     env: dict[str, str] = field(default_factory=dict)
+    source_layout: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,6 +225,7 @@ def expand(
             "args": r.args,
             "env": r.env,
             "packages": r.packages,
+            "source_layout": r.source_layout,
             "search": search,
         }
         for r in requests

@@ -26,7 +26,7 @@ from xml.parsers.expat import ExpatError
 
 from thorvaldc.compiler.extras import expression_rules
 from thorvaldc.compiler.extras.expression_rules import ForbiddenExpressionError
-from thorvaldc.compiler.extras.ros_packages import find_package, is_below
+from thorvaldc.compiler.extras.ros_packages import find_in_sources, find_package, is_below
 
 Position = tuple[int, int, int]  # index of the file, line, column
 
@@ -131,6 +131,7 @@ class Expansion:
         """
         if inp is not None or filename is None:
             return inp
+        filename = self.in_sources(filename)
         try:
             with self.open(filename, "rb") as file:
                 data = file.read(MAX_SOURCE_BYTES + 1)
@@ -155,11 +156,19 @@ class Expansion:
 
     def open(self, filename: str, mode: str = "r") -> Any:
         """Replaces the builtin ``open``, with which xacro reads YAML files."""
-        path = os.path.realpath(filename)
+        path = os.path.realpath(self.in_sources(filename))
         if self.folders is not None and not is_below(path, self.folders):
             text = f"the file `{filename}` is outside of the folders that may be read"
             raise ExpansionError("forbidden", text)
         return open(path, mode)
+
+    def in_sources(self, filename: str) -> str:
+        """Returns the place of an installed file in the source folder of its package."""
+        if self.entry.get("source_layout"):
+            for folder in self.packages.values():
+                if filename.startswith(os.path.join(folder, "")):
+                    return find_in_sources(folder, os.path.relpath(filename, folder)) or filename
+        return filename
 
     def with_rules(self, function: Callable[..., Any], builtins: dict[str, Any]) -> Any:
         """Returns a replacement of ``eval`` that applies ``expression_rules`` to an expression.

@@ -223,8 +223,10 @@ class Evidence:
     """All that the audit has read.
 
     - ``facts``: statements of the parameter files, made from ``sections``.
-    - ``incomplete``: names of the descriptions that could not be read.
+    - ``incomplete``, ``unread_launches``: names of the descriptions and launch files that could
+      not be read.
     - ``packages``: folder of each ROS package, by its name.
+    - ``paths``: place of each file that a description names, once it was looked up.
     """
 
     descriptions: list[Description] = field(default_factory=list)
@@ -232,8 +234,9 @@ class Evidence:
     launches: list[LaunchFile] = field(default_factory=list)
     facts: list[Fact] = field(default_factory=list)
     packages: dict[str, Path] = field(default_factory=dict)
-    paths: dict[str, Path] = field(default_factory=dict)
+    paths: dict[str, Path | None] = field(default_factory=dict)
     incomplete: list[str] = field(default_factory=list)
+    unread_launches: list[str] = field(default_factory=list)
 
     def related(self, file: str, names: tuple[str, ...] = ()) -> list[Description]:
         """Returns the descriptions to which a file belongs, most probably.

@@ -14,7 +14,7 @@ from thorvaldc.tools.audit.audit_rules import RULES
 from thorvaldc.tools.audit.drive_facts import controller_facts
 from thorvaldc.tools.audit.expanded_descriptions import read_urdf_files
 from thorvaldc.tools.audit.file_rules import bus_facts
-from thorvaldc.tools.audit.folder_survey import RobotFile, Survey, skip, survey
+from thorvaldc.tools.audit.folder_survey import SUFFIXES, RobotFile, Survey, skip, survey
 from thorvaldc.tools.audit.launch_files import (
     is_python_launch,
     read_python_launch,
@@ -95,10 +95,13 @@ class _Reader:
                     launch = read_python_launch(data, file.display, file.path)
                 except ValueError as error:
                     skip(file.display, str(error), self.report)
+                    self.evidence.unread_launches.append(file.display)
                 else:
                     self.evidence.launches.append(launch)
-        else:
+        elif suffix in SUFFIXES:
             self.read_xml_file(file, data)
+        else:
+            skip(file.display, f"files with the suffix `{suffix}` are not read", self.report)
 
     def read_yaml_file(self, file: RobotFile, data: bytes) -> None:
         is_parameters = b"ros__parameters" in data

@@ -178,7 +178,6 @@ def check_lengths(evidence: Evidence, report: Report) -> None:
                     hint="lengths are in m; is this one in mm?",
                 )
     sizes = MeshSizes(evidence)
-    missing: dict[str, int] = {}
     for description, body, shape in mesh_shapes(evidence):
         path = mesh_path(shape.mesh, description, evidence)
         if path is None:
@@ -186,10 +185,9 @@ def check_lengths(evidence: Evidence, report: Report) -> None:
         box = sizes.boxes.get(path)
         if box is None:
             if not path.exists():
-                missing[shape.mesh] = missing.get(shape.mesh, 0) + 1
                 report.add(
                     "audit-mesh-missing",
-                    f"the mesh file `{shape.mesh}` of body `{body.name}` does not exist",
+                    f"the mesh file `{shape.mesh}` does not exist",
                     shape.span,
                     hint="check spelling and case; paths are relative to the package",
                 )

@@ -42,7 +42,7 @@ def controller_facts(section: ParameterSection) -> list[Fact]:
             continue
         items = node.value if isinstance(node.value, tuple) else (node,)
         facts += [
-            Fact("joint", subject, item.value, item.span)
+            Fact("joint", subject, joint_of(item.value), item.span)
             for item in items
             if isinstance(item.value, str) and is_plain(item.value)
         ]
@@ -66,8 +66,13 @@ def is_plain(name: str) -> bool:
     return bool(name) and "$" not in name and "{" not in name and "<" not in name
 
 
+def joint_of(name: str) -> str:
+    """Returns the joint of an interface: a chained controller is named `controller/joint`."""
+    return name.rsplit("/", 1)[-1]
+
+
 def plain_names(section: ParameterSection, parameters: Sequence[str]) -> tuple[str, ...]:
-    names = [text for parameter in parameters for text in section.texts(parameter)]
+    names = [joint_of(text) for parameter in parameters for text in section.texts(parameter)]
     return tuple(names) if all(is_plain(name) for name in names) else ()
 
 

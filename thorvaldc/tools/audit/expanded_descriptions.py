@@ -81,7 +81,7 @@ class _Expansion:
         """Expands files below the root of ``file`` with the arguments ``variants``."""
         display = "" if file.root_display == "." else file.root_display
         requests = [
-            ExpansionRequest(path, args, self.packages)
+            ExpansionRequest(path, args, self.packages, source_layout=True)
             for path, args in zip(paths, variants, strict=True)
         ]
         shown = DisplayPaths(file.root, display, {})

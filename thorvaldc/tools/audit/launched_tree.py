@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from thorvaldc.compiler.extras.ros_packages import find_in_sources
 from thorvaldc.diagnostics import Report
 from thorvaldc.tools.audit.audit_facts import Evidence, Fact, LaunchedNode, LaunchFile
 
@@ -33,7 +34,9 @@ def resolved(fact: Fact, launch: LaunchFile, evidence: Evidence) -> Path | None:
     if name.startswith("package://"):
         package, _, rest = name.removeprefix("package://").partition("/")
         folder = evidence.packages.get(package)
-        return folder / rest if folder is not None and rest else None
+        if folder is None or not rest or "\0" in rest:
+            return None
+        return Path(find_in_sources(str(folder), rest) or folder / rest)
     if name.startswith("/") or "://" in name:
         return None
     return launch.path.parent / name
@@ -50,8 +53,7 @@ def check_launched_files(evidence: Evidence, report: Report) -> None:
                 is_missing = is_local and path is not None and not path.exists()
             except (OSError, ValueError):
                 is_missing = True
-            # A package can install files to another folder than that of the source.
-            if is_missing and path is not None and not _exists_in_package(path, evidence, fact):
+            if is_missing:
                 what = "launch file" if fact.kind.endswith("include") else fact.kind
                 report.add(
                     "audit-file-missing",
@@ -59,15 +61,3 @@ def check_launched_files(evidence: Evidence, report: Report) -> None:
                     fact.span,
                     hint="paths of packages begin with the folder that the package installs",
                 )
-
-
-def _exists_in_package(path: Path, evidence: Evidence, fact: Fact) -> bool:
-    package = str(fact.value).removeprefix("package://").partition("/")[0]
-    folder = evidence.packages[package]
-    for depth, (_, folders, files) in enumerate(os.walk(folder)):
-        if path.name in files:
-            return True
-        if depth > 2000:
-            return True
-        folders[:] = [name for name in folders if not name.startswith(".")]
-    return False

@@ -7,8 +7,9 @@ import math
 from collections.abc import Iterator
 
 from thorvaldc.diagnostics import Label, Report
+from thorvaldc.model.spatial import norm, sub
 from thorvaldc.tools.audit.audit_facts import Description, Evidence, Fact, path_words
-from thorvaldc.tools.audit.drive_facts import wheel_radius
+from thorvaldc.tools.audit.drive_facts import wheel_center, wheel_radius
 
 TOLERANCE = 0.01
 # A wheel that sinks into the soft contact of a simulator may be a little larger there.
@@ -18,6 +19,7 @@ RADIUS_TOLERANCE = 0.02
 def check_command_limits(evidence: Evidence, report: Report) -> None:
     """Reports commands of ``<ros2_control>`` that go beyond the limits of the joint."""
     for description in evidence.descriptions:
+        worst: dict[tuple[str, str], tuple[float, Fact, Fact]] = {}
         for fact in description.facts:
             interface, _, end = fact.kind.partition(" ")
             joint = description.joints.get(fact.names[0]) if fact.names else None
@@ -32,15 +34,18 @@ def check_command_limits(evidence: Evidence, report: Report) -> None:
                 continue
             bound = -limit.value if interface == "velocity" and end == "min" else limit.value
             excess = fact.value - bound if end == "max" else bound - fact.value
-            if excess > TOLERANCE * max(abs(bound), 1e-3):
-                report.add(
-                    "audit-joint-limit",
-                    f"{fact.subject} allows a {interface} of {fact.value:g} {limit.unit} for joint"
-                    f" `{joint.name}`, whose limit is {bound:g} {limit.unit}",
-                    fact.span,
-                    hint="write the limit of the motor in both places",
-                    labels=[Label(limit.span, "limit here")],
-                )
+            known = worst.get((joint.name, interface))
+            if excess > TOLERANCE * max(abs(bound), 1e-3) and (known is None or excess > known[0]):
+                worst[joint.name, interface] = excess, fact, limit._replace(value=bound)
+        for (name, interface), (_, fact, limit) in worst.items():
+            report.add(
+                "audit-joint-limit",
+                f"{fact.subject} allows a {interface} of {fact.value:g} {limit.unit} for joint"
+                f" `{name}`, whose limit is {limit.value:g} {limit.unit}",
+                fact.span,
+                hint="write the limit of the motor in both places",
+                labels=[Label(limit.span, "limit here")],
+            )
 
 
 def _pairs(evidence: Evidence) -> Iterator[tuple[Description, Description]]:
@@ -63,8 +68,9 @@ def _pairs(evidence: Evidence) -> Iterator[tuple[Description, Description]]:
 
 
 def check_descriptions_agree(evidence: Evidence, report: Report) -> None:
-    """Reports limits, wheel radii and masses that differ between two formats of one robot."""
+    """Reports limits, wheel radii and wheel positions that differ between formats of one robot."""
     for a, b in _pairs(evidence):
+        wheels: list[tuple[str, Fact, Fact]] = []
         for name, joint in a.joints.items():
             other = b.joints.get(name)
             if other is None:
@@ -79,9 +85,30 @@ def check_descriptions_agree(evidence: Evidence, report: Report) -> None:
             radius, other_radius = wheel_radius(a, joint), wheel_radius(b, other)
             if radius is None or other_radius is None:
                 continue
+            wheels.append((name, radius, other_radius))
             if not math.isclose(radius.value, other_radius.value, rel_tol=RADIUS_TOLERANCE):
                 what = f"the wheel radius at joint `{name}`"
                 _report(what, radius, other_radius, a, b, report)
+        _check_distances([name for name, *_ in wheels], a, b, report)
+
+
+def _check_distances(wheels: list[str], a: Description, b: Description, report: Report) -> None:
+    """Reports wheels whose distance from the first wheel differs between two descriptions."""
+    poses_a, poses_b = a.root_poses(), b.root_poses()
+    for name in wheels[1:]:
+        lengths: list[float] = []
+        for description, poses in ((a, poses_a), (b, poses_b)):
+            joints = (description.joints[wheels[0]], description.joints[name])
+            start, end = (wheel_center(description, joint, poses) for joint in joints)
+            if start is not None and end is not None:
+                lengths.append(norm(sub(end, start)))
+        if len(lengths) == 2 and not math.isclose(*lengths, rel_tol=TOLERANCE, abs_tol=0.002):
+            facts = [
+                Fact("distance", name, length, description.joints[name].span, "m")
+                for description, length in ((a, lengths[0]), (b, lengths[1]))
+            ]
+            what = f"the distance of the wheels at joints `{wheels[0]}` and `{name}`"
+            _report(what, facts[0], facts[1], a, b, report)
 
 
 def _report(

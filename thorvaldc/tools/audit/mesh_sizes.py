@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote
 
+from thorvaldc.compiler.extras.ros_packages import find_in_sources
 from thorvaldc.compiler.geometry.meshes import load_mesh, shared_mesh_workers
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Mesh, Vec3
@@ -22,11 +23,20 @@ Box = tuple[Vec3, Vec3]
 
 def mesh_path(name: str, description: Description, evidence: Evidence) -> Path | None:
     """Returns the path of a mesh file, or ``None`` if its package is not audited."""
+    key = f"{description.path.parent} {name}"
+    if key not in evidence.paths:
+        evidence.paths[key] = _mesh_path(name, description, evidence)
+    return evidence.paths[key]
+
+
+def _mesh_path(name: str, description: Description, evidence: Evidence) -> Path | None:
     for scheme in ("package://", "model://", "$(find "):
         if name.startswith(scheme):
             package, _, rest = unquote(name.removeprefix(scheme)).partition("/")
             folder = evidence.packages.get(package.rstrip(")"))
-            return folder / rest if folder is not None and rest else None
+            if folder is None or not rest or "\0" in rest:
+                return None
+            return Path(find_in_sources(str(folder), rest) or folder / rest)
     if name.startswith("file://"):
         path = Path(unquote(name.removeprefix("file://")))
         return path if path.is_absolute() and str(path) != "/" else None

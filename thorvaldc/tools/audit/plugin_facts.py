@@ -43,6 +43,11 @@ def _facts_of(plugin: Element) -> list[Fact]:
             facts.append(Fact("joint", subject, child.text, child.span))
         elif child.tag in _FRAMES:
             facts.append(Fact("frame", subject, child.text, child.span))
+        elif child.tag in ("publish_odom_tf", "publishOdomTF") and child.text in ("true", "1"):
+            frame = plugin.find("odometry_frame") or plugin.find("odometryFrame")
+            odom = frame.text.strip("/") if frame is not None else "odom"
+            shown = f"{subject} ({child.tag})"
+            facts.append(Fact("plug-in transform", shown, True, child.span, "", (odom,)))
         elif child.tag in _GEOMETRY:
             kind, factor = _GEOMETRY[child.tag]
             values = numbers(child.text, 1)

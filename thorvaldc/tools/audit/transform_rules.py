@@ -21,8 +21,8 @@ def check_frames(evidence: Evidence, report: Report) -> None:
         for fact in description.facts:
             if fact.kind == "gazebo reference" and fact.value not in known:
                 _report_frame(fact, known, report)
-    # A description that cannot be read may have any frame.
-    if evidence.incomplete or not evidence.descriptions:
+    # A file that cannot be read may make any frame.
+    if evidence.incomplete or evidence.unread_launches or not evidence.descriptions:
         return
     for fact in evidence.facts:
         if fact.kind in ("base frame", "sensor frame") and fact.value not in known:
@@ -42,34 +42,51 @@ def _report_frame(fact: Fact, known: set[str], report: Report) -> None:
 def check_transform_owners(evidence: Evidence, report: Report) -> None:
     """Reports a drive controller and an estimator that both publish the transform of odometry."""
     controllers = [fact for fact in evidence.facts if fact.kind == "controller transform"]
-    controllers += [
-        fact
-        for description in evidence.descriptions
-        for fact in description.facts
-        if fact.kind == "controller transform"
-    ]
-    for fact in evidence.facts:
-        if fact.kind != "estimator transform" or not fact.value:
-            continue
+    estimators = [fact for fact in evidence.facts if fact.kind == "estimator transform"]
+    for fact in estimators:
         nearby = closest([c for c in controllers if c.names == fact.names], fact.span.file)
-        if not nearby or not all(controller.value for controller in nearby):
-            continue
-        report.add(
-            "audit-transform-owners",
-            f"{fact.subject} and {nearby[0].subject} both publish the transform from"
-            f" `{fact.names[0]}` to the robot, which then jumps between two poses",
-            fact.span,
-            hint="let the estimator publish it, and set enable_odom_tf of the controller to false",
-            labels=[Label(nearby[0].span, "the other owner")],
-        )
+        if fact.value and nearby and all(controller.value for controller in nearby):
+            _report_owners(fact, nearby[0], "enable_odom_tf of the controller", report)
+    for description in evidence.descriptions:
+        for plugin in description.facts:
+            if plugin.kind == "plug-in transform":
+                nearby = closest(
+                    [e for e in estimators if e.names == plugin.names], plugin.span.file
+                )
+                if nearby and all(estimator.value for estimator in nearby):
+                    _report_owners(nearby[0], plugin, "publish_odom_tf of the plug-in", report)
+
+
+def _report_owners(estimator: Fact, other: Fact, switch: str, report: Report) -> None:
+    report.add(
+        "audit-transform-owners",
+        f"{estimator.subject} and {other.subject} both publish the transform from"
+        f" `{estimator.names[0]}` to the robot, which then jumps between two poses",
+        estimator.span,
+        hint=f"let the estimator publish it, and set {switch} to false",
+        labels=[Label(other.span, "the other owner")],
+    )
+
+
+_DISTRIBUTIONS = frozenset(
+    ["foxy", "galactic", "humble", "iron", "jazzy", "kilted", "lyrical", "rolling"]
+)
 
 
 def closest(facts: Sequence[Fact], file: str) -> list[Fact]:
-    """Returns the statements whose files have most words in common with the path of a file."""
+    """Returns the statements whose files have most words in common with the path of a file.
+
+    Files for another distribution of ROS, as in `param/humble/nav2.yaml`, are alternatives.
+    """
     words = path_words(file)
-    affinities = [len(words & path_words(fact.span.file)) for fact in facts]
-    best = max(affinities, default=0)
-    return [fact for fact, value in zip(facts, affinities, strict=True) if value == best]
+    distributions = words & _DISTRIBUTIONS
+    candidates = [
+        (len(words & path_words(fact.span.file)), fact)
+        for fact in facts
+        if path_words(fact.span.file) & _DISTRIBUTIONS == distributions
+    ]
+    best = max((affinity for affinity, _ in candidates), default=0)
+    return [fact for affinity, fact in candidates if affinity == best]
 
 
 def check_state_publishers(evidence: Evidence, report: Report) -> None:

@@ -56,7 +56,7 @@ def _check_tree(description: Description, report: Report) -> None:
                     "audit-description-broken",
                     f"the {role} of joint `{joint.name}` is link `{link}`, which does not exist",
                     joint.span,
-                    hint=did_you_mean(link, description.bodies),
+                    hint=did_you_mean(link, description.bodies, fixable=False),
                 )
 
 
