@@ -56,6 +56,8 @@ DCFGEN = ENVIRONMENTS / "dcfgen/bin/dcfgen"
 installs it in an environment of its own."""
 DRAKE_PYTHON = ENVIRONMENTS / "drake/bin/python"
 """The Python of an environment with Drake, which reads URDF; made by ``.ci/run``."""
+DART_PYTHON = ENVIRONMENTS / "dart/bin/python"
+"""The Python of an environment with DART, the physics engine of Gazebo; made by ``.ci/run``."""
 ALWAYS_HERE = frozenset(["sh"])  # programs of every system
 
 
@@ -86,6 +88,13 @@ def path_of_drake_python() -> str:
     if not DRAKE_PYTHON.exists():
         without("Drake is not installed (.ci/run shows how)")
     return str(DRAKE_PYTHON)
+
+
+def path_of_dart_python() -> str:
+    """Returns the path of a Python with DART, as ``path_of``."""
+    if not DART_PYTHON.exists():
+        without("DART is not installed (.ci/run shows how)")
+    return str(DART_PYTHON)
 
 
 def without(reason: str) -> None:

@@ -20,6 +20,7 @@ from tests.backends.conftest import write
 from tests.backends.drake_jobs import read_by_drake, wheel_targets
 from tests.examples import FLEETS, FOLDER, example_fleet, example_robot
 from tests.examples import ROBOTS as EXAMPLES
+from tests.outside_tools import path_of_dart_python
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.backends.sdf import Sdf, model_text
 from thorvaldc.backends.urdf import Urdf
@@ -287,3 +288,43 @@ def test_drake_and_mujoco_drive_as_computed(tmp_path: Path) -> None:
             if distance:
                 assert math.atan2(y, x) == pytest.approx(math.atan2(vy, vx), abs=5e-3)
         assert motion["height"] == pytest.approx(0.0, abs=0.005), name
+
+
+def test_spheres_roll_as_computed_in_the_engine_of_gazebo(tmp_path: Path) -> None:
+    """On the tyres of the SDF, a robot turns on the spot as computed; on cylinders it does not."""
+    robot = example_robot("4wd4ws_wide")
+    folder = write({**files_of(Urdf, robot), **files_of(Sdf, robot)}, tmp_path)
+    root = ElementTree.parse(folder / "sdf/model.sdf").getroot()
+    spheres = {}
+    for wheel in robot.wheels:
+        (tyre,) = root.iterfind(f".//collision[@name='{wheel.link}_collision_0']")
+        spheres[wheel.link] = float(tyre.findtext("geometry/sphere/radius") or "nan")
+    springs = {j.name: (j.stiffness, j.spring_reference) for j in robot.joints if j.stiffness}
+    seconds = 1.5
+    job = {"urdf": str(folder / "urdf/robot.urdf"), "springs": springs, "seconds": seconds}
+    turn, straight = (wheel_targets(robot, MOTIONS[name]) for name in ("spot turn", "straight"))
+    turned, rolled, on_cylinders = read_by_dart(
+        [
+            job | {"wheels": turn, "spheres": spheres},
+            job | {"wheels": straight, "spheres": spheres},
+            job | {"wheels": turn, "spheres": {}},
+        ]
+    )
+    assert turned == [
+        pytest.approx(MOTIONS["spot turn"][2] * seconds, rel=1e-3),
+        pytest.approx(0.0, abs=1e-3),
+    ]
+    assert rolled == [pytest.approx(0.0, abs=1e-3), pytest.approx(0.8 * seconds, rel=1e-3)]
+    assert abs(on_cylinders[0] / turned[0] - 1.0) > 0.05
+
+
+def read_by_dart(jobs: Sequence[dict[str, Any]]) -> list[Any]:
+    process = subprocess.run(
+        [path_of_dart_python(), str(READER.with_name("dart_reader.py"))],
+        input=json.dumps(jobs),
+        capture_output=True,
+        text=True,
+    )
+    assert process.returncode == 0, process.stderr
+    results: list[Any] = json.loads(process.stdout)
+    return results

@@ -23,9 +23,10 @@ def rigid_contact_shapes(tree: JointTree, wheel: Wheel) -> tuple[Collision, ...]
     """Return the shapes of a wheel for rigid contacts, in the link frame of the wheel.
 
     The first one is the sphere of the tyre, whose lowest point lies on the rolling circle when
-    every joint is at position 0. A cylinder has several contact points in DART and rolls on its
-    edge: a robot with steered wheels 0.16 m wide turns 14 % too fast on the spot. The others are
-    the cylinders of the rings that roll on rails.
+    every joint is at position 0. A cylinder has two contact points in DART and rolls on one of its
+    edges: a robot with steered wheels 0.16 m wide turns on the spot by 8 % too slowly or 14 % too
+    fast, which depends on the version. The others are the cylinders of the rings that roll on
+    rails.
     """
     axis = spin_axis(tree, wheel)
     tilt = tree.pose[wheel.link].rotate(axis)[2]
