@@ -202,9 +202,11 @@ def test_a_wheel_that_does_not_follow_is_a_problem() -> None:
     driver = two_wheels()
     modes(driver, Intent.FOLLOW, 0.0)
     driver.axes[1].target = 2.0
-    for tick in range(1, 8):
+    for tick in range(1, 15):
         report(driver, "tpdo1", bytes(8), 0.02 * tick)
-        driver.cyclic_frames(Intent.FOLLOW, 0.02 * tick)
+        driver.cyclic_frames(Intent.HOME if tick < 8 else Intent.FOLLOW, 0.02 * tick)
+        if tick <= 8:
+            assert driver.problem == "", "the wheel stands until it is commanded to follow"
     assert driver.problem == "the right does not follow its target"
 
 
