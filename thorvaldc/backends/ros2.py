@@ -9,6 +9,12 @@ from __future__ import annotations
 import posixpath
 
 from thorvaldc.backends import Backend
+from thorvaldc.backends.mjcf import ros2_control_files
+from thorvaldc.backends.ros2_control_launch_files import (
+    control_files,
+    control_packages,
+    left_out_of_control,
+)
 from thorvaldc.backends.ros2_launch_files import fleet_launch_file, launch_files
 from thorvaldc.backends.ros2_localization import (
     ekf_map,
@@ -74,6 +80,13 @@ def package_of(robot: Robot) -> dict[str, bytes]:
     parts = parts_of(robot)
     launches = launch_files(robot, parts)
     names = [posixpath.basename(path).removesuffix(".launch.py") for path in launches]
+    plugins = set(plugin_packages(robot, parts))
+    control: dict[str, bytes] = {}
+    if robot.actuators:
+        control = {**control_files(robot), **ros2_control_files(robot)}
+        plugins |= control_packages(robot)
+        left_out = (*parts.left_out, *left_out_of_control(robot))
+        parts = parts._replace(left_out=left_out)
     files = {
         **driver_module(robot),
         "README.md": readme(robot, parts, names).encode(),
@@ -83,12 +96,11 @@ def package_of(robot: Robot) -> dict[str, bytes]:
         "rviz/robot.rviz": rviz_text(robot, parts).encode(),
         **{path: text.encode() for path, text in launches.items()},
         **_parameter_files(robot, parts),
+        **control,
     }
     description = f"The robot {robot.name}, made by thorvaldc"
     return {
-        **package_files(
-            robot.ros.package, description, files, launches.values(), plugin_packages(robot, parts)
-        ),
+        **package_files(robot.ros.package, description, files, launches.values(), plugins),
         **files,
     }
 

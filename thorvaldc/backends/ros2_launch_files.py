@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 
+from thorvaldc.backends.ros2_control_launch_files import GAZEBO, ROS2_CONTROL, control_values
 from thorvaldc.backends.ros2_navigation import Motion
 from thorvaldc.backends.ros2_parts import Parts, sensor_topic, source_topic
 from thorvaldc.model import Fleet, Robot
@@ -20,7 +21,7 @@ _HEAD = '''\
 @IMPORTS@
 PACKAGE = "@PACKAGE@"
 NAMESPACE = "@NAMESPACE@"
-
+@CONSTANTS@
 
 def generate_launch_description():
     share = get_package_share_directory(PACKAGE)
@@ -33,6 +34,7 @@ _MODULES = {
     "DeclareLaunchArgument": "launch.actions",
     "GroupAction": "launch.actions",
     "IncludeLaunchDescription": "launch.actions",
+    "OpaqueFunction": "launch.actions",
     "IfCondition": "launch.conditions",
     "UnlessCondition": "launch.conditions",
     "PythonLaunchDescriptionSource": "launch.launch_description_sources",
@@ -161,6 +163,11 @@ TELEOP = """\
                 default_value="",
                 description="name of the pad as SDL reports it; default: the first pad",
             ),
+            DeclareLaunchArgument(
+                "stamped",
+                default_value="@STAMPED@",
+                description="TwistStamped in place of Twist; ros2_control needs true",
+            ),
             Node(
                 package="joy",
                 executable="game_controller_node",
@@ -182,7 +189,14 @@ TELEOP = """\
                 name="teleop_twist_joy_node",
                 namespace=NAMESPACE,
                 output="screen",
-                parameters=[os.path.join(config, "teleop_twist_joy.yaml")],
+                parameters=[
+                    os.path.join(config, "teleop_twist_joy.yaml"),
+                    {
+                        "publish_stamped_twist": ParameterValue(
+                            LaunchConfiguration("stamped"), value_type=bool
+                        )
+                    },
+                ],
                 remappings=[("cmd_vel", "@TELEOP_TOPIC@")],
             ),
         ]
@@ -262,6 +276,9 @@ SLAM = """\
 NAVIGATION = """\
     nav2 = os.path.join(share, "config", "nav2.yaml")
     localization = LaunchConfiguration("localization")
+    stamped = {
+        "enable_stamped_cmd_vel": ParameterValue(LaunchConfiguration("stamped"), value_type=bool)
+    }
 
     def node(package, name, *parameters, remappings=()):
         return Node(
@@ -270,7 +287,7 @@ NAVIGATION = """\
             name=name,
             namespace=NAMESPACE,
             output="screen",
-            parameters=[nav2, *parameters],
+            parameters=[nav2, *parameters, stamped],
             remappings=remappings,
         )
 
@@ -284,6 +301,11 @@ NAVIGATION = """\
                 default_value="@DEFAULT_SOURCE@",
                 choices=@SOURCES@,
                 description="node that publishes the transform from map to odom",
+            ),
+            DeclareLaunchArgument(
+                "stamped",
+                default_value="@STAMPED@",
+                description="TwistStamped in place of Twist; ros2_control needs true",
             ),
             GroupAction(
                 [
@@ -426,6 +448,7 @@ def launch_files(robot: Robot, parts: Parts) -> dict[str, str]:
         if len(robot.buses) > 1
         else "socketcan:can0",
         "ODOM_TF": "false" if robot.ros.odom_tf == EKF else "true",
+        "STAMPED": str(robot.ros.stamped).lower(),
         "TELEOP_TOPIC": source_topic(robot, "teleop_joy"),
         "EKF": EKF_NODE if parts.local_ekf else "",
         "TIME": _TIME,
@@ -467,6 +490,13 @@ def launch_files(robot: Robot, parts: Parts) -> dict[str, str]:
         files["slam"] = ("slam_toolbox makes a map and gives the pose in it.", SLAM)
     if parts.navigation:
         files["navigation"] = ("Nav2 and its localization; the robot must run already.", NAVIGATION)
+    if robot.actuators:
+        values |= control_values(robot)
+        files["gazebo"] = ("Simulation in Gazebo, which gives the time of all nodes.", GAZEBO)
+        files["ros2_control"] = (
+            "Controllers of ros2_control move the robot, without the base driver.",
+            ROS2_CONTROL,
+        )
     return {
         f"launch/{name}.launch.py": _program(summary, body, values)
         for name, (summary, body) in files.items()
@@ -482,7 +512,11 @@ def _include_base(**arguments: str) -> str:
 def _program(summary: str, body: str, values: dict[str, str]) -> str:
     """Return the text of a launch file with its imports and the values of the robot."""
     text = _HEAD + body
-    for key, value in values.items():
+    uses_controllers = "CONTROLLERS" in body or ("@SPAWN@" in body and values["SPAWN"])
+    constants = "CONTROLLERS = @CONTROLLERS@\n" if uses_controllers else ""
+    if body is ROS2_CONTROL:  # the function `start` finds the shared folder
+        text = text.replace("    share = get_package_share_directory(PACKAGE)\n", "", 1)
+    for key, value in {"CONSTANTS": constants, **values}.items():
         text = text.replace(f"@{key}@", value)
     used: dict[str, list[str]] = {}
     for name, module in _MODULES.items():

@@ -215,6 +215,16 @@ class GroupAction(Action):
             context.configurations, context.parameters = outer, parameters
 
 
+class OpaqueFunction(Action):
+    def __init__(self, *, function: Any, args: Any = None, kwargs: Any = None) -> None:
+        super().__init__()
+        self.function, self.args = function, list(args or [])
+
+    def execute(self, context: Context) -> None:
+        for entity in self.function(context, *self.args) or []:
+            entity.visit(context)
+
+
 class SetParameter(Action):
     """Sets a parameter of all nodes that start later in the group."""
 
@@ -361,6 +371,7 @@ def _modules(context: Context) -> Iterator[None]:
             "DeclareLaunchArgument": DeclareLaunchArgument,
             "GroupAction": GroupAction,
             "IncludeLaunchDescription": IncludeLaunchDescription,
+            "OpaqueFunction": OpaqueFunction,
         },
         "launch.conditions": {"IfCondition": IfCondition, "UnlessCondition": UnlessCondition},
         "launch.launch_description_sources": {

@@ -12,6 +12,15 @@ from tests.examples import example_robot
 from thorvaldc.backends.ros2 import Ros2, package_of
 from thorvaldc.model import Fleet, Robot
 
+# Stands for the launch file of ros_gz_sim, with one of its arguments.
+GZ_SIM = b"""\
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+def generate_launch_description():
+    return LaunchDescription(
+        [DeclareLaunchArgument("gz_args", default_value="", description="options of gz sim")]
+    )
+"""
 DISTROS = ("jazzy", "kilted", "lyrical")
 
 
@@ -67,7 +76,8 @@ def parameters(robot: Robot) -> dict[str, dict[str, Any]]:
 def launch(robot: Robot, folder: Path, file: str, **arguments: str) -> Context:
     """Execute a launch file of the package of a robot."""
     shares = install(robot, folder)
-    # Nav2 is not installed where the tests run.
+    # Nav2 and ros_gz_sim are not installed where the tests run.
     shares["nav2_bt_navigator"] = folder / "nav2_bt_navigator"
+    shares["ros_gz_sim"] = write(folder / "ros_gz_sim", {"launch/gz_sim.launch.py": GZ_SIM})
     path = shares[robot.ros.package] / "launch" / f"{file}.launch.py"
     return run(path, shares, **arguments)
