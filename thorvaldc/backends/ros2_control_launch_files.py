@@ -20,7 +20,7 @@ from thorvaldc.backends.ros2_controllers import (
 from thorvaldc.backends.ros2_parameter_file import parameter_file
 from thorvaldc.backends.ros2_parameters import twist_mux
 from thorvaldc.backends.ros2_parts import full_topic, node_space
-from thorvaldc.backends.sdf import model_text, world_text
+from thorvaldc.backends.sdf import model_text, world_files
 from thorvaldc.backends.urdf import urdf_text
 from thorvaldc.model import Robot
 
@@ -221,10 +221,12 @@ def control_files(robot: Robot) -> dict[str, bytes]:
     files["sdf/model.sdf"] = model_text(
         robot, f"model://{package}/meshes", share if is_driven else None
     )
-    files["sdf/world.sdf"] = world_text(robot.name, [robot])
     files["config/gz_bridge.yaml"] = gz_bridge(robot, ros2_control=is_driven)
     files[CONTROLLER_FILE] = parameter_file(controller_parameters(robot)[CONTROLLER_FILE])
     if is_driven:
         mux = {f"{node_space(robot)}twist_mux": twist_mux(robot)}
         files["config/twist_mux.yaml"] = parameter_file(mux)
-    return {path: text.encode() for path, text in files.items()}
+    return {
+        **{path: text.encode() for path, text in files.items()},
+        **world_files(robot.name, [robot]),
+    }

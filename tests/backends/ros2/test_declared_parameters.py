@@ -59,7 +59,9 @@ def car_with_lidar() -> Robot:
     """A robot that cannot turn on the spot."""
     car, other = example_robot("car"), example_robot("4wd4ws_slim")
     lidar = next(sensor for sensor in other.sensors if sensor.type == "lidar_2d")
-    return dataclasses.replace(car, sensors=(*car.sensors, lidar))
+    return dataclasses.replace(
+        car, sensors=(*car.sensors, dataclasses.replace(lidar, link="base_link"))
+    )
 
 
 def robots(distro: str) -> list[Robot]:

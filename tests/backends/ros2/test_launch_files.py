@@ -17,6 +17,7 @@ from tests.backends.ros2.packages import DISTROS, install, install_fleet, launch
 from tests.examples import ROBOTS, example_fleet, example_robot
 from thorvaldc.backends.ros2 import package_of
 from thorvaldc.model import Robot
+from thorvaldc.ros.parameters import PARAMETERS
 
 # Executables of each ROS package in Jazzy and Kilted.
 EXECUTABLES = {
@@ -260,3 +261,20 @@ def test_installed_packages_are_those_of_the_test(tmp_path: Path) -> None:
     shares = install(example_robot("car"), tmp_path)
     with pytest.raises(LaunchError, match="not found"):
         run(next(iter(shares.values())) / "launch" / "ideal.launch.py", {})
+
+
+@pytest.mark.parametrize("owner", ["driver", "ekf"])
+def test_the_node_declares_every_parameter_of_the_base_driver(owner: str, tmp_path: Path) -> None:
+    """Names and types are those of the table of the node; the defaults are those of the robot."""
+    kinds = {"text": str, "flag": bool, "number": float}
+    table = {parameter.name: parameter for parameter in PARAMETERS}
+    robot = variant("4wd4ws_wide", odom_tf=owner, namespace="r1")
+    for file in ("ideal", "mujoco", "virtual", "robot"):
+        driver = started(robot, tmp_path, file)["base_driver"]
+        values = read(driver.files[0].read_text(encoding="utf-8"))["/r1/base_driver"]
+        for name, value in {**values, **driver.parameters}.items():
+            if name != "use_sim_time":
+                assert type(value) is kinds[table[name].kind], name
+        assert driver.parameters["base"] in table["base"].choices
+    for name in ("stamped", "enable_odom_tf", "odom_frame_id", "base_frame_id"):
+        assert values[name] == table[name].default_for(robot)

@@ -9,6 +9,7 @@ from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node, SetParameter
+from launch_ros.parameter_descriptions import ParameterValue
 
 PACKAGE = "thorvald_4wd4ws_wide"
 NAMESPACE = ""
@@ -18,6 +19,9 @@ def generate_launch_description():
     share = get_package_share_directory(PACKAGE)
     nav2 = os.path.join(share, "config", "nav2.yaml")
     localization = LaunchConfiguration("localization")
+    stamped = {
+        "enable_stamped_cmd_vel": ParameterValue(LaunchConfiguration("stamped"), value_type=bool)
+    }
 
     def node(package, name, *parameters, remappings=()):
         return Node(
@@ -26,7 +30,7 @@ def generate_launch_description():
             name=name,
             namespace=NAMESPACE,
             output="screen",
-            parameters=[nav2, *parameters],
+            parameters=[nav2, *parameters, stamped],
             remappings=remappings,
         )
 
@@ -43,6 +47,11 @@ def generate_launch_description():
                 default_value="slam",
                 choices=["slam", "gnss"],
                 description="node that publishes the transform from map to odom",
+            ),
+            DeclareLaunchArgument(
+                "stamped",
+                default_value="false",
+                description="TwistStamped in place of Twist; ros2_control needs true",
             ),
             GroupAction(
                 [

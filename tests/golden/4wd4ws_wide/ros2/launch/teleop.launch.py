@@ -23,6 +23,11 @@ def generate_launch_description():
                 default_value="",
                 description="name of the pad as SDL reports it; default: the first pad",
             ),
+            DeclareLaunchArgument(
+                "stamped",
+                default_value="false",
+                description="TwistStamped in place of Twist; ros2_control needs true",
+            ),
             Node(
                 package="joy",
                 executable="game_controller_node",
@@ -44,7 +49,14 @@ def generate_launch_description():
                 name="teleop_twist_joy_node",
                 namespace=NAMESPACE,
                 output="screen",
-                parameters=[os.path.join(config, "teleop_twist_joy.yaml")],
+                parameters=[
+                    os.path.join(config, "teleop_twist_joy.yaml"),
+                    {
+                        "publish_stamped_twist": ParameterValue(
+                            LaunchConfiguration("stamped"), value_type=bool
+                        )
+                    },
+                ],
                 remappings=[("cmd_vel", "teleop_joy/cmd_vel")],
             ),
         ]

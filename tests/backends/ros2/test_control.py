@@ -1,0 +1,110 @@
+"""Robots that controllers of ros2_control or of Gazebo drive, without the base driver."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+from tests.backends.rcl_parameters import read
+from tests.backends.ros2.packages import launch, variant
+from tests.backends.ros2.test_launch_files import depends
+from tests.examples import ROBOTS, example_robot
+from thorvaldc.backends.ros2 import package_of
+
+DRIVEN = "2wd0ws_greenhouse"  # a robot that diff_drive_controller drives
+OTHER = "4wd4ws_wide"
+
+
+@pytest.mark.parametrize("hardware", ["mock", "mujoco"])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_ros2_control(name: str, hardware: str, tmp_path: Path) -> None:
+    """The started controllers exist, with joints of the URDF, and their packages are declared."""
+    robot = variant(name, namespace="r1")
+    context = launch(robot, tmp_path, "ros2_control", hardware=hardware)
+    nodes = {n.executable: n for n in context.started}
+    description = nodes["robot_state_publisher"].parameters["robot_description"]
+    root = ElementTree.fromstring(description)
+    assert len(root.findall("ros2_control")) == 1
+    assert "$(find" not in description
+    for path in root.iterfind("ros2_control/hardware/param[@name='mujoco_model']"):
+        assert Path(path.text or "").is_file()
+    parameters = read(nodes["ros2_control_node"].files[0].read_text(encoding="utf-8"))
+    manager = parameters["/r1/controller_manager"]
+    names = nodes["spawner"].arguments[:-2]
+    assert nodes["spawner"].arguments[-1] == "/r1/controller_manager"
+    joints = {joint.get("name") for joint in root.iter("joint")}
+    for controller in names:
+        plugin = manager[f"{controller}.type"]
+        assert plugin.partition("/")[0] in depends(robot)
+        for key, value in parameters.get(f"/r1/{controller}", {}).items():
+            if key in ("joints", "left_wheel_names", "right_wheel_names"):
+                assert set(value) <= joints
+    assert {n.parameters.get("use_sim_time", hardware == "mujoco") for n in context.started} == {
+        hardware == "mujoco"
+    }
+
+
+def test_twists_reach_the_controller_with_the_sources_of_the_driver(tmp_path: Path) -> None:
+    robot = variant(DRIVEN, namespace="r1")
+    nodes = {n.executable: n for n in launch(robot, tmp_path, "ros2_control").started}
+    mux = nodes["twist_mux"]
+    assert mux.remappings == {"cmd_vel_out": "diff_drive_controller/cmd_vel"}
+    values = read(mux.files[0].read_text(encoding="utf-8"))["/r1/twist_mux"]
+    assert values["use_stamped"] is True  # controllers take stamped twists only
+    topics = {values[f"topics.{source.name}.topic"] for source in robot.twist_sources}
+    assert topics == {source.topic for source in robot.twist_sources}
+    assert nodes["ros2_control_node"].remappings == {
+        "/r1/diff_drive_controller/odom": "/r1/odometry/base_raw"
+    }
+    pad = launch(robot, tmp_path, "teleop", stamped="true").started
+    assert [n.parameters["publish_stamped_twist"] for n in pad if n.package != "joy"] == [True]
+
+
+def test_the_one_owner_of_the_transform_from_odom() -> None:
+    for owner in ("driver", "ekf"):
+        text = package_of(variant(DRIVEN, odom_tf=owner))["config/controllers.yaml"].decode()
+        values = read(text)["/diff_drive_controller"]
+        assert values["enable_odom_tf"] is (owner == "driver")
+
+
+def test_a_robot_without_a_controller_has_no_twist_mux(tmp_path: Path) -> None:
+    robot = example_robot(OTHER)
+    started = launch(robot, tmp_path, "ros2_control").started
+    assert "twist_mux" not in {n.executable for n in started}
+    assert "config/twist_mux.yaml" not in package_of(robot)
+    assert "- twists in ros2_control.launch.py" in package_of(robot)["README.md"].decode()
+
+
+@pytest.mark.parametrize("name", [DRIVEN, OTHER])
+def test_gazebo(name: str, tmp_path: Path) -> None:
+    """Gazebo gets the model of the package, the bridge its topics, and all nodes its time."""
+    robot = variant(name, namespace="r1")
+    context = launch(robot, tmp_path, "gazebo")
+    nodes = {n.executable: n for n in context.started}
+    model = ElementTree.fromstring(nodes["create"].arguments[-1])
+    share = f"model://{robot.ros.package}/"
+    uris = {uri.text or "" for uri in model.iter("uri")}
+    assert uris
+    assert all(uri.removeprefix(share) in package_of(robot) for uri in uris)
+    config = Path(nodes["parameter_bridge"].parameters["config_file"])
+    bridge = yaml.safe_load(config.read_text(encoding="utf-8"))
+    topics = {entry["ros_topic_name"] for entry in bridge}
+    assert "/clock" in topics
+    for parameter_node in ("robot_state_publisher", "parameter_bridge"):
+        assert nodes[parameter_node].parameters["use_sim_time"] is True
+    assert str(tmp_path) in context.environment["GZ_SIM_RESOURCE_PATH"]
+    assert context.configurations["gz_args"].startswith("-r ")
+    assert Path(context.configurations["gz_args"].removeprefix("-r ")).is_file()
+    plugins = [plugin.get("name") for plugin in model.iter("plugin")]
+    if name == DRIVEN:
+        assert "twist_mux" in nodes
+        assert any("ros2_control" in str(plugin) for plugin in plugins)
+        files = [p.text or "" for p in model.iter("parameters")]
+        assert all(Path(file).is_file() for file in files)
+        assert "joint_states" not in topics  # of joint_state_broadcaster
+    else:
+        assert "twist_mux" not in nodes
+        assert "joint_states" in topics
