@@ -172,7 +172,7 @@ def control_values(robot: Robot) -> dict[str, str]:
         odometry = "({}, {})".format(*(json.dumps(full_topic(robot, topic)) for topic in pair))
     return {
         "MANAGER": f"{node_space(robot)}controller_manager",
-        "CONTROLLERS": json.dumps(names),
+        "CONTROLLERS": json.dumps(names, indent=4).replace('"\n]', '",\n]'),
         "SPAWN": _SPAWN if controller is not None else "",
         "TWIST_MUX": _TWIST_MUX if controller is not None else "",
         "COMMAND": controller.command_topic if controller is not None else "",

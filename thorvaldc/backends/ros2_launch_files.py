@@ -509,6 +509,13 @@ def _include_base(**arguments: str) -> str:
     return _INCLUDE_BASE.replace("@ARGUMENTS@", items)
 
 
+def _import(module: str, names: list[str]) -> str:
+    line = f"from {module} import {', '.join(names)}\n"
+    if len(line) <= 101:
+        return line
+    return f"from {module} import (\n" + "".join(f"    {name},\n" for name in names) + ")\n"
+
+
 def _program(summary: str, body: str, values: dict[str, str]) -> str:
     """Return the text of a launch file with its imports and the values of the robot."""
     text = _HEAD + body
@@ -522,7 +529,7 @@ def _program(summary: str, body: str, values: dict[str, str]) -> str:
     for name, module in _MODULES.items():
         if f" {name}(" in text or f"={name}(" in text or f"({name}(" in text:
             used.setdefault(module, []).append(name)
-    imports = "".join(f"from {module} import {', '.join(used[module])}\n" for module in used)
+    imports = "".join(_import(module, names) for module, names in used.items())
     if "xacro." in text:
         imports = f"import xacro\n{imports}"
     if "os." in text:

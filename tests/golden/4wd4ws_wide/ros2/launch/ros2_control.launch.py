@@ -11,7 +11,11 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 PACKAGE = "thorvald_4wd4ws_wide"
 NAMESPACE = ""
-CONTROLLERS = ["joint_state_broadcaster", "drive_velocity_controller", "steering_position_controller"]
+CONTROLLERS = [
+    "joint_state_broadcaster",
+    "drive_velocity_controller",
+    "steering_position_controller",
+]
 
 
 def generate_launch_description():
