@@ -60,6 +60,11 @@ _STATE_PUBLISHER = """\
             ),
 """
 
+
+def _outdented(text: str) -> str:
+    return "".join(line[4:] for line in text.splitlines(keepends=True))
+
+
 ROS2_CONTROL = (
     """\
     return LaunchDescription(
@@ -85,8 +90,9 @@ def start(context):
     package = "mujoco_ros2_control" if hardware == "mujoco" else "controller_manager"
     return [
 """
-    + _STATE_PUBLISHER
-    + """\
+    + _outdented(
+        _STATE_PUBLISHER
+        + """\
             Node(
                 package=package,
                 executable="ros2_control_node",
@@ -97,9 +103,10 @@ def start(context):
                 remappings=[@ODOMETRY@],
             ),
 """
-    + _SPAWN
+        + _SPAWN
+    )
     + """\
-@TWIST_MUX@    ]
+@OUTER_TWIST_MUX@    ]
 """
 )
 
@@ -175,6 +182,7 @@ def control_values(robot: Robot) -> dict[str, str]:
         "CONTROLLERS": json.dumps(names, indent=4).replace('"\n]', '",\n]'),
         "SPAWN": _SPAWN if controller is not None else "",
         "TWIST_MUX": _TWIST_MUX if controller is not None else "",
+        "OUTER_TWIST_MUX": _outdented(_TWIST_MUX) if controller is not None else "",
         "COMMAND": controller.command_topic if controller is not None else "",
         "ODOMETRY": odometry,
         "URDF": "robot_gazebo.urdf" if controller is not None else "robot.urdf",

@@ -41,33 +41,33 @@ def start(context):
     use_sim_time = {"use_sim_time": hardware == "mujoco"}
     package = "mujoco_ros2_control" if hardware == "mujoco" else "controller_manager"
     return [
-            Node(
-                package="robot_state_publisher",
-                executable="robot_state_publisher",
-                name="robot_state_publisher",
-                namespace=NAMESPACE,
-                output="screen",
-                parameters=[
-                    os.path.join(config, "robot_state_publisher.yaml"),
-                    {"robot_description": ParameterValue(description, value_type=str)},
-                    use_sim_time,
-                ],
-            ),
-            Node(
-                package=package,
-                executable="ros2_control_node",
-                name="controller_manager",
-                namespace=NAMESPACE,
-                output="screen",
-                parameters=[os.path.join(config, "controllers.yaml"), use_sim_time],
-                remappings=[],
-            ),
-            Node(
-                package="controller_manager",
-                executable="spawner",
-                name="spawner",
-                namespace=NAMESPACE,
-                output="screen",
-                arguments=[*CONTROLLERS, "--controller-manager", "/controller_manager"],
-            ),
+        Node(
+            package="robot_state_publisher",
+            executable="robot_state_publisher",
+            name="robot_state_publisher",
+            namespace=NAMESPACE,
+            output="screen",
+            parameters=[
+                os.path.join(config, "robot_state_publisher.yaml"),
+                {"robot_description": ParameterValue(description, value_type=str)},
+                use_sim_time,
+            ],
+        ),
+        Node(
+            package=package,
+            executable="ros2_control_node",
+            name="controller_manager",
+            namespace=NAMESPACE,
+            output="screen",
+            parameters=[os.path.join(config, "controllers.yaml"), use_sim_time],
+            remappings=[],
+        ),
+        Node(
+            package="controller_manager",
+            executable="spawner",
+            name="spawner",
+            namespace=NAMESPACE,
+            output="screen",
+            arguments=[*CONTROLLERS, "--controller-manager", "/controller_manager"],
+        ),
     ]
