@@ -150,6 +150,16 @@ def test_factory_values() -> None:
     }
 
 
+def test_settings_are_stored_and_commands_are_not() -> None:
+    names = {n for n in Drive().device.objects.parameters() if n.startswith("60")}
+    assert names == {
+        *("6007.00", "605a.00", "605c.00", "605e.00", "6060.00", "6065.00", "6066.00", "6067.00"),
+        *("6068.00", "606d.00", "607c.00", "607d.01", "607d.02", "607f.00", "6080.00", "6081.00"),
+        *("6083.00", "6084.00", "6085.00", "608f.01", "608f.02", "6098.00", "6099.01", "6099.02"),
+        *("609a.00", "60c2.01", "60c2.02", "60c5.00"),
+    }
+
+
 @pytest.mark.parametrize(
     ("index", "subindex", "size", "lowest", "highest"),
     [
