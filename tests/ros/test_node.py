@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from tests.child_process import ChildProcess
+from tests.cli.test_bus import running
 from tests.examples import example_robot
 from tests.ros.environments import DISTROS, python_of, variables
 from thorvaldc.compiler.pipeline import emit
@@ -31,13 +32,18 @@ def build(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @contextmanager
-def node(distro: str, build: Path, folder: Path, **parameters: Any) -> Iterator[ChildProcess]:
+def node(
+    distro: str, build: Path, folder: Path, space: str = "", **parameters: Any
+) -> Iterator[ChildProcess]:
     """Runs the node with parameters in a process."""
     values = {"model_file": str(build / "model.json"), **parameters}
-    arguments = [f"-p{name}:={json.dumps(value)}" for name, value in values.items()]
-    command = [python_of(distro), "-m", "thorvaldc.ros.base_driver", "--ros-args", *arguments]
+    command = [python_of(distro), "-m", "thorvaldc.ros.base_driver", "--ros-args"]
+    for name, value in values.items():
+        command += ["-p", f"{name}:={json.dumps(value)}"]
+    if space:
+        command += ["-r", f"__ns:={space}"]
     process = ChildProcess(
-        [part for a in command for part in ([a[:2], a[2:]] if a.startswith("-p") else [a])],
+        command,
         env=variables(folder),
         stderr=subprocess.PIPE,
         text=True,
@@ -48,8 +54,8 @@ def node(distro: str, build: Path, folder: Path, **parameters: Any) -> Iterator[
         process.end()
 
 
-def run_client(distro: str, program: str, folder: Path, *arguments: object) -> None:
-    """Runs a program of the tests with the Python of a distribution."""
+def run_client(distro: str, program: str, folder: Path, *arguments: object) -> str:
+    """Runs a program of the tests with the Python of a distribution, and returns its output."""
     result = subprocess.run(
         [python_of(distro), "-m", f"tests.ros.{program}", *map(str, arguments)],
         env=variables(folder),
@@ -59,6 +65,7 @@ def run_client(distro: str, program: str, folder: Path, *arguments: object) -> N
         timeout=200,
     )
     assert result.returncode == 0, result.stderr
+    return result.stdout
 
 
 def end(process: ChildProcess) -> str:
@@ -75,3 +82,52 @@ def test_node_with_ideal_joints(distro: str, build: Path, tmp_path: Path) -> Non
     with node(distro, build, tmp_path, **options) as process:
         run_client(distro, "drive_ideal", tmp_path, process.pid)
         end(process)
+
+
+def test_node_with_mujoco_and_its_clock(distro: str, build: Path, tmp_path: Path) -> None:
+    options = {"base": "mujoco", "publish_clock": True, "stamped": True}
+    options["publish_description"] = True
+    with node(distro, build, tmp_path, space="/r1", **options) as process:
+        run_client(distro, "drive_mujoco", tmp_path)
+        end(process)
+
+
+def test_node_on_a_bus(distro: str, build: Path, tmp_path: Path) -> None:
+    """After a kill the drives stop by themselves, and the next node is disarmed."""
+    with running(tmp_path, str(build / "model.json"), "--channel", "r"):
+        options = {"base": "bus", "bus": "sim:r", "stamped": False}
+        with node(distro, build, tmp_path, **options) as process:
+            run_client(distro, "drive_bus", tmp_path, "moves")
+            process.kill()
+        with node(distro, build, tmp_path, **options) as process:
+            run_client(distro, "drive_bus", tmp_path)
+            end(process)
+
+
+def test_mission_over_topics_follows_the_path_of_the_mission_without_ros(
+    distro: str, build: Path, tmp_path: Path
+) -> None:
+    result = json.loads(run_client(distro, "mission", tmp_path, build / "model.json"))
+    assert result["length"] > 1.0
+    assert result["distance"] < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"model_file": ""}, "error: the parameter model_file is missing: --ros-args -p model"),
+        ({"model_file": "/nowhere/model.json"}, "error: cannot read /nowhere/model.json: No such"),
+        ({"base": "gazebo"}, "error: base is 'gazebo'; expected ideal, mujoco, virtual, bus"),
+        ({"base": "bus", "bus": "sim:nobody"}, "error: cannot use the bus `sim:nobody`: "),
+        ({"rate": 10.0}, "error: rate is 10 Hz; the model has 50 Hz: change `driver.rate`"),
+        ({"parameter_set": "rails"}, "has no parameter set `rails`; did you mean `rail`?"),
+    ],
+)
+def test_wrong_parameters_are_one_line(
+    distro: str, build: Path, tmp_path: Path, parameters: dict[str, Any], message: str
+) -> None:
+    with node(distro, build, tmp_path, **{"base": "ideal", **parameters}) as process:
+        _, err = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert message in err
+    assert "Traceback" not in err

@@ -212,8 +212,8 @@ class SimulatedRobotInProcess(DrivenRobot):
 
     def _gap(self) -> str:
         late = self._clock() - self._due
-        if self.paused or not self._cycles:
-            return ""
+        if self.paused or not self._cycles or not self._real_period:
+            return ""  # as fast as possible, only the simulated time counts
         return gap_text(late) if self.driver.time_gaps.judge(late) is Gap.LONG else ""
 
     def _refusal(self, now: float) -> str:
@@ -353,5 +353,5 @@ class RobotOnBuses(DrivenRobot):
             now, last = self.runner.clock.now, self.driver.state.time
             return gap_text(now - last) if self.driver.gap_at(now) is not Gap.NONE else ""
         late = self._clock() - self._due
-        long = self.driver.time_gaps.judge(late) is Gap.LONG
+        long = self.driver.time_gaps.judge(late) is Gap.LONG and self._factor > 0.0
         return gap_text(late) if long and self.runner.timing.cycles else ""

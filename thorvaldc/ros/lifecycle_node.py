@@ -253,10 +253,13 @@ class BaseDriverNode(LifecycleNode):  # type: ignore[misc]
 
     def _remove_topics(self) -> None:
         for entity in self._entities:
-            entity.destroy()
-            for listed in (self._publishers, self._subscriptions, self._services):
-                if entity in listed:
-                    listed.remove(entity)
+            # Each of the three ignores entities of the other kinds.
+            for destroy in (
+                self.destroy_publisher,
+                self.destroy_subscription,
+                self.destroy_service,
+            ):
+                destroy(entity)
         self._entities.clear()
 
     # -- messages in ---------------------------------------------------------------------------
