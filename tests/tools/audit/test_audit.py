@@ -64,6 +64,15 @@ def test_a_contradiction(cart: Path, row: list[Any]) -> None:
     assert (code, f"cart/{place}", line) in findings("cart"), list(audit(["cart"]).report)
 
 
+def test_the_place_of_a_wheel_that_is_a_mesh_is_unknown(cart: Path) -> None:
+    shutil.rmtree(cart / "models")
+    change(cart / "config/controllers.yaml", "separation: 0.5", "separation: 0.55")
+    assert [code for code, _, _ in findings("cart")] == ["audit-wheel-separation"]
+    mesh = '<mesh filename="package://cart/meshes/lidar.stl" scale="0.001 0.001 0.001"/>'
+    change(cart / "urdf/wheel.xacro", '<cylinder radius="${wheel_radius}" length="0.05"/>', mesh)
+    assert findings("cart") == []
+
+
 def test_every_rule_has_a_contradiction() -> None:
     codes = {name for name in CODES if name.startswith("audit-")}
     tested_elsewhere = {"audit-limit", "audit-nothing-found", "audit-footprint", "audit-angle-unit"}

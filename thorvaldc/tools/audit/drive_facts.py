@@ -93,7 +93,11 @@ def wheel_radius(description: Description, joint: BodyJoint) -> Fact | None:
 
 
 def wheel_center(description: Description, joint: BodyJoint, poses: dict[str, Pose]) -> Vec3 | None:
-    """Returns the centre of the wheel that a joint turns in the frame of the root, or ``None``."""
+    """Returns the centre of the wheel that a joint turns in the frame of the root, or ``None``.
+
+    A wheel without shapes is at the joint.  The centre of a wheel that is only a mesh is unknown,
+    because the mesh can lie beside the joint.
+    """
     link = poses.get(joint.child)
     if link is None:
         return None
@@ -101,7 +105,8 @@ def wheel_center(description: Description, joint: BodyJoint, poses: dict[str, Po
         for _, shape in _round_shapes(description, joint):
             if shape.collides is collides:
                 return link.apply(shape.pose.xyz)
-    return link.xyz
+    has_shapes = any(body.shapes for body, _ in description.rigid_part(joint.child))
+    return None if has_shapes else link.xyz
 
 
 def _round_shapes(description: Description, joint: BodyJoint) -> list[tuple[str, SolidShape]]:
