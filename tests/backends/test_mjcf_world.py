@@ -64,6 +64,7 @@ def test_rough_ground_is_a_height_field_about_the_plane() -> None:
     geom = geoms(root)["ground/terrain"]
     assert geom.get("hfield") == field.get("name")
     assert numbers(geom, "pos") == [0.0, 0.0, -0.1]
+    assert numbers(geoms(root)["ground"], "pos") == [0.0, 0.0, -0.1], "the plane around it"
     assert any(path.endswith(field.get("file", "?")) for path in files)
 
 

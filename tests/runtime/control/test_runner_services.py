@@ -55,6 +55,17 @@ def test_zero_of_all_controllers_and_of_none() -> None:
         without_switch.runner.set_home_count_current_position_zero()
 
 
+def test_no_settings_while_a_disarmed_robot_still_moves() -> None:
+    rig = Rig(four_wheels())
+    rig.drive(FORWARD, 2.0)
+    rig.runner.disarm()
+    rig.run(0.04)
+    assert rig.state is not BaseState.ACTIVE
+    assert not rig.base.standing
+    with pytest.raises(RequestRefused, match="the robot drives; stop it first"):
+        rig.runner.set_home_count_current_position_zero("fl_controller")
+
+
 def test_settings_of_a_motor_controller() -> None:
     rig = Rig(four_wheels())
     rig.ready()
