@@ -104,6 +104,14 @@ def test_node_on_a_bus(distro: str, build: Path, tmp_path: Path) -> None:
             end(process)
 
 
+def test_node_with_a_virtual_bus(distro: str, build: Path, tmp_path: Path) -> None:
+    if distro != DISTROS[-1]:
+        pytest.skip("the base `virtual` shares the code of `bus`; one distribution is enough")
+    with node(distro, build, tmp_path, base="virtual", stamped=False) as process:
+        run_client(distro, "drive_bus", tmp_path, "moves")
+        end(process)  # while the robot drives
+
+
 def test_mission_over_topics_follows_the_path_of_the_mission_without_ros(
     distro: str, build: Path, tmp_path: Path
 ) -> None:

@@ -1,0 +1,139 @@
+"""The parts of the node that need no ROS."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from tests.examples import ROBOTS, example_robot
+from thorvaldc.ros.clock_watch import ClockWatch
+from thorvaldc.ros.driven_robot import SimulatedRobotInProcess
+from thorvaldc.ros.parameters import PARAMETERS
+from thorvaldc.runtime.control.service_table import ServiceError
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.simulation.physics.sim_base import SimBase
+
+FORWARD = Twist(0.3, 0.0, 0.0)
+SOURCE = "auto_nav"
+
+
+def test_defaults_are_in_their_ranges_for_every_example() -> None:
+    assert len({p.name for p in PARAMETERS}) == len(PARAMETERS)
+    types = {"text": str, "flag": bool, "number": float}
+    for name in ROBOTS:
+        robot = example_robot(name)
+        for parameter in PARAMETERS:
+            default = parameter.default_for(robot)
+            assert type(default) is types[parameter.kind], parameter.name
+            if isinstance(default, float):
+                lowest, highest = parameter.range_for(robot)
+                assert lowest <= default <= highest, parameter.name
+
+
+def test_without_ros_the_program_says_how_to_get_it() -> None:
+    result = subprocess.run(
+        [sys.executable, "-m", "thorvaldc.ros.base_driver"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 3
+    assert result.stderr.startswith("error: the Python package rclpy of ROS 2 is missing in ")
+    assert "setup.bash" in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_a_real_robot_needs_no_simulation() -> None:
+    program = (
+        "import sys, thorvaldc.ros.bases, thorvaldc.ros.parameters\n"
+        "rooms = ('numpy', 'mujoco', 'thorvaldc.simulation', 'thorvaldc.compiler')\n"
+        "print([r for r in rooms if r in sys.modules])"
+    )
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert result.stdout == "[]\n", result.stderr
+
+
+def test_a_clock_that_stands_or_jumps_is_noticed() -> None:
+    watch = ClockWatch()
+    assert watch.update(5.0, 0.0, 0.5) == ""
+    assert watch.update(5.1, 0.1, 0.5) == ""
+    assert watch.update(5.1, 0.6, 0.5) == ""
+    assert not watch.problem
+    assert watch.update(5.1, 0.61, 0.5) == ""
+    assert watch.problem == "the clock /clock stands still at 5.100 s"
+    assert watch.update(5.2, 0.7, 0.5) == ""
+    assert not watch.problem
+    assert watch.update(1.0, 0.8, 0.5) == "the clock /clock jumped back by 4.200 s"
+    assert watch.update(2.0, 0.9, 0.5) == ""
+    assert watch.update(3.1, 1.0, 0.5) == "the clock /clock jumped by 1.100 s"
+
+
+class Machine:
+    """A simulated robot with ideal joints and a clock that the test moves."""
+
+    def __init__(self) -> None:
+        self.time = 0.0
+        robot = example_robot("2wd0ws_greenhouse")
+        self.robot = SimulatedRobotInProcess(robot, SimBase(robot), clock=lambda: self.time)
+
+    def run(self, seconds: float, twist: Twist | None = None) -> float:
+        """Runs the cycles that are due and returns the speed of the robot, m/s."""
+        end = self.time + seconds
+        while self.time < end - 1e-9:
+            if twist is not None and not self.robot.void_reason():
+                robot = self.robot
+                robot.multiplexer.publish(SOURCE, twist, robot.input_time, "ROS")
+            if self.robot.wait() <= 0.0:
+                self.robot.cycle()
+            self.time += 0.01
+        return self.robot.driver.state.odometry.twist.vx
+
+
+def test_a_simulated_robot_moves_only_after_arming() -> None:
+    machine = Machine()
+    assert machine.run(1.0, FORWARD) == 0.0
+    with pytest.raises(ServiceError, match="`auto_nav` commands a motion"):
+        machine.robot.call("arm")
+    machine.run(1.0)
+    machine.robot.call("arm")
+    assert machine.run(1.0, FORWARD) == pytest.approx(0.3)
+    machine.robot.call("disarm")
+    assert machine.run(1.0, FORWARD) == 0.0
+
+
+def test_after_a_gap_in_real_time_a_zero_twist_comes_first() -> None:
+    machine = Machine()
+    machine.run(0.1)
+    machine.robot.call("arm")
+    machine.run(1.0, FORWARD)
+    machine.time += 2.0  # the process was frozen
+    assert "commands that waited do not count" in machine.robot.void_reason()
+    with pytest.raises(ServiceError, match="no control cycle for 20"):
+        machine.robot.call("reset_odometry")
+    assert machine.run(1.0, FORWARD) == 0.0
+    machine.run(0.05, ZERO_TWIST)
+    assert machine.run(1.0, FORWARD) == pytest.approx(0.3)
+
+
+def test_a_pause_voids_the_commands() -> None:
+    machine = Machine()
+    machine.run(0.1)
+    machine.robot.call("arm")
+    machine.run(1.0, FORWARD)
+    machine.robot.pause(True)
+    before = machine.robot.now
+    machine.run(1.0, FORWARD)
+    assert machine.robot.now == before
+    machine.robot.pause(False)
+    assert machine.run(1.0, FORWARD) == 0.0
+
+
+def test_stop_brings_the_robot_to_rest() -> None:
+    machine = Machine()
+    machine.run(0.1)
+    machine.robot.call("arm")
+    machine.run(1.0, FORWARD)
+    machine.robot.stop()
+    assert abs(machine.robot.driver.state.odometry.twist.vx) < 1e-3
