@@ -23,9 +23,10 @@ source install/setup.bash
 ros2 launch @PACKAGE@ ideal.launch.py
 ```
 
-In a second terminal, `ros2 service call @ARM@` arms the robot, and this command moves it:
+In a second terminal, these commands arm the robot and move it:
 
 ```bash
+ros2 service call @ARM@ "{data: true}"
 ros2 topic pub --rate 10 @TOPIC@ @MESSAGE@
 ```
 
@@ -113,7 +114,7 @@ def readme(robot: Robot, parts: Parts, launches: Iterable[str]) -> str:
         "ROBOT": robot.name,
         "DISTRO": robot.ros.distro.capitalize(),
         "DISTRO_ID": robot.ros.distro,
-        "ARM": f"{full_topic(robot, 'arm')} std_srvs/srv/Trigger",
+        "ARM": f"{full_topic(robot, 'enable')} std_srvs/srv/SetBool",
         "TOPIC": full_topic(robot, "teleop_joy/cmd_vel"),
         "MESSAGE": f"geometry_msgs/msg/{kind} "
         + (f'"{{header: auto, twist: {twist}}}"' if stamped else f'"{twist}"'),

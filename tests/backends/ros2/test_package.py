@@ -13,17 +13,9 @@ import pytest
 
 from tests.backends.ros2.packages import install, variant, write
 from tests.examples import ROBOTS, example_fleet, example_robot
+from tests.ros.environments import DISTROS, python_of
 from thorvaldc.backends.ros2 import Ros2, package_of
 from thorvaldc.model.model_json import from_json
-
-ENVIRONMENTS = Path(__file__).parents[3] / ".venv-ros"
-
-
-def colcon(distro: str) -> Path:
-    program = ENVIRONMENTS / distro / "bin" / "colcon"
-    if not program.is_file():
-        pytest.skip(f"no wheels of ROS 2 {distro} are installed")
-    return program
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -72,10 +64,10 @@ def test_each_robot_of_a_fleet_and_the_fleet_have_a_package() -> None:
     assert set(names) - {"fleet_of_four_fleet"} <= depends
 
 
-@pytest.mark.parametrize("distro", ["jazzy", "kilted"])
+@pytest.mark.parametrize("distro", DISTROS)
 def test_colcon_builds_the_package(distro: str, tmp_path: Path) -> None:
     """All files of the package are installed, and the program of the base driver is found."""
-    program = colcon(distro)
+    program = Path(python_of(distro)).with_name("colcon")
     robot = variant("4wd4ws_wide", distro=distro)
     shares = install(robot, tmp_path / "src")
     package = robot.ros.package

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.backends.ros2.packages import parameter_files, variant, write
+from tests.backends.ros2.packages import launch, parameter_files, variant, write
+from tests.child_process import ChildProcess
 from tests.examples import ROBOTS
+from tests.ros.environments import DISTROS, ROOT, python_of, variables
 from thorvaldc.backends.ros2 import package_of
 
-ENVIRONMENTS = Path(__file__).parents[3] / ".venv-ros"
-
+pytestmark = pytest.mark.xdist_group("ros")
 OF_EVERY_NODE = {"use_sim_time", "start_type_description_service"}
 # Runs in the Python of ROS 2: creates each node with the file, and prints what it received.
 PROGRAM = """
@@ -52,14 +52,7 @@ print("FOUND" + json.dumps(found))
 """
 
 
-def python_of(distro: str) -> Path:
-    python = ENVIRONMENTS / distro / "bin" / "python"
-    if not python.is_file():
-        pytest.skip(f"no wheels of ROS 2 {distro} are installed")
-    return python
-
-
-@pytest.mark.parametrize("distro", ["jazzy", "kilted"])
+@pytest.mark.parametrize("distro", DISTROS)
 def test_rcl_reads_every_value_with_its_type(distro: str, tmp_path: Path) -> None:
     expected: dict[str, dict[str, Any]] = {}
     jobs: dict[str, list[str]] = {}
@@ -70,16 +63,9 @@ def test_rcl_reads_every_value_with_its_type(distro: str, tmp_path: Path) -> Non
             path = str(folder / "config" / f"{file}.yaml")
             jobs[path] = list(nodes)
             expected |= {f"{path} {node}": values for node, values in nodes.items()}
-    python = python_of(distro)
     result = subprocess.run(
-        [str(python), "-c", PROGRAM, json.dumps(jobs)],
-        env={
-            "PATH": f"{python.parent}:{os.environ['PATH']}",
-            "HOME": str(tmp_path),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "ROS_DOMAIN_ID": "77",
-            "ROS_LOG_DIR": str(tmp_path / "log"),
-        },
+        [python_of(distro), "-c", PROGRAM, json.dumps(jobs)],
+        env=variables(tmp_path),
         capture_output=True,
         text=True,
         timeout=300,
@@ -96,3 +82,40 @@ def test_rcl_reads_every_value_with_its_type(distro: str, tmp_path: Path) -> Non
             assert type(received[name]) is type(value), f"{key} {name}"
             count += 1
     assert count > 1000
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+def test_the_launched_base_driver_drives_the_robot(distro: str, tmp_path: Path) -> None:
+    """Starts the program with the files and arguments of the launch file, and sends twists."""
+    robot = variant("4wd4ws_wide", distro=distro, namespace="r1")
+    started = launch(robot, tmp_path, "ideal").started
+    driver = next(node for node in started if node.name == "base_driver")
+    arguments = ["--ros-args", "-r", "__node:=base_driver", "-r", "__ns:=/r1"]
+    for file in driver.files:
+        arguments += ["--params-file", str(file)]
+    for name, value in driver.parameters.items():
+        arguments += ["-p", f"{name}:={json.dumps(value)}"]
+    program = tmp_path / robot.ros.package / robot.ros.package / "base_driver.py"
+    process = ChildProcess(
+        [python_of(distro), str(program), *arguments],
+        env=variables(tmp_path),
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        stamped = str(robot.ros.stamped).lower()
+        result = subprocess.run(
+            [
+                *(python_of(distro), "-m", "tests.backends.ros2.drive_package"),
+                *("/r1", "r1/base_link", "r1/odom", stamped),
+            ],
+            cwd=ROOT,
+            env=variables(tmp_path),
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+    finally:
+        process.end()
+    assert result.returncode == 0, result.stderr
