@@ -10,6 +10,7 @@ import ctypes.util
 import importlib.util
 import os
 import shutil
+import sysconfig
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -36,6 +37,14 @@ TOOLS = (
         lambda: all(map(importlib.util.find_spec, ("venv", "ensurepip"))),
     ),
     _program("cc", "gcc libc6-dev"),  # compiles the generated header
+    Tool(  # build the message packages that the wheels of ROS 2 do not contain
+        "cmake",
+        "cmake ninja-build g++ python3-dev",
+        lambda: (
+            all(map(shutil.which, ("cmake", "ninja", "g++")))
+            and (Path(sysconfig.get_paths()["include"]) / "Python.h").exists()
+        ),
+    ),
     _program("check_urdf", "liburdfdom-tools"),  # reads URDF
     Tool(  # reads URDF and SDF
         "ign",

@@ -51,6 +51,17 @@ def python_of(distro: str) -> str:
     return str(python)
 
 
+def require_messages(distro: str, package: str) -> None:
+    """Skips the test where a message package was not built (``generate_messages.py``)."""
+    from tests.outside_tools import without
+
+    python_of(distro)
+    if not any((ENVIRONMENTS / distro / "lib").glob(f"python3*/site-packages/{package}")):
+        without(
+            f"{package} is not in .venv-ros/{distro} (tests/ros/generate_messages.py builds it)"
+        )
+
+
 def fits() -> bool:
     """Whether the wheels fit this computer."""
     return sys.platform == "linux" and platform.machine() == "x86_64"
@@ -75,6 +86,8 @@ def variables(folder: Path) -> dict[str, str]:
 
 def make() -> None:
     """Makes the environments of all distributions."""
+    import generate_messages  # the folder of this script is on the path
+
     for distro in DISTROS:
         folder = ENVIRONMENTS / distro
         subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
@@ -85,6 +98,7 @@ def make() -> None:
             ],
             check=True,
         )
+        generate_messages.main(folder, distro)
 
 
 if __name__ == "__main__":

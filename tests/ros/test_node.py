@@ -15,7 +15,8 @@ import pytest
 from tests.child_process import ChildProcess
 from tests.cli.test_bus import running
 from tests.examples import example_robot
-from tests.ros.environments import DISTROS, python_of, variables
+from tests.ros.environments import DISTROS, python_of, require_messages, variables
+from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.compiler.pipeline import emit
 
 pytestmark = [pytest.mark.parametrize("distro", DISTROS), pytest.mark.xdist_group("ros")]
@@ -101,6 +102,20 @@ def test_node_on_a_bus(distro: str, build: Path, tmp_path: Path) -> None:
             process.kill()
         with node(distro, build, tmp_path, **options) as process:
             run_client(distro, "drive_bus", tmp_path)
+            end(process)
+
+
+def test_relay_of_frames_and_transform(distro: str, tmp_path: Path) -> None:
+    require_messages(distro, "can_msgs")
+    require_messages(distro, "tf2_msgs")
+    robot = cia402_robot()
+    for path, data in emit(robot, ["can"]).items():
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).write_bytes(data)
+    with running(tmp_path, "model.json", "--channel", "relay"):
+        options = {"base": "bus", "bus": "sim:relay", "stamped": False}
+        with node(distro, tmp_path, tmp_path, **options) as process:
+            run_client(distro, "relay_frames", tmp_path)
             end(process)
 
 
