@@ -33,6 +33,9 @@ ros2 topic pub --rate 10 @TOPIC@ @MESSAGE@
 @LAUNCHES@
 `ros2 launch @PACKAGE@ FILE --show-args` prints the arguments of a launch file.
 
+The driver was never tried on physical hardware. Lift the wheels off the ground before the first
+`robot.launch.py`, and keep the emergency stop in reach.
+
 ## The runtime of thorvaldc
 
 The base driver is a program of the Python package `thorvaldc`, which no ROS repository contains.
@@ -44,6 +47,9 @@ python3 -m venv --system-site-packages ~/thorvaldc
 ~/thorvaldc/bin/pip install thorvaldc
 export PYTHONPATH=$PYTHONPATH:$(ls -d ~/thorvaldc/lib/python3*/site-packages)
 ```
+
+The simulations need the package `thorvaldc`. For the computer of a robot, `thorvaldc-runtime` is
+enough: the same node without compiler and simulations.
 
 Without internet: on a computer with internet, the same Python version and the same processor,
 

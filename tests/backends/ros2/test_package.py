@@ -41,7 +41,7 @@ def test_every_relative_file_of_the_readme_exists() -> None:
     robot = example_robot("4wd4ws_wide")
     files = package_of(robot)
     text = files["README.md"].decode()
-    for name in re.findall(r"(\w+\.launch\.py)", text):
+    for name in set(re.findall(r"(\w+\.launch\.py)", text)):
         assert f"launch/{name}" in files
     assert "@" not in re.sub(r"\S+@\S+", "", text)
 
