@@ -20,6 +20,10 @@ SLOW = ("sim", "drive", "calibrate", "demo", "can")
 CONCRETE = re.compile(r"did you mean `|^as in `|, as in `|write `[^`]*`|^add it")
 # Hints about files that are not YAML, or about another place than that of the diagnostic.
 ADVICE = {
+    "audit-description-broken",
+    "audit-frame-unknown",
+    "audit-joint-unknown",
+    "audit-section-unused",
     "can-signal-floating-point",
     "extra-argument",
     "extra-environment",

@@ -73,6 +73,13 @@ def test_the_place_of_a_wheel_that_is_a_mesh_is_unknown(cart: Path) -> None:
     assert findings("cart") == []
 
 
+def test_a_launch_argument_decides_on_stamps(cart: Path) -> None:
+    change(cart / "config/twist_mux.yaml", "use_stamped: true", "use_stamped: false")
+    old = '{"frame_id": "lidar_link", '
+    change(cart / "launch/cart.launch.py", old, old + '"use_stamped": LaunchConfiguration("s"), ')
+    assert findings("cart") == []
+
+
 def test_every_rule_has_a_contradiction() -> None:
     codes = {name for name in CODES if name.startswith("audit-")}
     tested_elsewhere = {"audit-limit", "audit-nothing-found", "audit-footprint", "audit-angle-unit"}

@@ -190,7 +190,7 @@ class LaunchedNode:
     """A node that a launch file starts.
 
     - ``name``: name of the node, or empty text if the launch file does not state a plain text.
-    - ``parameters``: parameters in the launch file itself, by name.
+    - ``parameters``: parameters in the launch file itself, by name; an unknown value is ``None``.
     - ``parameter_files``: plain names of parameter files, such as ``config/nav2.yaml``.
     - ``remappings``: pairs of names.
     - ``conditional``: whether the node is started only under a condition.

@@ -60,7 +60,7 @@ def audit(names: Sequence[str], *, trust: bool = False) -> Audit:
         evidence.facts += controller_facts(section) + node_facts(section)
     evidence.facts += launched_facts(evidence)
     read = (evidence.descriptions, evidence.sections, evidence.launches, evidence.facts)
-    if not any(read) and not report.has_errors:
+    if not any(read) and not len(report):
         shown = ", ".join(f"`{name}`" for name in names)
         report.add("audit-nothing-found", f"{shown} contains no robot files that are read")
     for rule in RULES:

@@ -91,8 +91,7 @@ def _python_node(
         if isinstance(value, str):
             files.append(Fact("parameter file", text("name"), value, place))
         for name, entry in plain_parameters(value).items():
-            if entry is not None:
-                parameters[name] = Fact("parameter", name, entry, _entry_span(item, name, place))
+            parameters[name] = Fact("parameter", name, entry, _entry_span(item, name, place))
     remappings = values.value(keyword(call, "remappings"))
     return LaunchedNode(
         package=text("package"),

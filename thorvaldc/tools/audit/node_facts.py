@@ -26,6 +26,8 @@ def node_facts(section: ParameterSection) -> list[Fact]:
     """Returns the statements of the parameters of a node."""
     subject = f"`{section.short_name}`"
     facts: list[Fact] = []
+    # The driver of thorvaldc takes the sources itself: no twist_mux stands before it.
+    has_multiplexer = section.short_name == "base_driver"
     for name, node in section.values.items():
         last = name.rsplit(".", 1)[-1]
         if isinstance(node.value, str) and is_plain(node.value):
@@ -36,7 +38,7 @@ def node_facts(section: ParameterSection) -> list[Fact]:
                 facts.append(Fact("sensor frame", subject, frame, node.span))
             elif last in WORLD_FRAMES:
                 facts.append(Fact("world frame", subject, frame, node.span))
-        elif isinstance(node.value, bool) and last in STAMPED:
+        elif isinstance(node.value, bool) and last in STAMPED and not has_multiplexer:
             facts.append(Fact("stamped", f"{subject} ({last})", node.value, node.span))
     transform = _odometry_transform(section)
     if transform is not None:
@@ -144,6 +146,17 @@ def launched_facts(evidence: Evidence) -> list[Fact]:
     return facts
 
 
+def stamped_arguments(evidence: Evidence) -> set[str]:
+    """Returns the parameters about stamps that an argument of a launch file decides."""
+    return {
+        name
+        for launch in evidence.launches
+        for node in launch.nodes
+        for name, fact in node.parameters.items()
+        if name in STAMPED and not isinstance(fact.value, bool)
+    }
+
+
 def published_frames(evidence: Evidence) -> set[str]:
     """Returns the frames that nodes of the launch files and parameter files publish."""
     frames = {"map", "odom", "world", "earth", "utm", "base_footprint_ekf"}
@@ -154,6 +167,6 @@ def published_frames(evidence: Evidence) -> set[str]:
                 words = [word.strip("/") for word in node.arguments]
                 frames.update(word for word in words if word and not word.startswith("-"))
                 for name in ("frame_id", "child_frame_id"):
-                    if name in node.parameters:
+                    if name in node.parameters and node.parameters[name].value is not None:
                         frames.add(str(node.parameters[name].value).strip("/"))
     return frames

@@ -5,6 +5,7 @@ from __future__ import annotations
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.tools.audit.audit_facts import Evidence, Fact
 from thorvaldc.tools.audit.drive_facts import wheel_radius
+from thorvaldc.tools.audit.node_facts import stamped_arguments
 from thorvaldc.tools.audit.transform_rules import closest
 
 TOLERANCE = 0.01
@@ -14,7 +15,12 @@ def check_stamps(evidence: Evidence, report: Report) -> None:
     """Reports nodes that exchange Twist with nodes that exchange TwistStamped."""
     if any(node.package == "twist_stamper" for f in evidence.launches for node in f.nodes):
         return  # it converts one type to the other
-    facts = [fact for fact in evidence.facts if fact.kind == "stamped"]
+    decided = {f"({name})" for name in stamped_arguments(evidence)}
+    facts = [
+        fact
+        for fact in evidence.facts
+        if fact.kind == "stamped" and fact.subject.partition(" ")[2] not in decided
+    ]
     stamped = sum(1 for fact in facts if fact.value)
     rare = 2 * stamped <= len(facts)  # the type of fewer nodes is reported
     for fact in (fact for fact in facts if bool(fact.value) is rare):
