@@ -56,8 +56,9 @@ def audit(names: Sequence[str], *, trust: bool = False) -> Audit:
     reader.read_mjcf_files()
     expanded = read_urdf_files(reader.urdf_files, robot_files.packages, evidence, report, trust)
     result.sources.update(expanded)
+    known = {name for description in evidence.descriptions for name in description.joints}
     for section in evidence.sections:
-        evidence.facts += controller_facts(section) + node_facts(section)
+        evidence.facts += controller_facts(section, known) + node_facts(section)
     evidence.facts += launched_facts(evidence)
     read = (evidence.descriptions, evidence.sections, evidence.launches, evidence.facts)
     if not any(read) and not len(report):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from thorvaldc.model import Pose, Vec3
 from thorvaldc.model.spatial import dot, norm, sub
@@ -32,8 +32,11 @@ _RADIUS = ("wheel_radius", "wheels_radius", "kinematics.wheels_radius", "tractio
 _SEPARATION = ("wheel_separation", "wheel_separation_y", "traction_track_width")
 
 
-def controller_facts(section: ParameterSection) -> list[Fact]:
-    """Returns what the parameters of a node state about joints and wheels."""
+def controller_facts(section: ParameterSection, known: Collection[str]) -> list[Fact]:
+    """Returns what the parameters of a node state about joints and wheels.
+
+    - ``known``: names of the joints of all descriptions.
+    """
     facts: list[Fact] = []
     subject = f"`{section.short_name}`"
     for name in _JOINT_LISTS:
@@ -42,13 +45,13 @@ def controller_facts(section: ParameterSection) -> list[Fact]:
             continue
         items = node.value if isinstance(node.value, tuple) else (node,)
         facts += [
-            Fact("joint", subject, joint_of(item.value), item.span)
+            Fact("joint", subject, joint_of(item.value, known), item.span)
             for item in items
             if isinstance(item.value, str) and is_plain(item.value)
         ]
-    left = plain_names(section, LEFT)
-    right = plain_names(section, RIGHT)
-    wheels = (*left, *right) or plain_names(section, TRACTION)
+    left = plain_names(section, LEFT, known)
+    right = plain_names(section, RIGHT, known)
+    wheels = (*left, *right) or plain_names(section, TRACTION, known)
     for name in _RADIUS:
         node, value = section.values.get(name), section.number(name)
         if node is not None and value is not None and wheels:
@@ -66,13 +69,16 @@ def is_plain(name: str) -> bool:
     return bool(name) and "$" not in name and "{" not in name and "<" not in name
 
 
-def joint_of(name: str) -> str:
-    """Returns the joint of an interface: a chained controller is named `controller/joint`."""
-    return name.rsplit("/", 1)[-1]
+def joint_of(name: str, known: Collection[str]) -> str:
+    """Returns the joint of an interface: that of a chained controller is `controller/joint`."""
+    return name if name in known else name.rsplit("/", 1)[-1]
 
 
-def plain_names(section: ParameterSection, parameters: Sequence[str]) -> tuple[str, ...]:
-    names = [joint_of(text) for parameter in parameters for text in section.texts(parameter)]
+def plain_names(
+    section: ParameterSection, parameters: Sequence[str], known: Collection[str]
+) -> tuple[str, ...]:
+    """Returns the joints in parameters, or no joints if a name contains a substitution."""
+    names = [joint_of(text, known) for parameter in parameters for text in section.texts(parameter)]
     return tuple(names) if all(is_plain(name) for name in names) else ()
 
 
