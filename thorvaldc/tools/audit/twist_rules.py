@@ -43,16 +43,12 @@ def _name(fact: Fact) -> str:
     return fact.subject.partition(" ")[0]
 
 
-def _node(fact: Fact) -> tuple[str, str]:
-    return fact.span.file, fact.subject.partition(" ")[0]
-
-
 def check_speeds(evidence: Evidence, report: Report) -> None:
     """Reports speeds that a planner demands and a controller or smoother does not let through."""
     for kind in ("linear", "angular"):
         limits = [fact for fact in evidence.facts if fact.kind == f"{kind} limit"]
         for plan in (fact for fact in evidence.facts if fact.kind == f"{kind} plan"):
-            others = [f for f in limits if _node(f) != _node(plan)]
+            others = [f for f in limits if _name(f) != _name(plan)]
             nearby = closest(others, plan.span.file)
             if not nearby:
                 continue
