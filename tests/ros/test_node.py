@@ -105,6 +105,22 @@ def test_node_on_a_bus(distro: str, build: Path, tmp_path: Path) -> None:
             end(process)
 
 
+def test_clock_of_another_node(distro: str, build: Path, tmp_path: Path) -> None:
+    with node(distro, build, tmp_path, base="ideal", stamped=False, use_sim_time=True) as process:
+        run_client(distro, "drive_with_clock", tmp_path)
+        end(process)
+
+
+def test_two_robots_in_one_process(distro: str, build: Path, tmp_path: Path) -> None:
+    command = [python_of(distro), "-m", "tests.ros.two_nodes", str(build / "model.json")]
+    process = ChildProcess(command, env=variables(tmp_path), stderr=subprocess.PIPE, text=True)
+    try:
+        run_client(distro, "drive_one_of_two", tmp_path)
+        end(process)
+    finally:
+        process.end()
+
+
 def test_relay_of_frames_and_transform(distro: str, tmp_path: Path) -> None:
     require_messages(distro, "can_msgs")
     require_messages(distro, "tf2_msgs")

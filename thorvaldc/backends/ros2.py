@@ -81,6 +81,8 @@ def package_of(robot: Robot) -> dict[str, bytes]:
     launches = launch_files(robot, parts)
     names = [posixpath.basename(path).removesuffix(".launch.py") for path in launches]
     plugins = set(plugin_packages(robot, parts))
+    if any(frame.kind == "relay" for bus in robot.buses for frame in bus.frames):
+        plugins.add("can_msgs")  # the base driver relays frames of foreign devices
     control: dict[str, bytes] = {}
     if robot.actuators:
         control = {**control_files(robot), **ros2_control_files(robot)}

@@ -14,6 +14,7 @@ import pytest
 from tests.backends.ros2.packages import install, variant, write
 from tests.examples import ROBOTS, example_fleet, example_robot
 from tests.ros.environments import DISTROS, python_of
+from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.backends.ros2 import Ros2, package_of
 from thorvaldc.model.model_json import from_json
 
@@ -30,6 +31,12 @@ def test_manifest(name: str) -> None:
     assert depends == sorted(set(depends), key=str)
     assert robot.ros.package not in depends
     assert f"resource/{robot.ros.package}" in files
+
+
+def test_a_robot_with_foreign_devices_depends_on_their_messages() -> None:
+    for robot, depends in ((cia402_robot(), True), (example_robot("4wd4ws_wide"), False)):
+        manifest = package_of(robot)["package.xml"].decode()
+        assert ("<exec_depend>can_msgs</exec_depend>" in manifest) is depends
 
 
 def test_the_model_of_the_package_is_that_of_the_build() -> None:
