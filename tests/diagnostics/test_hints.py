@@ -25,6 +25,7 @@ ADVICE = {
     "audit-joint-unknown",
     "audit-section-unused",
     "can-signal-floating-point",
+    "control-joint-unknown",
     "extra-argument",
     "extra-environment",
     "extra-left-out",

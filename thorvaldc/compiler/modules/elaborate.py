@@ -231,6 +231,7 @@ class _Elaborator:
         twist_sources = twist_inputs.sources(driver.command_timeout)
         twist_locks = twist_inputs.locks(twist_sources)
         buses = self._wiring(parts, self.report).buses(robot, 1.0 / driver.rate, watchdog)
+        ros = read_ros_settings(self.document, self.scope, self.report)
         if not geometry_is_valid:
             return None
         model = Robot(
@@ -254,7 +255,7 @@ class _Elaborator:
             twist_sources=twist_sources,
             twist_locks=twist_locks,
             joint_servos=tuple(parts.joint_servos),
-            ros=read_ros_settings(self.document, self.scope, self.report),
+            ros=ros,
         )
         check_ros_names(model, self.document, self.report)
         check_stopping_distance(model, stated, self.report)

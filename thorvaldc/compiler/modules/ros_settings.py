@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from thorvaldc.compiler.modules.value_reader import ValueReader, entries
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Label, Report
+from thorvaldc.diagnostics import Label, Proposal, Report
 from thorvaldc.model.robot import Robot
 from thorvaldc.model.ros import (
     MAP_FRAME,
@@ -33,7 +33,10 @@ def read_ros_settings(document: Node, reader: ValueReader, report: Report) -> Ro
                 "ros-package-name",
                 f"`{package}` cannot be the name of a ROS 2 package: {problem}",
                 stated.span,
-                hint=f"write `{package_name(package)}`, or leave out `package`",
+                hint=Proposal(
+                    f"write `{package_name(package)}`, or leave out `package`",
+                    package_name(package),
+                ),
             )
     return RosSettings(
         reader.text(node.get("distro"), default.distro),
