@@ -91,9 +91,7 @@ def test_the_faults_of_the_fault_table(tmp_path: Path, odrive_package: list[str]
     assert "unlimited" in killed, "after the death of the driver the wheels coast"
 
 
-def test_two_processes_and_what_cannot_be_configured(
-    tmp_path: Path, odrive_package: list[str]
-) -> None:
+def test_two_processes(tmp_path: Path, odrive_package: list[str]) -> None:
     command = [sys.executable, "-m", "thorvaldc", "bus", ROBOT, "--json"]
     environ = environment(tmp_path, *odrive_package)
     bus = ChildProcess(command, env=environ, stdout=subprocess.PIPE, text=True, cwd=tmp_path)
