@@ -5,13 +5,12 @@ MuJoCo's importer also reads the URDF files without loss.
 
 from __future__ import annotations
 
-import functools
-
 from thorvaldc.backends import Backend
 from thorvaldc.backends.colors_and_meshes import Palette, mesh_files
 from thorvaldc.backends.ros2_control import kept_extensions, ros2_control_elements
-from thorvaldc.backends.xml_writer import Element, Rename, number, parse, to_bytes
+from thorvaldc.backends.xml_writer import Element, Rename, add_to_root, number, parse, to_text
 from thorvaldc.model import Box, Cylinder, Joint, Link, MeshShape, Pose, Robot, Shape, Wheel
+from thorvaldc.model.once_per_model import once_per_model
 from thorvaldc.model.spatial import clean
 
 # URDF requires limits for revolute and prismatic joints. The joint limit 1e9 means "no limit".
@@ -30,7 +29,7 @@ class Urdf(Backend):
         return files
 
 
-@functools.lru_cache(maxsize=8)
+@once_per_model
 def urdf_text(
     robot: Robot, meshes: str = MESHES, hardware: str | None = None, share: str = ""
 ) -> str:
@@ -42,14 +41,19 @@ def urdf_text(
       ``ros2_control.PLUGINS``, or ``None`` for a URDF without these elements of our own.
     - ``share``: shared folder of the ROS package, see ``ros2_control_elements``.
 
-    The text of the URDF file is cached, because the targets `urdf` and `ros2` both need the text.
-    For a robot with nine wheels, writing the URDF text takes 3 ms, and looking it up in the cache
-    takes 0.7 ms.
     """
-    return to_bytes(_robot(robot, meshes, hardware, share)).decode()
+    prefix = robot.prefix
+    rename = _prefixing(robot, prefix) if prefix else None
+    added = [parse(text, rename) for text in kept_extensions(robot, hardware)]
+    if hardware is not None:
+        added += ros2_control_elements(robot, hardware, share)
+    text = _own_text(robot, meshes)
+    return add_to_root(text, "robot", added) if added else text
 
 
-def _robot(robot: Robot, meshes: str, hardware: str | None, share: str) -> Element:
+@once_per_model
+def _own_text(robot: Robot, meshes: str) -> str:
+    """Return the URDF file of a robot without the elements that depend on its hardware."""
     prefix = robot.prefix
     root = Element("robot", name=robot.name)
     # By default, MuJoCo merges base_link into the world and discards the masses of all links that
@@ -71,12 +75,7 @@ def _robot(robot: Robot, meshes: str, hardware: str | None, share: str) -> Eleme
     for joint in robot.joints:
         _add_joint(root, joint, prefix)
     _add_gazebo(root, robot, prefix)
-    rename = _prefixing(robot, prefix) if prefix else None
-    for text in kept_extensions(robot, hardware):
-        root.append(parse(text, rename))
-    if hardware is not None:
-        root.children += ros2_control_elements(robot, hardware, share)
-    return root
+    return to_text(root)
 
 
 # XML attributes and XML elements of the extra URDF elements that contain the name of a link or a

@@ -8,6 +8,7 @@ because this module is smaller and faster.
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Callable, Iterable
 
@@ -30,6 +31,7 @@ class XmlValueError(ValueError):
     """A number that an XML file cannot contain: infinity or NaN."""
 
 
+@functools.lru_cache(maxsize=1 << 14)
 def number(value: Number) -> str:
     """Return the shortest text that reads back as the same floating-point number, such as ``0.1``
     or ``1e-09``.
@@ -48,9 +50,10 @@ def number(value: Number) -> str:
 
 def numbers(values: Iterable[Number]) -> str:
     """Return numbers as XML text, separated by single spaces."""
-    return " ".join([number(value) for value in values])
+    return " ".join(map(number, values))
 
 
+@functools.lru_cache(maxsize=1 << 14)
 def escape(text: str) -> str:
     """Return the text with XML escapes, for use in an attribute or between tags."""
     if _SPECIAL.search(text) is None:
@@ -58,11 +61,14 @@ def escape(text: str) -> str:
     return _SPECIAL.sub(lambda match: _ESCAPES[match[0]], text)
 
 
+# The targets write the same names, poses and colours many times. The cache distinguishes the types,
+# because ``True`` is equal to 1.
+@functools.lru_cache(maxsize=1 << 14, typed=True)
 def _format(value: Value) -> str:
     if isinstance(value, str):
-        return value if _SPECIAL.search(value) is None else escape(value)
+        return escape(value)
     if isinstance(value, tuple):
-        return " ".join([number(v) for v in value])
+        return numbers(value)
     if isinstance(value, bool):
         return "true" if value else "false"
     return number(value)
@@ -159,10 +165,33 @@ def parse(text: str, rename: Rename | None = None) -> Element:
 
 def to_bytes(root: Element) -> bytes:
     """Return the XML document as UTF-8, indented by two spaces, with an XML declaration."""
+    return to_text(root).encode("utf-8")
+
+
+def to_text(root: Element) -> str:
+    """Return the XML document as text, indented by two spaces, with an XML declaration."""
     lines = ['<?xml version="1.0" encoding="utf-8"?>']
+    _write(lines, root, "")
+    lines.append("")
+    return "\n".join(lines)
+
+
+def add_to_root(document: str, root: str, children: Iterable[Element]) -> str:
+    """Return an XML document with more child elements at the end of its root element.
+
+    ``document`` is the result of ``to_text`` for an element with the tag ``root`` and children.
+    """
+    lines: list[str] = []
+    for child in children:
+        _write(lines, child, "  ")
+    end = f"</{root}>\n"
+    return "".join([document.removesuffix(end), *(f"{line}\n" for line in lines), end])
+
+
+def _write(lines: list[str], root: Element, root_indent: str) -> None:
     # The function uses a stack and no recursion, because a long chain of links is nested deeper
     # than Python's recursion limit.
-    todo: list[tuple[Element, str] | str] = [(root, "")]
+    todo: list[tuple[Element, str] | str] = [(root, root_indent)]
     while todo:
         item = todo.pop()
         if isinstance(item, str):
@@ -179,5 +208,3 @@ def to_bytes(root: Element) -> bytes:
             lines.append(f"{head}>{escape(element.text)}</{element.tag}>")
         else:
             lines.append(head + "/>")
-    lines.append("")
-    return "\n".join(lines).encode("utf-8")

@@ -108,7 +108,7 @@ class World(Element):
     zones: tuple[Zone, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
+@dataclass(frozen=True, slots=True, weakref_slot=True, eq=False, repr=False)
 class Fleet(Element):
     """Several robots in one scene, in the order of the fleet file.
 

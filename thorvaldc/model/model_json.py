@@ -24,6 +24,7 @@ from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.bus import OBJECT_TYPES, FrameDefinition, ObjectValue
 from thorvaldc.model.element import values_getter
 from thorvaldc.model.fleet import Fleet
+from thorvaldc.model.once_per_model import once_per_model
 from thorvaldc.model.robot import Actuator, Joint, JointServo, Robot, RosSettings, Shape
 from thorvaldc.model.ros import DISTROS, DRIVER, EKF
 
@@ -116,6 +117,7 @@ def _encode(value: Any) -> Any:
     return members
 
 
+@once_per_model
 def to_json(model: Robot | Fleet) -> str:
     """Return the model of a robot or a fleet as JSON text, without the bytes of mesh files.
 

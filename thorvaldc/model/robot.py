@@ -485,7 +485,7 @@ class TwistInput(Element):
         return self.name == SAFETY_STOP or self.priority >= STOP_PRIORITY
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
+@dataclass(frozen=True, slots=True, weakref_slot=True, eq=False, repr=False)
 class Robot(Element):
     """A whole robot.
 

@@ -110,8 +110,11 @@ def _downloads(node: Node) -> Iterator[str]:
     pdos = dict.fromkeys(entry.index for entry in communication)
     mappings = range(RPDOS.start, TPDOS.stop + MAPPING)
     downloads = [entry for entry in values if entry.index not in mappings]
+    of_object: dict[int, list[ObjectValue]] = {}
+    for entry in values:
+        of_object.setdefault(entry.index, []).append(entry)
     for index in pdos:
-        downloads += _pdo_downloads(index, values)
+        downloads += _pdo_downloads(of_object[index], of_object.get(index + MAPPING, []))
     if downloads:
         yield "sdo:"
     for entry in downloads:
@@ -120,13 +123,13 @@ def _downloads(node: Node) -> Iterator[str]:
         yield f"  - {{{key}, value: {value}}}  # {entry.name}"
 
 
-def _pdo_downloads(index: int, values: Sequence[ObjectValue]) -> Iterator[ObjectValue]:
-    """Yield the values of a PDO, whose communication parameters are at `index`, in writing order.
+def _pdo_downloads(
+    parameters: Sequence[ObjectValue], mapping: Sequence[ObjectValue]
+) -> Iterator[ObjectValue]:
+    """Yield the communication parameters and the mapping of a PDO in writing order.
 
     The PDO is switched off, and its mapping is empty, while its other values are written.
     """
-    parameters = [entry for entry in values if entry.index == index]
-    mapping = [entry for entry in values if entry.index == index + MAPPING]
     cob_ids = [entry for entry in parameters if entry.subindex == 1]
     counts = [entry for entry in mapping if entry.subindex == 0]
     for entry in cob_ids:

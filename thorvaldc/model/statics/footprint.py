@@ -6,6 +6,7 @@ import math
 import struct
 from collections.abc import Iterator
 
+from thorvaldc.model.once_per_model import once_per_model
 from thorvaldc.model.robot import Box, Cylinder, MeshShape, Robot, Shape, Sphere
 from thorvaldc.model.spatial import Vec3
 from thorvaldc.model.statics.convex_hull import Point, convex_hull
@@ -16,6 +17,7 @@ _SIDES = 16
 _GRID = 0.001  # m
 
 
+@once_per_model
 def footprint(robot: Robot) -> list[Point]:
     """Return the corners of the footprint in ``base_link`` in m, counter-clockwise.
 

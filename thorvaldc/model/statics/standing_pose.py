@@ -35,6 +35,7 @@ import math
 from typing import NamedTuple
 
 from thorvaldc.model.float_sum import float_sum
+from thorvaldc.model.once_per_model import once_per_model
 from thorvaldc.model.robot import Joint, Robot, Wheel
 from thorvaldc.model.spatial import (
     Pose,
@@ -323,6 +324,7 @@ def _joint_home(joint: Joint, initial: float = 0.0) -> float:
     return min(max(initial, low), high)
 
 
+@once_per_model
 def solve_statics(robot: Robot) -> Statics:
     """Return the statics of a robot that stands on level ground under its own weight."""
     tree = JointTree(robot.links, robot.joints)
