@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from thorvaldc.backends.xml_writer import Element, number, numbers
 from thorvaldc.model import Box, Cylinder, MeshShape, Pose, Shape
-from thorvaldc.model.spatial import clean
+from thorvaldc.model.spatial import clean3
 
 
 def add_system(parent: Element, library: str, name: str) -> Element:
@@ -14,8 +14,7 @@ def add_system(parent: Element, library: str, name: str) -> Element:
 
 
 def add_pose(parent: Element, pose: Pose, relative_to: str | None = None) -> None:
-    x, y, z = pose.rpy()
-    values = tuple(clean(value) for value in (*pose.xyz, x, y, z))
+    values = (*clean3(pose.xyz), *clean3(pose.rpy()))
     if any(values) or relative_to is not None:
         parent.add("pose", relative_to=relative_to).text = numbers(values)
 

@@ -8,7 +8,15 @@ from __future__ import annotations
 from thorvaldc.backends import Backend
 from thorvaldc.backends.colors_and_meshes import Palette, mesh_files
 from thorvaldc.backends.ros2_control import kept_extensions, ros2_control_elements
-from thorvaldc.backends.xml_writer import Element, Rename, add_to_root, number, parse, to_text
+from thorvaldc.backends.xml_writer import (
+    Element,
+    Rename,
+    add_to_root,
+    escape,
+    number,
+    parse,
+    to_text,
+)
 from thorvaldc.model import Box, Cylinder, Joint, Link, MeshShape, Pose, Robot, Shape, Wheel
 from thorvaldc.model.once_per_model import once_per_model
 from thorvaldc.model.spatial import clean
@@ -47,13 +55,15 @@ def urdf_text(
     added = [parse(text, rename) for text in kept_extensions(robot, hardware)]
     if hardware is not None:
         added += ros2_control_elements(robot, hardware, share)
-    text = _own_text(robot, meshes)
+    # The quotation marks of texts are escaped, so that only the attributes of meshes match.
+    text = _own_text(robot).replace(f'filename="{MESHES}/', f'filename="{escape(meshes)}/')
     return add_to_root(text, "robot", added) if added else text
 
 
 @once_per_model
-def _own_text(robot: Robot, meshes: str) -> str:
-    """Return the URDF file of a robot without the elements that depend on its hardware."""
+def _own_text(robot: Robot) -> str:
+    """Return the URDF file of a robot without the elements that depend on its hardware, with the
+    mesh files in ``MESHES``."""
     prefix = robot.prefix
     root = Element("robot", name=robot.name)
     # By default, MuJoCo merges base_link into the world and discards the masses of all links that
@@ -71,7 +81,7 @@ def _own_text(robot: Robot, meshes: str) -> str:
     for name, color in palette.entries():
         root.add("material", name=name).add("color", rgba=color)
     for link in robot.links:
-        _add_link(root, link, prefix, palette, meshes)
+        _add_link(root, link, prefix, palette)
     for joint in robot.joints:
         _add_joint(root, joint, prefix)
     _add_gazebo(root, robot, prefix)
@@ -107,7 +117,7 @@ def _add_origin(parent: Element, pose: Pose) -> None:
         parent.add("origin", xyz=pose.xyz, rpy=rpy)
 
 
-def _add_geometry(parent: Element, shape: Shape, meshes: str) -> None:
+def _add_geometry(parent: Element, shape: Shape) -> None:
     geometry = parent.add("geometry")
     match shape:
         case Box(size):
@@ -117,14 +127,14 @@ def _add_geometry(parent: Element, shape: Shape, meshes: str) -> None:
         case MeshShape(mesh, scale):
             geometry.add(
                 "mesh",
-                filename=f"{meshes}/{mesh}",
+                filename=f"{MESHES}/{mesh}",
                 scale=None if scale == (1.0, 1.0, 1.0) else scale,
             )
         case _:
             geometry.add("sphere", radius=shape.radius)
 
 
-def _add_link(root: Element, link: Link, prefix: str, palette: Palette, meshes: str) -> None:
+def _add_link(root: Element, link: Link, prefix: str, palette: Palette) -> None:
     element = root.add("link", name=prefix + link.name)
     if link.inertial is not None:
         xx, yy, zz, xy, xz, yz = link.inertial.inertia
@@ -136,12 +146,12 @@ def _add_link(root: Element, link: Link, prefix: str, palette: Palette, meshes: 
     for visual in link.visuals:
         part = element.add("visual")
         _add_origin(part, visual.pose)
-        _add_geometry(part, visual.shape, meshes)
+        _add_geometry(part, visual.shape)
         part.add("material", name=palette.name(visual.color))
     for collision in link.collisions:
         part = element.add("collision")
         _add_origin(part, collision.pose)
-        _add_geometry(part, collision.shape, meshes)
+        _add_geometry(part, collision.shape)
 
 
 def _add_joint(root: Element, joint: Joint, prefix: str) -> None:

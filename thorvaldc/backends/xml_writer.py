@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 
 Number = float | int
 Value = str | Number | bool | tuple[Number, ...]
@@ -61,6 +61,11 @@ def escape(text: str) -> str:
     return _SPECIAL.sub(lambda match: _ESCAPES[match[0]], text)
 
 
+@functools.cache
+def _head(name: str) -> str:
+    return f' {name.removesuffix("_")}="'
+
+
 # The targets write the same names, poses and colours many times. The cache distinguishes the types,
 # because ``True`` is equal to 1.
 @functools.lru_cache(maxsize=1 << 14, typed=True)
@@ -96,13 +101,11 @@ class Element:
         A trailing underscore is removed from the name of an XML attribute. A trailing underscore
         allows XML attribute names that are keywords of Python, such as ``class_``.
         """
-        self.attributes += "".join(
-            [
-                f' {name if name[-1] != "_" else name[:-1]}="{_format(value)}"'
-                for name, value in attributes.items()
-                if value is not None
-            ]
-        )
+        text = self.attributes
+        for name, value in attributes.items():
+            if value is not None:
+                text += f'{_head(name)}{_format(value)}"'
+        self.attributes = text
 
     def add(self, tag: str, /, **attributes: Value | None) -> Element:
         """Append a new child element to the XML element and return the child."""
@@ -188,23 +191,25 @@ def add_to_root(document: str, root: str, children: Iterable[Element]) -> str:
     return "".join([document.removesuffix(end), *(f"{line}\n" for line in lines), end])
 
 
-def _write(lines: list[str], root: Element, root_indent: str) -> None:
+def _write(lines: list[str], root: Element, indent: str) -> None:
     # The function uses a stack and no recursion, because a long chain of links is nested deeper
     # than Python's recursion limit.
-    todo: list[tuple[Element, str] | str] = [(root, root_indent)]
-    while todo:
-        item = todo.pop()
-        if isinstance(item, str):
-            lines.append(item)
-            continue
-        element, indent = item
-        head = f"{indent}<{element.tag}{element.attributes}"
-        if element.children:
-            lines.append(head + ">")
-            todo.append(f"{indent}</{element.tag}>")
-            inner = indent + "  "
-            todo += [(child, inner) for child in reversed(element.children)]
-        elif element.text:
-            lines.append(f"{head}>{escape(element.text)}</{element.tag}>")
+    stack: list[tuple[Iterator[Element], str, str]] = []
+    siblings: Iterator[Element] = iter((root,))
+    while True:
+        for element in siblings:
+            head = f"{indent}<{element.tag}{element.attributes}"
+            if element.children:
+                lines.append(head + ">")
+                stack.append((siblings, indent, f"{indent}</{element.tag}>"))
+                siblings, indent = iter(element.children), indent + "  "
+                break
+            if element.text:
+                lines.append(f"{head}>{escape(element.text)}</{element.tag}>")
+            else:
+                lines.append(head + "/>")
         else:
-            lines.append(head + "/>")
+            if not stack:
+                return
+            siblings, indent, end = stack.pop()
+            lines.append(end)

@@ -38,6 +38,7 @@ MAX_BYTES = 64_000_000
 """Limit of the size of a file ``model.json``; that of a fleet of a hundred robots has 20 MB."""
 KINDS: dict[str, type[Robot | Fleet]] = {"Robot": Robot, "Fleet": Fleet}
 SHAPES: dict[str, type] = {shape.__name__: shape for shape in typing.get_args(Shape)}
+_SHAPE_CLASSES = frozenset(SHAPES.values())
 
 # The JSON text omits the bytes of a mesh, because the build folder contains the mesh file.
 _OMITTED = {("Mesh", "data")}
@@ -83,38 +84,30 @@ def type_hints(cls: type) -> dict[str, Any]:
 # -- writing ------------------------------------------------------------------------------
 
 
-def _is_plain(hint: Any) -> bool:
-    """Return whether the Python module ``json`` can write values of a type without conversion."""
-    if hint is Ellipsis or hint in (bool, int, float, str, type(None)):
-        return True
-    arguments = typing.get_args(hint)
-    return bool(arguments) and all(_is_plain(argument) for argument in arguments)
-
-
 @functools.cache
-def _plan(cls: Hashable) -> tuple[tuple[str, ...], Callable[[Any], tuple[Any, ...]], list[str]]:
-    """Return the field names of a model class, a function that reads their values, and the fields
-    that must be converted for JSON."""
-    hints = type_hints(cast(Any, cls))
-    names = tuple(hints)
-    return names, values_getter(names), [name for name in names if not _is_plain(hints[name])]
+def _plan(cls: Hashable) -> tuple[tuple[str, ...], Callable[[Any], tuple[Any, ...]]]:
+    """Return the field names of a model class, and a function that reads their values."""
+    names = tuple(type_hints(cast(Any, cls)))
+    return names, values_getter(names)
 
 
-def _encode(value: Any) -> Any:
+def _members(value: Any) -> Any:
+    """Return what the JSON encoder writes for a dataclass of the model."""
     cls: type[Any] = type(value)
-    if cls is Span:
-        return (value.file, value.line, value.column, value.end_line, value.end_column)
-    if cls is tuple:
-        return [_encode(item) for item in value]
-    if value is None:
-        return None
-    names, values, nested = _plan(cast(Hashable, cls))
+    names, values = _plan(cast(Hashable, cls))
     members = dict(zip(names, values(value), strict=True))
-    for name in nested:
-        members[name] = _encode(members[name])
-    if cls in SHAPES.values():
+    if cls in _SHAPE_CLASSES:
         members["kind"] = cls.__name__
     return members
+
+
+_ENCODER = json.JSONEncoder(
+    default=_members,
+    ensure_ascii=False,
+    separators=(",", ":"),
+    allow_nan=False,
+    check_circular=False,  # a model is a tree
+)
 
 
 @once_per_model
@@ -125,8 +118,8 @@ def to_json(model: Robot | Fleet) -> str:
     if a number of the model is infinite or NaN, because JSON cannot express such a number.
     """
     kind = type(model).__name__
-    head = {"format": FORMAT, "version": VERSION, "kind": kind, "model": _encode(model)}
-    return json.dumps(head, ensure_ascii=False, separators=(",", ":"), allow_nan=False) + "\n"
+    head = {"format": FORMAT, "version": VERSION, "kind": kind, "model": model}
+    return _ENCODER.encode(head) + "\n"
 
 
 # -- reading ------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ The page docs/canmap.md describes the format of canmap.json.
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 from collections.abc import Iterable
@@ -157,19 +158,31 @@ def json_text(document: dict[str, Any]) -> str:
 
 
 def _layout(value: Any, depth: int) -> str:
-    if type(value) is dict and not all(map(_is_flat, _containers(value.values()))):
+    kind = type(value)
+    if kind is str:
+        return _text(value)
+    if kind is dict:
+        if all(map(_is_flat, _containers(value.values()))):
+            return "{" + ", ".join([f"{_text(k)}: {_layout(v, 0)}" for k, v in value.items()]) + "}"
         pad = "\n" + "  " * depth
-        rows = [f"{pad}  {_key(k)}: {_layout(v, depth + 1)}" for k, v in value.items()]
+        rows = [f"{pad}  {_text(k)}: {_layout(v, depth + 1)}" for k, v in value.items()]
         return "{" + ",".join(rows) + pad + "}"
-    if type(value) is list and _containers(value):
+    if kind is list:
+        if not _containers(value):
+            return "[" + ", ".join([_layout(v, 0) for v in value]) + "]"
         pad = "\n" + "  " * depth
         return "[" + ",".join([f"{pad}  {_layout(v, depth + 1)}" for v in value]) + pad + "]"
-    # Most JSON values are numbers, and ``repr`` is faster than a call of the JSON encoder.
     if value is None:
         return "null"
-    if type(value) is int or (type(value) is float and math.isfinite(value)):
+    if kind is int or (kind is float and math.isfinite(value)):
         return repr(value)
     return _ENCODER.encode(value)
+
+
+# One call of the JSON encoder takes several microseconds, and most texts occur many times.
+@functools.lru_cache(maxsize=1 << 12)
+def _text(text: str) -> str:
+    return _ENCODER.encode(text)
 
 
 def _is_flat(container: Any) -> bool:
@@ -179,7 +192,3 @@ def _is_flat(container: Any) -> bool:
 
 def _containers(values: Iterable[Any]) -> list[Any]:
     return [v for v in values if type(v) is dict or type(v) is list]
-
-
-def _key(key: str) -> str:
-    return _ENCODER.encode(key)

@@ -106,7 +106,7 @@ def _node(bus: Bus, node: Node) -> Iterator[str]:
 def _downloads(node: Node) -> Iterator[str]:
     """Yield the lines of `bus.yml` with the values that ros2_canopen writes to a node."""
     values = [entry for entry in node.objects if entry.access == "rw" and entry.value is not None]
-    communication = [entry for entry in values if entry.index in (*RPDOS, *TPDOS)]
+    communication = [entry for entry in values if entry.index in RPDOS or entry.index in TPDOS]
     pdos = dict.fromkeys(entry.index for entry in communication)
     mappings = range(RPDOS.start, TPDOS.stop + MAPPING)
     downloads = [entry for entry in values if entry.index not in mappings]
