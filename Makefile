@@ -8,7 +8,7 @@ READY  ?= .venv/.ready
 JOBS   ?= auto
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test test-matrix lint types chaos fuzz mutants bench golden pictures clean distclean
+.PHONY: help setup demo test test-matrix lint types chaos fuzz mutants bench golden pictures docs docs-serve clean distclean
 
 help:
 	@echo "make demo      compile every example and drive it in simulation"
@@ -20,6 +20,8 @@ help:
 	@echo "make bench     measure; prints a table and writes bench.json"
 	@echo "make golden    rewrite the tests' golden files and tables (review the diff)"
 	@echo "make pictures  render the examples' pictures"
+	@echo "make docs      build the documentation as a site in build/site"
+	@echo "make docs-serve  show the site at http://127.0.0.1:8000, also while you edit it"
 	@echo "make lint, make types, make clean, make distclean"
 
 setup: $(READY)
@@ -83,6 +85,13 @@ golden: $(READY)
 
 pictures: $(READY)
 	PYTHONPATH=. $(BIN)/python tools/render_examples.py
+
+# The variable silences the advertisement of another program.
+docs: $(READY)
+	NO_MKDOCS_2_WARNING=1 PYTHONPATH=. $(BIN)/python -m mkdocs build
+
+docs-serve: $(READY)
+	NO_MKDOCS_2_WARNING=1 PYTHONPATH=. $(BIN)/python -m mkdocs serve
 
 clean:
 	rm -rf build dist bench.json .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -1,0 +1,105 @@
+"""The hook of mkdocs: pages from outside of ``docs/``, generated pages, links and equations.
+
+The pages of ``docs/`` are written for a plain checkout, where a link such as ``../examples/car/``
+leads to a folder.  On the site the same files have other addresses: those below ``docs/`` lie at
+the top, all others keep their path in the repository.
+"""
+
+from __future__ import annotations
+
+import html
+import os
+import re
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import latex2mathml.converter
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).resolve().parents[2]
+OUTSIDE_PAGES = ("README.md", "CHANGELOG.md", "modules/README.md", "examples/*/README.md")
+LINK = re.compile(r"(!?\[[^\]]*\]\()([^)#\s]+)([^)]*\))")
+CODE = re.compile(r"(^```.*?^```|`[^`\n]*`)", re.M | re.S)
+
+
+def address_on_site(path: PurePosixPath) -> PurePosixPath:
+    """Returns the address of a file, given by its path in the repository."""
+    return path.relative_to("docs") if path.parts[:1] == ("docs",) else path
+
+
+def path_in_repository(address: str) -> PurePosixPath:
+    """Returns the path in the repository of a page, given by its address on the site."""
+    inside = PurePosixPath("docs") / address
+    return inside if (ROOT / inside).is_file() else PurePosixPath(address)
+
+
+def target_of(page: PurePosixPath, link: str) -> PurePosixPath | None:
+    """Returns the file in the repository that a link leads to; ``None`` for any other link."""
+    if "://" in link or link.startswith(("mailto:", "#")):
+        return None
+    path = PurePosixPath(os.path.normpath(page.parent / link))
+    if path.parts[:1] == ("..",) or not (ROOT / path).exists():
+        return None
+    if (ROOT / path).is_dir():
+        return path / "README.md"
+    return path
+
+
+def links_of(text: str) -> list[str]:
+    return [match[2] for match in LINK.finditer(CODE.sub("", text))]
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Adds the pages outside of ``docs/`` and the files that pages show or link to."""
+    waiting = [path.relative_to(ROOT) for path in sorted(ROOT.glob("docs/**/*.md"))]
+    for pattern in OUTSIDE_PAGES:
+        waiting += [path.relative_to(ROOT) for path in sorted(ROOT.glob(pattern))]
+    pages = [PurePosixPath(path.as_posix()) for path in waiting]
+    outside = {page for page in pages if page.parts[0] != "docs"} - {PurePosixPath("README.md")}
+    for page in pages:
+        for link in links_of((ROOT / page).read_text(encoding="utf-8")):
+            target = target_of(page, link)
+            if target is not None and target.parts[0] != "docs" and (ROOT / target).is_file():
+                outside.add(target)
+    outside.discard(PurePosixPath("README.md"))  # the home page is docs/index.md
+    for path in sorted(outside):
+        files.append(File.generated(config, str(path), abs_src_path=str(ROOT / path)))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:
+    """Gives links to files their addresses on the site."""
+    source = path_in_repository(page.file.src_uri)
+    if not (ROOT / source).is_file():
+        return markdown
+
+    def with_address(match: re.Match[str]) -> str:
+        target = target_of(source, match[2])
+        if target is None:
+            return match[0]
+        if target == PurePosixPath("README.md"):
+            target = PurePosixPath("docs/index.md")
+        start = PurePosixPath(page.file.src_uri).parent
+        return match[1] + os.path.relpath(address_on_site(target), start) + match[3]
+
+    parts = CODE.split(markdown)
+    parts[::2] = [LINK.sub(with_address, part) for part in parts[::2]]
+    return "".join(parts)
+
+
+EQUATION = re.compile(
+    r'<(span|div) class="arithmatex">\s*(?:\\\(|\\\[)(.*?)(?:\\\)|\\\])\s*</\1>', re.S
+)
+
+
+def on_page_content(content: str, page: Any, config: Any, files: Files) -> str:
+    """Replaces equations in TeX by MathML, which browsers show without a script."""
+
+    def in_mathml(match: re.Match[str]) -> str:
+        display = "block" if match[1] == "div" else "inline"
+        mathml = latex2mathml.converter.convert(html.unescape(match[2].strip()), display=display)
+        if display == "block":
+            return f'<div class="equation" tabindex="0">{mathml}</div>'
+        return mathml
+
+    return EQUATION.sub(in_mathml, content)
