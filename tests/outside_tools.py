@@ -31,6 +31,7 @@ def _program(name: str, packages: str, *other_names: str) -> Tool:
 IGNITION = Path("/usr/lib/ruby/ignition")
 TOOLS = (
     _program("make", "make"),
+    _program("git", "git"),  # `diff` reads revisions
     Tool(
         "venv",
         "python3-venv",

@@ -20,6 +20,9 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
     of the file ``devices``, with the injected faults of faults.yaml;
   - ``scenario``; ``import``;
   - ``audit`` of the folder or file ``entry``;
+  - ``diff``: read ``entry`` as an input of `diff`; the files are committed to git
+    (``git: committed``, the default), or are in no repository (``none``), or are in one without
+    its objects (``damaged``);
   - ``demo``: run the demo of the build folder ``entry``;
   - ``log``: read joints.csv, or record it first with the arguments ``record``;
   - ``calibrate``: as ``log``, then calibrate, with the measured ``distance``;
@@ -46,7 +49,7 @@ PAGES = HERE.parent.parent / "docs" / "diagnostics"
 KEYS = {
     *("code", "line", "file", "files", "neighbour", "entry", "run", "targets"),
     *("twist", "seconds", "parameters", "record", "distance", "read_only"),
-    *("bus", "devices", "options", "situation"),
+    *("bus", "devices", "options", "situation", "git"),
 }
 NEIGHBOUR = "neighbour_"
 
@@ -81,6 +84,8 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
         from thorvaldc.tools.audit.audit_run import audit
 
         return list(audit([entry]).report)
+    if command == "diff":
+        return read_for_diff(entry, case.get("git", "committed"))
     if command == "demo":
         from thorvaldc.simulation.simulation_run import drive_build
 
@@ -151,6 +156,21 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
     if command in ("log", "calibrate") and isinstance(compilation.model, Robot):
         calibrate(compilation.model, case, compilation.report)
     return list(compilation.report)
+
+
+def read_for_diff(entry: str, git: str) -> list[Diagnostic]:
+    from contextlib import ExitStack
+
+    from tests.repository import commit_all
+    from thorvaldc.tools.comparison.compared_inputs import read_input
+
+    if git != "none":
+        commit_all(Path())
+    if git == "damaged":
+        for path in Path(".git/objects").glob("??/*"):
+            path.unlink()
+    with ExitStack() as temporary:
+        return list(read_input(entry, temporary).report)
 
 
 def run_on_a_bus(robot: Robot, report: Report) -> None:

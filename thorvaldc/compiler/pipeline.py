@@ -106,7 +106,7 @@ def compile_robot(source: SourceFile, library: Sequence[Path], trust: bool = Fal
     lock_file = ""
     if _module_names(document):
         lock = read_robot_lock(source, compilation, report)
-        modules = Library(_library_folders(document, source.path.parent, library, report))
+        modules = Library(library_folders_of(document, source.path.parent, library, report))
         model = elaborate(
             document,
             Resolver(modules, report),
@@ -164,7 +164,7 @@ def emit(
     return files
 
 
-def _library_folders(
+def library_folders_of(
     document: Node, base_dir: Path, library: Sequence[Path], report: Report
 ) -> list[tuple[Path, str]]:
     """Returns the path of each library folder, and the name of the folder in diagnostics.

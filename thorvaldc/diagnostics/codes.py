@@ -10,7 +10,7 @@ Subject of a diagnostic, by the first digit of the diagnostic code:
 - 6: backends
 - 7: library and extras
 - 8: runtime, simulation and commissioning
-- 9: files, import and audit
+- 9: files, import, audit and comparison
 
 The number of a removed diagnostic code is never used again for another code.  The page
 ``docs/diagnostics/<number>.md`` explains each diagnostic code.
@@ -362,6 +362,10 @@ _TABLE: tuple[Code, ...] = (
     _warning("TV964", "audit-key-twice", "a parameter file contains a key twice"),
     _warning("TV965", "audit-section-unused", "no controller reads a section of parameters"),
     _error("TV966", "audit-node-id", "the CANopen node ids of two files or devices contradict"),
+    _error("TV970", "git-unavailable", "there is no git, or no git repository"),
+    _error("TV971", "git-revision-unknown", "a repository does not have a revision"),
+    _error("TV972", "git-file-missing", "a revision does not have a file"),
+    _error("TV973", "git-failed", "git cannot read a revision, or the revision is too large"),
 )
 
 CODES: dict[str, Code] = {code.name: code for code in _TABLE}

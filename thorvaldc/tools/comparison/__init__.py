@@ -1,0 +1,1 @@
+"""Compares robots, and explains where a number of a robot comes from."""
