@@ -16,5 +16,15 @@ def commit_all(folder: Path, message: str = "all") -> None:
     _git(folder, *identity, "commit", *options, "-m", message)
 
 
-def _git(folder: Path, *arguments: str) -> None:
-    subprocess.run(["git", *arguments], cwd=folder, check=True, capture_output=True, timeout=60)
+def lose_files(folder: Path) -> None:
+    """Removes the files and folders of all commits from a repository, but not the commits."""
+    commits = _git(folder, "rev-list", "--all").split()
+    for path in (folder / ".git" / "objects").glob("??/*"):
+        if path.parent.name + path.name not in commits:
+            path.unlink()
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    return subprocess.run(
+        ["git", *arguments], cwd=folder, check=True, capture_output=True, timeout=60, text=True
+    ).stdout

@@ -21,8 +21,8 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
   - ``scenario``; ``import``;
   - ``audit`` of the folder or file ``entry``;
   - ``diff``: read ``entry`` as an input of `diff`; the files are committed to git
-    (``git: committed``, the default), or are in no repository (``none``), or are in one without
-    its objects (``damaged``);
+    (``git: committed``, the default), or are in no repository (``none``), or are lost
+    in a ``damaged`` repository;
   - ``demo``: run the demo of the build folder ``entry``;
   - ``log``: read joints.csv, or record it first with the arguments ``record``;
   - ``calibrate``: as ``log``, then calibrate, with the measured ``distance``;
@@ -161,14 +161,13 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
 def read_for_diff(entry: str, git: str) -> list[Diagnostic]:
     from contextlib import ExitStack
 
-    from tests.repository import commit_all
+    from tests.repository import commit_all, lose_files
     from thorvaldc.tools.comparison.compared_inputs import read_input
 
     if git != "none":
         commit_all(Path())
     if git == "damaged":
-        for path in Path(".git/objects").glob("??/*"):
-            path.unlink()
+        lose_files(Path())
     with ExitStack() as temporary:
         return list(read_input(entry, temporary).report)
 

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 from thorvaldc.tools.comparison.leaf_differences import ABSENT, LeafDifference
 from thorvaldc.tools.comparison.module_changes import MOVED, RENAMED
-from thorvaldc.tools.comparison.module_outline import top_module
 from thorvaldc.tools.comparison.robot_difference import (
     ADDED,
     CHANGED,

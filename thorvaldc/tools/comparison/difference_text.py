@@ -129,9 +129,7 @@ def difference_document(difference: Difference) -> dict[str, Any]:
         {"path": leaf.text_path, **_sides(leaf.before, leaf.after)} for leaf in difference.leaves
     ]
     if isinstance(difference, FleetDifference):
-        document["robots"] = {
-            name: difference_document(robot) for name, robot in difference.robots
-        }
+        document["robots"] = {name: difference_document(robot) for name, robot in difference.robots}
     return document
 
 

@@ -22,6 +22,9 @@ _LABELS = {
 }
 """Labels that differ from the name of the field with spaces."""
 
+_SILENT = ("inertial", "properties", "options", "driver")
+"""Fields whose names say nothing to a reader."""
+
 _UNITS: dict[str, dict[str, str]] = {
     "inertial": {"mass": "kg", "com": "m"},
     "links": {"mass": "kg", "com": "m"},
@@ -74,7 +77,7 @@ _UNITS: dict[str, dict[str, str]] = {
 
 def field_label(path: Path) -> str:
     """Returns the label of a field with the path ``path`` in its element."""
-    words = [_LABELS.get(name, name.replace("_", " ")) for name in path]
+    words = [_LABELS.get(name, name.replace("_", " ")) for name in path if name not in _SILENT]
     if words and path[-1] == ORDER:
         words[-1] = "order"
     return " ".join(words)

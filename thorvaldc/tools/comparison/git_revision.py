@@ -103,7 +103,9 @@ def _name_in_tree(listing: str, revision: str, path: str, folder: Path, reposito
         sizes[name] = int(size) if size.isdigit() else 0
     below = os.path.relpath(folder.resolve(), repository.resolve())
     relative = os.path.normpath(os.path.join(below, path)).replace(os.sep, "/")
-    candidates = [relative] if path.startswith(("./", "../")) else [os.path.normpath(path), relative]
+    candidates = (
+        [relative] if path.startswith(("./", "../")) else [os.path.normpath(path), relative]
+    )
     matching_name = next((name for name in candidates if name in sizes), None)
     if matching_name is None:
         raise DiagnosticError(

@@ -114,8 +114,8 @@ def _change(
             a, b = old.parameters.get(name), new.parameters.get(name)
             if a != b:
                 unit = next(p.unit for p in (b, a) if p is not None)
-                values = (ABSENT if p is None else p.value for p in (a, b))
-                parameters.append(ValueChange("modules", (new.path,), name, *values, unit))
+                x, y = (ABSENT if p is None else p.value for p in (a, b))
+                parameters.append(ValueChange("modules", (new.path,), name, x, y, unit))
     if parameters or (not old.type and old.shape != new.shape):
         kinds.append(CHANGED)
     if not kinds:
@@ -133,10 +133,7 @@ def _change(
 
 
 def _same_place_and_type(a: ModuleOutline, b: ModuleOutline, renames: Mapping[str, str]) -> bool:
-    if a.type and b.type:
-        same_type = a.type == b.type
-    else:
-        same_type = a.shape == b.shape
+    same_type = a.type == b.type if a.type and b.type else a.shape == b.shape
     return same_type and _same_place(a, b, renames)
 
 
@@ -162,4 +159,3 @@ def _renamed(path: str, renames: Mapping[str, str]) -> str:
 def _is_covered(path: str, covered: set[str]) -> bool:
     parts = path.split(".")
     return any(".".join(parts[:n]) in covered for n in range(1, len(parts)))
-

@@ -22,7 +22,7 @@ from thorvaldc.compiler.pipeline import library_folders_of
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.diagnostics import Report
-from thorvaldc.model import Robot
+from thorvaldc.model import Actuator, Battery, Robot, Sensor
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,8 @@ def outline_of_model(robot: Robot) -> Outline:
         if name not in places:
             pose = (*joint.pose.xyz, *joint.pose.quat) if joint is not None else ()
             places[name] = (joint.parent if joint is not None else "", pose)
-    for element in [*robot.actuators, *robot.sensors, *robot.batteries]:
+    devices: tuple[Actuator | Sensor | Battery, ...] = robot.actuators
+    for element in (*devices, *robot.sensors, *robot.batteries):
         name = top_module(element.module)
         kind = type(element).__name__.lower()
         shapes.setdefault(name, []).append(f"{kind} {without_module(element.name, name)}")

@@ -35,7 +35,6 @@ from thorvaldc.tools.comparison.robot_difference import (
     CHANGED,
     REMOVED,
     FleetDifference,
-    ModuleChange,
     RobotDifference,
     ValueChange,
 )
@@ -187,7 +186,8 @@ def _is_derived(leaf: LeafDifference) -> bool:
 
 def _value_change(leaf: LeafDifference) -> ValueChange:
     path = leaf.path
-    section, subjects, rest = "robot", (), path
+    section, rest = "robot", path
+    subjects: tuple[str, ...] = ()
     match path:
         case ("driver" | "ros" | "calculator" | "world" as first, *others):
             section, rest = first, tuple(others)
