@@ -176,8 +176,8 @@ def _plain(value: Any) -> Any:
     if isinstance(value, ModuleChoice):
         if not value.params:
             return value.module.name
-        given = ", ".join(f"{name}: {_plain(value[name])}" for name in value.params)
-        return f"{value.module.name} ({given})"
+        arguments = ", ".join(f"{name}: {_plain(value[name])}" for name in value.params)
+        return f"{value.module.name} ({arguments})"
     if isinstance(value, tuple | list):
         return [_plain(item) for item in value]
     if isinstance(value, Node):
