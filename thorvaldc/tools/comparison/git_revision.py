@@ -96,28 +96,29 @@ def _commit(folder: Path, revision: str) -> str:
 
 def _name_in_tree(listing: str, revision: str, path: str, folder: Path, repository: Path) -> str:
     """Returns the path of a file in the tree of a revision."""
-    sizes: dict[str, int] = {}
+    size_of: dict[str, int] = {}
     for entry in filter(None, listing.split("\0")):
         head, _, name = entry.partition("\t")
         size = head.split()[-1]
-        sizes[name] = int(size) if size.isdigit() else 0
+        size_of[name] = int(size) if size.isdigit() else 0
     below = os.path.relpath(folder.resolve(), repository.resolve())
     relative = os.path.normpath(os.path.join(below, path)).replace(os.sep, "/")
     candidates = (
         [relative] if path.startswith(("./", "../")) else [os.path.normpath(path), relative]
     )
-    matching_name = next((name for name in candidates if name in sizes), None)
+    matching_name = next((name for name in candidates if name in size_of), None)
     if matching_name is None:
         raise DiagnosticError(
             "git-file-missing",
             f"the revision `{revision}` has no file `{path}`",
-            hint=did_you_mean(path, sizes, "the path starts at the top folder of the repository"),
+            hint=did_you_mean(path, size_of, "the path starts at the top folder of the repository"),
         )
-    if len(sizes) > MOST_FILES or sum(sizes.values()) > MOST_BYTES:
+    sizes = list(size_of.values())
+    if len(sizes) > MOST_FILES or sum(sizes) > MOST_BYTES:
         raise DiagnosticError(
             "git-failed",
             f"the revision `{revision}` has {len(sizes)} files with"
-            f" {sum(sizes.values()) / 1e6:.0f} MB; at most {MOST_FILES} files with"
+            f" {sum(sizes) / 1e6:.0f} MB; at most {MOST_FILES} files with"
             f" {MOST_BYTES / 1e6:.0f} MB are read",
             hint=f"check it out: git worktree add ../before {revision}; then compare the files",
         )
