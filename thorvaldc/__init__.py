@@ -1,33 +1,116 @@
 """thorvaldc: a declarative compiler for modular robots.
 
-``compile(path)`` returns a ``Compilation`` (``model``, ``report``), and ``emit(model, targets,
-report)`` the files of the targets in memory.  ``Simulation(model, files)`` drives them in MuJoCo.
-``BaseDriver(robot, base)`` drives a base, such as ``SimBase(robot)``, with a ``Twist``.
+- ``load(path)`` returns the ``Robot`` of a robot.yaml, ``load_fleet(path)`` the ``Fleet`` of a
+  fleet or scenario file.  Errors in the file raise ``CompileError``.
+- ``compile(path)`` returns a ``Compilation``: the model, and a ``Report`` with every error and
+  warning as data.
+- ``emit(robot, targets)`` returns the files of the targets in memory.
+- ``Simulation(robot, files)`` drives the robot in MuJoCo.
+- ``BaseDriver(robot, base)`` drives a base, such as ``SimBase(robot)``, with a ``Twist``.
 
-``import thorvaldc`` loads none of them; each name is imported at its first use.
+All values are in SI units: m, kg, s, rad.  The frame ``base_link`` lies on the ground: x forward,
+y to the left, z up.
+
+``import thorvaldc`` loads none of these names; each name is imported at its first use.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 __version__ = "0.1.0"
-__all__ = ["BaseDriver", "SimBase", "Simulation", "Twist", "__version__", "compile", "emit"]
+__all__ = [
+    "BaseDriver",
+    "Compilation",
+    "CompileError",
+    "Diagnostic",
+    "DiagnosticError",
+    "DriverState",
+    "Fleet",
+    "Pose2",
+    "Report",
+    "Robot",
+    "RobotResult",
+    "Severity",
+    "SimBase",
+    "Simulation",
+    "SimulationResult",
+    "Span",
+    "Twist",
+    "__version__",
+    "compile",
+    "emit",
+    "load",
+    "load_fleet",
+]
 
-_API = {
-    "compile": "thorvaldc.compiler.pipeline:compile_file",
-    "emit": "thorvaldc.compiler.pipeline:emit",
-    "Simulation": "thorvaldc.simulation.simulation_run:Simulation",
-    "BaseDriver": "thorvaldc.runtime.driver:BaseDriver",
-    "SimBase": "thorvaldc.simulation.physics.sim_base:SimBase",
-    "Twist": "thorvaldc.runtime.se2:Twist",
-}
+# Type checkers and editors read the imports; the program reads the table below.  A test compares
+# the two.
+if TYPE_CHECKING:
+    from thorvaldc.compiler.compilation import Compilation
+    from thorvaldc.compiler.loading import CompileError, load, load_fleet
+    from thorvaldc.compiler.pipeline import compile_file as compile
+    from thorvaldc.compiler.pipeline import emit
+    from thorvaldc.diagnostics import Diagnostic, Report, Severity, Span
+    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.model import Fleet, Robot
+    from thorvaldc.runtime.driver import BaseDriver, DriverState
+    from thorvaldc.runtime.se2 import Pose2, Twist
+    from thorvaldc.simulation.physics.sim_base import SimBase
+    from thorvaldc.simulation.run_result import RobotResult, SimulationResult
+    from thorvaldc.simulation.simulation_run import Simulation
+else:
+    # Type checkers do not see ``__getattr__``: they would accept every name, with the type Any.
+    _API = {
+        "BaseDriver": "runtime.driver",
+        "Compilation": "compiler.compilation",
+        "CompileError": "compiler.loading",
+        "Diagnostic": "diagnostics",
+        "DiagnosticError": "diagnostics.error",
+        "DriverState": "runtime.driver",
+        "Fleet": "model",
+        "Pose2": "runtime.se2",
+        "Report": "diagnostics",
+        "Robot": "model",
+        "RobotResult": "simulation.run_result",
+        "Severity": "diagnostics",
+        "SimBase": "simulation.physics.sim_base",
+        "Simulation": "simulation.simulation_run",
+        "SimulationResult": "simulation.run_result",
+        "Span": "diagnostics",
+        "Twist": "runtime.se2",
+        "compile": "compiler.pipeline:compile_file",
+        "emit": "compiler.pipeline",
+        "load": "compiler.loading",
+        "load_fleet": "compiler.loading",
+    }
 
+    def __getattr__(name):
+        if name not in _API:
+            # Only the error needs the list of names, and the search for a similar one.
+            hint = ""
+            if not name.startswith("_"):
+                from thorvaldc.diagnostics.suggest import nearest
 
-def __getattr__(name: str) -> Any:
-    if name not in _API:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module
+                near = nearest(name, _API)
+                hint = f"; did you mean {near!r}?" if near else ""
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
+        from importlib import import_module
 
-    module, attribute = _API[name].split(":")
-    return getattr(import_module(module), attribute)
+        module, _, attribute = _API[name].partition(":")
+        value = getattr(import_module(f"{__name__}.{module}"), attribute or name)
+        globals()[name] = value
+        return value
+
+    def __dir__():
+        helpers = {"TYPE_CHECKING", "annotations", "_API", "_present_names"}
+        return sorted({*globals(), *_present_names()} - helpers)
+
+    def _present_names():
+        """The names of the API that this installation has: the wheel ``thorvaldc-runtime`` has no
+        compiler and no simulation."""
+        from importlib.util import find_spec
+
+        rooms = {module.partition(".")[0].partition(":")[0] for module in _API.values()}
+        present = {room for room in rooms if find_spec(f"{__name__}.{room}") is not None}
+        return [n for n, m in _API.items() if m.partition(".")[0].partition(":")[0] in present]

@@ -75,7 +75,9 @@ def test_statics_are_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_unknown_target() -> None:
     with pytest.raises(TargetError) as caught:
         backends.load("mjfc")
-    assert str(caught.value) == "there is no target 'mjfc'; there are can, mjcf, ros2, sdf, urdf"
+    assert str(caught.value) == (
+        "unknown target `mjfc`; did you mean `mjcf`? The targets are can, mjcf, ros2, sdf, urdf"
+    )
 
 
 @pytest.mark.usefixtures("packages")

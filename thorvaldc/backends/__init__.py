@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from typing import ClassVar, NamedTuple
 
 from thorvaldc.diagnostics import Diagnostic
+from thorvaldc.diagnostics.suggest import nearest
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.plugins import PluginFailure, PluginTable
 
@@ -98,6 +99,9 @@ def load(name: str) -> Backend:
     backend_class = PLUGINS.load(name)
     if isinstance(backend_class, PluginFailure):
         if backend_class.unknown:
-            raise TargetError(f"there is no target {name!r}; there are {', '.join(names())}")
+            known = names()
+            near = nearest(name, known)
+            hint = f"did you mean `{near}`? " if near else ""
+            raise TargetError(f"unknown target `{name}`; {hint}The targets are {', '.join(known)}")
         raise TargetError(f"the backend of target {name!r} {backend_class.reason}")
     return backend_class()

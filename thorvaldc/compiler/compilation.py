@@ -97,6 +97,10 @@ class Compilation:
     files: dict[str, Path] = field(default_factory=dict)
     locks: dict[Path, str] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        content = "no model" if self.model is None else repr(self.model)
+        return f"<Compilation: {content}, {self.report.summary()}>"
+
     @classmethod
     def of(cls, source: SourceFile) -> Compilation:
         """Returns a compilation of the file without a model and without diagnostics."""

@@ -51,15 +51,16 @@ MODEL_FILE = "model.json"
 def compile_file(
     path: Path | str,
     *,
-    library: Sequence[Path] = (),
+    library: Sequence[Path | str] = (),
     robot: Path | str | None = None,
     changes: Sequence[Change] = (),
     trust: bool = False,
 ) -> Compilation:
     """Compiles a robot, fleet or scenario file.
 
-    The report of the returned compilation contains every error of the file.  Errors in the file do
-    not raise an exception.
+    The report of the returned compilation contains every error and warning of the file.  Errors in
+    the file, or a file that does not exist, do not raise an exception; the model is then ``None``.
+    ``load`` is the function for programs that need a robot.
 
     Parameters
     ----------
@@ -70,10 +71,19 @@ def compile_file(
     changes : new values for entries of a scenario document.
     trust : whether xacro files are expanded without restrictions, as programs that the caller
         trusts.  A robot file cannot state this.
+
+    >>> import thorvaldc
+    >>> compilation = thorvaldc.compile("examples/4wd4ws_wide/robot.yaml")
+    >>> compilation.report
+    <Report: 0 errors, 0 warnings>
+    >>> compilation.model
+    <Robot thorvald_4wd4ws_wide: 4 wheels, 190.6 kg>
     """
+    if isinstance(library, str | os.PathLike):
+        raise TypeError(f"library: expected a list of folders, got {library!r}")
     path = Path(path)
     source = SourceFile(path, path.name or str(path), path.parent)
-    compile_one = partial(_compile, library=library, trust=trust)
+    compile_one = partial(_compile, library=[Path(folder) for folder in library], trust=trust)
     with shared_mesh_workers():
         if source.kind == "scenario":
             # The module ``scenario_compilation`` is imported only for scenario files.
@@ -133,10 +143,27 @@ def emit(
 ) -> dict[str, bytes]:
     """Returns the content of each output file of the targets, by the relative path of the file.
 
-    One of the output files is ``model.json``, which contains the whole model.  If the file format
-    of a target cannot express a part of the model, a diagnostic is added at the source span of the
-    part.  Raises ``KeyError`` if the name of a target is unknown.
+    One of the output files is ``model.json``, which contains the whole model.  The function writes
+    nothing to the disk.
+
+    Parameters
+    ----------
+    model : the robot or fleet, as ``load`` or ``compile`` returns it.
+    targets : names of targets: ``urdf``, ``mjcf``, ``sdf``, ``ros2``, ``can`` and those of other
+        packages; ``thorvaldc targets`` lists them.
+    report : receives a diagnostic for each part of the model that the format of a target cannot
+        express, at the source span of the part.
+
+    Raises ``TargetError`` (a ``KeyError``) with the known names if a target is unknown or cannot be
+    loaded, and ``TypeError`` if ``model`` or ``targets`` has another type.
+
+    >>> import thorvaldc
+    >>> robot = thorvaldc.load("examples/2wd0ws_greenhouse/robot.yaml")
+    >>> files = thorvaldc.emit(robot, ["urdf"])
+    >>> [name for name in files if name.endswith(".urdf")]
+    ['urdf/thorvald_2wd0ws_greenhouse.urdf']
     """
+    _check_types(model, targets)
     # The imports are here because the command `check` does not need the statics.
     from thorvaldc.backends.statics_backend import StaticsBackend
     from thorvaldc.model.statics.standing_pose import solve_statics
@@ -162,6 +189,19 @@ def emit(
                 backend.emit_fleet(model) if isinstance(model, Fleet) else backend.emit(model)
             )
     return files
+
+
+def _check_types(model: object, targets: object) -> None:
+    """Raises ``TypeError`` for the mistakes that a program without type checks makes."""
+    if model is None:
+        raise TypeError(
+            "model: expected a Robot or a Fleet, got None: the file has errors, see the report of"
+            " the compilation, or let thorvaldc.load() raise them"
+        )
+    if not isinstance(model, Robot | Fleet):
+        raise TypeError(f"model: expected a Robot or a Fleet, got {type(model).__name__}")
+    if isinstance(targets, str):
+        raise TypeError(f"targets: expected a list of names such as ['urdf'], got {targets!r}")
 
 
 def library_folders_of(

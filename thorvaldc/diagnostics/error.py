@@ -22,3 +22,5 @@ class DiagnosticError(Exception):
         super().__init__(message)
         fixes = hint.fixes(span) if isinstance(hint, Proposal) and span is not None else ()
         self.diagnostic = Diagnostic(CODES[code], message, span, hint, fixes=fixes)
+        if hint:
+            self.add_note(f"hint: {hint}")  # a traceback shows it below the message

@@ -132,7 +132,12 @@ class Diagnostic:
 
     @property
     def severity(self) -> Severity:
+        """Error, warning or note; all diagnostics of a code have the same severity."""
         return Severity(self.code.severity)
+
+    def __repr__(self) -> str:
+        place = f" at {self.span}" if self.span is not None else ""
+        return f"<Diagnostic {self.code.number} {self.code.name}{place}: {self.message}>"
 
 
 def _shortened(text: str) -> str:
@@ -215,16 +220,27 @@ class Report:
     def __len__(self) -> int:
         return len(self._diagnostics)
 
+    def __repr__(self) -> str:
+        return f"<Report: {self.summary()}>"
+
+    def summary(self) -> str:
+        """Returns the numbers of errors and warnings, such as ``1 error, 2 warnings``."""
+        counts = ((len(self.errors), "error"), (len(self.warnings), "warning"))
+        return ", ".join(f"{number} {noun}{'' if number == 1 else 's'}" for number, noun in counts)
+
     @property
     def errors(self) -> list[Diagnostic]:
+        """The diagnostics that are errors, in the order of detection."""
         return [d for d in self if d.severity is Severity.ERROR]
 
     @property
     def warnings(self) -> list[Diagnostic]:
+        """The diagnostics that are warnings, in the order of detection."""
         return [d for d in self if d.severity is Severity.WARNING]
 
     @property
     def has_errors(self) -> bool:
+        """Whether a diagnostic of the report is an error."""
         return any(d.severity is Severity.ERROR for d in self._diagnostics)
 
     def sorted(self) -> list[Diagnostic]:

@@ -22,6 +22,10 @@ class Placement(Element):
     pose: Pose
     robot: Robot
 
+    def __repr__(self) -> str:
+        x, y, z = self.pose.xyz
+        return f"<Placement {self.name}: {self.robot.name} at ({x:g}, {y:g}, {z:g}) m>"
+
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Ground(Element):
@@ -119,3 +123,7 @@ class Fleet(Element):
     description: str
     placements: tuple[Placement, ...]
     world: World | None = None
+
+    def __repr__(self) -> str:
+        robots = f"{len(self.placements)} robot{'' if len(self.placements) == 1 else 's'}"
+        return f"<Fleet {self.name}: {robots}>"

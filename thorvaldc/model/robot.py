@@ -156,6 +156,10 @@ class Link(Element):
     collisions: tuple[Collision, ...]
     span: Span
 
+    def __repr__(self) -> str:
+        mass = f"{self.inertial.mass:.4g} kg" if self.inertial is not None else "no mass"
+        return f"<Link {self.name}: {mass}>"
+
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Mimic(Element):
@@ -205,6 +209,9 @@ class Joint(Element):
     armature: float = 0.0
     mimic: Mimic | None = None
     role: str = ""
+
+    def __repr__(self) -> str:
+        return f"<Joint {self.name}: {self.type}, {self.parent} to {self.child}>"
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -290,6 +297,10 @@ class Wheel(Element):
     contact_height: float
     span: Span
     treads: tuple[Tread, ...] = ()
+
+    def __repr__(self) -> str:
+        kinds = [kind for kind in ("driven", "steered") if getattr(self, kind)]
+        return f"<Wheel {self.name}: {', '.join([*kinds, f'radius {self.radius:g} m'])}>"
 
     @property
     def steered(self) -> bool:
@@ -520,6 +531,10 @@ class Robot(Element):
     twist_locks: tuple[TwistInput, ...] = ()
     joint_servos: tuple[JointServo, ...] = ()
     ros: RosSettings = DEFAULT_SETTINGS
+
+    def __repr__(self) -> str:
+        wheels = f"{len(self.wheels)} wheel{'' if len(self.wheels) == 1 else 's'}"
+        return f"<Robot {self.name}: {wheels}, {self.inertial.mass:.1f} kg>"
 
     @property
     def prefix(self) -> str:

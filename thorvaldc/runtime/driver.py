@@ -143,6 +143,9 @@ class BaseDriver:
             self.odometry.covariance,
         )
 
+    def __repr__(self) -> str:
+        return f"<BaseDriver of {self.robot.name}: {self.state.mode.value}>"
+
     def command(self, twist: Twist, now: float) -> bool:
         """Commands ``twist`` from ``now`` on, for at most the command timeout.
 

@@ -76,6 +76,13 @@ class Simulation:
         self.wheel_errors = wheel_errors or {}
         self.open_loop = open_loop
 
+    def __repr__(self) -> str:
+        names = [name for name, _ in self.robots]
+        shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+        return (
+            f"<Simulation of {shown} {'with ideal joints' if self.scene is None else 'in MuJoCo'}>"
+        )
+
     def run(
         self,
         duration: float,

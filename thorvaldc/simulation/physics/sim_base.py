@@ -18,9 +18,19 @@ class SimBase(BaseHandle):
     The maximum acceleration limits the change of the wheel speeds.  The maximum steering rate
     limits the change of the steering angles.  A call ``read(now)`` moves the joints from the time
     of the last call to the time ``now``.  A wheel without a motor does not turn.
+
+    >>> import thorvaldc
+    >>> robot = thorvaldc.load("examples/4wd4ws_wide/robot.yaml")
+    >>> driver = thorvaldc.BaseDriver(robot, thorvaldc.SimBase(robot))
+    >>> for tick in range(100):
+    ...     accepted = driver.command(thorvaldc.Twist(0.5, 0.0, 0.0), now=tick * 0.02)
+    ...     state = driver.tick(tick * 0.02)
+    >>> round(state.ramped.vx, 3)  # m/s
+    0.5
     """
 
     def __init__(self, robot: Robot, start: float = 0.0) -> None:
+        """Creates a base at rest at the time ``start`` (s)."""
         self._wheels = BaseGeometry.from_robot(robot).wheels
         n = len(self._wheels)
         self._time = start
@@ -30,7 +40,11 @@ class SimBase(BaseHandle):
         self._angles = [0.0] * n
         self._rates = [0.0] * n
 
+    def __repr__(self) -> str:
+        return f"<SimBase: {len(self._wheels)} wheels, {self._time:g} s>"
+
     def read(self, now: float) -> JointStates:
+        """Returns the joint states at the time ``now`` (s): rad, rad/s, one value per wheel."""
         dt = now - self._time
         if 0.0 < dt <= MAX_STEP:
             self._advance(dt)
@@ -44,6 +58,7 @@ class SimBase(BaseHandle):
         )
 
     def write(self, commands: JointCommands, now: float) -> None:
+        """Commands wheel speeds (rad/s) and steering angles (rad) from the time ``now`` (s) on."""
         self._commands = commands
 
     def _advance(self, dt: float) -> None:
