@@ -95,6 +95,11 @@ else:
                 near = nearest(name, _API)
                 hint = f"; did you mean {near!r}?" if near else ""
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
+        if name not in _present_names():
+            raise AttributeError(
+                f"thorvaldc.{name} is not in this installation, which is the runtime alone; install"
+                " the whole package: pip install thorvaldc"
+            )
         from importlib import import_module
 
         module, _, attribute = _API[name].partition(":")
@@ -111,6 +116,6 @@ else:
         compiler and no simulation."""
         from importlib.util import find_spec
 
-        rooms = {module.partition(".")[0].partition(":")[0] for module in _API.values()}
-        present = {room for room in rooms if find_spec(f"{__name__}.{room}") is not None}
-        return [n for n, m in _API.items() if m.partition(".")[0].partition(":")[0] in present]
+        rooms = {name: module.partition(".")[0] for name, module in _API.items()}
+        present = {room: find_spec(f"{__name__}.{room}") is not None for room in {*rooms.values()}}
+        return [name for name, room in rooms.items() if present[room]]

@@ -108,6 +108,36 @@ def test_installed_wheel_checks_builds_and_simulates(environment: Path, tmp_path
     assert json.loads(run(thorvaldc, "schema", "robot", cwd=tmp_path).stdout)
 
 
+def test_a_program_that_uses_the_package_is_type_checked(environment: Path, tmp_path: Path) -> None:
+    """mypy sees the types of the installed wheel: no name is ``Any``, and a typing error is one."""
+    (tmp_path / "script.py").write_text(
+        "import thorvaldc\n"
+        'robot = thorvaldc.load("robot.yaml")\n'
+        "reveal_type(robot)\n"
+        'reveal_type(thorvaldc.emit(robot, ["urdf"]))\n'
+        "twist = thorvaldc.Twist(0.5, 0.0, 0.0)\n"
+        "reveal_type(thorvaldc.Simulation(robot).run(1.0, twist).robots[0].path_true)\n"
+        "reveal_type(thorvaldc.BaseDriver(robot, thorvaldc.SimBase(robot)).state.pose)\n"
+        'reveal_type(thorvaldc.compile("robot.yaml").report.errors)\n'
+        'thorvaldc.laod("robot.yaml")\n'
+    )
+    process = run(
+        *(sys.executable, "-m", "mypy", "--strict", "--no-error-summary"),
+        *("--python-executable", environment / "python", "--cache-dir", tmp_path / "cache"),
+        "script.py",
+        cwd=tmp_path,
+        check=False,
+    )
+    assert [line.split(": ", 1)[1] for line in process.stdout.splitlines()] == [
+        'note: Revealed type is "thorvaldc.model.robot.Robot"',
+        'note: Revealed type is "dict[str, bytes]"',
+        'note: Revealed type is "float"',
+        'note: Revealed type is "tuple[float, float, float, fallback=thorvaldc.runtime.se2.Pose2]"',
+        'note: Revealed type is "list[thorvaldc.diagnostics.report.Diagnostic]"',
+        'error: Module has no attribute "laod"  [attr-defined]',
+    ]
+
+
 def test_backend_of_another_package(environment: Path, tmp_path: Path) -> None:
     package = tmp_path / "package"
     (package / "sheet").mkdir(parents=True)

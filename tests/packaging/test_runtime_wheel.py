@@ -91,6 +91,28 @@ def test_the_environment_has_no_compiler_and_no_numpy(runtime: Path, tmp_path: P
     assert process.stdout == "[]\n"
 
 
+def test_the_api_has_the_names_of_the_runtime(runtime: Path, tmp_path: Path) -> None:
+    program = (
+        "import pydoc, thorvaldc\n"
+        "assert 'BaseDriver' in dir(thorvaldc) and 'load' not in dir(thorvaldc)\n"
+        "assert 'class BaseDriver' in pydoc.plain(pydoc.render_doc(thorvaldc))\n"
+        "try:\n    thorvaldc.load\nexcept AttributeError as error:\n    print(error)\n"
+    )
+    done = subprocess.run(
+        [str(runtime / "python"), "-c", program],
+        cwd=tmp_path,
+        env=environment_of(tmp_path),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stderr == ""
+    assert done.stdout == (
+        "thorvaldc.load is not in this installation, which is the runtime alone; install the whole"
+        " package: pip install thorvaldc\n"
+    )
+
+
 def test_every_module_of_the_runtime_can_be_imported(runtime: Path, tmp_path: Path) -> None:
     program = (
         "import importlib, pkgutil, thorvaldc\n"

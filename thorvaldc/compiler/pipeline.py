@@ -161,7 +161,7 @@ def emit(
     >>> robot = thorvaldc.load("examples/2wd0ws_greenhouse/robot.yaml")
     >>> files = thorvaldc.emit(robot, ["urdf"])
     >>> [name for name in files if name.endswith(".urdf")]
-    ['urdf/thorvald_2wd0ws_greenhouse.urdf']
+    ['urdf/robot.urdf']
     """
     _check_types(model, targets)
     # The imports are here because the command `check` does not need the statics.

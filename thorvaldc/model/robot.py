@@ -304,6 +304,7 @@ class Wheel(Element):
 
     @property
     def steered(self) -> bool:
+        """Whether a motor steers the wheel; a swivelling wheel of a caster is not steered."""
         return self.steering_joint is not None
 
     def radius_named(self, name: str | None) -> float:

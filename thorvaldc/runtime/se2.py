@@ -39,10 +39,12 @@ class Twist(NamedTuple):
     wz: float
 
     def scaled(self, factor: float) -> Twist:
+        """Returns the twist with each component multiplied by ``factor``."""
         return Twist(self.vx * factor, self.vy * factor, self.wz * factor)
 
     @property
     def finite(self) -> bool:
+        """Whether no component is infinite or nan."""
         return math.isfinite(self.vx) and math.isfinite(self.vy) and math.isfinite(self.wz)
 
     @property
