@@ -7,6 +7,9 @@ BIN    ?= .venv/bin
 READY  ?= .venv/.ready
 JOBS   ?= auto
 
+# Tests start hundreds of commands; without bytecode files, each compiles the whole package again.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DELETE_ON_ERROR:
 .PHONY: help setup demo test test-matrix lint types chaos fuzz mutants bench golden pictures docs docs-serve clean distclean
 
