@@ -1,0 +1,69 @@
+"""The tutorial works for somebody who follows it in an empty folder with the installed package."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.docs.tutorial import FOLDER, PAGES, Reader, blocks_of, mismatch, programs_in
+
+ROOT = Path(__file__).resolve().parents[2]
+pytestmark = [pytest.mark.xdist_group("tutorial"), pytest.mark.timeout(300)]
+
+
+def page(name: str) -> str:
+    return (FOLDER / f"{name}.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def reader(tmp_path_factory: pytest.TempPathFactory) -> Reader:
+    """A reader with the package of the wheel, and with no settings of this computer's user."""
+    home = tmp_path_factory.mktemp("home")
+    install = ["install", "--quiet", "--no-deps", "--no-index", "--no-build-isolation"]
+    subprocess.run(
+        [sys.executable, "-m", "pip", *install, "--target", str(home / "site"), str(ROOT)],
+        check=True,
+        capture_output=True,
+    )
+    (home / "scout").mkdir()
+    variables = {
+        "HOME": str(home),
+        "PATH": f"{programs_in(home / 'bin')}{os.pathsep}/usr/bin{os.pathsep}/bin",
+        "PYTHONPATH": str(home / "site"),
+        "XDG_RUNTIME_DIR": str(home),
+        "LANG": "C.UTF-8",
+    }
+    if "MUJOCO_GL" in os.environ:
+        variables["MUJOCO_GL"] = os.environ["MUJOCO_GL"]
+    return Reader(home / "scout", variables)
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_every_command_of_the_page_prints_what_it_shows(name: str, reader: Reader) -> None:
+    differences = reader.follow(page(name))
+    assert not differences, "\n\n".join(differences)
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_the_page_shows_pictures_that_its_commands_make(name: str) -> None:
+    text = page(name)
+    for picture in FOLDER.glob("pictures/*.png"):
+        assert picture.stat().st_size < 100_000, picture.name
+        if f"pictures/{picture.name}" in text:
+            commands = [block.text for block in blocks_of(text) if block.language == "console"]
+            assert any(picture.name in command for command in commands), picture.name
+
+
+def test_a_difference_is_noticed() -> None:
+    assert mismatch("a\nb", "a\nb") is None
+    assert mismatch("a\n...\nd", "a\nb\nc\nd\n") is None
+    assert mismatch("a\nc", "a\nb") == "c"
+    assert mismatch("a\n...\ne", "a\nb") == "e"
+    assert mismatch("a", "a\nb") == "nothing, but it printed: b"
+    assert mismatch("1.0 m  50x", "1.1 m  20x", tolerance=0.2) is None
+    assert mismatch("1.0 m", "1.5 m", tolerance=0.2) == "1.0 m"
+    assert mismatch("1.0 m", "1.0 kg", tolerance=0.2) == "1.0 m"
