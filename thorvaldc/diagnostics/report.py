@@ -25,7 +25,8 @@ class Severity(enum.Enum):
 # The class `Span` is a named tuple for speed, because every YAML value has a source span.  Creating
 # a Python named tuple takes half the time of creating a frozen dataclass.
 class Span(NamedTuple):
-    """A range of text in a source file, from a start line and column to an end line and column.
+    """A range of text in a source file, from ``line`` and ``column`` to ``end_line`` and
+    ``end_column``.
 
     The line and column numbers of a source span start at 1.  The end column of a source span is
     exclusive.
@@ -147,7 +148,15 @@ def _shortened(text: str) -> str:
 
 
 class Report:
-    """A list of diagnostics in the order of detection, without repetitions."""
+    """A list of diagnostics in the order of detection, without repetitions.
+
+    >>> import thorvaldc
+    >>> report = thorvaldc.compile("examples/nowhere.yaml").report
+    >>> report
+    <Report: 1 error, 0 warnings>
+    >>> [diagnostic.code.name for diagnostic in report]
+    ['file-not-found']
+    """
 
     def __init__(self) -> None:
         # Diagnostics of the report: original diagnostic -> diagnostic with the label of `used_by`.

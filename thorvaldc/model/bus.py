@@ -40,6 +40,8 @@ class Signal(Element):
     - ``selected_by``: values of the multiplexer with which the frame contains the signal.
     - ``choices``: pairs of a raw value and its name.
     - ``floating_point``: true if the raw value is a number after IEEE 754 with 32 or 64 bits.
+    - ``minimum``, ``maximum``: limits of the physical value, or ``None``.
+    - ``description``: purpose of the signal.
     """
 
     name: str
@@ -73,6 +75,8 @@ class Signal(Element):
 class FrameDefinition(Element):
     """The definition of a CAN frame with an 11-bit identifier: signals, nodes and timing.
 
+    - ``name``, ``description``: name of the frame, unique on its bus, and its purpose.
+    - ``cob_id``, ``length``: the identifier, and the number of bytes.
     - ``producer``, ``consumers``: names of nodes, or ``master``.
     - ``kind``: ``pdo``, ``sdo``, ``heartbeat``, ``emcy``, ``sync``, ``nmt``, ``broadcast`` or
       ``relay``. A ``relay`` frame is a CAN frame that the base driver forwards between another
@@ -112,6 +116,7 @@ class FrameDefinition(Element):
 class Channel(Element):
     """A channel of a motor controller.
 
+    - ``role``: ``propulsion`` or ``steering``.
     - ``actuator``: name of the actuator on the channel, or ``None`` if no actuator is connected.
     """
 
@@ -124,6 +129,7 @@ class Channel(Element):
 class ObjectValue(Element):
     """An object dictionary entry of a CANopen node, with the required value of the entry.
 
+    - ``index``, ``subindex``: address of the entry.
     - ``type``: name of the data type, one of ``OBJECT_TYPES``.
     - ``access``: ``ro`` (read only) or ``rw`` (read and write). A read-only object dictionary entry
       identifies the node, so the node must report the required value.
@@ -143,6 +149,8 @@ class ObjectValue(Element):
 class Node(Element):
     """A device on a CAN bus.
 
+    - ``module``: path of the module that the device belongs to.
+    - ``protocol``: name of the driver of the device, such as ``cia402`` or ``roboteq``.
     - ``id``: the number of the node, unique within the ``id_space``. The id is 0 if the device has
       no id, such as a device that the base driver does not control.
     - ``id_space``: name of a group of ids. The ids of batteries and the node ids of CANopen nodes
@@ -163,6 +171,9 @@ class Node(Element):
     - ``bitrates``: the supported bit rates in bit/s. An empty list of bit rates means that the node
       supports any bit rate.
     - ``objects``: required values of the object dictionary, sorted by index and subindex.
+    - ``serial``: serial number for LSS, or ``None``.
+    - ``channels``: the channels of a motor controller.
+    - ``properties``: values of the device in SI units, by name.
     """
 
     name: str
@@ -202,6 +213,8 @@ class Node(Element):
 class Bus(Element):
     """A CAN bus with its nodes and its CAN frames.
 
+    - ``name``: name of the bus, such as ``main``.
+    - ``nodes``, ``frames``: devices on the bus, and the frames that they and the master send.
     - ``bitrate``: bit rate in bit/s.
     - ``sync_period``: period of the control cycle in s.
     - ``master_id``: CANopen node id of the master.

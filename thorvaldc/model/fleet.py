@@ -95,6 +95,7 @@ class Block(Element):
     - ``kind``: ``kerb``, ``rail``, ``obstacle``, ``crop`` or ``post``. A fixed body of the kind
       kerb or rail may carry wheels.
     - ``name``: name of the body, unique among the bodies of the same kind.
+    - ``shape``, ``pose``: shape of the body, and its pose in the world.
     """
 
     kind: str
@@ -105,7 +106,11 @@ class Block(Element):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class World(Element):
-    """The surroundings of the robots: the ground, fixed bodies and zones of the ground."""
+    """The surroundings of the robots: the ground, fixed bodies and zones of the ground.
+
+    - ``blocks``: fixed bodies, such as kerbs, rails and obstacles.
+    - ``zones``: parts of the ground with other properties.
+    """
 
     ground: Ground
     blocks: tuple[Block, ...] = ()
@@ -116,6 +121,9 @@ class World(Element):
 class Fleet(Element):
     """Several robots in one scene, in the order of the fleet file.
 
+    - ``name``: name of the fleet.
+    - ``description``: text of the fleet file, for people.
+    - ``placements``: the robots with their poses.
     - ``world``: surroundings of the robots, or ``None`` for level ground without other bodies.
     """
 

@@ -12,15 +12,31 @@ from dataclasses import dataclass, field
 
 from thorvaldc.diagnostics import Span
 from thorvaldc.model.bus import Bus, Channel, FrameDefinition, Node, ObjectValue, Scalar, Signal
+from thorvaldc.model.drive_settings import (
+    AUTOMATIC,
+    REQUIRED,
+    SAFETY_STOP,
+    STOP_PRIORITY,
+    BatterySettings,
+    CalculatorChoice,
+    DriverSettings,
+    ParameterSet,
+    TwistInput,
+)
 from thorvaldc.model.element import Element
 from thorvaldc.model.ros import DEFAULT_SETTINGS, RosSettings
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
-# The module ``model/bus.py`` defines the classes of the CAN bus. This module also exports the
-# classes of the CAN bus, because the bus is a part of the robot model.
+# The modules ``bus`` and ``drive_settings`` define the classes of the CAN bus and of the settings.
+# This module exports them too, because they are parts of the robot model.
 __all__ = [
+    "AUTOMATIC",
+    "REQUIRED",
+    "SAFETY_STOP",
+    "STOP_PRIORITY",
     "Actuator",
     "Battery",
+    "BatterySettings",
     "Box",
     "Bus",
     "CalculatorChoice",
@@ -50,14 +66,6 @@ __all__ = [
     "Visual",
     "Wheel",
 ]
-
-SAFETY_STOP = "safety_stop"
-"""Name of the stop lock that every robot has."""
-REQUIRED, AUTOMATIC = "required", "automatic"
-"""Values of ``DriverSettings.arming``."""
-STOP_PRIORITY = 255
-"""Priority of a twist lock from which on the lock is a stop lock, see ``TwistInput``."""
-
 
 # -- geometry -----------------------------------------------------------------
 
@@ -110,6 +118,7 @@ class Mesh(Element):
 
     - ``name``: name of the mesh file in the build folder.
     - ``data``: bytes of the mesh file. The JSON text of the model omits ``data``.
+    - ``sha256``: hash of the bytes (hexadecimal).
     """
 
     name: str
@@ -145,8 +154,10 @@ class Collision(Element):
 class Link(Element):
     """A rigid body.
 
+    - ``name``: name of the link and of its frame, such as ``fl_steering_fork``.
     - ``module``: path of the module that the link belongs to, such as ``fl.steering``.
     - ``inertial``: mass and inertia in the link frame, or ``None`` for a link without mass.
+    - ``visuals``, ``collisions``: shapes for pictures and for contacts, in the link frame.
     """
 
     name: str
@@ -174,6 +185,7 @@ class Mimic(Element):
 class Joint(Element):
     """A joint between two links.
 
+    - ``name``: name of the joint, such as ``fl_steering_joint``.
     - ``module``: path of the module that the joint belongs to, such as ``fl.steering``.
     - ``type``: ``fixed``, ``revolute`` (with position limits), ``continuous`` or ``prismatic``.
     - ``pose``: pose of the child link in the parent link at joint position 0.
@@ -188,6 +200,7 @@ class Joint(Element):
     - ``armature``: inertia of the motor at the joint in kg m^2.
     - ``role``: ``steering``, ``propulsion``, ``suspension``, ``swivel``, ``wheel`` (a wheel joint
       without a motor), or empty.
+    - ``mimic``: the joint on which the position depends, or ``None``.
     """
 
     name: str
@@ -255,6 +268,11 @@ class Wheel(Element):
     """A wheel of the robot, with positions and angles in ``base_link`` when every joint is at
     position 0.
 
+    - ``module``, ``link``: path of the module, and name of the link that rolls.
+    - ``spin_joint``: name of the joint about the axle.
+    - ``steering_joint``, ``swivel_joint``, ``suspension_joint``: names of joints between the frame
+      and the wheel, or ``None``.
+    - ``driven``: true if a motor turns the wheel.
     - ``x``, ``y``: intersection of the steering axis or swivel axis with the ground, in m. For a
       wheel without a steering or swivel axis, ``x`` and ``y`` are the position of the wheel's
       contact point.
@@ -319,6 +337,7 @@ class Wheel(Element):
 class Actuator(Element):
     """A motor with its gear on a joint.
 
+    - ``name``, ``module``: name of the motor, and path of the module that it belongs to.
     - ``role``: ``propulsion`` (the motor controls the speed) or ``steering`` (the motor controls
       the position).
     - ``max_velocity``: largest speed of the joint in rad/s.
@@ -332,6 +351,7 @@ class Actuator(Element):
       without a controller on a bus.
     - ``encoder_offset``: joint position minus encoder reading in rad, from the calibration of a
       steering motor.
+    - ``gear_ratio``: revolutions of the motor shaft per revolution of the joint.
     """
 
     name: str
@@ -372,8 +392,10 @@ class Sensor(Element):
 class Battery(Element):
     """A battery enclosure of the robot.
 
+    - ``module``, ``link``: path of the module, and name of the link of the enclosure.
     - ``node``: name of the battery's node on the bus, or ``None`` for an enclosure without a
       battery.
+    - ``properties``: values of the battery in SI units, by name.
     """
 
     name: str
@@ -384,126 +406,29 @@ class Battery(Element):
     span: Span
 
 
-# -- settings and the robot ----------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class CalculatorChoice(Element):
-    """The name of the robot's base calculator and its options. The base calculator is a plug-in
-    class that computes joint commands from a twist."""
-
-    name: str = "general"
-    options: tuple[tuple[str, Scalar], ...] = ()
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class BatterySettings(Element):
-    """Reaction of the base driver to the state of charge of the batteries on the buses.
-
-    All shares are 0 to 1. The battery with the lowest charge determines the reaction.
-
-    - ``warn``, ``limit``, ``stop``: states of charge below which the driver warns, limits the
-      speed, and stops the robot.
-    - ``arm``: state of charge below which the driver refuses to arm.
-    - ``speed``: share of the limits of the twist below ``limit``.
-    - ``silence``: time in s after which the driver stops the robot if a battery sends no state of
-      charge.
-    """
-
-    warn: float = 0.2
-    limit: float = 0.1
-    stop: float = 0.05
-    arm: float = 0.15
-    speed: float = 0.5
-    silence: float = 10.0
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class DriverSettings(Element):
-    """Settings of the base driver of a robot.
-
-    The robot file can set limits of the commanded twist. If the robot file sets no limits, the
-    limits of the motors and modules determine the limits of the twist.
-
-    - ``rate``: frequency of the control loop in Hz.
-    - ``command_timeout``: time in s after which the driver considers a commanded twist too old.
-    - ``max_linear_velocity``, ``max_angular_velocity``: limits of the twist in m/s and rad/s.
-    - ``max_linear_acceleration``, ``max_angular_acceleration``: limits of the change of the twist
-      in m/s^2 and rad/s^2.
-    - ``arming``: ``required`` if the service ``arm`` must be called before a robot on a bus accepts
-      motion, or ``automatic`` if it accepts motion after a zero twist.
-    - ``noise``: standard deviations for the odometry that the robot file sets, in SI units. The
-      names of the standard deviations are the fields of the class ``Noise`` of the runtime.
-    - ``stopping_distance``: longest distance in m in which every stop must end, or ``None``. The
-      module ``stopping`` computes the distance of each kind of stop.
-    - ``battery``: reaction to the state of charge of the batteries.
-    """
-
-    rate: float
-    command_timeout: float
-    max_linear_velocity: float
-    max_angular_velocity: float
-    max_linear_acceleration: float
-    max_angular_acceleration: float
-    noise: tuple[tuple[str, float], ...] = ()
-    stopping_distance: float | None = None
-    battery: BatterySettings = BatterySettings()
-    arming: str = REQUIRED
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class ParameterSet(Element):
-    """A named set of parameters that the driver can select while the robot drives.
-
-    - ``radii``: name of the rolling radii of the wheels, or ``None`` for ``Wheel.radius``. Wheels
-      that have no rolling radius with this name use ``Wheel.radius``.
-    - ``driver``: settings of the robot's driver, with the changes of the parameter set.
-    """
-
-    name: str
-    radii: str | None
-    driver: DriverSettings
-    span: Span
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class TwistInput(Element):
-    """A source of commanded twists for the twist multiplexer, or a twist lock that blocks sources.
-
-    The twist multiplexer sends the commands of the active twist source with the highest priority to
-    the robot. An active twist lock blocks the twist sources of the same or a lower priority. The
-    compiler accepts no source with the priority of a lock, so that the rule gives the same result
-    as the rule of the ROS node twist_mux, which blocks lower priorities only.
-
-    - ``topic``: name of the ROS topic in the name space of the robot.
-    - ``priority``: priority of the source or lock, 1 to 255.
-    - ``timeout``: time in s without a message after which a source becomes inactive and a lock
-      blocks. A twist lock with the timeout 0 s never times out and keeps the state of its last
-      message.
-    """
-
-    name: str
-    topic: str
-    priority: int
-    timeout: float
-
-    @property
-    def is_stop_lock(self) -> bool:
-        """``True`` if this twist lock blocks all sources: ``safety_stop``, and a lock of the
-        priority 255.
-
-        Other twist locks, such as ``auto_nav_pause``, block only sources up to their priority.
-        """
-        return self.name == SAFETY_STOP or self.priority >= STOP_PRIORITY
+# -- the robot --------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, weakref_slot=True, eq=False, repr=False)
 class Robot(Element):
     """A whole robot.
 
+    - ``name``: name of the robot.
+    - ``description``: text of the robot file, for people.
     - ``namespace``: prefix of names in outputs, or empty for names without a prefix.
     - ``links``: rigid bodies of the robot. The first link is ``base_link``, whose origin lies on
       the ground.
+    - ``joints``: joints between the links; each link but the first is the child of one joint.
+    - ``wheels``: wheels that touch the ground.
+    - ``actuators``: motors with their gears.
+    - ``sensors``: sensors, with the links whose frames they measure in.
+    - ``batteries``: battery enclosures.
+    - ``buses``: CAN buses with their nodes and frame definitions.
+    - ``meshes``: mesh files of the links.
+    - ``calculator``: base calculator and its options.
+    - ``driver``: settings of the base driver.
+    - ``parameter_sets``: named settings that the driver can select while the robot drives.
+    - ``twist_sources``, ``twist_locks``: inputs of the twist multiplexer.
     - ``inertial``: inertia of the whole robot in ``base_link`` when every joint is at position 0.
     - ``joint_servos``: servos on joints of extras.
     - ``urdf_extensions``: XML elements from extras that only URDF can express, such as

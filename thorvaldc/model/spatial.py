@@ -152,7 +152,11 @@ def rotate(q: Quat, v: Vec3) -> Vec3:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """The pose of one frame in another frame: position in m and unit quaternion (w, x, y, z)."""
+    """The pose of one frame in another frame.
+
+    - ``xyz``: position in m.
+    - ``quat``: unit quaternion (w, x, y, z).
+    """
 
     xyz: Vec3 = ZERO3
     quat: Quat = IDENTITY_QUAT

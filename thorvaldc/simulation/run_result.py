@@ -18,12 +18,19 @@ class RobotResult:
     the robot.  With ideal joints no independent true motion exists, so that the true values are
     equal to the values of the odometry.
 
+    * ``name``: name of the robot in the scene.
+    * ``mass``: mass of the robot.
+    * ``wheels``: number of wheels.
+    * ``driven``: number of wheels with a drive motor.
+    * ``steered``: number of wheels with a steering motor.
     * ``path_commanded``: path length of ``base_link`` for the commanded twists, after the limits
       and ramps of the driver.
     * ``path_true``: path length of ``base_link`` in the simulated world.
     * ``path_odometry``: path length of ``base_link`` that the odometry computes.
     * ``end_error``: distance between the true and the estimated position at the end of the run.
     * ``yaw_error``: difference between the true and the estimated yaw at the end of the run.
+    * ``pose_true``: pose of ``base_link`` in the simulated world at the end of the run.
+    * ``pose_odometry``: pose that the odometry estimates at the end of the run.
     * ``largest_tilt``: largest tilt angle of the robot during the run.
     * ``infeasible``: largest part of a commanded twist that the wheels did not allow.
     * ``unreachable``: names of the wheels whose steering limits excluded a commanded twist.

@@ -31,7 +31,15 @@ from thorvaldc.simulation.vectorised.robot_groups import RobotGroups
 
 
 class Simulation:
-    """A simulation of a robot, or of a fleet in one scene, for any number of runs."""
+    """A simulation of a robot, or of a fleet in one scene, for any number of runs.
+
+    >>> import thorvaldc
+    >>> robot = thorvaldc.load("examples/4wd4ws_wide/robot.yaml")
+    >>> simulation = thorvaldc.Simulation(robot)  # ideal joints; with files: in MuJoCo
+    >>> result = simulation.run(2.0, thorvaldc.Twist(0.5, 0.0, 0.0))
+    >>> round(result.robots[0].path_true, 1)  # m
+    0.9
+    """
 
     def __init__(
         self,

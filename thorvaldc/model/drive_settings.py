@@ -1,0 +1,130 @@
+"""The settings of a robot in the model: base calculator, base driver, parameter sets and sources
+of twists.
+
+The module ``robot`` exports these classes too, because the settings are a part of the robot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from thorvaldc.diagnostics import Span
+from thorvaldc.model.bus import Scalar
+from thorvaldc.model.element import Element
+
+SAFETY_STOP = "safety_stop"
+"""Name of the stop lock that every robot has."""
+REQUIRED, AUTOMATIC = "required", "automatic"
+"""Values of ``DriverSettings.arming``."""
+STOP_PRIORITY = 255
+"""Priority of a twist lock from which on the lock is a stop lock, see ``TwistInput``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class CalculatorChoice(Element):
+    """The name of the robot's base calculator and its options. The base calculator is a plug-in
+    class that computes joint commands from a twist."""
+
+    name: str = "general"
+    options: tuple[tuple[str, Scalar], ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class BatterySettings(Element):
+    """Reaction of the base driver to the state of charge of the batteries on the buses.
+
+    All shares are 0 to 1. The battery with the lowest charge determines the reaction.
+
+    - ``warn``, ``limit``, ``stop``: states of charge below which the driver warns, limits the
+      speed, and stops the robot.
+    - ``arm``: state of charge below which the driver refuses to arm.
+    - ``speed``: share of the limits of the twist below ``limit``.
+    - ``silence``: time in s after which the driver stops the robot if a battery sends no state of
+      charge.
+    """
+
+    warn: float = 0.2
+    limit: float = 0.1
+    stop: float = 0.05
+    arm: float = 0.15
+    speed: float = 0.5
+    silence: float = 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class DriverSettings(Element):
+    """Settings of the base driver of a robot.
+
+    The robot file can set limits of the commanded twist. If the robot file sets no limits, the
+    limits of the motors and modules determine the limits of the twist.
+
+    - ``rate``: frequency of the control loop in Hz.
+    - ``command_timeout``: time in s after which the driver considers a commanded twist too old.
+    - ``max_linear_velocity``, ``max_angular_velocity``: limits of the twist in m/s and rad/s.
+    - ``max_linear_acceleration``, ``max_angular_acceleration``: limits of the change of the twist
+      in m/s^2 and rad/s^2.
+    - ``arming``: ``required`` if the service ``arm`` must be called before a robot on a bus accepts
+      motion, or ``automatic`` if it accepts motion after a zero twist.
+    - ``noise``: standard deviations for the odometry that the robot file sets, in SI units. The
+      names of the standard deviations are the fields of the class ``Noise`` of the runtime.
+    - ``stopping_distance``: longest distance in m in which every stop must end, or ``None``. The
+      module ``stopping`` computes the distance of each kind of stop.
+    - ``battery``: reaction to the state of charge of the batteries.
+    """
+
+    rate: float
+    command_timeout: float
+    max_linear_velocity: float
+    max_angular_velocity: float
+    max_linear_acceleration: float
+    max_angular_acceleration: float
+    noise: tuple[tuple[str, float], ...] = ()
+    stopping_distance: float | None = None
+    battery: BatterySettings = BatterySettings()
+    arming: str = REQUIRED
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class ParameterSet(Element):
+    """A named set of parameters that the driver can select while the robot drives.
+
+    - ``radii``: name of the rolling radii of the wheels, or ``None`` for ``Wheel.radius``. Wheels
+      that have no rolling radius with this name use ``Wheel.radius``.
+    - ``driver``: settings of the robot's driver, with the changes of the parameter set.
+    """
+
+    name: str
+    radii: str | None
+    driver: DriverSettings
+    span: Span
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class TwistInput(Element):
+    """A source of commanded twists for the twist multiplexer, or a twist lock that blocks sources.
+
+    The twist multiplexer sends the commands of the active twist source with the highest priority to
+    the robot. An active twist lock blocks the twist sources of the same or a lower priority. The
+    compiler accepts no source with the priority of a lock, so that the rule gives the same result
+    as the rule of the ROS node twist_mux, which blocks lower priorities only.
+
+    - ``topic``: name of the ROS topic in the name space of the robot.
+    - ``priority``: priority of the source or lock, 1 to 255.
+    - ``timeout``: time in s without a message after which a source becomes inactive and a lock
+      blocks. A twist lock with the timeout 0 s never times out and keeps the state of its last
+      message.
+    """
+
+    name: str
+    topic: str
+    priority: int
+    timeout: float
+
+    @property
+    def is_stop_lock(self) -> bool:
+        """``True`` if this twist lock blocks all sources: ``safety_stop``, and a lock of the
+        priority 255.
+
+        Other twist locks, such as ``auto_nav_pause``, block only sources up to their priority.
+        """
+        return self.name == SAFETY_STOP or self.priority >= STOP_PRIORITY
