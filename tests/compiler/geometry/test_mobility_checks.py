@@ -8,11 +8,11 @@ from dataclasses import replace
 import pytest
 
 from tests.robots import make_robot
-from thorvaldc.compiler.geometry.mobility_checks import feasible_twists
 from thorvaldc.compiler.geometry.robot_checks import check_robot
 from thorvaldc.compiler.modules.design_requirements import DesignRequirements
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
+from thorvaldc.model.statics.mobility import feasible_twists
 
 SQUARE = [(0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5)]
 

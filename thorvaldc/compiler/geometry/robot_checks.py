@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 
 from thorvaldc.compiler.geometry.mobility_checks import check_controllable, check_steering_range
-from thorvaldc.compiler.geometry.wheel_geometry import contact_point
 from thorvaldc.compiler.modules.design_requirements import DesignRequirements
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.robot import Robot, Wheel
-from thorvaldc.model.statics.convex_hull import convex_hull
+from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.tip_over import support_of
 
 # Largest gap (m) between a wheel and the ground that suspensions and tyres compensate.
 WHEEL_OFF_GROUND = 2e-3
@@ -219,20 +219,10 @@ def _rectangles_overlap(a: Wheel, b: Wheel) -> bool:
 
 
 def check_stability(robot: Robot, design: DesignRequirements, report: Report) -> None:
-    """Checks the tip-over angle of the robot.
-
-    The tip-over angle is atan(d / h), where h is the height of the centre of mass, and d is the
-    horizontal distance from the centre of mass to the nearest edge of the support polygon.  The
-    support polygon is the convex hull of the contact points of the wheels.
-    """
-    hull = convex_hull([contact_point(wheel) for wheel in robot.wheels])
+    """Checks the smallest tip-over angle of the robot, see ``model.statics.tip_over``."""
+    support = support_of(robot)
     x, y, z = robot.inertial.com
-    margins = []
-    for (ax, ay), (bx, by) in zip(hull, [*hull[1:], *hull[:1]], strict=True):
-        length = math.hypot(bx - ax, by - ay)
-        if length > 1e-9:
-            margins.append(((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / length)
-    if len(hull) < 3 or not margins:
+    if not support.edges:
         report.add(
             "unstable",
             "the robot stands on a line: its wheels do not span an area",
@@ -240,8 +230,8 @@ def check_stability(robot: Robot, design: DesignRequirements, report: Report) ->
             hint="add a caster or a wheel off that line",
         )
         return
-    margin = min(margins)
-    if margin <= 0.0:
+    margin = support.margin
+    if not support.stands:
         report.add(
             "unstable",
             f"the centre of mass (x {x:.3f} m, y {y:.3f} m) is {-margin * 1000:.3g} mm outside "
@@ -250,7 +240,7 @@ def check_stability(robot: Robot, design: DesignRequirements, report: Report) ->
             hint="move a battery or a wheel",
         )
         return
-    angle = math.atan2(margin, max(z, 1e-9))
+    _, angle = support.least_tip_over()
     if angle < design.tip_over_angle:
         report.add(
             "tip-over",

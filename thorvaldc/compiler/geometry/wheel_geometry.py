@@ -91,15 +91,6 @@ def lowest_point(center: Vec3, axis: Vec3, radius: float) -> Vec3:
     return add(center, scale(radius / horizontal, down))
 
 
-def contact_point(wheel: Wheel) -> tuple[float, float]:
-    """Returns the contact point (x, y in m) of a wheel in ``base_link``, with all joints at 0."""
-    c, s = math.cos(wheel.heading), math.sin(wheel.heading)
-    return (
-        wheel.x + c * wheel.trail - s * wheel.lateral_offset,
-        wheel.y + s * wheel.trail + c * wheel.lateral_offset,
-    )
-
-
 def spin_joint(tree: JointTree, link: str) -> Joint | None:
     """Returns the nearest movable joint between a wheel's link and the root of the robot."""
     return next((joint for joint in tree.joints_above(link) if joint.type != "fixed"), None)

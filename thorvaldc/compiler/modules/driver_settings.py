@@ -15,7 +15,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from thorvaldc.compiler.geometry.wheel_geometry import contact_point
 from thorvaldc.compiler.modules.value_reader import ValueReader, entries
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
@@ -31,6 +30,7 @@ from thorvaldc.model.robot import (
     Wheel,
 )
 from thorvaldc.model.spatial import clean
+from thorvaldc.model.statics.contact_point import contact_point
 
 # Least and greatest cycle rate of the base driver in Hz.  A CAN bus is too slow for control cycles
 # shorter than 1 ms.

@@ -17,10 +17,8 @@ from thorvaldc.compiler.bus.stopping_distance import (
     with_command_timeout,
 )
 from thorvaldc.compiler.bus.wiring import Wiring
-from thorvaldc.compiler.geometry.static_loads import free_pivots, spring_reference, static_loads
 from thorvaldc.compiler.geometry.wheel_geometry import (
     add_wheel_collisions,
-    contact_point,
     ground_height,
     make_wheels,
 )
@@ -47,7 +45,9 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.robot import Joint, Link, Robot, Wheel
 from thorvaldc.model.spatial import Inertial, clean
+from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.static_loads import free_pivots, spring_reference, static_loads
 from thorvaldc.model.stopping import driven_wheels
 
 

@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
-from thorvaldc.compiler.geometry.wheel_geometry import contact_point
 from thorvaldc.compiler.modules.bounded_quantities import BoundedQuantities
 from thorvaldc.compiler.modules.value_reader import ValueReader
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model import Placement, Pose, Robot
 from thorvaldc.model.ros import package_name
+from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.convex_hull import Point, convex_hull, separates
 
 # Distance (m) of the robots in a grid if the document contains no valid spacing.  The default

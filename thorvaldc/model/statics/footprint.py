@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Iterator
 
 from thorvaldc.model.once_per_model import once_per_model
@@ -11,6 +10,7 @@ from thorvaldc.model.robot import Box, Cylinder, MeshShape, Robot, Shape, Sphere
 from thorvaldc.model.spatial import Vec3
 from thorvaldc.model.statics.convex_hull import Point, convex_hull
 from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.mesh_vertices import mesh_vertices
 
 _SIDES = 16
 """Corners of the polygons around circles. The polygons contain the circles."""
@@ -77,21 +77,5 @@ def _corners(shape: Shape, meshes: dict[str, bytes]) -> Iterator[Vec3]:
                 yield x, 0.0, y
                 yield 0.0, x, y
         case MeshShape(mesh, (sx, sy, sz)):
-            for x, y, z in _vertices(mesh, meshes[mesh]):
+            for x, y, z in mesh_vertices(mesh, meshes[mesh]):
                 yield x * sx, y * sy, z * sz
-
-
-def _vertices(name: str, data: bytes) -> Iterator[Vec3]:
-    """Yield the vertices of a mesh file of the model, a binary STL file or an OBJ file."""
-    if name.endswith(".obj"):
-        for line in data.decode("utf-8", "replace").splitlines():
-            words = line.split()
-            if words[:1] == ["v"]:
-                yield float(words[1]), float(words[2]), float(words[3])
-        return
-    # Binary STL: 80 bytes, the number of triangles, and for each a normal, corners and 2 bytes.
-    for start in range(84, len(data) - 49, 50):
-        values = struct.unpack_from("<9f", data, start + 12)
-        yield values[0:3]
-        yield values[3:6]
-        yield values[6:9]

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from thorvaldc.compiler.geometry.static_loads import Pivot, static_loads
 from thorvaldc.model import Inertial
+from thorvaldc.model.statics.static_loads import Pivot, static_loads
 
 G = 9.81
 coordinate = st.floats(-3.0, 3.0).map(lambda v: round(v, 3))

@@ -21,10 +21,10 @@ import math
 from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
-from thorvaldc.compiler.geometry.wheel_geometry import UP, contact_point
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.robot import Joint, Wheel
-from thorvaldc.model.spatial import Inertial, Vec3, clean, dot
+from thorvaldc.model.spatial import Inertial, Vec3, clean
+from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.joint_tree import JointTree
 
@@ -205,7 +205,7 @@ def spring_reference(
     ]
     forces.append((-carried.mass * GRAVITY, carried.com[0], carried.com[1]))
     if joint.type == "prismatic":
-        total = dot(axis, UP) * float_sum(force for force, _, _ in forces)
+        total = axis[2] * float_sum(force for force, _, _ in forces)
     else:
         total = float_sum(force * _lever(pose.xyz, axis, x, y) for force, x, y in forces)
     return clean(-total / joint.stiffness)

@@ -1,0 +1,129 @@
+"""Facts about robots: simple robots by hand, and every example."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+
+from tests.examples import ROBOTS, example_robot
+from tests.robots import make_robot
+from thorvaldc.model.facts import facts_document, robot_facts
+from thorvaldc.model.statics.gravity import GRAVITY
+
+SQUARE = [(0.5, 0.4), (0.5, -0.4), (-0.5, 0.4), (-0.5, -0.4)]
+STEERED = [(x, y, "steered") for x, y in SQUARE]
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_facts_of_an_example_agree_with_each_other(name: str) -> None:
+    robot = example_robot(name)
+    facts = robot_facts(robot)
+    assert facts.mass == pytest.approx(sum(module.mass for module in facts.modules))
+    loads = [wheel.load for wheel in facts.wheels]
+    assert sum(loads) == pytest.approx(facts.mass * GRAVITY)
+    assert sum(wheel.share for wheel in facts.wheels) == pytest.approx(1.0)
+    for axis in (0, 1):  # the centre of the loads is below the centre of mass
+        moment = sum(wheel.load * (wheel.x, wheel.y)[axis] for wheel in facts.wheels)
+        assert moment / sum(loads) == pytest.approx(facts.center_of_mass[axis], abs=1e-9)
+    size = facts.size
+    assert not size.meshes_left_out
+    assert size.ground_clearance is not None
+    assert 0.0 < size.ground_clearance < size.height
+    assert size.wheelbase is not None
+    assert size.wheelbase < size.length
+    assert size.track is not None
+    assert size.track < size.width
+    assert facts.stability.stands
+    assert facts.stability.least is not None
+    angles = [tip.angle for tip in facts.stability.polar]
+    assert facts.stability.least.angle <= min(angles) + 1e-12
+    assert min(angles) < facts.stability.least.angle + math.radians(1.0)
+    json.dumps(facts_document(facts), allow_nan=False)
+
+
+def test_size_and_tip_over_of_a_box_on_four_wheels() -> None:
+    robot = make_robot(STEERED)
+    facts = robot_facts(robot)
+    assert facts.size.wheelbase == pytest.approx(1.0)
+    assert facts.size.track == pytest.approx(0.8)
+    assert facts.size.length == pytest.approx(1.4)  # wheels of 0.2 m
+    x, y, z = facts.center_of_mass
+    angles = dict(facts.stability.angles)
+    assert angles["front"] == pytest.approx(math.atan((0.5 - x) / z))
+    assert angles["rear"] == pytest.approx(math.atan((0.5 + x) / z))
+    assert angles["left"] == pytest.approx(math.atan((0.4 - y) / z))
+    assert angles["right"] == pytest.approx(math.atan((0.4 + y) / z))
+    least = facts.stability.least
+    assert least is not None
+    assert least.angle == pytest.approx(min(angles.values()))
+
+
+def test_a_robot_with_steered_wheels_drives_in_every_direction() -> None:
+    robot = make_robot(STEERED)
+    driving = robot_facts(robot).driving
+    assert driving.forwards == driving.sideways == robot.driver.max_linear_velocity
+    assert driving.turn is not None
+    assert driving.turn.radius == 0.0
+    assert driving.turn.wheel_circle == pytest.approx(2.0 * math.hypot(0.5, 0.4))
+
+
+def test_fixed_wheels_turn_by_skidding_and_not_sideways() -> None:
+    driving = robot_facts(make_robot([(x, y, "fixed") for x, y in SQUARE])).driving
+    assert driving.forwards > 0.0
+    assert driving.sideways == 0.0
+    assert driving.turn is not None
+    assert driving.turn.skids
+
+
+def test_a_differential_drive_turns_about_its_axle() -> None:
+    robot = make_robot([(-0.3, 0.4, "fixed"), (-0.3, -0.4, "fixed"), (0.5, 0.0, "swivel")])
+    turn = robot_facts(robot).driving.turn
+    assert turn is not None
+    assert not turn.skids
+    assert (turn.x, turn.y) == pytest.approx((-0.3, 0.0))
+    motor = robot.actuators[0]
+    limits = (
+        robot.driver.max_angular_velocity,
+        robot.driver.max_linear_velocity / 0.3,
+        motor.max_velocity * 0.2 / 0.4,
+    )
+    assert turn.yaw_rate == pytest.approx(min(limits))
+
+
+def test_the_turning_circle_of_a_car() -> None:
+    """Ackermann: the inner wheel is at its limit, the centre is on the rear axle."""
+    turn = robot_facts(example_robot("car")).driving.turn
+    facts = robot_facts(example_robot("car"))
+    assert turn is not None
+    assert facts.size.wheelbase
+    assert facts.size.track
+    assert abs(turn.y) == pytest.approx(
+        facts.size.wheelbase / math.tan(math.radians(35.0)) + facts.size.track / 2
+    )
+
+
+def test_a_robot_whose_center_of_mass_is_outside_the_wheels() -> None:
+    robot = make_robot([(0.5, 0.4, "steered"), (0.5, -0.4, "steered"), (0.2, 0.0, "swivel")])
+    stability = robot_facts(robot).stability
+    assert not stability.stands
+    assert stability.least is None
+    assert not stability.polar
+    assert stability.margin is not None
+    assert stability.margin < 0.0
+    assert set(dict(stability.angles).values()) == {0.0}
+
+
+def test_a_robot_on_a_line_of_wheels() -> None:
+    facts = robot_facts(make_robot([(0.5, 0.0, "steered"), (-0.5, 0.0, "steered")]))
+    assert facts.stability.margin is None
+    assert not facts.stability.stands
+    assert facts.size.track is None
+
+
+def test_a_robot_on_casters_only() -> None:
+    facts = robot_facts(make_robot([(x, y, "swivel") for x, y in SQUARE]))
+    assert facts.driving.forwards == 0.0
+    assert facts.driving.turn is None
+    assert facts.stability.stands

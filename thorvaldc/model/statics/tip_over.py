@@ -1,0 +1,103 @@
+"""The angles at which a standing robot tips over, in every direction.
+
+Derivation. The robot is rigid, stands with its wheels on a plane, and does not slide. Its support
+polygon is the convex hull of the contact points. The edge e of the polygon has the outward normal
+n_e, and the centre of mass, at the height h above the plane, has the horizontal distance d_e from
+it, positive inside. The plane is tilted by the angle a, so that it falls in the horizontal
+direction u. In the frame of the plane, the weight W then has the component W cos(a) into the plane
+and W sin(a) along u. The wheels push only, so the robot tips over the edge e as soon as the moment
+about the edge is not positive:
+
+    W cos(a) d_e - W sin(a) h (u . n_e) <= 0.
+
+Tip-over angle in the direction u, over the first edge that the robot reaches:
+
+    tan a(u) = min over edges with u . n_e > 0 of d_e / (h (u . n_e)).
+
+The least angle of all directions is in the direction of a normal, where u . n_e = 1:
+tan a_min = min d_e / h. The suspension, the tyres and loose loads lower the real angles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from thorvaldc.model.robot import Robot
+from thorvaldc.model.spatial import clean
+from thorvaldc.model.statics.contact_point import contact_point
+from thorvaldc.model.statics.convex_hull import Point, convex_hull
+
+_SHORTEST_EDGE = 1e-9  # m
+_LOWEST_HEIGHT = 1e-9  # m
+
+
+class Edge(NamedTuple):
+    """An edge of the support polygon.
+
+    - ``normal``: outward direction in rad, from x to y.
+    - ``margin``: distance of the centre of mass from the edge in m, negative outside.
+    """
+
+    normal: float
+    margin: float
+
+
+class Support(NamedTuple):
+    """The support polygon of a robot and the height of the centre of mass above the ground in m.
+
+    ``edges`` is empty for a robot whose contact points do not span an area.
+    """
+
+    edges: tuple[Edge, ...]
+    height: float
+
+    @property
+    def margin(self) -> float:
+        """The smallest margin in m, or minus infinity without a polygon."""
+        return min((edge.margin for edge in self.edges), default=-math.inf)
+
+    @property
+    def stands(self) -> bool:
+        """True if the centre of mass is above the inside of the support polygon."""
+        return self.margin > 0.0
+
+    def tip_over_angle(self, direction: float) -> float:
+        """Return the angle in rad at which the robot tips over on a plane that falls in a
+        direction (rad, from x to y), 0 for a robot that does not stand."""
+        if not self.stands:
+            return 0.0
+        height = max(self.height, _LOWEST_HEIGHT)
+        tangents = []
+        for edge in self.edges:
+            slope = math.cos(direction - edge.normal)
+            if slope > 1e-9:
+                tangents.append(edge.margin / (height * slope))
+        return math.atan(min(tangents))
+
+    def least_tip_over(self) -> tuple[float, float]:
+        """Return the direction (rad, from x to y) of the smallest tip-over angle, and the angle in
+        rad, 0 for a robot that does not stand. The direction is 0 without a polygon."""
+        if not self.edges:
+            return 0.0, 0.0
+        # Equal margins of a symmetric robot differ by rounding.
+        edge = min(self.edges, key=lambda edge: clean(edge.margin))
+        if edge.margin <= 0.0:
+            return edge.normal, 0.0
+        return edge.normal, math.atan2(edge.margin, max(self.height, _LOWEST_HEIGHT))
+
+
+def support_of(robot: Robot) -> Support:
+    """Return the support polygon of a robot with all joints at position 0."""
+    x, y, z = robot.inertial.com
+    hull: Sequence[Point] = convex_hull([contact_point(wheel) for wheel in robot.wheels])
+    if len(hull) < 3:
+        return Support((), z)
+    edges = []
+    for (ax, ay), (bx, by) in zip(hull, [*hull[1:], *hull[:1]], strict=True):
+        length = math.hypot(bx - ax, by - ay)
+        if length > _SHORTEST_EDGE:
+            margin = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / length
+            edges.append(Edge(math.atan2(ax - bx, by - ay), margin))
+    return Support(tuple(edges), z)
