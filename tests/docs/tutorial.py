@@ -1,12 +1,13 @@
-"""Runs the pages of the tutorial as a reader does: writes the files, types the commands.
+"""Runs the pages of the tutorial and some how-tos as a reader does: files and commands.
 
 A page is a sequence of blocks between triple backquotes:
 
 - with a ``title`` that is a file name: the file is written;
 - ``diff``: lines of the file of ``<!-- test: edit FILE -->`` are exchanged;
 - ``console``: the lines after ``$`` are run, and what they print is compared with the lines below.
-  A line ``...`` stands for any lines.  With the title ``Terminal 2`` the last command keeps
-  running, and the page continues when it has printed what the block shows.
+  A line ``...`` stands for any lines, and ``...`` at the end of a line for its rest.  With the
+  title ``Terminal 2`` the last command keeps running, and the page continues when it has printed
+  what the block shows.
 
 A comment before a block changes this, with one or more of these parts, separated by ``;``:
 
@@ -35,20 +36,23 @@ import sys
 import tempfile
 import termios
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from tests.child_process import ChildProcess
+from tests.ros.environments import python_of, variables
 
-FOLDER = Path(__file__).resolve().parents[2] / "docs" / "tutorial"
-PAGES = ("first-robot", "own-module", "simulation", "bus", "ros2")
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / "docs"
+TUTORIAL = ("first-robot", "own-module", "simulation", "bus", "ros2")
+HOW_TO = ("module", "scenario", "study")  # continue in the folder of the tutorial
+PAGES = (*(f"tutorial/{name}" for name in TUTORIAL), *(f"how-to/{name}" for name in HOW_TO))
 BLOCK = re.compile(
     r"(?:^<!-- test: (?P<marks>[^\n]*) -->\n)?"
     r'^```(?P<language>\w+)(?: title="(?P<title>[^"\n]*)")?\n(?P<text>.*?)^```$',
     re.M | re.S,
 )
-VARYING = re.compile(r"\b(?:\d+x|[0-9a-f]{8}|[0-9a-f]{16})(?!\w)")
+VARYING = re.compile(r"(?<![\w.])(?:\d+x|[0-9a-f]{8}(?:[0-9a-f]{8})?)(?!\w)")
 """Speeds, and hashes of results, which depend on the computer."""
 AS_IN_A_TERMINAL = {"PYTHONUNBUFFERED": "1"}
 """Keeps the order of results and messages, as a person sees them."""
@@ -113,6 +117,8 @@ def mismatch(shown: str, printed: str, tolerance: float = 0.0) -> str | None:
 
 
 def alike(shown: str, printed: str, tolerance: float) -> bool:
+    if shown.endswith(" ..."):
+        return printed.startswith(shown.removesuffix("...").strip())
     if not tolerance:
         return shown.split() == printed.split()
     pair = [VARYING.sub("~", " ".join(text.split())) for text in (shown, printed)]
@@ -128,8 +134,6 @@ class Reader:
 
     folder: Path
     variables: dict[str, str]
-    program: Callable[[str], str | None] = lambda command: None
-    """A command that replaces one which this computer does not have."""
     terminals: dict[str, ChildProcess] = field(default_factory=dict)
     printed: dict[int, str] = field(default_factory=dict)
     """Output of the console blocks of the page, by the beginning of their text."""
@@ -186,7 +190,7 @@ class Reader:
 
     def run(self, command: str) -> tuple[str, int]:
         done = subprocess.run(
-            ["sh", "-c", self.program(command) or command],
+            ["sh", "-c", command],
             cwd=self.folder,
             env={**self.variables, **AS_IN_A_TERMINAL},
             stdout=subprocess.PIPE,
@@ -229,7 +233,7 @@ class Reader:
         log = self.folder / f".{name}"
         with log.open("w") as file:
             self.terminals[name] = ChildProcess(
-                ["sh", "-c", f"exec {self.program(command) or command}"],
+                ["sh", "-c", f"exec {command}"],
                 cwd=self.folder,
                 env={**self.variables, **AS_IN_A_TERMINAL},
                 stdout=file,
@@ -280,6 +284,19 @@ def programs_in(folder: Path) -> Path:
     return folder
 
 
+def ros_programs_in(folder: Path) -> None:
+    """Writes the programs ``colcon`` and ``ros2`` of an environment with the wheels of ROS 2."""
+    python = Path(python_of("jazzy"))
+    path = f'PATH="{python.parent}:$PATH" PYTHONPATH="$PYTHONPATH:{ROOT}"'
+    for name, command in (
+        ("colcon", python.with_name("colcon")),
+        ("ros2", f"{python} -m tests.docs.ros2_command"),
+    ):
+        script = folder / name
+        script.write_text(f'#!/bin/sh\n{path} exec {command} "$@"\n', encoding="utf-8")
+        script.chmod(0o755)
+
+
 def store_pictures(source: Path, names: list[str]) -> None:
     from PIL import Image
 
@@ -287,14 +304,15 @@ def store_pictures(source: Path, names: list[str]) -> None:
         if (source / name).exists():
             with Image.open(source / name) as image:
                 small = image.convert("P", palette=Image.Palette.ADAPTIVE, colors=96)
-                small.save(FOLDER / "pictures" / name, optimize=True)
+                small.save(FOLDER / "tutorial" / "pictures" / name, optimize=True)
 
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as name:
-        path = f"{programs_in(Path(name) / 'bin')}{os.pathsep}{os.environ['PATH']}"
-        variables = {**os.environ, "PATH": path, "XDG_RUNTIME_DIR": name}
-        reader = Reader(Path(name) / "scout", variables)
+        programs = programs_in(Path(name) / "bin")
+        ros_programs_in(programs)
+        path = f"{programs}{os.pathsep}{os.environ['PATH']}"
+        reader = Reader(Path(name) / "scout", {**variables(Path(name)), "PATH": path})
         reader.folder.mkdir()
         for page in PAGES:
             file = FOLDER / f"{page}.md"

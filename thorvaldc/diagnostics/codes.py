@@ -366,7 +366,6 @@ _TABLE: tuple[Code, ...] = (
     _error("TV971", "git-revision-unknown", "a repository does not have a revision"),
     _error("TV972", "git-file-missing", "a revision does not have a file"),
     _error("TV973", "git-failed", "git cannot read a revision, or the revision is too large"),
-    _error("TV985", "build-stale", "a build folder is not the output of the present file"),
 )
 
 CODES: dict[str, Code] = {code.name: code for code in _TABLE}

@@ -14,6 +14,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import latex2mathml.converter
+import reference_commands
+import reference_diagnostics
+import reference_documents
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -64,6 +67,13 @@ def on_files(files: Files, config: Any) -> Files:
     outside.discard(PurePosixPath("README.md"))  # the home page is docs/index.md
     for path in sorted(outside):
         files.append(File.generated(config, str(path), abs_src_path=str(ROOT / path)))
+    generated = {
+        "reference/commands.md": reference_commands.page(),
+        "diagnostics/index.md": reference_diagnostics.page(),
+        **reference_documents.pages(),
+    }
+    for address, text in generated.items():
+        files.append(File.generated(config, address, content=text))
     return files
 
 
@@ -84,6 +94,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
 
     parts = CODE.split(markdown)
     parts[::2] = [LINK.sub(with_address, part) for part in parts[::2]]
+    # GitHub wants a backslash before a bar in code in a table; here it would be shown.
+    parts[1::2] = [part if part[:3] == "```" else part.replace("\\|", "|") for part in parts[1::2]]
     return "".join(parts)
 
 
