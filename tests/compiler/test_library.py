@@ -10,6 +10,7 @@ import pytest
 from tests.workshop import CART, TETRAHEDRON, Workshop
 from thorvaldc.compiler.library import BUILTIN_LIBRARY, Library
 from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.compiler.source.input_file import read_bytes, unsaved_texts
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Robot
@@ -191,3 +192,17 @@ def test_built_in_library_has_no_errors() -> None:
         assert library.load(name, ASKED, report) is not None
     assert list(report) == []
     assert len(library.palette()) > 10
+
+
+def test_an_unsaved_module_replaces_the_file_on_the_disk(tmp_path: Path) -> None:
+    mine = folder(tmp_path / "mine", "a/one", mass="1 kg")
+    real_path = os.path.realpath(mine / "a/one/module.yaml")
+    links = []
+    for text in (None, BLOCK % "2 kg", BLOCK % "3 kg", None):
+        with unsaved_texts({} if text is None else {real_path: text.encode()}):
+            module = Library([(mine, "mine")]).load("a/one", ASKED, Report())
+        assert module is not None
+        links.append(str(module.document.get("links")))
+    assert links[0] == links[3]
+    assert ["kg" in text and text.count("2 kg") for text in links] == [0, 1, 0, 0]
+    assert read_bytes(Path(real_path), "x", Report(), limit=10**6) == (BLOCK % "1 kg").encode()

@@ -73,6 +73,7 @@ COMMANDS: tuple[CommandEntry | GroupEntry, ...] = (
     CommandEntry("audit", "audit:audit", "Report contradictions in the files of any robot."),
     CommandEntry("targets", "targets:targets", "List the targets that a robot can be built for."),
     CommandEntry("schema", "schema:schema", "Print the JSON Schema of a kind of document."),
+    CommandEntry("lsp", "lsp:lsp", "Serve editors: diagnostics, completion, navigation."),
     CommandEntry("explain", "explain:explain", "Explain a diagnostic code."),
     CommandEntry(
         "import",

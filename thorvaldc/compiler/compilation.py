@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from thorvaldc.compiler.consequences import without_consequences
 from thorvaldc.compiler.library import BUILTIN_LIBRARY
+from thorvaldc.compiler.source.input_file import unsaved_text
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.compiler.validation.document_kinds import is_fleet, is_scenario, report_wrong_kind
@@ -186,6 +187,9 @@ class Compilation:
             digest.update(f"{name}\0{parts[name].source_sha256}\0".encode())
         for name in sorted(self.files):
             digest.update(name.encode() + b"\0")
+            if (text := unsaved_text(self.files[name])) is not None:
+                digest.update(text + b"\0")
+                continue
             try:
                 status = os.stat(self.files[name])
                 # A reader has refused a pipe, which never ends, and a file above the limit of logs.

@@ -16,6 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
+from thorvaldc.compiler.source.input_file import unsaved_text
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check
@@ -88,10 +89,11 @@ class ModuleType:
 class _CachedFile(NamedTuple, Generic[Content]):
     """Cached content of a library file, with the diagnostics of reading the file.
 
-    ``stamp`` contains the modification time (ns) and the size of the library file.
+    ``stamp`` contains the modification time (ns) and the size of the library file, or its unsaved
+    content.
     """
 
-    stamp: tuple[int, int]
+    stamp: tuple[int, int] | bytes
     content: Content
     report: Report
 
@@ -113,8 +115,10 @@ def _read_cached(
 
     Every call adds the diagnostics of the YAML file to ``report``.
     """
-    status = path.stat()
-    stamp = (status.st_mtime_ns, status.st_size)
+    stamp: tuple[int, int] | bytes | None = unsaved_text(path)
+    if stamp is None:
+        status = path.stat()
+        stamp = (status.st_mtime_ns, status.st_size)
     key = (str(path.absolute()), display)
     cached = cache.get(key)
     if cached is None or cached.stamp != stamp:

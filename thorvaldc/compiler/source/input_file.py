@@ -1,11 +1,40 @@
-"""Reads the bytes of an input file, and reports an error if the file is not readable."""
+"""Reads the bytes of an input file, and reports an error if the file is not readable.
+
+An editor can replace the text of files by the text that the user has not saved yet.  Only YAML and
+CSV documents can be replaced: worker processes read xacro files and meshes from the disk.
+"""
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.bounded_file import read_bounded
+
+_unsaved: ContextVar[Mapping[str, bytes]] = ContextVar("unsaved")
+
+
+@contextmanager
+def unsaved_texts(texts: Mapping[str, bytes]) -> Iterator[None]:
+    """Replaces the content of files in this thread within the ``with`` block.
+
+    - ``texts``: content by the path of the file, as ``os.path.realpath`` returns it.
+    """
+    token = _unsaved.set(texts)
+    try:
+        yield
+    finally:
+        _unsaved.reset(token)
+
+
+def unsaved_text(path: Path) -> bytes | None:
+    """Returns the unsaved content of a file, or ``None`` if the file on the disk is to be read."""
+    texts = _unsaved.get(None)
+    return texts.get(os.path.realpath(path)) if texts else None
 
 
 def read_bytes(
@@ -26,6 +55,9 @@ def read_bytes(
     - ``cut``: whether only the first ``limit`` bytes of a larger file are returned.
     - ``folder_hint``: hint of the diagnostic if the path is a folder.
     """
+    text = unsaved_text(path)
+    if text is not None and (cut or len(text) <= limit):
+        return text[:limit]
     try:
         return read_bounded(path, limit, cut=cut)
     except FileNotFoundError:

@@ -1,0 +1,10 @@
+"""A language server: diagnostics, completion and navigation in editors.
+
+The language server speaks the Language Server Protocol on standard input and output.  It reads
+files and writes none: changes are answers to the editor, which applies them.
+
+- ``server``: the protocol.
+- ``open_document``: the documents that are open in the editor, with their unsaved texts.
+- ``analysis``: the diagnostics of one document.
+- ``diagnostic_publisher``: the analyses in a thread of their own, and their publication.
+"""

@@ -1,0 +1,188 @@
+"""Analyses open documents in a thread of their own, and publishes their diagnostics.
+
+An analysis starts ``DELAY`` seconds after a change, and a new change makes its result stale: the
+result is dropped, because the next analysis is already planned.  The thread also isolates the
+editor from documents that take long.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from lsprotocol import types
+
+from thorvaldc.diagnostics import Diagnostic, Severity, Span
+from thorvaldc.tools.language_server.analysis import Analysis, analyse
+from thorvaldc.tools.language_server.open_document import OpenDocument, texts_of, uri_of
+
+DELAY = 0.02
+"""Time (s) between a change and the start of the analysis."""
+
+_SEVERITIES = {
+    Severity.ERROR: types.DiagnosticSeverity.Error,
+    Severity.WARNING: types.DiagnosticSeverity.Warning,
+    Severity.NOTE: types.DiagnosticSeverity.Information,
+}
+
+
+@dataclass
+class DiagnosticPublisher:
+    """Analyses documents after each change and publishes the diagnostics by file.
+
+    Attributes
+    ----------
+    documents : the open documents by URI.
+    publish : sends the diagnostics of one file to the editor.
+    log : sends an error message to the log of the editor.
+    analyses : the last analysis of each open document, by URI.
+    """
+
+    documents: dict[str, OpenDocument]
+    publish: Callable[[types.PublishDiagnosticsParams], Any]
+    log: Callable[[str], Any]
+    analyses: dict[str, Analysis] = field(default_factory=dict)
+    _pending: dict[str, None] = field(default_factory=dict)  # URIs, the last change first
+    _published: dict[str, set[str]] = field(default_factory=dict)  # URIs of files, by document
+    _changed_at: float = 0.0
+    _task: asyncio.Task[None] | None = None
+    _executor: ThreadPoolExecutor = field(
+        default_factory=lambda: ThreadPoolExecutor(1, "thorvaldc-analysis")
+    )
+
+    def document_changed(self, document: OpenDocument) -> None:
+        """Plans the analysis of a changed document and of the documents that read it."""
+        users = [
+            uri
+            for uri, analysis in self.analyses.items()
+            if document.real_path in analysis.files and uri != document.uri
+        ]
+        self._plan([document.uri, *users])
+
+    def files_changed(self) -> None:
+        """Plans the analysis of all open documents, after a change of files on the disk."""
+        self._plan(list(self.documents))
+
+    def document_closed(self, uri: str) -> None:
+        """Removes the diagnostics of a closed document."""
+        self.analyses.pop(uri, None)
+        self._pending.pop(uri, None)
+        for file in self._published.pop(uri, set()):
+            self._publish_file(file)
+        self.files_changed()
+
+    def close(self) -> None:
+        """Ends the thread; an analysis that is running is not waited for."""
+        if self._task is not None:
+            self._task.cancel()
+        self._executor.shutdown(wait=False, cancel_futures=True)
+
+    # -- analyses ---------------------------------------------------------------------
+
+    def _plan(self, uris: list[str]) -> None:
+        known = [uri for uri in uris if uri in self.documents]
+        self._pending = {**dict.fromkeys(known), **self._pending}
+        loop = asyncio.get_running_loop()
+        self._changed_at = loop.time()
+        if self._task is None or self._task.done():
+            self._task = loop.create_task(self._work())
+
+    async def _work(self) -> None:
+        loop = asyncio.get_running_loop()
+        while self._pending:
+            delay = self._changed_at + DELAY - loop.time()
+            if delay > 0:
+                await asyncio.sleep(delay)
+                continue
+            uri = next(iter(self._pending))
+            del self._pending[uri]
+            document = self.documents.get(uri)
+            if document is None:
+                continue
+            texts, folders = texts_of(self.documents), self._library_folders()
+            try:
+                analysis = await loop.run_in_executor(
+                    self._executor, analyse, document, texts, folders
+                )
+            except Exception as error:
+                self.log(f"{document.path}: {type(error).__name__}: {error}")
+                continue
+            is_stale = uri in self._pending or self.documents.get(uri) is not document
+            if not is_stale:
+                self.analyses[uri] = analysis
+                self._publish(uri, analysis)
+
+    def _library_folders(self) -> tuple[Path, ...]:
+        """Returns the library folders that the open robots name."""
+        folders = (folder for analysis in self.analyses.values() for folder in analysis.library)
+        return tuple(dict.fromkeys(folders))
+
+    # -- publication ------------------------------------------------------------------
+
+    def _publish(self, uri: str, analysis: Analysis) -> None:
+        files = {uri} | {
+            self._uri(diagnostic.span, analysis.sources)
+            for diagnostic in analysis.diagnostics
+            if diagnostic.span is not None
+        }
+        earlier = self._published.get(uri, set())
+        self._published[uri] = files
+        for file in sorted(files | earlier):
+            self._publish_file(file)
+
+    def _publish_file(self, file: str) -> None:
+        """Publishes the diagnostics that all open documents have in one file."""
+        found: dict[Diagnostic, types.Diagnostic] = {}
+        for uri, analysis in self.analyses.items():
+            for diagnostic in analysis.diagnostics:
+                place = self._uri(diagnostic.span, analysis.sources) if diagnostic.span else uri
+                if place == file and diagnostic not in found:
+                    found[diagnostic] = self._converted(diagnostic, analysis.sources)
+        document = self.documents.get(file)
+        version = document.version if document is not None else None
+        self.publish(types.PublishDiagnosticsParams(file, list(found.values()), version))
+
+    def _uri(self, span: Span, sources: Mapping[str, Path]) -> str:
+        """Returns the URI of the file of a span, as the editor writes it for open documents."""
+        path = os.path.realpath(sources.get(span.file, span.file))
+        for document in self.documents.values():
+            if document.real_path == path:
+                return document.uri
+        return uri_of(path)
+
+    def _range(self, span: Span | None, sources: Mapping[str, Path]) -> types.Range:
+        document = self.documents.get(self._uri(span, sources)) if span is not None else None
+        if span is None:
+            return types.Range(types.Position(0, 0), types.Position(0, 0))
+        if document is not None:
+            return document.source.range(span)
+        return types.Range(
+            types.Position(span.line - 1, span.column - 1),
+            types.Position(span.end_line - 1, span.end_column - 1),
+        )
+
+    def _converted(self, diagnostic: Diagnostic, sources: Mapping[str, Path]) -> types.Diagnostic:
+        message = diagnostic.message
+        if diagnostic.hint:
+            message += f"\nhint: {diagnostic.hint}"
+        return types.Diagnostic(
+            self._range(diagnostic.span, sources),
+            message,
+            severity=_SEVERITIES[diagnostic.severity],
+            code=diagnostic.code.number,
+            source="thorvaldc",
+            related_information=[
+                types.DiagnosticRelatedInformation(
+                    types.Location(
+                        self._uri(label.span, sources), self._range(label.span, sources)
+                    ),
+                    label.text,
+                )
+                for label in diagnostic.labels
+            ],
+        )

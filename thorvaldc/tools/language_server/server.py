@@ -1,0 +1,103 @@
+"""The protocol of the language server: requests and notifications of the editor."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from lsprotocol import types
+from pygls.lsp.server import LanguageServer
+
+from thorvaldc import __version__
+from thorvaldc.tools.language_server.diagnostic_publisher import DiagnosticPublisher
+from thorvaldc.tools.language_server.open_document import OpenDocument, open_document, path_of
+
+
+class ThorvaldcServer(LanguageServer):
+    """A language server for the documents of thorvaldc.
+
+    The editor sends the whole text of a document after each change: an editor and a server that
+    disagree about the line breaks of a text would otherwise have different texts.
+
+    Attributes
+    ----------
+    documents : the open documents by URI.
+    publisher : analyses the documents and publishes their diagnostics.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(
+            "thorvaldc", __version__, text_document_sync_kind=types.TextDocumentSyncKind.Full
+        )
+        self.documents: dict[str, OpenDocument] = {}
+        self.publisher = DiagnosticPublisher(
+            self.documents, self.text_document_publish_diagnostics, self.log_error
+        )
+        self._notification(types.TEXT_DOCUMENT_DID_OPEN, self._did_open)
+        self._notification(types.TEXT_DOCUMENT_DID_CHANGE, self._did_change)
+        self._notification(types.TEXT_DOCUMENT_DID_SAVE, self._files_changed)
+        self._notification(types.WORKSPACE_DID_CHANGE_WATCHED_FILES, self._files_changed)
+        self._notification(types.TEXT_DOCUMENT_DID_CLOSE, self._did_close)
+        self._notification(types.SHUTDOWN, self._shutdown)
+
+    def _notification(self, method: str, handle: Callable[[Any], None]) -> None:
+        # pygls sets attributes on the function of a feature, which a bound method does not have.
+        @self.feature(method)
+        def call(params: Any) -> None:
+            handle(params)
+
+    @property
+    def folder(self) -> Path:
+        """The first folder of the workspace, or the current folder."""
+        uri = self.workspace.root_uri
+        path = path_of(uri) if uri else None
+        return path or Path.cwd()
+
+    def log_error(self, message: str) -> None:
+        """Writes an error message to the log of the editor."""
+        self.window_log_message(types.LogMessageParams(types.MessageType.Error, message))
+
+    def report_server_error(self, error: Exception, source: Any) -> None:
+        """Writes an unexpected error to the log, in place of the pop-up window of pygls."""
+        self.log_error(f"{type(error).__name__}: {error}")
+
+    # -- documents --------------------------------------------------------------------
+
+    def _did_open(self, params: types.DidOpenTextDocumentParams) -> None:
+        item = params.text_document
+        self._keep(item.uri, item.version, item.text)
+        self.publisher.files_changed()
+
+    def _did_change(self, params: types.DidChangeTextDocumentParams) -> None:
+        uri = params.text_document.uri
+        text = self.workspace.get_text_document(uri).source
+        self.publisher.document_changed(self._keep(uri, params.text_document.version, text))
+
+    def _did_close(self, params: types.DidCloseTextDocumentParams) -> None:
+        self.documents.pop(params.text_document.uri, None)
+        self.publisher.document_closed(params.text_document.uri)
+
+    def _files_changed(self, params: object) -> None:
+        self.publisher.files_changed()
+
+    def _keep(self, uri: str, version: int | None, text: str) -> OpenDocument:
+        document = open_document(uri, version, text, self.folder)
+        self.documents[uri] = document
+        return document
+
+    def _shutdown(self, params: None) -> None:
+        self.publisher.close()
+
+
+def serve() -> None:
+    """Serves the editor on standard input and output until the editor ends the connection.
+
+    What other code prints goes to standard error, because standard output belongs to the protocol.
+    """
+    with os.fdopen(os.dup(1), "wb") as output:
+        os.dup2(2, 1)
+        sys.stdout = sys.stderr
+        ThorvaldcServer().start_io(sys.stdin.buffer, output)
