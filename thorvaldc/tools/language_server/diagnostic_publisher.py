@@ -137,15 +137,15 @@ class DiagnosticPublisher:
 
     def _publish_file(self, file: str) -> None:
         """Publishes the diagnostics that all open documents have in one file."""
-        found: dict[Diagnostic, types.Diagnostic] = {}
+        converted: dict[Diagnostic, types.Diagnostic] = {}
         for uri, analysis in self.analyses.items():
             for diagnostic in analysis.diagnostics:
                 place = self._uri(diagnostic.span, analysis.sources) if diagnostic.span else uri
-                if place == file and diagnostic not in found:
-                    found[diagnostic] = self._converted(diagnostic, analysis.sources)
+                if place == file and diagnostic not in converted:
+                    converted[diagnostic] = self._converted(diagnostic, analysis.sources)
         document = self.documents.get(file)
         version = document.version if document is not None else None
-        self.publish(types.PublishDiagnosticsParams(file, list(found.values()), version))
+        self.publish(types.PublishDiagnosticsParams(file, list(converted.values()), version))
 
     def _uri(self, span: Span, sources: Mapping[str, Path]) -> str:
         """Returns the URI of the file of a span, as the editor writes it for open documents."""
