@@ -52,6 +52,7 @@ TOOLS = (
         "ignition-tools libsdformat-dev",
         lambda: bool(shutil.which("ign")) and any(IGNITION.glob("cmdsdformat*.rb")),
     ),
+    _program("bash", "bash"),  # completes commands
     _program("shellcheck", "shellcheck"),  # reads the generated shell script
     _program("chromium", "chromium", "google-chrome"),  # opens the generated web page
     Tool(  # draws pictures

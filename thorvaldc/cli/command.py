@@ -14,6 +14,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
+from thorvaldc.cli.completion import placeholders
 from thorvaldc.cli.exits import protect
 from thorvaldc.cli.installation import is_runtime_only, require_full_installation
 
@@ -99,13 +100,14 @@ class LazyGroup(TyperGroup):
             return lazy_group(entry.commands)(
                 name=entry.name, help=entry.help, no_args_is_help=True, rich_markup_mode=None
             )
+        if ctx.resilient_parsing:  # shell completion
+            with placeholders():
+                return load_command(entry)
         try:
             return load_command(entry)
         except ImportError:
             if not is_runtime_only():
                 raise
-            if ctx.resilient_parsing:  # shell completion
-                return None
             require_full_installation(f"`{ctx.command_path} {entry.name}`")
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:

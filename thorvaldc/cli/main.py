@@ -8,6 +8,7 @@ import sys
 
 from thorvaldc import __version__
 from thorvaldc.cli.app import app
+from thorvaldc.cli.completion import is_completion, shell_completion
 from thorvaldc.cli.exits import DONE, INTERNAL, TRACEBACK_VARIABLE, protect, show_traceback
 
 
@@ -42,6 +43,9 @@ def run_command() -> int:
 
 def _call_app() -> int:
     try:
+        if is_completion():
+            with shell_completion():
+                app(prog_name="thorvaldc")
         app(prog_name="thorvaldc")
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else DONE

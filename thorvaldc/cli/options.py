@@ -10,6 +10,7 @@ from typing import Annotated, TypeVar
 
 import typer
 
+from thorvaldc.cli.completed_values import bus_interfaces, scenario_variables
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import Bus
 from thorvaldc.model.require_bus import require_bus
@@ -70,6 +71,7 @@ BusInterface = Annotated[
     typer.Option(
         "--bus",
         metavar="BUS",
+        autocompletion=bus_interfaces,
         help="socketcan:can0, slcan:PORT, sim:NAME, virtual (devices as in the file) or"
         " virtual:delivered; for a robot with several buses NAME=BUS.",
     ),
@@ -116,6 +118,7 @@ Settings = Annotated[
     typer.Option(
         "--set",
         metavar="PATH=VALUES",
+        autocompletion=scenario_variables,
         help="Replace values of the scenario: world.friction=0.3,0.6 makes a run with each value,"
         " =0.3..0.9 draws values from the range.",
         show_default=False,

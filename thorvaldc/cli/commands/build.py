@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from thorvaldc import __version__, backends
+from thorvaldc.cli.completed_values import target_names
 from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
 from thorvaldc.cli.exits import OutsideError
 from thorvaldc.cli.options import Format, Library, ModelFiles, Trust, library_folders
@@ -30,6 +31,7 @@ def build(
             "--target",
             "-t",
             metavar="NAMES",
+            autocompletion=target_names,
             help="Targets, separated by commas.",
             show_default="see `thorvaldc targets`",
         ),

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from thorvaldc.cli.completed_values import driver_names, service_names
 from thorvaldc.cli.diagnostic_output import message, print_json
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.options import Json
@@ -16,9 +17,19 @@ from thorvaldc.runtime.control.service_table import ServiceError
 
 
 def call(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the running driver.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME", autocompletion=driver_names, help="Name of the running driver."
+        ),
+    ],
     service: Annotated[
-        str, typer.Argument(metavar="SERVICE", help="Without a service, all are listed.")
+        str,
+        typer.Argument(
+            metavar="SERVICE",
+            autocompletion=service_names,
+            help="Without a service, all are listed.",
+        ),
     ] = "",
     arguments: Annotated[
         list[str], typer.Argument(metavar="ARGUMENT=VALUE", help="Values as JSON, or text.")

@@ -13,6 +13,7 @@ import typer
 
 from thorvaldc.can.interface import CanInterface
 from thorvaldc.can.open_interface import open_interface
+from thorvaldc.cli.completed_values import bus_interfaces
 from thorvaldc.cli.diagnostic_output import print_json, report_of
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.options import Library, RobotFile, Trust, parse_duration, select_bus
@@ -37,6 +38,7 @@ def monitor(
         typer.Option(
             "--bus",
             metavar="BUS",
+            autocompletion=bus_interfaces,
             help="sim:NAME, slcan:PORT, socketcan:can0, udp, or INTERFACE:CHANNEL of python-can;"
             " for a robot with several buses NAME=BUS.",
         ),

@@ -6,13 +6,19 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli.completed_values import diagnostic_codes
 from thorvaldc.cli.exits import DONE
 from thorvaldc.diagnostics.explain import UnknownCode
 from thorvaldc.diagnostics.explain import explain as page_of
 
 
 def explain(
-    code: Annotated[str, typer.Argument(metavar="CODE", help="TV501 or can-id-duplicate.")],
+    code: Annotated[
+        str,
+        typer.Argument(
+            metavar="CODE", autocompletion=diagnostic_codes, help="TV501 or can-id-duplicate."
+        ),
+    ],
 ) -> int:
     try:
         print(page_of(code), end="")

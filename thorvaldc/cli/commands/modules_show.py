@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli.completed_values import module_types
 from thorvaldc.cli.diagnostic_output import print_json, print_table, show_report
 from thorvaldc.cli.options import Json, Library, library_folders
 from thorvaldc.compiler.library import Library as ModuleLibrary
@@ -16,7 +17,12 @@ from thorvaldc.diagnostics.suggest import nearest
 
 
 def show_module(
-    type: Annotated[str, typer.Argument(metavar="TYPE", help="For instance drive/standard.")],
+    type: Annotated[
+        str,
+        typer.Argument(
+            metavar="TYPE", autocompletion=module_types, help="For instance drive/standard."
+        ),
+    ],
     json: Json = False,
     library: Library = [],  # noqa: B006
 ) -> int:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli.completed_values import preset_names
 from thorvaldc.cli.exits import DONE
 from thorvaldc.compiler.new_robot import is_robot_name, presets, robot_text
 
@@ -14,7 +15,13 @@ from thorvaldc.compiler.new_robot import is_robot_name, presets, robot_text
 def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the robot and its folder.")],
     preset: Annotated[
-        str, typer.Option("--preset", metavar="PRESET", help="4wd4ws, 2wd0ws or 1wd1ws.")
+        str,
+        typer.Option(
+            "--preset",
+            metavar="PRESET",
+            autocompletion=preset_names,
+            help="4wd4ws, 2wd0ws or 1wd1ws.",
+        ),
     ] = "4wd4ws",
 ) -> int:
     if not is_robot_name(name):

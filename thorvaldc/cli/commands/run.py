@@ -11,6 +11,7 @@ import typer
 
 from thorvaldc.can.interface import CanInterface
 from thorvaldc.can.open_interface import lock_buses, open_interfaces
+from thorvaldc.cli.completed_values import bus_interfaces
 from thorvaldc.cli.diagnostic_output import print_json
 from thorvaldc.cli.exits import INPUT, OutsideError
 from thorvaldc.cli.hardware_warning import is_hardware, warn_once
@@ -45,6 +46,7 @@ def run(
         typer.Option(
             "--bus",
             metavar="BUS",
+            autocompletion=bus_interfaces,
             help="virtual, sim:NAME, slcan:PORT, socketcan:can0, udp, or INTERFACE:CHANNEL of"
             " python-can.",
         ),

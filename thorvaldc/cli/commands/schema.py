@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli.completed_values import schema_kinds
 from thorvaldc.cli.exits import DONE
 from thorvaldc.model.json_schema import model_schema_text
 from thorvaldc.schema.documents import KINDS, schema_text
@@ -17,7 +18,11 @@ MODEL = "model"
 def schema(
     kind: Annotated[
         str,
-        typer.Argument(metavar="KIND", help=f"{', '.join(KINDS)}; model: model.json."),
+        typer.Argument(
+            metavar="KIND",
+            autocompletion=schema_kinds,
+            help=f"{', '.join(KINDS)}; model: model.json.",
+        ),
     ],
 ) -> int:
     if kind not in (*KINDS, MODEL):

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from thorvaldc.can.open_interface import lock_buses, open_interfaces
+from thorvaldc.cli.completed_values import base_names, driver_names
 from thorvaldc.cli.diagnostic_output import report_of
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.hardware_warning import is_hardware, warn_once
@@ -43,13 +44,19 @@ def teleop(
         typer.Option(
             "--on",
             metavar="BASE",
+            autocompletion=base_names,
             help="sim: MuJoCo; ideal: ideal joints; virtual: a simulated bus; or a bus as for"
             " `run --bus`.",
         ),
     ] = "sim",
     to: Annotated[
         str,
-        typer.Option("--to", metavar="NAME", help="Drive the running driver of this name."),
+        typer.Option(
+            "--to",
+            metavar="NAME",
+            autocompletion=driver_names,
+            help="Drive the running driver of this name.",
+        ),
     ] = "",
     name: Annotated[
         str,

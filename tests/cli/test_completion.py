@@ -1,0 +1,210 @@
+"""Completion in shells: values of options and arguments, without the packages of the commands."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.cli.test_command_table import HEAVY, PATHS
+from tests.examples import FOLDER
+from thorvaldc.cli.app import COMMANDS
+from thorvaldc.cli.command import CommandEntry, GroupEntry, load_command
+from thorvaldc.cli.completion import joined_words
+from thorvaldc.runtime.control.control_server import ControlServer
+from thorvaldc.runtime.control.service_table import Services
+
+PROGRAM = f"""\
+#!{sys.executable}
+import sys
+sys.argv[0] = "thorvaldc"
+from thorvaldc.cli.main import run
+try:
+    run()
+finally:
+    import os
+    if "LOADED" in os.environ:
+        with open(os.environ["LOADED"], "w") as file:
+            print(*(n for n, m in sys.modules.items() if m is not None), file=file)
+"""
+FIELD = FOLDER / "scenarios" / "field_edge.yaml"
+
+
+@pytest.fixture
+def shell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with the program ``thorvaldc``, which is first in PATH."""
+    program = tmp_path / "bin" / "thorvaldc"
+    program.parent.mkdir()
+    program.write_text(PROGRAM)
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{program.parent}:{os.environ['PATH']}")
+    monkeypatch.setenv("PYTHONPATH", ":".join(sys.path))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def bash(*words: str) -> list[str]:
+    """The answers of a real bash to Tab at the end of the words, which are split as bash does."""
+    quoted = " ".join(f"'{word}'" for word in words)
+    script = (
+        'eval "$(_THORVALDC_COMPLETE=source_bash thorvaldc)"\n'
+        f"COMP_WORDS=({quoted}) COMP_CWORD={len(words) - 1}\n"
+        "_thorvaldc_completion thorvaldc\n"
+        'printf "%s\\n" "${COMPREPLY[@]}"\n'
+    )
+    done = subprocess.run(
+        ["bash", "--norc", "-c", script], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert not done.stderr
+    return done.stdout.split()
+
+
+def test_bash_completes_the_values_of_options_and_arguments(shell: Path) -> None:
+    assert "urdf" in bash("thorvaldc", "build", "--target", "")
+    assert "urdf,mjcf" in bash("thorvaldc", "build", "--target", "urdf,m")
+    assert "4wd4ws" in bash("thorvaldc", "new", "one", "--preset", "")
+    assert bash("thorvaldc", "modules", "show", "drive/st") == ["drive/standard"]
+    assert bash("thorvaldc", "explain", "TV501") == ["TV501"]
+    assert bash("thorvaldc", "explain", "can-id-dup") == ["can-id-duplicate"]
+    assert "scenario" in bash("thorvaldc", "schema", "")
+    assert bash("thorvaldc", "batch", str(FIELD), "--set", "world.fri") == ["world.friction="]
+    assert "virtual" in bash("thorvaldc", "run", "robot.yaml", "--bus", "")
+    assert bash("thorvaldc", "teleop", "robot.yaml", "--on", "id") == ["ideal"]
+
+
+def test_bash_completes_running_drivers_and_their_services(shell: Path) -> None:
+    server = ControlServer("one_robot", Services([]))
+    ended = threading.Event()
+
+    def serve() -> None:
+        while not ended.wait(0.01):
+            server.poll(time.monotonic())
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        assert bash("thorvaldc", "call", "") == ["one_robot"]
+        assert bash("thorvaldc", "teleop", "--to", "o") == ["one_robot"]
+        assert bash("thorvaldc", "call", "one_robot", "ser") == ["services"]
+    finally:
+        ended.set()
+        thread.join()
+        server.close()
+
+
+def test_bash_replaces_only_the_part_after_a_colon_or_an_equals_sign(shell: Path) -> None:
+    folder = shell / "thorvaldc"
+    folder.mkdir(mode=0o700)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as running:
+        running.bind(str(folder / "one_robot.sock"))
+        running.listen()
+        (folder / "killed.sock").touch()
+        words = ("thorvaldc", "run", "robot.yaml", "--bus")
+        assert bash(*words, "sim", ":", "one") == ["one_robot"]
+        assert bash(*words, "sim", ":") == ["one_robot"]
+        assert bash(*words, "main", "=", "sim", ":", "o") == ["one_robot"]
+        assert bash("thorvaldc", "run", "robot.yaml", "--bus", "=", "si") == ["sim:one_robot"]
+
+
+def test_words_of_bash() -> None:
+    assert joined_words(["t", "--bus", "=", "sim", ":", "a"], 5) == (
+        ["t", "--bus", "sim:a"],
+        2,
+        "sim:",
+    )
+    assert joined_words(["t", "call"], 2) == (["t", "call", ""], 2, "")
+
+
+@pytest.mark.parametrize(
+    ("variables", "expected"),
+    [
+        (
+            {"_THORVALDC_COMPLETE": "complete_zsh", "_TYPER_COMPLETE_ARGS": "thorvaldc schema rob"},
+            '"robot"',
+        ),
+        (
+            {
+                "_THORVALDC_COMPLETE": "complete_fish",
+                "_TYPER_COMPLETE_ARGS": "thorvaldc schema rob",
+                "_TYPER_COMPLETE_FISH_ACTION": "get-args",
+            },
+            "robot",
+        ),
+    ],
+)
+def test_zsh_and_fish(
+    shell: Path, variables: dict[str, str], expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    done = subprocess.run(
+        [sys.executable, shell / "bin" / "thorvaldc"],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    ).stdout
+    assert expected in done
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("sim", "--"),
+        ("faults", "--"),
+        ("build", "--target", ""),
+        ("modules", "show", ""),
+        ("batch", str(FIELD), "--set", ""),
+    ],
+    ids="-".join,
+)
+def test_completion_loads_no_heavy_package(
+    shell: Path, words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LOADED", str(shell / "loaded"))
+    assert bash("thorvaldc", *words)
+    loaded = set((shell / "loaded").read_text().split())
+    assert "typer" in loaded
+    assert not loaded.intersection([*HEAVY, "thorvaldc.compiler.pipeline", "thorvaldc.simulation"])
+
+
+def test_completion_knows_the_options_of_every_command(
+    shell: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The placeholders hide no option."""
+    entries: dict[tuple[str, ...], CommandEntry] = {}
+    for entry in COMMANDS:
+        if isinstance(entry, GroupEntry):
+            entries |= {(entry.name, command.name): command for command in entry.commands}
+        else:
+            entries[(entry.name,)] = entry
+    assert sorted(entries) == sorted(PATHS)
+    script = (
+        "from thorvaldc.cli.app import COMMANDS\n"
+        "from thorvaldc.cli.command import GroupEntry, load_command\n"
+        "from thorvaldc.cli.completion import placeholders\n"
+        "for entry in COMMANDS:\n"
+        "    group = isinstance(entry, GroupEntry)\n"
+        "    for command in entry.commands if group else (entry,):\n"
+        "        with placeholders():\n"
+        "            loaded = load_command(command)\n"
+        "        words = [word for p in loaded.params for word in (p.name, *p.opts)]\n"
+        "        print(*([entry.name] if group else []), command.name, '|', *words)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60
+    )
+    found = {}
+    for line in done.stdout.splitlines():
+        path, _, words = line.partition(" | ")
+        found[tuple(path.split())] = words.split()
+    for path, entry in entries.items():
+        parameters = load_command(entry).params
+        assert found[path] == [word for p in parameters for word in (p.name, *p.opts)], path
