@@ -24,6 +24,7 @@ FINGERPRINTS = {
     4: "9a53c07dbe71e660",
     5: "05ce76bf36bb8ee5",
     6: "cdf1ea8ff9bb55d2",
+    7: "77f7cfb0375a3997",
 }
 
 SCHEMA = model_schema()

@@ -27,6 +27,7 @@ from thorvaldc.model import (
     Mesh,
     MeshShape,
     Mimic,
+    Module,
     Node,
     ParameterSet,
     Placement,
@@ -34,6 +35,7 @@ from thorvaldc.model import (
     Robot,
     Sensor,
     Signal,
+    SourcedMass,
     Sphere,
     Tread,
     TwistInput,
@@ -121,6 +123,16 @@ def everything() -> Robot:
         meshes=(Mesh("a.stl", "0" * 64, b"data"),),
         calculator=CalculatorChoice("general", (("hysteresis", 0.2),)),
         urdf_extensions=("<gazebo/>",),
+        modules=(
+            Module(
+                "fl.drive",
+                "drive/standard",
+                "fl",
+                True,
+                (SourcedMass(1.5, "measured: scale"),),
+                SPAN,
+            ),
+        ),
         parameter_sets=(
             ParameterSet("a", "rail", replace(robot.driver, noise=(("angle", 0.1),)), SPAN),
             ParameterSet("b", None, robot.driver, SPAN),
@@ -322,7 +334,7 @@ def test_other_texts_are_errors(text: str) -> None:
         ("kind", ..., "the field `kind` is missing"),
         ("date", "today", "there is no field `date`"),
         ("format", "urdf", "not a thorvaldc-model file"),
-        ("version", "3", 'version "3"; this program reads 6'),
+        ("version", "3", 'version "3"; this program reads 7'),
     ],
 )
 def test_the_message_names_the_path(path: str, value: Any, message: str) -> None:
@@ -340,5 +352,5 @@ def test_a_path_in_a_fleet() -> None:
 
 
 def test_the_message_of_another_version_names_both() -> None:
-    with pytest.raises(ModelFormatError, match=r"version 1; this program reads 6"):
+    with pytest.raises(ModelFormatError, match=r"version 1; this program reads 7"):
         from_json(changed("version", 1))

@@ -69,6 +69,7 @@ COMMANDS: tuple[CommandEntry | GroupEntry, ...] = (
         "Estimate wheel radii and steering offsets from a joint log.",
     ),
     GroupEntry("modules", MODULES, "List, show and check the hardware modules."),
+    CommandEntry("info", "info:info", "Show size, loads, limits, wiring and parts of a robot."),
     CommandEntry("diff", "diff:diff", "Compare two robots, builds or git revisions."),
     CommandEntry("audit", "audit:audit", "Report contradictions in the files of any robot."),
     CommandEntry("targets", "targets:targets", "List the targets that a robot can be built for."),

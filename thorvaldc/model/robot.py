@@ -24,6 +24,7 @@ from thorvaldc.model.drive_settings import (
     TwistInput,
 )
 from thorvaldc.model.element import Element
+from thorvaldc.model.module import Module, SourcedMass
 from thorvaldc.model.ros import DEFAULT_SETTINGS, RosSettings
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
@@ -51,6 +52,7 @@ __all__ = [
     "Mesh",
     "MeshShape",
     "Mimic",
+    "Module",
     "Node",
     "ObjectValue",
     "ParameterSet",
@@ -60,6 +62,7 @@ __all__ = [
     "Sensor",
     "Shape",
     "Signal",
+    "SourcedMass",
     "Sphere",
     "Tread",
     "TwistInput",
@@ -434,6 +437,7 @@ class Robot(Element):
     - ``urdf_extensions``: XML elements from extras that only URDF can express, such as
       ``<gazebo>``.
     - ``ros``: settings of the ROS 2 package.
+    - ``modules``: the modules with their types, without the assemblies.
     """
 
     name: str
@@ -457,6 +461,7 @@ class Robot(Element):
     twist_locks: tuple[TwistInput, ...] = ()
     joint_servos: tuple[JointServo, ...] = ()
     ros: RosSettings = DEFAULT_SETTINGS
+    modules: tuple[Module, ...] = ()
 
     def __repr__(self) -> str:
         wheels = f"{len(self.wheels)} wheel{'' if len(self.wheels) == 1 else 's'}"

@@ -20,7 +20,7 @@ STEERED = [(x, y, "steered") for x, y in SQUARE]
 def test_facts_of_an_example_agree_with_each_other(name: str) -> None:
     robot = example_robot(name)
     facts = robot_facts(robot)
-    assert facts.mass == pytest.approx(sum(module.mass for module in facts.modules))
+    assert facts.mass == pytest.approx(sum(module.mass or 0.0 for module in facts.modules))
     loads = [wheel.load for wheel in facts.wheels]
     assert sum(loads) == pytest.approx(facts.mass * GRAVITY)
     assert sum(wheel.share for wheel in facts.wheels) == pytest.approx(1.0)

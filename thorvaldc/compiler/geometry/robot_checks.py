@@ -12,6 +12,7 @@ from thorvaldc.model.robot import Robot, Wheel
 from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.slope import SlopeStatics
 from thorvaldc.model.statics.tip_over import support_of
 
 # Largest gap (m) between a wheel and the ground that suspensions and tyres compensate.
@@ -267,23 +268,10 @@ def check_wheel_loads(robot: Robot, report: Report) -> None:
 
 
 def check_slope(robot: Robot, design: DesignRequirements, report: Report) -> None:
-    """Checks that the robot can climb the required slope.
-
-    The force that the robot needs on the slope is the component of the weight along the slope plus
-    the rolling resistance.  The force of the motors is the sum of the motor torques divided by the
-    wheel radii.  The grip is the greatest friction force of the driven wheels.  The force of the
-    motors and the grip must both be at least as large as the force that the robot needs.
-    """
+    """Checks that the robot can climb the required slope forwards, see ``model.statics.slope``."""
     if design.slope is None:
         return
-    actuators = {actuator.joint: actuator for actuator in robot.actuators}
-    weight = robot.inertial.mass * GRAVITY
-    s, c = math.sin(design.slope), math.cos(design.slope)
-    rolling = float_sum(w.rolling_resistance * w.load for w in robot.wheels) * c
-    needed = weight * s + rolling
-    driven = [w for w in robot.wheels if w.driven]
-    motor_force = float_sum(actuators[w.spin_joint].max_torque / w.radius for w in driven)
-    grip = float_sum(w.friction * w.load for w in driven) * c
+    needed, motor_force, grip = SlopeStatics(robot).forces(design.slope)
     degrees = math.degrees(design.slope)
     for force, cause, hint in (
         (motor_force, "the motors push", "stronger motors, more driven wheels or a lighter robot"),

@@ -5,7 +5,7 @@ The model contains the links, joints, wheels, motors and CAN buses of the robot.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,7 +29,7 @@ from thorvaldc.compiler.modules.hardware import hardware_of
 from thorvaldc.compiler.modules.hardware_parts import Hardware
 from thorvaldc.compiler.modules.instance import Instance, used_by
 from thorvaldc.compiler.modules.resolve import Resolver
-from thorvaldc.compiler.modules.robot_parts import RobotParts
+from thorvaldc.compiler.modules.robot_parts import RobotParts, modules_of
 from thorvaldc.compiler.modules.ros_settings import check_ros_names, read_ros_settings
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.modules.twist_inputs import TwistInputReader
@@ -140,7 +140,7 @@ class _Elaborator:
             return None
         self._stand_on_ground(parts, hardware, calibration)
         wheels, body = self._load_wheels(parts, calibration)
-        return self._make_robot(robot, parts, wheels, body, calibration, urdf_extensions)
+        return self._make_robot(robot, parts, wheels, body, hardware, calibration, urdf_extensions)
 
     def _read_hardware(self, robot: Instance) -> dict[str, Hardware]:
         """Returns the links, joints and other hardware of each valid module, by the path of the
@@ -199,6 +199,7 @@ class _Elaborator:
         parts: RobotParts,
         wheels: list[Wheel],
         body: Inertial,
+        hardware: Mapping[str, Hardware],
         calibration: Calibration | None,
         urdf_extensions: tuple[str, ...],
     ) -> Robot | None:
@@ -256,6 +257,7 @@ class _Elaborator:
             twist_locks=twist_locks,
             joint_servos=tuple(parts.joint_servos),
             ros=ros,
+            modules=modules_of(robot, hardware),
         )
         check_ros_names(model, self.document, self.report)
         check_stopping_distance(model, stated, self.report)

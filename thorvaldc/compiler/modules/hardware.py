@@ -23,8 +23,8 @@ from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.modules.value_reader import INVALID, entries, items
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
-from thorvaldc.model.robot import Collision, Tread, Visual
-from thorvaldc.model.spatial import Inertial, Pose, combine
+from thorvaldc.model.robot import Collision, SourcedMass, Tread, Visual
+from thorvaldc.model.spatial import Inertial, Pose, clean, combine
 
 MAX_REPETITIONS = 1000  # Largest number of copies of a link part with the key `for`.
 
@@ -131,13 +131,20 @@ class _HardwareReader:
         """
         visuals: list[Visual] = []
         collisions: list[Collision] = []
-        masses: list[Inertial] = []
+        inertials: list[Inertial] = []
+        masses: list[SourcedMass] = []
         for part in items(node.get("parts")):
             for scope in self._repetitions(part):
                 if scope.boolean(part.get("when"), True):
-                    self.shapes.read(part, scope, visuals, collisions, masses)
-        inertial = combine(masses).clean() if masses else None
-        return LinkPart(name, inertial, tuple(visuals), tuple(collisions), node.where)
+                    mass = self.shapes.read(part, scope, visuals, collisions)
+                    if mass is not None:
+                        inertials.append(mass)
+                        source = scope.text(part.get("source"))
+                        masses.append(SourcedMass(clean(mass.mass), source))
+        inertial = combine(inertials).clean() if inertials else None
+        return LinkPart(
+            name, inertial, tuple(visuals), tuple(collisions), tuple(masses), node.where
+        )
 
     def _repetitions(self, part: Node) -> list[Scope]:
         """Returns the names for expressions for each copy of a part with the key `for`."""

@@ -9,17 +9,21 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from thorvaldc.diagnostics import Span
-from thorvaldc.model.robot import Collision, Mesh, Scalar, Tread, Visual
+from thorvaldc.model.robot import Collision, Mesh, Scalar, SourcedMass, Tread, Visual
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
 
 class LinkPart(NamedTuple):
-    """A link (rigid body) of a module.  ``inertial`` is ``None`` for a link without mass."""
+    """A link (rigid body) of a module.
+
+    ``inertial`` is ``None`` for a link without mass.  ``masses`` are the masses of its parts.
+    """
 
     name: str
     inertial: Inertial | None
     visuals: tuple[Visual, ...]
     collisions: tuple[Collision, ...]
+    masses: tuple[SourcedMass, ...]
     span: Span
 
 

@@ -46,9 +46,12 @@ class LinkShapeReader:
         scope: Scope,
         visuals: list[Visual],
         collisions: list[Collision],
-        masses: list[Inertial],
-    ) -> None:
-        """Reads a part of a link, and adds the shape and the mass of the part to the link."""
+    ) -> Inertial | None:
+        """Reads a part of a link, and adds the shape of the part to the link.
+
+        Returns the inertia of the part in the frame of the link, or ``None`` for a part without
+        mass.
+        """
         shape_node = part.get("shape")
         pose = scope.pose(part).clean()
         collides = scope.boolean(part.get("collide"), False)
@@ -59,8 +62,7 @@ class LinkShapeReader:
             if collides:
                 collisions.append(Collision(shape, pose))
         inertial = self._inertial(part, shape, scope)
-        if inertial is not None:
-            masses.append(inertial.transformed(pose))
+        return inertial.transformed(pose) if inertial is not None else None
 
     def _inertial(self, part: Node, shape: Shape | None, scope: Scope) -> Inertial | None:
         """Returns the mass and the inertia of a link part in the coordinate frame of the part.

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from thorvaldc.compiler.geometry.wheel_geometry import PlacedWheel
 from thorvaldc.compiler.modules.hardware_parts import Hardware
 from thorvaldc.compiler.modules.instance import Instance, name_prefix
 from thorvaldc.diagnostics import Label, Report
-from thorvaldc.model.robot import Actuator, Battery, Joint, JointServo, Link, Mesh, Sensor
+from thorvaldc.model.robot import (
+    Actuator,
+    Battery,
+    Joint,
+    JointServo,
+    Link,
+    Mesh,
+    Module,
+    Sensor,
+    SourcedMass,
+)
 from thorvaldc.model.spatial import Pose, clean
 
 # Allowed difference (m) between the computed height of the root module and the height in the module
@@ -182,6 +192,34 @@ class RobotParts:
                     hint=f"set `height: {z * 1000:.6g} mm`, leave it out, "
                     "or choose legs of another length",
                 )
+
+
+def modules_of(robot: Instance, hardware: Mapping[str, Hardware]) -> tuple[Module, ...]:
+    """Returns the modules of the robot that are not assemblies, in the order of the file."""
+    modules = []
+    for leaf in robot.leaves():
+        if leaf.type is None:
+            continue
+        mounted = leaf.is_mechanical
+        links = hardware[leaf.path].links if mounted else ()
+        modules.append(
+            Module(
+                leaf.path,
+                leaf.type.name,
+                leaf.mount.leaf.path if mounted and leaf.mount is not None else "",
+                mounted,
+                _mass_by_source(mass for link in links for mass in link.masses),
+                leaf.span,
+            )
+        )
+    return tuple(modules)
+
+
+def _mass_by_source(parts: Iterable[SourcedMass]) -> tuple[SourcedMass, ...]:
+    masses: dict[str, float] = {}
+    for part in parts:
+        masses[part.source] = masses.get(part.source, 0.0) + part.mass
+    return tuple(SourcedMass(clean(mass), source) for source, mass in masses.items())
 
 
 def _mount_joint(leaf: Instance, hardware: Mapping[str, Hardware]) -> Joint:

@@ -22,8 +22,8 @@ def mesh_vertices(name: str, data: bytes) -> tuple[Vec3, ...]:
                 vertices[float(words[1]), float(words[2]), float(words[3])] = None
         return tuple(vertices)
     # Binary STL: 80 bytes, the number of triangles, and for each a normal, corners and 2 bytes.
-    for start in range(84, len(data) - 49, 50):
-        values = struct.unpack_from("<9f", data, start + 12)
+    count = (len(data) - 84) // 50
+    for values in struct.iter_unpack("<12x9f2x", data[84 : 84 + 50 * max(count, 0)]):
         vertices[values[0:3]] = None
         vertices[values[3:6]] = None
         vertices[values[6:9]] = None

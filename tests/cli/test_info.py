@@ -1,0 +1,73 @@
+"""``thorvaldc info``, as its users call it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Command
+from tests.examples import FLEETS, FOLDER, ROBOTS
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_the_text_of_an_example_fits_80_columns(thorvaldc: Command, name: str) -> None:
+    result = thorvaldc("info", str(FOLDER / name / "robot.yaml"), "--all")
+    assert result.status == 0
+    lines = result.out.splitlines()
+    assert max(map(len, lines)) <= 80
+    for title in ("Size", "Wheel loads", "Tip-over angles", "Steepest slopes", "Wiring"):
+        assert title in lines
+
+
+def test_json_of_a_robot(thorvaldc: Command) -> None:
+    result = thorvaldc("info", "good.yaml", "--json")
+    assert result.status == 0
+    facts = json.loads(result.out)
+    assert facts["size"]["wheelbase"] == pytest.approx(1.1, abs=0.2)
+    assert sum(wheel["share"] for wheel in facts["wheels"]) == pytest.approx(1.0)
+    assert set(facts["stability"]["angles"]) == {"front", "left", "rear", "right"}
+    assert result.out == thorvaldc("info", "good.yaml", "--format", "json").out
+
+
+def test_markdown_has_a_table_for_each_title(thorvaldc: Command) -> None:
+    lines = thorvaldc("info", "good.yaml", "--format", "markdown").out.splitlines()
+    assert lines[0] == "# good"
+    titles = [i for i, line in enumerate(lines) if line.startswith("## ")]
+    assert len(titles) > 8
+    for i in titles:
+        assert lines[i + 2].startswith("|")
+        assert set(lines[i + 3]) <= set("|-: ")
+        assert lines[i + 2].count("|") == lines[i + 3].count("|")
+
+
+def test_a_fleet_has_the_facts_of_each_robot(thorvaldc: Command) -> None:
+    fleet = str(FOLDER / FLEETS[0] / "fleet.yaml")
+    robots = json.loads(thorvaldc("info", fleet, "--json").out)["robots"]
+    assert list(robots) == ["tall", "slim", "wide", "six"]
+    text = thorvaldc("info", fleet).out
+    assert text.count("\nTip-over angles\n") == 4
+
+
+def test_a_build_says_that_its_meshes_are_missing(thorvaldc: Command) -> None:
+    assert thorvaldc("build", "good.yaml", "-o", "out").status == 0
+    of_file, of_build = thorvaldc("info", "good.yaml"), thorvaldc("info", "out")
+    assert of_build.status == 0
+    assert "not part of this model file" in of_build.out
+    assert "not part of this model file" not in of_file.out
+    assert of_file.out.partition("Mass")[2] == of_build.out.partition("Mass")[2]
+
+
+def test_a_robot_with_errors_has_no_facts(thorvaldc: Command) -> None:
+    Path("bad.yaml").write_text("thorvaldc: 1\nname: bad\nmodules: {}\n", encoding="utf-8")
+    result = thorvaldc("info", "bad.yaml")
+    assert result.status == 1
+    assert result.out == ""
+    assert "error" in result.err
+
+
+def test_an_unknown_format(thorvaldc: Command) -> None:
+    result = thorvaldc("info", "good.yaml", "--format", "yaml")
+    assert result.status == 2
+    assert "text, json, markdown" in result.err

@@ -1,0 +1,68 @@
+"""The command ``thorvaldc info``: shows the facts about a robot or about the robots of a fleet."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import ExitStack
+from typing import Annotated
+
+import typer
+
+from thorvaldc.cli.diagnostic_output import print_json, show_report
+from thorvaldc.cli.exits import INPUT
+from thorvaldc.cli.options import Json, Library, Trust, library_folders
+from thorvaldc.model import Fleet
+from thorvaldc.model.facts import facts_document, robot_facts
+from thorvaldc.tools.comparison.compared_inputs import read_input
+from thorvaldc.tools.facts_text import facts_markdown, facts_text
+
+FORMATS = ("text", "json", "markdown")
+
+
+def info(
+    file: Annotated[
+        str,
+        typer.Argument(
+            metavar="ROBOT",
+            help="A robot.yaml, a fleet.yaml, a build folder, or a file of a git revision:"
+            " HEAD~1:robot.yaml.",
+        ),
+    ],
+    format: Annotated[
+        str, typer.Option("--format", metavar="text|json|markdown", help="Output format.")
+    ] = "text",
+    json: Json = False,
+    everything: Annotated[
+        bool, typer.Option("--all", help="List every module with the source of its mass.")
+    ] = False,
+    library: Library = [],  # noqa: B006
+    trust: Trust = False,
+) -> int:
+    if format not in FORMATS:
+        raise typer.BadParameter(
+            f"{format!r} is none of {', '.join(FORMATS)}", param_hint="'--format'"
+        )
+    with ExitStack() as temporary:
+        loaded = read_input(file, temporary, library_folders(library), trust=trust)
+        status = show_report(loaded.report, loaded.sources)
+    model = loaded.model
+    if model is None:
+        return status or INPUT
+    if isinstance(model, Fleet):
+        members = [(place.name, robot_facts(place.robot)) for place in model.placements]
+        if json or format == "json":
+            robots = {name: facts_document(facts) for name, facts in members}
+            print_json({"name": model.name, "robots": robots})
+            return status
+        texts = [facts for _, facts in members]
+    elif json or format == "json":
+        print_json(facts_document(robot_facts(model)))
+        return status
+    else:
+        texts = [robot_facts(model)]
+    shown = (
+        facts_markdown(facts) if format == "markdown" else facts_text(facts, everything=everything)
+        for facts in texts
+    )
+    sys.stdout.write("\n".join(shown))
+    return status

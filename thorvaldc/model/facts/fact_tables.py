@@ -1,0 +1,385 @@
+"""The facts about a robot as tables of short texts, for all outputs that people read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+from thorvaldc.model.facts.driving import Driving
+from thorvaldc.model.facts.electrics import BusFacts, Wire
+from thorvaldc.model.facts.energy import Energy
+from thorvaldc.model.facts.masses import NO_SOURCE, BillRow, ModuleMass, source_kind
+from thorvaldc.model.facts.robot_facts import RobotFacts
+from thorvaldc.model.facts.size import Size
+from thorvaldc.model.facts.slopes import SlopeLimits, Slopes
+from thorvaldc.model.facts.stability import Stability, WheelLoad
+from thorvaldc.model.module import SourcedMass
+
+Row = tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class FactTable:
+    """A table of facts.
+
+    - ``key``: short name of the table, for links.
+    - ``columns``: titles of the columns, or empty for a list of names and values.
+    - ``numeric``: numbers of the columns that contain numbers, counted from 0.
+    - ``notes``: sentences below the table, such as the assumptions.
+    """
+
+    key: str
+    title: str
+    columns: Row
+    rows: tuple[Row, ...]
+    numeric: tuple[int, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def fact_tables(facts: RobotFacts) -> tuple[FactTable, ...]:
+    """Return the facts about a robot as tables. Tables without rows are left out."""
+    tables = (
+        _size(facts.size),
+        _mass(facts),
+        _wheels(facts.wheels),
+        _stability(facts.stability, facts.center_of_mass[2]),
+        _driving(facts.driving),
+        _slopes(facts.slopes),
+        _energy(facts.energy),
+        *_buses(facts.buses),
+        _wiring(facts.wiring),
+        _modules(facts.modules),
+        _bill(facts.bill),
+        _sources(facts.bill),
+    )
+    return tuple(table for table in tables if table.rows)
+
+
+def _length(value: float) -> str:
+    return f"{value:.3f} m"
+
+
+def _angle(value: float) -> str:
+    return f"{math.degrees(value):.1f} deg"
+
+
+def _mass_text(value: float) -> str:
+    return f"{value:.2f} kg"
+
+
+def _percent(value: float) -> str:
+    return f"{100.0 * value:.0f} %"
+
+
+def _size(size: Size) -> FactTable:
+    rows = [
+        ("length", _length(size.length)),
+        ("width", _length(size.width)),
+        ("height", _length(size.height)),
+    ]
+    if size.wheelbase is not None:
+        rows.append(("wheelbase", _length(size.wheelbase)))
+    if size.track is not None:
+        rows.append(("track", _length(size.track)))
+    if size.ground_clearance is not None:
+        lowest = f" (`{size.lowest_module}`)" if size.lowest_module else ""
+        rows.append(("ground clearance", _length(size.ground_clearance) + lowest))
+    notes = []
+    if size.meshes_left_out:
+        count = len(size.meshes_left_out)
+        notes.append(
+            f"{count} mesh {'file is' if count == 1 else 'files are'} not part of this model file;"
+            " the size leaves them out. The robot file gives the whole size."
+        )
+    return FactTable("size", "Size", (), tuple(rows), notes=tuple(notes))
+
+
+def _mass(facts: RobotFacts) -> FactTable:
+    x, y, z = facts.center_of_mass
+    rows = [
+        ("mass", _mass_text(facts.mass)),
+        ("centre of mass", f"x {x:.3f} m, y {y:.3f} m, z {z:.3f} m"),
+    ]
+    rows += [
+        (f"  {share.source}", f"{_mass_text(share.mass)} ({_percent(share.share)})")
+        for share in facts.mass_sources
+    ]
+    notes: tuple[str, ...] = ()
+    if any(module.mass is None for module in facts.modules):
+        notes = ("Modules that are wired but not mounted are not part of the mass.",)
+    return FactTable("mass", "Mass", (), tuple(rows), notes=notes)
+
+
+def _wheels(wheels: Iterable[WheelLoad]) -> FactTable:
+    rows = tuple(
+        (
+            wheel.name,
+            f"{wheel.x:.3f}",
+            f"{wheel.y:.3f}",
+            f"{wheel.radius:.3f}",
+            f"{wheel.load:.0f}",
+            _percent(wheel.share),
+            ", ".join(
+                word
+                for word, holds in (("driven", wheel.driven), ("steered", wheel.steered))
+                if holds
+            )
+            or "passive",
+        )
+        for wheel in wheels
+    )
+    columns = ("wheel", "x [m]", "y [m]", "radius [m]", "load [N]", "share", "kind")
+    return FactTable("wheels", "Wheel loads", columns, rows, numeric=(1, 2, 3, 4, 5))
+
+
+def _stability(stability: Stability, height: float) -> FactTable:
+    rows: list[Row]
+    if stability.least is None:
+        reason = (
+            "the wheels do not span an area"
+            if stability.margin is None
+            else f"the centre of mass is {-stability.margin:.3f} m outside the area of the wheels"
+        )
+        rows = [("stands", f"no: {reason}")]
+        return FactTable("stability", "Tip-over angles", (), tuple(rows))
+    rows = [(name, _angle(angle)) for name, angle in stability.angles]
+    least = stability.least
+    direction = math.degrees(least.direction)
+    side = "to the left" if direction > 0.0 else "to the right"
+    where = "forwards" if abs(direction) < 0.05 else f"{abs(direction):.1f} deg {side}"
+    rows.append(("least", f"{_angle(least.angle)} ({where})"))
+    return FactTable(
+        "stability",
+        "Tip-over angles",
+        (),
+        tuple(rows),
+        notes=(
+            f"Rigid robot with the centre of mass {height:.3f} m above the ground; suspension, "
+            "tyres and loose loads lower the angles.",
+        ),
+    )
+
+
+def _driving(driving: Driving) -> FactTable:
+    rows: list[Row] = [("forwards", _speed(driving.forwards))]
+    rows.append(
+        ("sideways", _speed(driving.sideways) if driving.sideways else "does not roll sideways")
+    )
+    if driving.forwards:
+        rows.append(("acceleration", f"{driving.acceleration:.2f} m/s^2"))
+    turn = driving.turn
+    if turn is None:
+        rows.append(("turning", "does not turn"))
+        return FactTable("driving", "Driving", (), tuple(rows))
+    rate = f"{math.degrees(turn.yaw_rate):.0f} deg/s ({turn.yaw_rate:.2f} rad/s)"
+    kind = "by skidding" if turn.skids else "on the spot" if turn.radius < 1e-6 else ""
+    radius = f"{_length(turn.radius)}{f' ({kind})' if kind else ''}"
+    rows += [
+        ("turning", rate),
+        ("turning radius", radius),
+        ("turning circle, wheels", _length(turn.wheel_circle)),
+        ("turning circle, body", _length(turn.outer_circle)),
+    ]
+    return FactTable(
+        "driving",
+        "Driving",
+        (),
+        tuple(rows),
+        notes=("The turning radius is that of `base_link`; turning is the rate in this turn.",),
+    )
+
+
+def _speed(value: float) -> str:
+    return f"{value:.2f} m/s ({3.6 * value:.1f} km/h)"
+
+
+def _slopes(slopes: Slopes | None) -> FactTable:
+    title = "Steepest slopes"
+    columns = ("uphill", "grip", "torque", "tip-over", "steepest")
+    if slopes is None:
+        return FactTable("slopes", title, columns, ())
+    rows = tuple(
+        (name, *_slope_cells(limits))
+        for name, limits in (("forwards", slopes.forwards), ("backwards", slopes.backwards))
+    )
+    friction, rolling = slopes.friction, slopes.rolling_resistance
+    return FactTable(
+        "slopes",
+        title,
+        columns,
+        rows,
+        numeric=(1, 2, 3, 4),
+        notes=(
+            f"Straight up at a constant speed, all joints at 0; coefficient of friction"
+            f" {_interval(friction)}, rolling resistance {_interval(rolling)}, largest torque of"
+            " the motors.",
+        ),
+    )
+
+
+def _slope_cells(limits: SlopeLimits) -> Iterator[str]:
+    for angle in (limits.grip, limits.torque):
+        yield "over 80 deg" if angle is None else _angle(angle)
+    yield _angle(limits.tip_over)
+    yield _angle(limits.steepest)
+
+
+def _interval(values: tuple[float, float]) -> str:
+    low, high = values
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+
+
+def _energy(energy: Energy) -> FactTable:
+    rows: list[Row] = []
+    for battery in energy.batteries:
+        if not battery.present:
+            rows.append((battery.name, "empty enclosure"))
+            continue
+        parts = []
+        if battery.voltage is not None:
+            parts.append(f"{battery.voltage:g} V")
+        if battery.capacity is not None:
+            parts.append(f"{battery.capacity / 3600.0:g} Ah")
+        if battery.energy is not None:
+            parts.append(f"{battery.energy / 3600.0:.0f} Wh")
+        rows.append((battery.name, ", ".join(parts) or "not stated"))
+    if energy.energy is not None:
+        rows.append(("energy", f"{energy.energy / 3600.0:.0f} Wh"))
+    if energy.rolling_force > 0.0:
+        rows.append(("rolling resistance", f"{energy.rolling_force:.1f} N on level ground"))
+    if energy.range_bound is not None:
+        rows.append(("range", f"less than {energy.range_bound / 1000.0:.0f} km"))
+    if energy.standby is not None:
+        rows.append(("standby", f"{energy.standby / 3600.0:.1f} h at {energy.power:g} W"))
+    notes = []
+    if energy.range_bound is not None:
+        notes.append(
+            "The bound of the range is the energy over the rolling resistance, without any loss."
+        )
+    if energy.missing:
+        notes.append(f"No module states {'; '.join(energy.missing)}.")
+    if not rows:
+        rows.append(("energy", "not stated"))
+    return FactTable("energy", "Energy and range", (), tuple(rows), notes=tuple(notes))
+
+
+def _buses(buses: Iterable[BusFacts]) -> Iterator[FactTable]:
+    buses = tuple(buses)
+    rows = tuple(
+        (
+            bus.name,
+            f"{bus.bitrate / 1000:g}",
+            f"{bus.period * 1000:g}",
+            f"{bus.frames}",
+            f"{100 * bus.load:.1f} %",
+            f"{bus.master_id}",
+        )
+        for bus in buses
+    )
+    columns = ("bus", "kbit/s", "cycle [ms]", "frames", "load", "master id")
+    yield FactTable("buses", "Buses", columns, rows, numeric=(1, 2, 3, 4, 5))
+    addresses = [address for bus in buses for address in bus.addresses]
+    yield _without_columns(
+        FactTable(
+            "addresses",
+            "Addresses",
+            ("node", "bus", "address", "group", "protocol", "serial"),
+            tuple(
+                (
+                    address.name,
+                    address.bus,
+                    f"{address.id} (0x{address.id:02X})" if address.id_space else "-",
+                    address.id_space.replace("_", " ") or "-",
+                    address.protocol,
+                    address.serial or "",
+                )
+                for address in addresses
+            ),
+            notes=("The compiler chose the addresses that the robot file leaves out.",)
+            * any(address.automatic for address in addresses),
+        ),
+        *([1] if len(buses) == 1 else []),
+        *([] if any(address.serial for address in addresses) else [5]),
+    )
+
+
+def _wiring(wiring: tuple[Wire, ...]) -> FactTable:
+    rows = tuple(
+        (
+            wire.bus or "-",
+            wire.node or "not wired",
+            f"{wire.id}" if wire.node else "-",
+            wire.channel or "-",
+            wire.motor or "free",
+            f"{wire.gear_ratio:g}:1" if wire.motor else "",
+            f"{wire.encoder_ppr}" if wire.motor else "",
+            f"{wire.max_torque:g}" if wire.motor else "",
+        )
+        for wire in wiring
+    )
+    table = FactTable(
+        "wiring",
+        "Wiring",
+        ("bus", "controller", "id", "channel", "motor", "gear", "ppr", "N m"),
+        rows,
+        numeric=(2, 5, 6, 7),
+        notes=(
+            "An encoder (ppr: pulses per revolution of the motor) is wired to the channel of its"
+            " motor. The robot file does not say which battery supplies which controller.",
+        ),
+    )
+    return _without_columns(table, *([0] if len({wire.bus for wire in wiring}) == 1 else []))
+
+
+def _without_columns(table: FactTable, *left_out: int) -> FactTable:
+    kept = [i for i in range(len(table.columns)) if i not in left_out]
+    return replace(
+        table,
+        columns=tuple(table.columns[i] for i in kept),
+        rows=tuple(tuple(row[i] for i in kept) for row in table.rows),
+        numeric=tuple(new for new, old in enumerate(kept) if old in table.numeric),
+    )
+
+
+def _modules(modules: Iterable[ModuleMass]) -> FactTable:
+    rows = tuple(
+        (
+            module.module or "-",
+            module.type or "-",
+            "-" if module.mass is None else f"{module.mass:.2f}",
+            _kinds(module.sources),
+        )
+        for module in modules
+    )
+    columns = ("module", "type", "mass [kg]", "source")
+    return FactTable("modules", "Mass by module", columns, rows, numeric=(2,))
+
+
+def _bill(bill: Iterable[BillRow]) -> FactTable:
+    rows = tuple(
+        (
+            row.type or "-",
+            f"{row.count}",
+            "-" if row.mass is None else f"{row.mass:.2f}",
+            "-" if row.mass is None else f"{row.total:.2f}",
+            _kinds(row.sources),
+        )
+        for row in bill
+    )
+    columns = ("type", "count", "mass [kg]", "total [kg]", "source")
+    return FactTable("bill", "Bill of modules", columns, rows, numeric=(1, 2, 3))
+
+
+def _kinds(sources: Iterable[SourcedMass]) -> str:
+    return ", ".join(dict.fromkeys(source_kind(part.source) for part in sources)) or "-"
+
+
+def _sources(bill: Iterable[BillRow]) -> FactTable:
+    rows = tuple(
+        (row.type or "-", f"{part.mass:.2f}", part.source or NO_SOURCE)
+        for row in bill
+        for part in row.sources
+    )
+    columns = ("type", "mass [kg]", "source of the number")
+    return FactTable("sources", "Sources of the masses", columns, rows, numeric=(1,))

@@ -1,0 +1,42 @@
+"""The modules of a robot: which types of the module library it consists of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from thorvaldc.diagnostics import Span
+from thorvaldc.model.element import Element
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class SourcedMass(Element):
+    """The mass of all parts of a module whose numbers have the same source.
+
+    - ``mass``: mass in kg.
+    - ``source``: source of the numbers as in the module file, such as ``datasheet: VLP-16``, or
+      empty if the module file states no source.
+    """
+
+    mass: float
+    source: str
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Module(Element):
+    """A module of the robot: one use of a module type that is not an assembly.
+
+    - ``name``: path of the module, such as ``fl.steering``.
+    - ``type``: name of the module type, such as ``steering/standard``.
+    - ``parent``: path of the module that carries it, or empty for the root module and for a module
+      that is not mounted.
+    - ``mounted``: true if the module is a body of the robot. A module that is only wired, such as a
+      motor controller without a mount, has no links and no mass.
+    - ``masses``: mass by source, in the order of the module file.
+    """
+
+    name: str
+    type: str
+    parent: str
+    mounted: bool
+    masses: tuple[SourcedMass, ...]
+    span: Span

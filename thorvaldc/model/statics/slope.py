@@ -1,0 +1,74 @@
+"""The forces on a robot that drives straight up or down a slope.
+
+The robot is rigid and has all joints at position 0. On a slope of the angle a, the weight W has the
+component W cos(a) into the ground and W sin(a) downhill. The centre of mass at the height h then
+loads the wheels as if it were above a point that is h tan(a) further downhill, which gives the
+wheel loads N_i (see ``static_loads``). Force that moves the robot uphill at a constant speed, with
+the coefficients of rolling resistance c_i:
+
+    F = W sin(a) + sum over wheels c_i N_i.
+
+The motors push with at most the sum of torque over radius of the driven wheels. The grip of the
+driven wheels with the coefficients of friction mu_i is sum mu_i N_i. The loads of a robot with
+rockers leave out the moments that the driving forces have about the rockers.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+from thorvaldc.model.float_sum import float_sum
+from thorvaldc.model.robot import Robot
+from thorvaldc.model.statics.contact_point import contact_point
+from thorvaldc.model.statics.gravity import GRAVITY
+from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.static_loads import Pivot, free_pivots, static_loads
+from thorvaldc.model.stopping import driven_wheels
+
+
+class SlopeForces(NamedTuple):
+    """Forces on a robot on a slope in N.
+
+    - ``needed``: force that moves the robot uphill at a constant speed.
+    - ``motors``: largest force of the motors.
+    - ``grip``: largest friction force of the driven wheels.
+    """
+
+    needed: float
+    motors: float
+    grip: float
+
+
+class SlopeStatics:
+    """The forces on one robot on slopes of any angle, driving forwards or backwards uphill."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self._points = [contact_point(wheel) for wheel in robot.wheels]
+        actuated = {actuator.joint for actuator in robot.actuators}
+        self._pivots: list[Pivot] = free_pivots(
+            JointTree(robot.links, robot.joints), robot.wheels, actuated
+        )
+        driven = driven_wheels(robot.wheels, robot.actuators)
+        self._motors = float_sum(motor.max_torque / wheel.radius for wheel, motor in driven)
+
+    def loads(self, angle: float, *, backwards: bool = False) -> list[float]:
+        """Return the wheel loads in N on a slope of ``angle`` rad."""
+        body = self._robot.inertial
+        x, y, z = body.com
+        downhill = 1.0 if backwards else -1.0
+        shifted = replace(body, com=(x + downhill * z * math.tan(angle), y, z))
+        return [
+            load * math.cos(angle) for load in static_loads(self._points, shifted, self._pivots)
+        ]
+
+    def forces(self, angle: float, *, backwards: bool = False) -> SlopeForces:
+        """Return the forces on the robot on a slope of ``angle`` rad, below a right angle."""
+        loads = self.loads(angle, backwards=backwards)
+        wheels = list(zip(self._robot.wheels, loads, strict=True))
+        weight = self._robot.inertial.mass * GRAVITY
+        rolling = float_sum(wheel.rolling_resistance * load for wheel, load in wheels)
+        grip = float_sum(wheel.friction * load for wheel, load in wheels if wheel.driven)
+        return SlopeForces(weight * math.sin(angle) + rolling, self._motors, grip)
