@@ -26,6 +26,9 @@ START_UP = {
     "differential_script": (3.5, 4.5),
 }
 """Shortest and longest time (s) from the power-on until a person arms the robot."""
+FLOODED_EVERY, FIRST_FLOODED = 97, 5
+"""Every 97th mission ends in a flood of twists. Such a flood is rare in the others, and the next
+drive of their pilot hides what the driver does with the twists that wait."""
 COMMISSIONED = ("steered_cia402", "differential_cia402")
 """Robots whose drives are set up by ``can flash``."""
 STALLS = (0.005, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.55, 0.62, 0.7, 1.0, 2.0, 5.0)
@@ -74,6 +77,8 @@ class MissionGenerator:
 
     def schedule(self) -> Schedule:
         draw = self.draw
+        if self.seed % FLOODED_EVERY == FIRST_FLOODED:
+            return self._flooded()
         if draw.random() < DELIVERED_SHARE and self.name in COMMISSIONED:
             return self._commissioning()
         kinds = draw.sample(list(FAULTS), k=draw.randint(1, 4))
@@ -113,6 +118,24 @@ class MissionGenerator:
             else:
                 events += draw.choice(makers)(at)
         return self._schedule(DELIVERED, duration, events)
+
+    def _flooded(self) -> Schedule:
+        """Returns a mission whose pilot sends thousands of twists at once and then hangs."""
+        draw = self.draw
+        seconds, rate = round(draw.uniform(0.5, 1.5), 2), draw.choice((10.0, 20.0, 50.0))
+        twist = self.fast_twist()
+        values = {"client": "pilot", "source": "teleop_joy", "twist": twist, "seconds": seconds}
+        flood = TWIST.replace("0.4", str(twist[0]))
+        at = 0.3 + seconds * draw.uniform(0.4, 1.0)
+        events = [
+            *self.arm(0.1, "pilot"),
+            ChaosEvent(0.3, "drive", {**values, "rate": rate}),
+            ChaosEvent(at, "raw", {"client": "pilot", "text": flood, "times": 5000}),
+            ChaosEvent(at + 0.01, "hang", {"client": "pilot"}),
+        ]
+        if draw.random() < 0.5:
+            events += self.stall(at + draw.uniform(0.0, 0.5))
+        return self._schedule(READY, at + draw.uniform(0.5, 2.0), events)
 
     # -- the mission -------------------------------------------------------------------------------
 
