@@ -71,6 +71,7 @@ COMMANDS: tuple[CommandEntry | GroupEntry, ...] = (
     GroupEntry("modules", MODULES, "List, show and check the hardware modules."),
     CommandEntry("info", "info:info", "Show size, loads, limits, wiring and parts of a robot."),
     CommandEntry("diff", "diff:diff", "Compare two robots, builds or git revisions."),
+    CommandEntry("why", "why:why", "Explain where a number of a robot comes from."),
     CommandEntry("audit", "audit:audit", "Report contradictions in the files of any robot."),
     CommandEntry("targets", "targets:targets", "List the targets that a robot can be built for."),
     CommandEntry("schema", "schema:schema", "Print the JSON Schema of a kind of document."),

@@ -366,6 +366,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV971", "git-revision-unknown", "a repository does not have a revision"),
     _error("TV972", "git-file-missing", "a revision does not have a file"),
     _error("TV973", "git-failed", "git cannot read a revision, or the revision is too large"),
+    _error("TV974", "why-path-unknown", "a robot or an output has no value with a name"),
 )
 
 CODES: dict[str, Code] = {code.name: code for code in _TABLE}

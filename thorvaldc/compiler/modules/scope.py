@@ -192,6 +192,25 @@ class Scope(ValueReader):
         self._values[name] = value
         return value
 
+    def origin(self, name: str) -> tuple[Node, Scope] | None:
+        """Returns the YAML node with the value of a parameter or a `let` entry, and the scope of
+        the expression in the node.
+
+        Returns ``None`` if the name is unknown, or if the parameter has no value.
+        """
+        if name in self._let:
+            return self._let[name], self
+        declaration = self._params.get(name)
+        if declaration is None:
+            return None
+        argument = self._arguments.get(name)
+        if argument is not None:
+            node, scope = argument
+            if scope.value(node) is not None or _kind(declaration) == "module":
+                return argument
+        default = declaration.get("default")
+        return (default, self) if default is not None else None
+
     def __iter__(self) -> Iterator[str]:
         return iter({**self._params, **self._let, **self._values})
 

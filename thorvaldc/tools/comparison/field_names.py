@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from thorvaldc.tools.comparison.leaf_differences import ORDER, Path
+from thorvaldc.tools.comparison.leaf_differences import ORDER, ValuePath
 
 _LABELS = {
     "com": "centre of mass",
@@ -75,7 +75,7 @@ _UNITS: dict[str, dict[str, str]] = {
 """SI units of fields, by the first and the last name of the path of a value."""
 
 
-def field_label(path: Path) -> str:
+def field_label(path: ValuePath) -> str:
     """Returns the label of a field with the path ``path`` in its element."""
     words = [_LABELS.get(name, name.replace("_", " ")) for name in path if name not in _SILENT]
     if words and path[-1] == ORDER:
@@ -83,7 +83,7 @@ def field_label(path: Path) -> str:
     return " ".join(words)
 
 
-def field_unit(path: Path) -> str:
+def field_unit(path: ValuePath) -> str:
     """Returns the SI unit of a value of the model, or an empty text."""
     units = _UNITS.get("driver" if "driver" in path[:-1] else path[0], {})
     for name in reversed(path):

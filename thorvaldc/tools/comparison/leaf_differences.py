@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.model_json import to_json
 
-Path = tuple[str, ...]
+ValuePath = tuple[str, ...]
 
 
 class _Absent:
@@ -35,7 +35,7 @@ class LeafDifference(NamedTuple):
       has is one difference, with the whole element as its value.
     """
 
-    path: Path
+    path: ValuePath
     before: Any
     after: Any
 
@@ -58,7 +58,7 @@ def model_document(model: Robot | Fleet) -> dict[str, Any]:
     return dict(document)
 
 
-def leaf_differences(before: Any, after: Any, path: Path = ()) -> Iterator[LeafDifference]:
+def leaf_differences(before: Any, after: Any, path: ValuePath = ()) -> Iterator[LeafDifference]:
     """Yields the differences of two documents of ``model_document``, in the order of the model."""
     if isinstance(before, dict) or isinstance(after, dict):
         # A list of elements is a mapping; an empty list has no elements to tell this from.
@@ -81,7 +81,7 @@ ORDER = "(order)"
 
 
 def _order_difference(
-    before: dict[str, Any], after: dict[str, Any], path: Path
+    before: dict[str, Any], after: dict[str, Any], path: ValuePath
 ) -> Iterator[LeafDifference]:
     """Yields a difference if the elements that both models have are in another order."""
     common = [
@@ -98,7 +98,7 @@ def _keyed(value: Any) -> Any:
         return {key: _keyed(item) for key, item in value.items() if key != "span"}
     if not isinstance(value, list) or not value:
         return value
-    names = _names_of(value)
+    names = element_names(value)
     if names is None:
         return value
     elements = [item[1] if isinstance(item, list) else item for item in value]
@@ -106,7 +106,7 @@ def _keyed(value: Any) -> Any:
     return {**by_name, ORDER: names}
 
 
-def _names_of(items: list[Any]) -> list[str] | None:
+def element_names(items: list[Any]) -> list[str] | None:
     """Returns a unique name for each element of a list.
 
     Returns ``None`` for a list of plain values, which is compared as a whole.

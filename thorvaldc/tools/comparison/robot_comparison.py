@@ -75,7 +75,7 @@ def compare_robots(
     for leaf in leaves:
         if _is_covered_by_module(leaf, kinds.get(_module_of(leaf, old, new), ())):
             continue
-        if leaf.is_rounding or _is_derived(leaf):
+        if leaf.is_rounding or is_derived(leaf):
             derived.append(leaf)
         else:
             shown.append((leaf, _value_change(leaf)))
@@ -160,7 +160,8 @@ def _is_covered_by_module(leaf: LeafDifference, kinds: Sequence[str]) -> bool:
     )
 
 
-def _is_derived(leaf: LeafDifference) -> bool:
+def is_derived(leaf: LeafDifference) -> bool:
+    """Returns whether a value follows from others, or says little to a reader."""
     path = leaf.path
     if path[-1] == ORDER and path[0] not in ("twist_sources", "twist_locks"):
         return True

@@ -18,7 +18,7 @@ from thorvaldc.compiler.source.units import parse_any
 from thorvaldc.diagnostics import Diagnostic, Span
 from thorvaldc.model import Robot
 from thorvaldc.tools.provenance.robot_probe import RobotProbe
-from thorvaldc.tools.provenance.source_values import SourceValue, scaled
+from thorvaldc.tools.provenance.source_values import SourceValue, incremented, scaled
 
 SMALL_CHANGE = 1e-4
 """Relative change of a value for a number that follows continuously."""
@@ -93,7 +93,7 @@ class InfluenceSearch:
         known = {influence.source for influence in self._influences}
         integers = [value for value in constants if value.is_integer and value not in known]
         for step in INTEGER_STEPS:
-            changes = {value: value.node.value + step for value in integers}
+            changes = {value: incremented(value.node.value, step) for value in integers}
             accepted = self._search(changes)
             integers = [value for value in integers if value not in accepted]
         if len(self._influences) <= MOST_WITH_EXPRESSIONS:
@@ -174,7 +174,7 @@ class InfluenceSearch:
     def _try_alone(self, value: SourceValue) -> bool:
         """Tests an integer whose first change is an error without the others, such as a node id."""
         for step in INTEGER_STEPS[1:] if value.is_integer else ():
-            robot, _ = self.probe.compile({value: value.node.value + step})
+            robot, _ = self.probe.compile({value: incremented(value.node.value, step)})
             if robot is not None:
                 if self.observe(robot) == self.value:
                     return False
@@ -184,16 +184,31 @@ class InfluenceSearch:
 
     def _effect(self, change: tuple[SourceValue, Any], observed: Any) -> float | None:
         value, new = change
-        relative = self._relative_change(value, new)
-        if not (relative and _is_number(observed) and _is_number(self.value) and self.value):
-            return None
-        return float((observed - self.value) / self.value / relative)
+        return relative_effect(value, _relative_change(value, new), self.value, observed)
 
-    def _relative_change(self, value: SourceValue, new: Any) -> float:
-        old = value.node.value
-        if isinstance(old, int | float):
-            return (new - old) / old if old else 0.0
-        return _factor_of(value, new)
+    def robot_with_other_numbers(self, values: Sequence[SourceValue]) -> Robot | None:
+        """Returns the robot with all numbers changed that can be changed together."""
+        constants = [value for value in values if not value.is_expression]
+        robot, _ = self.probe.compile(self._accepted(self._scaled(constants)))
+        return robot
+
+
+def relative_effect(source: SourceValue, change: float, before: Any, after: Any) -> float | None:
+    """Returns the relative change of a number per relative change ``change`` of its source.
+
+    Returns ``None`` for a source of 0, and for a number that is 0 or is no number.
+    """
+    is_zero = not change or (isinstance(source.node.value, int | float) and not source.node.value)
+    if is_zero or not (_is_number(before) and _is_number(after) and before):
+        return None
+    return float((after - before) / before / change)
+
+
+def _relative_change(value: SourceValue, new: Any) -> float:
+    old = value.node.value
+    if isinstance(old, int | float):
+        return float((new - old) / old) if old else 0.0
+    return _factor_of(value, new)
 
 
 def _factor_of(value: SourceValue, new: str) -> float:

@@ -148,4 +148,3 @@ class RobotProbe:
         text = yaml.safe_dump(with_values(root, values).plain(), sort_keys=False)
         path.write_text(text, encoding="utf-8")
         return with_values(document, [(("calibration",), str(path))])
-

@@ -46,7 +46,7 @@ class SourceValue:
 
     @property
     def key_path(self) -> str:
-        """Text of the position, such as ``params.radius.default`` or ``links.body.parts[0].mass``."""
+        """Text of the position, such as ``links.body.parts[0].mass``."""
         return key_path(self.keys)
 
 
@@ -92,6 +92,11 @@ def _is_numeric(node: Node) -> bool:
     return True
 
 
+def incremented(value: Any, step: int) -> Any:
+    """Returns an integer value of a node, changed by ``step``."""
+    return value + step
+
+
 def scaled(value: Any, change: float) -> Any:
     """Returns the value of a node, changed by the relative amount ``change``.
 
@@ -133,4 +138,3 @@ def _rebuilt(node: Node, tree: Any) -> Node:
     for index, branch in tree.items():
         items[index] = _rebuilt(items[index], branch)
     return node._replace(value=tuple(items))
-

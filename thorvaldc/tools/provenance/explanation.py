@@ -1,0 +1,359 @@
+"""Explains a value of a robot, of a module or of an output: its sources, its way, and its uses."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from thorvaldc import backends
+from thorvaldc.compiler.pipeline import emit
+from thorvaldc.diagnostics import Span
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics.suggest import nearest
+from thorvaldc.model import Robot
+from thorvaldc.model.model_json import ModelFormatError
+from thorvaldc.tools.comparison.field_names import field_unit
+from thorvaldc.tools.comparison.leaf_differences import (
+    ABSENT,
+    ORDER,
+    ValuePath,
+    leaf_differences,
+    model_document,
+)
+from thorvaldc.tools.comparison.robot_comparison import is_derived
+from thorvaldc.tools.provenance.influence_search import (
+    INTEGER_STEPS,
+    SMALL_CHANGE,
+    Influence,
+    InfluenceSearch,
+    relative_effect,
+)
+from thorvaldc.tools.provenance.model_paths import (
+    changed_value,
+    observed_value,
+    resolve_path,
+    value_at,
+    values_at,
+    with_values,
+)
+from thorvaldc.tools.provenance.output_values import find_value, output_values
+from thorvaldc.tools.provenance.parameter_chain import (
+    Step,
+    chain_of_parameter,
+    chain_of_type,
+    find_instance,
+)
+from thorvaldc.tools.provenance.robot_probe import RobotProbe
+from thorvaldc.tools.provenance.source_values import SourceValue, incremented, scaled
+
+MOST_COMPILATIONS = 1500
+MODEL_FILES = ("model.json",)
+NAMES_OF_OUTPUT = 3
+"""Number of names of an output value that are shown; MJCF nests dozens of bodies."""
+
+
+@dataclass(frozen=True)
+class OutputUse:
+    """A file of a build that contains a number which follows from the value.
+
+    - ``lines``: numbers and texts of the lines that differ if the value is another one.
+    """
+
+    file: str
+    lines: tuple[tuple[int, str], ...]
+
+
+@dataclass
+class Explanation:
+    """Where a value comes from, and where it goes.
+
+    Attributes
+    ----------
+    path : full name of the value.
+    value, unit : the value in SI units.
+    element : span of the element of the robot that has the value, in the robot file.
+    influences : values of the documents that influence the value.
+    chain : nodes from the robot file to the value, for a parameter of a module.
+    types : nodes that choose the module type, from the robot file to the module.
+    model_values : values of the model that an output value depends on, or that a parameter of a
+        module influences.
+    uses : files of a build in which a number depends on the value.
+    source_uses : files of a build in which a number depends on the first source of the value, and
+        none on the value itself.
+    is_varied : whether the value is a number, which can be changed a little.
+    is_complete : false if the search for influences ended at its limit.
+    compilations : number of compilations.
+    """
+
+    path: str
+    value: Any
+    unit: str = ""
+    element: Span | None = None
+    influences: list[Influence] = field(default_factory=list)
+    chain: list[Step] = field(default_factory=list)
+    types: list[Step] = field(default_factory=list)
+    model_values: list[str] = field(default_factory=list)
+    uses: list[OutputUse] = field(default_factory=list)
+    source_uses: list[OutputUse] = field(default_factory=list)
+    is_varied: bool = True
+    is_complete: bool = True
+    compilations: int = 0
+
+
+class Explainer:
+    """Explains values of one robot file, which has no errors.
+
+    Parameters
+    ----------
+    path : path of the robot file.
+    robot : the robot of the file.
+    library : additional folders with modules.
+    trust : whether xacro files are expanded without restrictions.
+    stack : temporary files are removed when the stack is closed.
+    """
+
+    def __init__(
+        self, path: Path, robot: Robot, library: Sequence[Path], trust: bool, stack: ExitStack
+    ) -> None:
+        self.robot = robot
+        self.probe = RobotProbe(path, library, trust, stack)
+        self.document = model_document(robot)
+
+    def explain(self, text: str) -> Explanation:
+        """Returns the explanation of a value: of the model, of a module or of an output.
+
+        Raises ``DiagnosticError`` (``why-path-unknown``) if there is no such value.
+        """
+        file, colon, query = text.rpartition(":")
+        if colon and file:
+            explanation = self._explain_output(file, query)
+        elif text.split(".")[0] == "modules":
+            explanation = self._explain_parameter(text)
+        else:
+            explanation = self._explain_model_value(text)
+        explanation.compilations = self.probe.count
+        return explanation
+
+    # -- values of the model ----------------------------------------------------------------
+
+    def _explain_model_value(self, text: str) -> Explanation:
+        path = resolve_path(self.document, text)
+        value = value_at(self.document, path)
+        explanation = Explanation(".".join(path), value, field_unit(path))
+        explanation.element = _span_of(self.robot, path)
+        explanation.types = self._types(_module_at(self.document, path))
+        new = changed_value(value, SMALL_CHANGE)
+        explanation.is_varied = new is not None
+        if new is None:
+            return explanation
+        self._search(explanation, lambda robot: observed_value(robot, path))
+        explanation.uses = list(self._uses(lambda: with_values(self.robot, {path: new})))
+        constants = [i.source for i in explanation.influences if not i.source.is_expression]
+        changed = self._changed(constants[:1])
+        if changed is not None and len(constants) == 1:
+            names = [use.file for use in explanation.uses]
+            uses = self._uses(lambda: changed)
+            explanation.source_uses = [use for use in uses if use.file not in names]
+        return explanation
+
+    def _search(self, explanation: Explanation, observe: Callable[[Robot], Any]) -> None:
+        search = InfluenceSearch(self.probe, observe, MOST_COMPILATIONS)
+        result = search.run(self.probe.values())
+        explanation.influences = result.influences
+        explanation.is_complete = result.is_complete
+
+    def _types(self, module: str) -> list[Step]:
+        return list(chain_of_type(self.probe, module)) if module else []
+
+    def _uses(self, changed_robot: Callable[[], Robot]) -> Iterator[OutputUse]:
+        """Yields the output files that differ between the robot and a changed robot."""
+        try:
+            other = emit(changed_robot(), backends.DEFAULT_TARGETS)
+        except ModelFormatError:
+            return
+        for name, content in emit(self.robot, backends.DEFAULT_TARGETS).items():
+            if other.get(name) != content and name.rpartition("/")[2] not in MODEL_FILES:
+                yield OutputUse(name, tuple(_changed_lines(content, other.get(name, b""))))
+
+    # -- parameters of modules --------------------------------------------------------------
+
+    def _explain_parameter(self, text: str) -> Explanation:
+        instance, name = find_instance(self.probe, text)
+        explanation = Explanation(f"modules.{instance.path}.params.{name}", None)
+        explanation.chain = list(chain_of_parameter(self.probe, instance, name))
+        explanation.value = explanation.chain[-1].value
+        explanation.unit = explanation.chain[-1].unit
+        explanation.types = self._types(instance.path)
+        sources = [
+            step.source
+            for step in explanation.chain
+            if step.source is not None and not step.source.is_expression
+        ]
+        changed = self._changed(sources)
+        explanation.is_varied = changed is not None
+        if changed is not None:
+            leaves = list(leaf_differences(self.document, model_document(changed)))
+            leaves.sort(key=is_derived)
+            explanation.model_values = [leaf.text_path for leaf in leaves]
+            explanation.uses = list(self._uses(lambda: changed))
+        return explanation
+
+    def _changed(self, sources: Sequence[SourceValue]) -> Robot | None:
+        """Returns the robot with other values of some sources.
+
+        Returns ``None`` if there are no sources, or if each change is an error.
+        """
+        changes: list[dict[SourceValue, Any]] = [
+            {source: scaled(source.node.value, SMALL_CHANGE) for source in sources},
+            *(
+                {s: incremented(s.node.value, step) for s in sources if s.is_integer}
+                for step in INTEGER_STEPS
+            ),
+        ]
+        for change in filter(None, changes):
+            robot, _ = self.probe.compile(change)
+            # A scaled node id is a number with decimals, of which the whole part is used.
+            if robot is not None and robot != self.robot:
+                return robot
+        return None
+
+    # -- values of outputs --------------------------------------------------------------------
+
+    def _explain_output(self, file: str, query: str) -> Explanation:
+        name, target, text = self._output(file)
+        output_value = find_value(name, output_values(name, text), query)
+
+        def read(robot: Robot) -> Any:
+            content = emit(robot, [target]).get(name, b"").decode()
+            values = output_values(name, content)
+            return next((v.value for v in values if v.path == output_value.path), None)
+
+        label = ".".join(output_value.path[-NAMES_OF_OUTPUT:])
+        explanation = Explanation(f"{name}:{output_value.line} {label}", output_value.value)
+        paths = list(self._model_sources(read))
+        explanation.model_values = [".".join(path) for path in paths]
+        if paths:
+            self._search(explanation, lambda robot: values_at(robot, paths))
+            explanation.influences = list(self._with_effects(explanation.influences, read))
+        modules = {_module_at(self.document, path) for path in paths} - {""}
+        if len(modules) == 1:
+            explanation.types = self._types(modules.pop())
+        return explanation
+
+    def _model_sources(self, read: Callable[[Robot], Any]) -> Iterator[ValuePath]:
+        """Yields the values of the model that an output value is computed from.
+
+        A robot with other numbers in all documents gives each value of the model another value.
+        Group tests find those that change the output.
+        """
+        search = InfluenceSearch(self.probe, lambda robot: robot, MOST_COMPILATIONS)
+        robot = search.robot_with_other_numbers(self.probe.values())
+        if robot is None:
+            return
+        value = read(self.robot)
+        leaves = leaf_differences(self.document, model_document(robot))
+        changes = {
+            leaf.path: leaf.after
+            for leaf in leaves
+            if ABSENT not in (leaf.before, leaf.after) and ORDER not in leaf.path
+        }
+
+        def split(paths: list[ValuePath]) -> Iterator[ValuePath]:
+            try:
+                changed = with_values(self.robot, {path: changes[path] for path in paths})
+                if read(changed) == value:
+                    return
+            except (ModelFormatError, ValueError, ArithmeticError, LookupError):
+                pass  # no robot has only these of the other values
+            if len(paths) == 1:
+                yield paths[0]
+                return
+            middle = len(paths) // 2
+            yield from split(paths[:middle])
+            yield from split(paths[middle:])
+
+        if changes:
+            yield from split(list(changes))
+
+    def _with_effects(
+        self, influences: list[Influence], read: Callable[[Robot], Any]
+    ) -> Iterator[Influence]:
+        """Yields the influences with their effects on an output value."""
+        value = read(self.robot)
+        for influence in influences:
+            source = influence.source
+            robot, _ = self.probe.compile({source: scaled(source.node.value, SMALL_CHANGE)})
+            if robot is None or source.is_expression:
+                yield influence
+                continue
+            new = read(robot)
+            if new == value:
+                continue
+            yield Influence(source, relative_effect(source, SMALL_CHANGE, value, new))
+
+    def _output(self, file: str) -> tuple[str, str, str]:
+        """Returns the name, the target and the text of the file of a build that ``file`` names."""
+        known: list[str] = []
+        wanted_path = os.path.normpath(file).replace(os.sep, "/")
+        for target in backends.names():
+            if target not in backends.DEFAULT_TARGETS and target not in wanted_path.split("/"):
+                continue
+            for name, content in emit(self.robot, [target]).items():
+                known.append(name)
+                if wanted_path == name or wanted_path.endswith(f"/{name}"):
+                    try:
+                        return name, target, content.decode()
+                    except UnicodeDecodeError:
+                        raise DiagnosticError(
+                            "why-path-unknown", f"{name} is no text file"
+                        ) from None
+        similar = nearest(wanted_path, known)
+        raise DiagnosticError(
+            "why-path-unknown",
+            f"no build of the robot has a file `{file}`",
+            hint=f"did you mean `{similar}`?" if similar is not None else None,
+        )
+
+
+def _changed_lines(content: bytes, other: bytes) -> Iterator[tuple[int, str]]:
+    """Yields the lines of a file that differ in another version of the file."""
+    lines, other_lines = (text.decode("utf-8", "replace").splitlines() for text in (content, other))
+    if len(lines) == len(other_lines):
+        for number, pair in enumerate(zip(lines, other_lines, strict=True), start=1):
+            if pair[0] != pair[1]:
+                yield number, pair[0].strip()
+        return
+    matcher = difflib.SequenceMatcher(None, lines, other_lines, autojunk=False)
+    for tag, first, last, _, _ in matcher.get_opcodes():
+        if tag != "equal":
+            yield from ((number + 1, lines[number].strip()) for number in range(first, last))
+
+
+def _span_of(robot: Robot, path: ValuePath) -> Span | None:
+    """Returns the span of the innermost element of the model at a path."""
+    element: Any = robot
+    span: Span | None = robot.span
+    for key in path:
+        if isinstance(element, tuple):
+            element = next((e for e in element if getattr(e, "name", None) == key), None)
+        else:
+            element = getattr(element, key, None)
+        if element is None:
+            break
+        span = getattr(element, "span", span)
+    return span
+
+
+def _module_at(document: Any, path: ValuePath) -> str:
+    """Returns the path of the module that an element of the model belongs to, or an empty text."""
+    module = ""
+    for key in path:
+        document = document.get(key) if isinstance(document, dict) else None
+        if isinstance(document, dict) and isinstance(document.get("module"), str):
+            module = document["module"]
+    return module

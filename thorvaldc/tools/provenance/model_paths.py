@@ -1,0 +1,197 @@
+"""Names of the values of a model, such as ``wheels.fl.radius``, and models with a changed value."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics.suggest import nearest
+from thorvaldc.model import Robot
+from thorvaldc.model.model_json import from_json, to_json
+from thorvaldc.tools.comparison.leaf_differences import (
+    ORDER,
+    ValuePath,
+    element_names,
+    model_document,
+)
+
+# Other names of parts of the model: of the robot itself, and of parts that lie deeper.
+_ALIASES: dict[str, ValuePath] = {
+    "mass": ("inertial", "mass"),
+    "com": ("inertial", "com"),
+    "limits": ("driver",),
+    "motors": ("actuators",),
+    "drives": ("actuators",),
+}
+_BUS_PARTS = ("nodes", "frames", "load", "bitrate")
+_AXES = {"x": "0", "y": "1", "z": "2"}
+MOST_SHOWN = 12
+
+
+def resolve_path(document: dict[str, Any], text: str) -> ValuePath:
+    """Returns the path of the one value that ``text`` names in a document of ``model_document``.
+
+    Parts may be shortened: ``wheels.fl.radius`` for ``wheels.fl_wheel.radius``, ``mass`` for
+    ``inertial.mass``, ``limits.linear_velocity`` for ``driver.max_linear_velocity``.  Raises
+    ``DiagnosticError`` (``why-path-unknown``) if there is no such value.
+    """
+    parts = [part for part in text.replace("[", ".").replace("]", "").split(".") if part]
+    if not parts:
+        raise _unknown(text, "", list(document))
+    value: Any = document
+    path: ValuePath = ()
+    if parts[0] in _ALIASES and parts[0] not in document:
+        path = _ALIASES[parts.pop(0)]
+        value = value_at(document, path)
+    elif parts[0] in _BUS_PARTS:
+        buses = [name for name in document["buses"] if name != ORDER] if document["buses"] else []
+        if len(buses) == 1:
+            parts[:0] = ["buses", buses[0]]
+    while parts:
+        step = _step(value, parts, _module_names(value))
+        if step is None:
+            names = list(_keys(value)) + ([] if path else [*_ALIASES, "modules", *_BUS_PARTS])
+            raise _unknown(text, ".".join(path), names, parts[0])
+        keys, used = step
+        for key in keys:
+            value = _child(value, key)
+        path, parts = (*path, *keys), parts[used:]
+    if isinstance(value, dict):
+        raise _unknown(text, ".".join(path), list(_keys(value)))
+    return path
+
+
+def value_at(document: Any, path: ValuePath) -> Any:
+    """Returns the value at a path, or ``None`` if there is none."""
+    for key in path:
+        try:
+            document = _child(document, key)
+        except (KeyError, IndexError, TypeError, ValueError):
+            return None
+    return document
+
+
+def all_paths(document: Any, path: ValuePath = ()) -> Iterator[ValuePath]:
+    """Yields the paths of all values of a document, in the order of the model."""
+    if isinstance(document, dict):
+        for key in document:
+            if key != ORDER:
+                yield from all_paths(document[key], (*path, key))
+    else:
+        yield path
+
+
+def observed_value(robot: Robot, path: ValuePath) -> Any:
+    """Returns the value of a robot at a path, or ``None`` if the robot has no such value."""
+    return value_at(model_document(robot), path)
+
+
+def values_at(robot: Robot, paths: Sequence[ValuePath]) -> list[Any]:
+    """Returns the values of a robot at some paths, each ``None`` if there is none."""
+    document = model_document(robot)
+    return [value_at(document, path) for path in paths]
+
+
+def with_values(robot: Robot, values: Mapping[ValuePath, Any]) -> Robot:
+    """Returns a copy of a robot with other values at some paths.
+
+    Raises ``ModelFormatError`` if a value has a wrong type.
+    """
+    head = json.loads(to_json(robot))
+    for path, value in values.items():
+        container: Any = head["model"]
+        for key in path[:-1]:
+            container = container[_raw_key(container, key)]
+            if isinstance(container, list) and len(container) == 2 and container[0] == key:
+                container = container[1]  # a list of pairs of a name and a value
+        last = _raw_key(container, path[-1])
+        if isinstance(container, list) and isinstance(container[last], list):
+            container, last = container[last], 1
+        container[last] = value
+    changed = from_json(json.dumps(head))
+    assert isinstance(changed, Robot)
+    return replace(changed, meshes=robot.meshes)
+
+
+def changed_value(value: Any, change: float) -> Any:
+    """Returns a value that differs a little, or ``None`` for a text, which cannot."""
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, int):
+        return value + 1
+    if isinstance(value, float):
+        return value * (1.0 + change) if value else change
+    if isinstance(value, list) and value and all(isinstance(item, float) for item in value):
+        return [changed_value(item, change) for item in value]
+    return None
+
+
+def _raw_key(container: Any, key: str) -> Any:
+    if not isinstance(container, list):
+        return key
+    names = element_names(container)
+    return names.index(key) if names is not None else int(key)
+
+
+def _child(value: Any, key: str) -> Any:
+    return value[key] if isinstance(value, dict) else value[int(key)]
+
+
+def _keys(value: Any) -> Iterator[str]:
+    if isinstance(value, dict):
+        yield from (key for key in value if key != ORDER)
+    elif isinstance(value, list):
+        yield from map(str, range(len(value)))
+
+
+def _module_names(value: Any) -> dict[str, str]:
+    """Returns the module of each element of a mapping of elements."""
+    if not isinstance(value, dict):
+        return {}
+    return {
+        key: item["module"]
+        for key, item in value.items()
+        if isinstance(item, dict) and isinstance(item.get("module"), str)
+    }
+
+
+def _step(value: Any, parts: list[str], modules: dict[str, str]) -> tuple[ValuePath, int] | None:
+    """Returns the keys that the next parts name, and how many parts they are."""
+    keys = list(_keys(value))
+    for length in range(len(parts), 0, -1):  # a name may contain dots, such as that of a mesh
+        name = ".".join(parts[:length])
+        if name in keys:
+            return (name,), length
+        of_module = [key for key, module in modules.items() if module == name]
+        if len(of_module) == 1:
+            return (of_module[0],), length
+    part = parts[0]
+    if isinstance(value, list) and len(value) == 3 and part in _AXES:
+        return (_AXES[part],), 1
+    if f"max_{part}" in keys:
+        return (f"max_{part}",), 1
+    starting = [key for key in keys if key.startswith(f"{part}_") and key in modules]
+    if len(starting) == 1:
+        return (starting[0],), 1
+    if isinstance(value, dict):
+        deeper = [key for key in keys if isinstance(value[key], dict) and part in value[key]]
+        if len(deeper) == 1 and key_is_section(deeper[0]):
+            return (deeper[0], part), 1
+    return None
+
+
+def key_is_section(key: str) -> bool:
+    """Returns whether a path may leave a key out, because it only groups values."""
+    return key in ("inertial", "properties", "options", "battery", "noise", "pose")
+
+
+def _unknown(text: str, path: str, keys: list[str], part: str = "") -> DiagnosticError:
+    place = f"`{path}`" if path else "the model of the robot"
+    known = nearest(part, keys) if part else None
+    shown = ", ".join(keys[:MOST_SHOWN]) + (", ..." if len(keys) > MOST_SHOWN else "")
+    hint = f"did you mean `{known}`?" if known is not None else f"known: {shown}" if shown else None
+    message = f"{place} has no value `{part}`" if part else f"`{text}` is not a single value"
+    return DiagnosticError("why-path-unknown", message, hint=hint)
