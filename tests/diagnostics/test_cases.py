@@ -23,6 +23,7 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
   - ``diff``: read ``entry`` as an input of `diff`; the files are committed to git
     (``git: committed``, the default), or are in no repository (``none``), or are lost
     in a ``damaged`` repository;
+  - ``why``: explain the value ``path``;
   - ``demo``: run the demo of the build folder ``entry``;
   - ``log``: read joints.csv, or record it first with the arguments ``record``;
   - ``calibrate``: as ``log``, then calibrate, with the measured ``distance``;
@@ -49,7 +50,7 @@ PAGES = HERE.parent.parent / "docs" / "diagnostics"
 KEYS = {
     *("code", "line", "file", "files", "neighbour", "entry", "run", "targets"),
     *("twist", "seconds", "parameters", "record", "distance", "read_only"),
-    *("bus", "devices", "options", "situation", "git"),
+    *("bus", "devices", "options", "situation", "git", "path"),
 }
 NEIGHBOUR = "neighbour_"
 
@@ -144,6 +145,8 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
             open_interface(case["bus"], compilation.model.buses[0]).close()
         except DiagnosticError as error:
             compilation.report.put(error.diagnostic)
+    if command == "why" and isinstance(compilation.model, Robot):
+        explain(entry, compilation.model, case["path"], compilation.report)
     if command == "replay" and isinstance(compilation.model, Robot):
         from thorvaldc.tools.replay_record import read_replay_record
 
@@ -170,6 +173,19 @@ def read_for_diff(entry: str, git: str) -> list[Diagnostic]:
         lose_files(Path())
     with ExitStack() as temporary:
         return list(read_input(entry, temporary).report)
+
+
+def explain(entry: str, robot: Robot, path: str, report: Report) -> None:
+    from contextlib import ExitStack
+
+    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.tools.provenance.explanation import Explainer
+
+    with ExitStack() as stack:
+        try:
+            Explainer(Path(entry), robot, [], False, stack).explain(path)
+        except DiagnosticError as error:
+            report.put(error.diagnostic)
 
 
 def run_on_a_bus(robot: Robot, report: Report) -> None:

@@ -38,7 +38,6 @@ from thorvaldc.tools.provenance.model_paths import (
     observed_value,
     resolve_path,
     value_at,
-    values_at,
     with_values,
 )
 from thorvaldc.tools.provenance.output_values import find_value, output_values
@@ -51,7 +50,10 @@ from thorvaldc.tools.provenance.parameter_chain import (
 from thorvaldc.tools.provenance.robot_probe import RobotProbe
 from thorvaldc.tools.provenance.source_values import SourceValue, incremented, scaled
 
-MOST_COMPILATIONS = 1500
+MOST_COMPILATIONS = 600
+MOST_EMISSIONS = 100
+"""Most emissions of a target that search the values of the model behind an output value."""
+MOST_EFFECTS = 20
 MODEL_FILES = ("model.json",)
 NAMES_OF_OUTPUT = 3
 """Number of names of an output value that are shown; MJCF nests dozens of bodies."""
@@ -235,65 +237,65 @@ class Explainer:
 
         label = ".".join(output_value.path[-NAMES_OF_OUTPUT:])
         explanation = Explanation(f"{name}:{output_value.line} {label}", output_value.value)
-        paths = list(self._model_sources(read))
+        paths, explanation.is_complete = self._model_sources(read)
         explanation.model_values = [".".join(path) for path in paths]
         if paths:
-            self._search(explanation, lambda robot: values_at(robot, paths))
+            is_complete = explanation.is_complete
+            self._search(explanation, lambda robot: [observed_value(robot, path) for path in paths])
+            explanation.is_complete = explanation.is_complete and is_complete
             explanation.influences = list(self._with_effects(explanation.influences, read))
         modules = {_module_at(self.document, path) for path in paths} - {""}
         if len(modules) == 1:
             explanation.types = self._types(modules.pop())
         return explanation
 
-    def _model_sources(self, read: Callable[[Robot], Any]) -> Iterator[ValuePath]:
-        """Yields the values of the model that an output value is computed from.
+    def _model_sources(self, read: Callable[[Robot], Any]) -> tuple[list[ValuePath], bool]:
+        """Returns the values of the model that an output value is computed from.
 
         A robot with other numbers in all documents gives each value of the model another value.
-        Group tests find those that change the output.
+        Group tests find those that change the output.  The second result is false if the search
+        ended at its limit.
         """
         search = InfluenceSearch(self.probe, lambda robot: robot, MOST_COMPILATIONS)
-        robot = search.robot_with_other_numbers(self.probe.values())
-        if robot is None:
-            return
         value = read(self.robot)
-        leaves = leaf_differences(self.document, model_document(robot))
         changes = {
             leaf.path: leaf.after
-            for leaf in leaves
+            for robot in search.robots_with_other_numbers(self.probe.values())
+            for leaf in leaf_differences(self.document, model_document(robot))
             if ABSENT not in (leaf.before, leaf.after) and ORDER not in leaf.path
         }
-
-        def split(paths: list[ValuePath]) -> Iterator[ValuePath]:
+        sources: list[ValuePath] = []
+        groups = [list(changes)]
+        emissions = 0
+        while groups and emissions < MOST_EMISSIONS:
+            paths = groups.pop()
+            emissions += 1
             try:
                 changed = with_values(self.robot, {path: changes[path] for path in paths})
                 if read(changed) == value:
-                    return
+                    continue
             except (ModelFormatError, ValueError, ArithmeticError, LookupError):
                 pass  # no robot has only these of the other values
-            if len(paths) == 1:
-                yield paths[0]
-                return
             middle = len(paths) // 2
-            yield from split(paths[:middle])
-            yield from split(paths[middle:])
-
-        if changes:
-            yield from split(list(changes))
+            if middle == 0:
+                sources += paths
+            else:
+                groups += [paths[middle:], paths[:middle]]
+        return sources, not groups
 
     def _with_effects(
         self, influences: list[Influence], read: Callable[[Robot], Any]
     ) -> Iterator[Influence]:
         """Yields the influences with their effects on an output value."""
         value = read(self.robot)
-        for influence in influences:
+        for number, influence in enumerate(influences):
             source = influence.source
-            robot, _ = self.probe.compile({source: scaled(source.node.value, SMALL_CHANGE)})
-            if robot is None or source.is_expression:
+            if source.is_expression or number >= MOST_EFFECTS:
                 yield influence
                 continue
-            new = read(robot)
-            if new == value:
-                continue
+            robot, _ = self.probe.compile({source: scaled(source.node.value, SMALL_CHANGE)})
+            new = read(robot) if robot is not None else value
+            # An integer cannot be scaled, and a value may reach the output by a large change only.
             yield Influence(source, relative_effect(source, SMALL_CHANGE, value, new))
 
     def _output(self, file: str) -> tuple[str, str, str]:

@@ -10,7 +10,7 @@ An influence is local: the branch of ``max`` or ``if`` that is not taken has non
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -186,11 +186,20 @@ class InfluenceSearch:
         value, new = change
         return relative_effect(value, _relative_change(value, new), self.value, observed)
 
-    def robot_with_other_numbers(self, values: Sequence[SourceValue]) -> Robot | None:
-        """Returns the robot with all numbers changed that can be changed together."""
+    def robots_with_other_numbers(self, values: Sequence[SourceValue]) -> Iterator[Robot]:
+        """Yields the robot with other integers, and with all other numbers scaled.
+
+        Only numbers that can be changed together are changed.
+        """
         constants = [value for value in values if not value.is_expression]
-        robot, _ = self.probe.compile(self._accepted(self._scaled(constants)))
-        return robot
+        integers = [value for value in constants if value.is_integer]
+        for changes in (
+            {value: incremented(value.node.value, 1) for value in integers},
+            self._scaled(constants),
+        ):
+            robot, _ = self.probe.compile(self._accepted(changes))
+            if robot is not None:
+                yield robot
 
 
 def relative_effect(source: SourceValue, change: float, before: Any, after: Any) -> float | None:
