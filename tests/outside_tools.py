@@ -55,6 +55,7 @@ TOOLS = (
     _program("bash", "bash"),  # completes commands
     _program("shellcheck", "shellcheck"),  # reads the generated shell script
     _program("chromium", "chromium", "google-chrome"),  # opens the generated web page
+    _program("npm", "npm nodejs"),  # builds the viewer of the web page
     Tool(  # draws pictures
         "EGL",
         "libegl1 libegl-mesa0 libgl1-mesa-dri",

@@ -6,6 +6,7 @@ import base64
 import html
 import json
 import re
+import shutil
 import subprocess
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -25,6 +26,8 @@ from thorvaldc.simulation.pictures.view_page import view_page
 from thorvaldc.simulation.pictures.web_page import robot_page
 
 NAME = "4wd4ws_wide"
+ROOT = Path(__file__).parents[3]
+VIEWER = ROOT / "templates" / "view" / "viewer.js"
 OPTIONS = (
     "--headless",
     "--no-sandbox",
@@ -67,9 +70,32 @@ def test_the_page_has_parts_joints_ids_and_surfaces() -> None:
 
 def test_the_page_loads_nothing_and_is_deterministic() -> None:
     html = view_page(example_robot(NAME))
-    assert not re.findall(r"""(?:src|href)\s*=|url\(|import\s|fetch\(|https?://""", html)
+    viewer = VIEWER.read_text(encoding="utf-8")
+    assert html.count(viewer) == 1
+    # The bundle of three.js names its licence and the name space of XHTML; the policy of the page
+    # lets it load nothing.
+    page = html.replace(viewer, "")
+    assert not re.findall(r"""(?:src|href)\s*=|url\(|import\s|fetch\(|https?://""", page)
     assert "default-src 'none'" in html
     assert view_page(example_robot(NAME)) == html
+
+
+def test_the_viewer_is_built_from_its_source(tmp_path: Path) -> None:
+    npm = path_of("npm")
+    folder = tmp_path / "viewer"
+    shutil.copytree(ROOT / "viewer", folder, ignore=shutil.ignore_patterns("node_modules"))
+    (tmp_path / "templates" / "view").mkdir(parents=True)
+    for command in (["ci", "--silent"], ["run", "--silent", "build"]):
+        subprocess.run([npm, *command], cwd=folder, check=True, capture_output=True, timeout=240)
+    built = tmp_path / "templates" / "view" / "viewer.js"
+    assert built.read_bytes() == VIEWER.read_bytes(), "run `npm run build` in viewer/"
+
+
+def test_a_robot_before_a_change_is_in_the_page() -> None:
+    after, before = example_robot(NAME), example_robot("4wd4ws_slim")
+    value = data(view_page(after, before))
+    assert value["name"] == after.name
+    assert value["ghost"] == data(view_page(before))
 
 
 def test_equal_robots_of_a_fleet_share_their_data() -> None:
@@ -86,7 +112,7 @@ def test_equal_robots_of_a_fleet_share_their_data() -> None:
 def test_text_of_the_robot_is_not_html() -> None:
     nasty = "</script><script>document.title = 'taken'</script><!--"
     html = view_page(replace(example_robot(NAME), description=nasty))
-    assert html.count("</script>") == 2
+    assert html.count("</script>") == 3
     assert data(html)["description"] == nasty
 
 

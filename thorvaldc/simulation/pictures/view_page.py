@@ -6,8 +6,16 @@ from thorvaldc.compiler.library import data_folder
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.simulation.pictures.web_page import robot_page
 
+VIEWER = "/*VIEWER*/"
+"""Placeholder in the template that the script of the viewer replaces."""
 
-def view_page(model: Robot | Fleet) -> str:
-    """Returns an HTML document that shows the model of a robot or a fleet in 3D."""
-    template = data_folder("templates") / "view" / "page.html"
-    return robot_page(model, template.read_text(encoding="utf-8"))
+
+def view_page(model: Robot | Fleet, before: Robot | Fleet | None = None) -> str:
+    """Returns an HTML document that shows the model of a robot or a fleet in 3D.
+
+    The document also shows the model ``before``, as a translucent shape at the same place.
+    """
+    folder = data_folder("templates") / "view"
+    template = (folder / "page.html").read_text(encoding="utf-8")
+    viewer = (folder / "viewer.js").read_text(encoding="utf-8")
+    return robot_page(model, template, before).replace(VIEWER, viewer, 1)

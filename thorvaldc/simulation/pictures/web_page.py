@@ -23,8 +23,10 @@ PLACEHOLDER = "/*DATA*/"
 """Placeholder in the template that the data of the model replaces."""
 
 
-def robot_page(model: Robot | Fleet, template: str) -> str:
+def robot_page(model: Robot | Fleet, template: str, before: Robot | Fleet | None = None) -> str:
     """Returns the web page ``template`` with the data of the model as JSON.
+
+    The page also shows the model ``before``, as a translucent shape at the same place.
 
     Lengths are in m, angles in rad, masses in kg, and quaternions in the order wxyz.  The model
     must contain the data of the meshes.  Robots with an equal design share one copy of the design
@@ -32,6 +34,16 @@ def robot_page(model: Robot | Fleet, template: str) -> str:
     """
     if template.count(PLACEHOLDER) != 1:
         raise ValueError(f"the template must have {PLACEHOLDER} exactly once")
+    value = page_data(model)
+    if before is not None:
+        value["ghost"] = page_data(before)
+    # The text `</script` inside the JSON data would end the script element.
+    text = json.dumps(value, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c")
+    return template.replace(PLACEHOLDER, text)
+
+
+def page_data(model: Robot | Fleet) -> dict[str, Any]:
+    """Returns the data of a robot or a fleet that the viewer draws, as a JSON object."""
     shapes = _Shapes()
     designs: list[str] = []
     robots: list[dict[str, Any]] = []
@@ -45,16 +57,13 @@ def robot_page(model: Robot | Fleet, template: str) -> str:
         if design not in designs:
             designs.append(design)
         robots.append({"name": name, "pose": _pose_values(pose), "design": designs.index(design)})
-    value = {
+    return {
         "name": model.name,
         "description": model.description,
         "robots": robots,
         "designs": [json.loads(design) for design in designs],
         "shapes": shapes.meshes,
     }
-    # The text `</script` inside the JSON data would end the script element.
-    text = json.dumps(value, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c")
-    return template.replace(PLACEHOLDER, text)
 
 
 class _Shapes:
@@ -119,6 +128,10 @@ def _design(robot: Robot, shapes: _Shapes) -> dict[str, Any]:
             for link in robot.links
         ],
         "joints": [_joint(tree.parent_joint[link]) for link in links[1:]],
+        "frames": [
+            *({"name": s.name, "kind": "sensor", "link": s.link} for s in robot.sensors),
+            *({"name": link.name, "kind": "link", "link": link.name} for link in robot.links),
+        ],
         "nodes": [
             {
                 "bus": bus.name,

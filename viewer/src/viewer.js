@@ -1,0 +1,295 @@
+// The 3D viewer of `thorvaldc view --html` and `thorvaldc preview`: robots as links and joints, drawn by three.js.
+//
+// The data are those of thorvaldc/simulation/pictures/web_page.py: lengths in m, angles in rad, poses
+// [x, y, z, qw, qx, qy, qz], z up.
+
+import {
+  AmbientLight, AxesHelper, Box3, BufferAttribute, BufferGeometry, Color, DirectionalLight, DoubleSide, Group,
+  LineBasicMaterial, LineSegments, Mesh, MeshLambertMaterial, PerspectiveCamera, Quaternion, Raycaster, Scene, Vector2,
+  Vector3, WebGLRenderer,
+} from "three";
+import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+
+const SELECTED = new Color().setRGB(1, 0.62, 0.1, "srgb");
+const GREY = new Color().setRGB(0.72, 0.74, 0.76, "srgb");
+const GHOST = new Color().setRGB(0.2, 0.45, 0.9, "srgb");
+const FRAME_SIZE = 0.12; // m
+const MAX_GRID = 60; // m, half the side
+
+function place(object, [x, y, z, qw, qx, qy, qz]) {
+  object.position.set(x, y, z);
+  object.quaternion.set(qx, qy, qz, qw);
+  return object;
+}
+
+function geometryOf(shape) {
+  const bytes = (text) => Uint8Array.from(atob(text), (character) => character.charCodeAt(0)).buffer;
+  const geometry = new BufferGeometry();
+  geometry.setAttribute("position", new BufferAttribute(new Float32Array(bytes(shape.points)), 3));
+  geometry.setIndex(new BufferAttribute(new Uint32Array(bytes(shape.faces)), 1));
+  geometry.computeBoundingBox();
+  geometry.computeBoundingSphere();
+  return geometry;
+}
+
+// One robot of the scene: a tree of groups, one for each link.
+class RobotView {
+  constructor(robot, design, geometries, number, ghost) {
+    this.name = robot.name;
+    this.design = design;
+    this.positions = {};
+    this.base = place(new Group(), robot.pose);
+    this.links = { [design.links[0].name]: new Group() };
+    this.base.add(this.links[design.links[0].name]);
+    this.joints = {};
+    for (const joint of design.joints) {
+      const fixed = place(new Group(), joint.pose), moving = new Group();
+      fixed.add(moving);
+      this.links[joint.parent].add(fixed);
+      this.links[joint.child] = moving;
+      this.joints[joint.name] = { ...joint, group: moving, axis: new Vector3(...joint.axis) };
+    }
+    this.meshes = [];
+    for (const link of design.links)
+      for (const visual of link.visuals) {
+        const [r, g, b, a] = visual.color;
+        const material = new MeshLambertMaterial({
+          flatShading: true, side: DoubleSide, transparent: ghost || a < 1, opacity: ghost ? 0.25 : a, depthWrite: !ghost,
+        });
+        material.userData.color = ghost ? GHOST : new Color().setRGB(r, g, b, "srgb");
+        material.color.copy(material.userData.color);
+        const mesh = place(new Mesh(geometries[visual.shape], material), visual.pose);
+        mesh.userData = { robot: number, part: link.module };
+        if (this.links[link.name]) this.links[link.name].add(mesh);
+        this.meshes.push(mesh);
+      }
+    this.frames = (design.frames || []).map((frame) => {
+      const axes = new AxesHelper(frame.kind === "link" ? FRAME_SIZE / 2 : FRAME_SIZE);
+      axes.userData = { name: frame.name, kind: frame.kind };
+      axes.visible = false;
+      if (this.links[frame.link]) this.links[frame.link].add(axes);
+      return axes;
+    });
+  }
+
+  setJoint(name, value) {
+    this.positions[name] = value;
+    this.move();
+  }
+
+  move() {
+    for (const [name, joint] of Object.entries(this.joints)) {
+      const value = joint.mimic
+        ? joint.mimic.multiplier * (this.positions[joint.mimic.joint] || 0) + joint.mimic.offset
+        : this.positions[name] || 0;
+      if (joint.type === "prismatic") joint.group.position.copy(joint.axis).multiplyScalar(value);
+      else joint.group.quaternion.setFromAxisAngle(joint.axis, value);
+    }
+  }
+
+  // The position (m) of a link in the scene.
+  at(link) {
+    this.base.updateWorldMatrix(true, true);
+    return this.links[link].getWorldPosition(new Vector3()).toArray();
+  }
+}
+
+export class Viewer {
+  // `onPick(robot number, module)` is called when a part is clicked; the module is null beside the robots.
+  constructor(canvas, labels, onPick) {
+    this.canvas = canvas;
+    this.labels = labels;
+    this.robots = [];
+    this.ghosts = [];
+    this.selected = null;
+    this.isGrey = false;
+    this.names = false;
+    this.shown = { sensor: false, link: false };
+    this.camera = new PerspectiveCamera(40, 1, 0.01, 1000);
+    this.camera.up.set(0, 0, 1);
+    this.scene = new Scene();
+    this.sun = new DirectionalLight(0xffffff, 2.2);
+    this.scene.add(new AmbientLight(0xffffff, 1.1), this.sun);
+    this.world = new Group();
+    this.scene.add(this.world);
+    try {
+      this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true, preserveDrawingBuffer: true });
+    } catch {
+      this.renderer = null; // a browser without WebGL 2
+    }
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.addEventListener("change", () => this.redraw());
+    this.controls.zoomSpeed = 1.5;
+    let down = null;
+    canvas.addEventListener("pointerdown", (event) => { down = [event.clientX, event.clientY]; });
+    canvas.addEventListener("pointerup", (event) => {
+      if (down && Math.hypot(event.clientX - down[0], event.clientY - down[1]) < 4 && event.button === 0) onPick(...this.pick(event));
+      down = null;
+    });
+    window.addEventListener("resize", () => this.redraw());
+  }
+
+  // Shows other robots. The camera stays where it is if the viewer showed robots before.
+  setScene(data, ghost = null) {
+    const isFirst = this.robots.length === 0;
+    const positions = Object.fromEntries(this.robots.map((robot) => [robot.name, robot.positions]));
+    for (const child of [...this.world.children]) this.world.remove(child);
+    for (const robot of [...this.robots, ...this.ghosts])
+      for (const mesh of robot.meshes) { mesh.material.dispose(); mesh.geometry.dispose(); }
+    const views = (data, isGhost) => {
+      const geometries = data.shapes.map(geometryOf);
+      return data.robots.map((robot, number) => new RobotView(robot, data.designs[robot.design], geometries, number, isGhost));
+    };
+    this.robots = views(data, false);
+    this.ghosts = ghost ? views(ghost, true) : [];
+    for (const robot of this.robots) {
+      const known = positions[robot.name] || {};
+      for (const name of Object.keys(known)) if (robot.joints[name]) robot.positions[name] = known[name];
+    }
+    for (const robot of [...this.robots, ...this.ghosts]) { robot.move(); this.world.add(robot.base); }
+    if (isFirst) this.look();
+    this.addGrid();
+    this.color();
+    this.setShown(this.shown);
+  }
+
+  bounds() {
+    const box = new Box3();
+    this.world.updateWorldMatrix(true, true);
+    for (const robot of [...this.robots, ...this.ghosts]) for (const mesh of robot.meshes) box.expandByObject(mesh);
+    return box.isEmpty() ? new Box3(new Vector3(-1, -1, 0), new Vector3(1, 1, 1)) : box;
+  }
+
+  // Turns the camera to all robots, from the front left.
+  look() {
+    const box = this.bounds(), radius = box.getSize(new Vector3()).length() / 2;
+    const target = box.getCenter(new Vector3()), turn = -0.7, rise = 0.4;
+    const direction = new Vector3(Math.cos(rise) * Math.cos(turn), Math.cos(rise) * Math.sin(turn), Math.sin(rise));
+    this.camera.position.copy(target).addScaledVector(direction, 2.9 * radius);
+    this.controls.target.copy(target);
+    this.controls.minDistance = 0.05;
+    this.controls.maxDistance = 50 * radius + 10;
+    this.controls.update();
+    this.radius = radius;
+  }
+
+  addGrid() {
+    if (this.grid) { this.world.remove(this.grid); this.grid.geometry.dispose(); }
+    const center = this.bounds().getCenter(new Vector3()), x = Math.round(center.x), y = Math.round(center.y);
+    const n = Math.min(MAX_GRID, Math.ceil(4 + 2 * (this.radius || 1))), lines = [];
+    for (let i = -n; i <= n; i++) lines.push(x + i, y - n, 0, x + i, y + n, 0, x - n, y + i, 0, x + n, y + i, 0);
+    const geometry = new BufferGeometry();
+    geometry.setAttribute("position", new BufferAttribute(new Float32Array(lines), 3));
+    this.grid = new LineSegments(geometry, new LineBasicMaterial({ color: 0x9aa2a8, transparent: true, opacity: 0.45 }));
+    this.world.add(this.grid);
+  }
+
+  setJoint(robot, name, value) {
+    this.robots[robot].setJoint(name, value);
+    this.redraw();
+  }
+
+  // Moves the base of a robot to a pose [x, y, z, qw, qx, qy, qz] of the scene.
+  setBase(robot, pose) {
+    place(this.robots[robot].base, pose);
+    this.redraw();
+  }
+
+  select(robot, part) {
+    this.selected = part === null ? null : { robot, part };
+    this.color();
+  }
+
+  setGrey(isGrey) {
+    this.isGrey = isGrey;
+    this.color();
+  }
+
+  setNames(names) {
+    this.names = names;
+    this.redraw();
+  }
+
+  // Shows the frames of sensors or links, `{sensor: true, link: false}`.
+  setShown(shown) {
+    this.shown = { ...this.shown, ...shown };
+    for (const robot of this.robots) for (const axes of robot.frames) axes.visible = this.shown[axes.userData.kind];
+    this.redraw();
+  }
+
+  color() {
+    for (const robot of this.robots)
+      for (const { material, userData } of robot.meshes) {
+        const isSelected = this.selected && this.selected.robot === userData.robot && this.selected.part === userData.part;
+        material.color.copy(isSelected ? SELECTED : this.isGrey ? GREY : material.userData.color);
+      }
+    this.redraw();
+  }
+
+  pick(event) {
+    const box = this.canvas.getBoundingClientRect();
+    const point = new Vector2(
+      (2 * (event.clientX - box.left)) / box.width - 1, 1 - (2 * (event.clientY - box.top)) / box.height);
+    const ray = new Raycaster();
+    ray.setFromCamera(point, this.camera);
+    const [hit] = ray.intersectObjects(this.robots.flatMap((robot) => robot.meshes), false);
+    return hit ? [hit.object.userData.robot, hit.object.userData.part] : [0, null];
+  }
+
+  redraw() {
+    if (this.waiting) return;
+    this.waiting = true;
+    requestAnimationFrame(() => { this.waiting = false; this.draw(); });
+  }
+
+  draw() {
+    const width = Math.max(this.canvas.clientWidth, 1), height = Math.max(this.canvas.clientHeight, 1);
+    const ratio = width / height;
+    this.camera.aspect = ratio;
+    this.camera.fov = (2 * 180 * Math.atan(Math.tan(0.35) * Math.max(1, 1 / ratio))) / Math.PI;
+    this.camera.near = this.camera.position.distanceTo(this.controls.target) / 100;
+    this.camera.far = this.camera.near * 2000 + 200;
+    this.camera.updateProjectionMatrix();
+    this.sun.position.copy(this.camera.position).add(new Vector3(0.3, 0.2, 1.5).multiplyScalar(this.radius || 1));
+    this.sun.target.position.copy(this.controls.target);
+    this.sun.target.updateMatrixWorld();
+    let triangles = 0;
+    if (this.renderer) {
+      this.renderer.setPixelRatio(window.devicePixelRatio || 1);
+      this.renderer.setSize(width, height, false);
+      this.renderer.render(this.scene, this.camera);
+      triangles = this.robots.flatMap((robot) => robot.meshes).reduce((sum, mesh) => sum + mesh.geometry.index.count / 3, 0);
+    }
+    this.label(width, height);
+    document.documentElement.dataset.triangles = triangles;
+    if (this.onDraw) this.onDraw();
+  }
+
+  label(width, height) {
+    const labels = [], seen = new Set();
+    const add = (text, object, point) => {
+      const at = point.applyMatrix4(object.matrixWorld).project(this.camera);
+      if (!text || seen.has(text) || at.z > 1) return;
+      seen.add(text);
+      const span = document.createElement("span");
+      span.textContent = text;
+      span.style.left = `${((1 + at.x) * width) / 2}px`;
+      span.style.top = `${((1 - at.y) * height) / 2}px`;
+      labels.push(span);
+    };
+    this.world.updateWorldMatrix(true, true);
+    for (const robot of this.robots) {
+      if (this.names)
+        for (const mesh of robot.meshes)
+          add(this.robots.length > 1 ? robot.name : mesh.userData.part, mesh, mesh.geometry.boundingBox.getCenter(new Vector3()));
+      for (const axes of robot.frames) if (axes.visible && axes.userData.kind === "sensor") add(axes.userData.name, axes, new Vector3());
+    }
+    this.labels.replaceChildren(...labels);
+  }
+}
+
+// The rotation about z in rad of a pose.
+export function yaw([, , , qw, qx, qy, qz]) {
+  const forward = new Vector3(1, 0, 0).applyQuaternion(new Quaternion(qx, qy, qz, qw));
+  return Math.atan2(forward.y, forward.x);
+}
