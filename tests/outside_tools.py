@@ -54,6 +54,7 @@ TOOLS = (
     ),
     _program("bash", "bash"),  # completes commands
     _program("shellcheck", "shellcheck"),  # reads the generated shell script
+    _program("npm", "npm"),  # installs axe-core, which checks the accessibility of pages
     _program("chromium", "chromium", "google-chrome"),  # opens the generated web page
     _program("npm", "npm nodejs"),  # builds the viewer of the web page
     Tool(  # draws pictures

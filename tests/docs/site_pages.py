@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
@@ -35,6 +36,7 @@ class SitePage(HTMLParser):
                 self.loaded.append(value)
 
 
+@functools.cache
 def pages_of(site: Path) -> dict[Path, SitePage]:
     return {path: SitePage(path) for path in sorted(site.rglob("*.html"))}
 

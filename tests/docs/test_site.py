@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import functools
+import http.server
+import json
 import os
+import shutil
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.docs.site_pages import dead_links, foreign_files
+from tests.outside_tools import path_of, without
 
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = [pytest.mark.xdist_group("site"), pytest.mark.timeout(300)]
@@ -46,3 +54,114 @@ def test_the_check_of_links_finds_dead_ones(tmp_path: Path) -> None:
     )
     assert list(dead_links(tmp_path)) == ["a.html: #bottom", "a.html: b.html", "a.html: c.png"]
     assert list(foreign_files(tmp_path)) == ["a.html: https://cdn.example/x.js"]
+
+
+# One page of each kind, with the width of the window and the colours.
+SAMPLE = (
+    ("index.html", 390, "dark"),
+    ("tutorial/simulation.html", 1280, "dark"),
+    ("how-to/module.html", 390, "light"),
+    ("reference/fleet.html", 1280, "light"),
+    ("reference/commands.html", 390, "light"),
+    ("diagnostics/TV501.html", 1280, "dark"),
+    ("explanation/least-squares.html", 1280, "light"),
+    ("python.html", 1280, "light"),
+    ("examples/odometry_experiment/index.html", 1280, "light"),
+    ("404.html", 1280, "light"),
+)
+
+
+class QuietHandler(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, format: str, *arguments: Any) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def address(site: Path) -> Iterator[str]:
+    handler = functools.partial(QuietHandler, directory=str(site))
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    yield f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+    server.server_close()
+    thread.join()
+
+
+@pytest.fixture(scope="module")
+def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The program axe-core, which checks the accessibility of a page in a browser."""
+    folder = tmp_path_factory.mktemp("axe")
+    for name in ("package.json", "package-lock.json"):
+        shutil.copy(Path(__file__).parent / "axe" / name, folder)
+    install = subprocess.run(
+        [path_of("npm"), "ci", "--ignore-scripts", "--no-audit", "--no-fund"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if install.returncode != 0:
+        without(f"axe-core cannot be installed: {install.stderr[-300:]}")
+    return (folder / "node_modules/axe-core/axe.min.js").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(
+            executable_path=path_of("chromium"), args=["--no-sandbox"]
+        )
+        yield chromium
+        chromium.close()
+
+
+def test_pages_are_accessible_and_ask_no_other_host(address: str, axe: str, browser: Any) -> None:
+    violations, hosts, errors, wide = [], set(), [], []
+    for name, width, colours in SAMPLE:
+        page = browser.new_page(
+            viewport={"width": width, "height": 900}, color_scheme=colours, bypass_csp=True
+        )
+        page.on("request", lambda request: hosts.add(request.url.split("/")[2]))
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.goto(f"{address}/{name}")
+        page.evaluate(axe)
+        result = page.evaluate("axe.run(document, {resultTypes: ['violations']})")
+        violations += [
+            f"{name} {width} {colours}: {violation['id']}: {node['html'][:200]}"
+            for violation in result["violations"]
+            for node in violation["nodes"][:3]
+        ]
+        if page.evaluate("document.documentElement.scrollWidth") > width:
+            wide.append(f"{name} {width}")
+        page.close()
+    assert violations == []
+    assert hosts == {address.removeprefix("http://")}
+    assert (errors, wide) == ([], [])
+
+
+def test_axe_finds_a_picture_without_a_text(axe: str, browser: Any) -> None:
+    page = browser.new_page()
+    page.set_content("<html lang='en'><title>x</title><main><h1>x</h1><img src='x.png'></main>")
+    page.evaluate(axe)
+    result = page.evaluate("axe.run()")
+    page.close()
+    assert [violation["id"] for violation in result["violations"]] == ["image-alt"]
+
+
+def test_the_search_finds_a_page(address: str, browser: Any) -> None:
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.goto(f"{address}/index.html")
+    page.fill("input[name=query]", "least squares")
+    page.wait_for_selector(".md-search-result__item", timeout=10_000)
+    found = page.inner_text(".md-search-result__list")
+    page.close()
+    assert "Least squares" in found
+
+
+def test_the_reference_has_every_key_of_a_robot(site: Path) -> None:
+    keys = json.loads((ROOT / "thorvaldc/schema/robot.schema.json").read_text())["properties"]
+    text = (site / "reference/robot.html").read_text(encoding="utf-8")
+    assert all(f">{key}<" in text or f'id="{key}"' in text for key in keys)
