@@ -119,9 +119,9 @@ def test_nothing_floats_in_robots_of_the_command_new(preset: str, tmp_path: Path
     assert floating(compiled(text, tmp_path), tmp_path) == []
 
 
-def test_nothing_floats_in_the_first_robot_of_the_readme(tmp_path: Path) -> None:
-    readme = (ROOT / "README.md").read_text()
-    text = readme.split("```yaml\n", 1)[1].split("```", 1)[0]
+def test_nothing_floats_in_the_robot_of_the_first_look(tmp_path: Path) -> None:
+    page = (ROOT / "docs/first-look.md").read_text()
+    text = page.split("```yaml\n", 1)[1].split("```", 1)[0]
     assert floating(compiled(text, tmp_path), tmp_path) == []
 
 

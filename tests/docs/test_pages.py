@@ -24,12 +24,12 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert (page.parent / target).exists(), target
 
 
-def test_the_readme_shows_what_the_commands_print(tmp_path: Path) -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    document = re.search(r"```yaml\n(.*?)```", readme, re.S)
+def test_the_first_look_shows_what_the_commands_print(tmp_path: Path) -> None:
+    page = (ROOT / "docs/first-look.md").read_text(encoding="utf-8")
+    document = re.search(r"```yaml\n(.*?)```", page, re.S)
     assert document is not None
     (tmp_path / "first.yaml").write_text(document[1], encoding="utf-8")
-    session = re.search(r"```\n(\$ thorvaldc check first\.yaml\n.*?)```", readme, re.S)
+    session = re.search(r"```\n(\$ thorvaldc check first\.yaml\n.*?)```", page, re.S)
     assert session is not None
     shown = re.split(r"^\$ thorvaldc (.*)\n", session[1], flags=re.M)[1:]
     assert len(shown) == 6
