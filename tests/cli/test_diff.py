@@ -48,6 +48,8 @@ def test_a_parameter_and_its_consequences(thorvaldc: Command) -> None:
     assert ["~", "fl_wheel,", "rl_wheel", "y", "position", "0.45", "m", "->", "0.5", "m"] in lines
     assert any(line[:2] == ["~", "mass"] for line in lines)
     assert any(line[:3] == ["~", "turning", "limit"] for line in lines)
+    assert ["~", "track", "0.9", "m", "->", "1", "m", "(+11", "%)"] in lines
+    assert any(line[:3] == ["~", "tip-over", "left"] for line in lines)
     assert "derived values" in result.out
     assert max(map(len, result.out.splitlines())) <= 80
     assert thorvaldc("diff", "good.yaml", other, "--exit-code").status == 1
@@ -141,6 +143,7 @@ def test_a_revision_is_read_with_its_own_modules(
     result = thorvaldc("diff", "HEAD:robots/robot.yaml", "robots/robot.yaml")
     assert "mast_body mass" in result.out, result
     assert "2 kg -> 5 kg" in result.out, result
+    assert "sensor/mast links.body.parts.0.mass" in result.out
     monkeypatch.chdir(robots)
     assert thorvaldc("diff", "HEAD:robot.yaml", "robot.yaml").out == result.out
     assert thorvaldc("diff", "HEAD:./robot.yaml", "robot.yaml").out == result.out

@@ -58,6 +58,7 @@ def sections_of(difference: Difference, *, everything: bool = False) -> Iterator
     rows = [*_module_rows(difference.modules)]
     if rows:
         yield Section("modules", rows)
+    yield from _value_sections(difference.types)
     yield from _value_sections(difference.values)
     if everything and difference.derived:
         rows = [_leaf_row(leaf) for leaf in difference.derived]
@@ -195,11 +196,11 @@ def shortened(text: str, length: int = LONGEST_TEXT) -> str:
 
 
 def _shown_unit(unit: str) -> str:
-    return {"rad": "deg", "share": "%"}.get(unit, unit)
+    return {"rad": "deg", "share": "%", "J": "Wh"}.get(unit, unit)
 
 
 def _number(value: float, unit: str, digits: int) -> str:
-    factor = {"rad": 180.0 / math.pi, "share": 100.0}.get(unit, 1.0)
+    factor = {"rad": 180.0 / math.pi, "share": 100.0, "J": 1.0 / 3600.0}.get(unit, 1.0)
     number = value * factor
     if abs(number) < 1e-12:
         return "0"

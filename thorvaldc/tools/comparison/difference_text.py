@@ -124,6 +124,7 @@ def difference_document(difference: Difference) -> dict[str, Any]:
     }
     if isinstance(difference, RobotDifference):
         document["modules"] = [_module_document(change) for change in difference.modules]
+        document["module_types"] = [_change_document(change) for change in difference.types]
     document["changes"] = [_change_document(change) for change in difference.values]
     document["values_of_model"] = [
         {"path": leaf.text_path, **_sides(leaf.before, leaf.after)} for leaf in difference.leaves

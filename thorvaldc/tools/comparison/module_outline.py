@@ -8,7 +8,7 @@ such as that of a build, has the names and the places.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +46,7 @@ class ModuleOutline:
     parameters : values of the parameters of the module, by name.
     shape : names of the links, joints and nodes of the module, without the name of the module.
         Modules of the same type and parameters have the same shape.
+    document : the document of the module type, or ``None`` if it is unknown.
     """
 
     path: str
@@ -54,6 +55,7 @@ class ModuleOutline:
     pose: tuple[float, ...]
     parameters: dict[str, Parameter]
     shape: tuple[str, ...]
+    document: Node | None = field(default=None, compare=False, repr=False)
 
     @property
     def place(self) -> str:
@@ -70,9 +72,10 @@ Outline = dict[str, ModuleOutline]
 
 
 def outline_of_model(robot: Robot) -> Outline:
-    """Returns the modules of a model, without types and parameters.
+    """Returns the modules of a model, without parameters.
 
-    Only the modules that the robot file names are returned, not those inside of assemblies.
+    The model has the types of all modules, but neither the assemblies nor the ports.  The place of
+    a module of the robot file is its pose on a link.
     """
     joint_to = {joint.child: joint for joint in robot.joints}
     places: dict[str, tuple[str, tuple[float, ...]]] = {}
@@ -94,9 +97,17 @@ def outline_of_model(robot: Robot) -> Outline:
             name = top_module(node.module)
             text = f"{node.protocol} {without_module(node.name, name)}"
             shapes.setdefault(name, []).append(text)
+    types = {module.name: module.type for module in robot.modules}
+    names = dict.fromkeys([*shapes, *types])
     return {
-        name: ModuleOutline(name, "", *places.get(name, ("", ())), {}, tuple(shape))
-        for name, shape in shapes.items()
+        name: ModuleOutline(
+            name,
+            types.get(name, ""),
+            *places.get(name, ("", ())),
+            {},
+            tuple(shapes.get(name, ())),
+        )
+        for name in names
         if name
     }
 
@@ -140,6 +151,7 @@ def _add(instance: Instance, outline: Outline, shapes: dict[str, tuple[str, ...]
         pose,
         _parameters(instance),
         shapes.get(instance.path, ()),
+        instance.type.document,
     )
     for child in instance.children.values():
         _add(child, outline, shapes)

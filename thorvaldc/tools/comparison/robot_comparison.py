@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from thorvaldc.model import Fleet, Robot
+from thorvaldc.tools.comparison.fact_changes import fact_changes
 from thorvaldc.tools.comparison.field_names import field_label, field_unit
 from thorvaldc.tools.comparison.leaf_differences import (
     ORDER,
@@ -38,6 +39,7 @@ from thorvaldc.tools.comparison.robot_difference import (
     RobotDifference,
     ValueChange,
 )
+from thorvaldc.tools.comparison.type_changes import type_changes
 
 # Fields of links and joints that a reader wants to see.  The others (shapes, poses, inertias)
 # follow from parameters of modules, or are many numbers for one change.
@@ -79,8 +81,12 @@ def compare_robots(
             derived.append(leaf)
         else:
             shown.append((leaf, _value_change(leaf)))
-    values = tuple(_collapsed(change for _, change in shown))
-    return RobotDifference(before.name, after.name, changes, values, tuple(derived), leaves)
+    values = (
+        *fact_changes(before, after),
+        *_collapsed(change for _, change in shown),
+    )
+    types = tuple(type_changes(before_modules, after_modules))
+    return RobotDifference(before.name, after.name, changes, values, tuple(derived), types, leaves)
 
 
 def compare_fleets(
@@ -114,6 +120,8 @@ def _robot_of(fleet: Fleet, name: str) -> Robot:
 def _module_of(leaf: LeafDifference, old: Any, new: Any) -> str:
     """Returns the module in the robot file that an element of the model belongs to."""
     for document in (new, old):
+        if leaf.path[0] == "modules":
+            return top_module(leaf.path[1])
         element, module = document, ""
         for key in leaf.path:
             element = element.get(key) if isinstance(element, dict) else None
@@ -147,6 +155,9 @@ def _is_covered_by_module(leaf: LeafDifference, kinds: Sequence[str]) -> bool:
     ``kinds``: kinds of the change of the module.
     """
     path = leaf.path
+    if path[0] == "modules":
+        # The change of the module states it, or there is a value elsewhere that follows from it.
+        return bool(kinds)
     is_bus_element = path[0] == "buses" and path[2:3] in (("nodes",), ("frames",))
     if not (path[0] in ("links", "joints", *_ELEMENTS) or is_bus_element):
         return False
@@ -172,7 +183,7 @@ def is_derived(leaf: LeafDifference) -> bool:
             return not rest or rest[0] not in _SHOWN_JOINT_FIELDS
         case ("wheels" | "actuators" | "sensors" | "batteries", _, "module" | "link", *_):
             return True
-        case ("inertial", "inertia"):
+        case ("inertial", "inertia") | ("modules", _, "masses" | "parent", *_):
             return True
         case ("meshes", *_):
             return True
@@ -200,6 +211,8 @@ def _value_change(leaf: LeafDifference) -> ValueChange:
                 rest = ("frame",)
         case ("buses", bus, *others):
             section, rest = f"bus {bus}", tuple(others)
+        case ("modules", element, *others):
+            section, subjects, rest = "module types", (element,), tuple(others)
         case (str() as first, element, *others) if len(path) > 1:
             section, subjects, rest = first, (element,), tuple(others)
     before, after = leaf.before, leaf.after

@@ -75,6 +75,8 @@ class RobotDifference:
     values : changes of properties of the robot and its elements.
     derived : values of the model that follow from the changes above, or that are of little
         interest: shapes, poses, frame identifiers, rounding.
+    types : changes in the documents of module types that both robots use.  They are causes of other
+        changes; a change without an effect, such as that of a description, is no difference.
     leaves : every value of the model that differs.  Each of them is in ``values``, in ``derived``,
         or belongs to an element of a module in ``modules``.
     """
@@ -84,6 +86,7 @@ class RobotDifference:
     modules: tuple[ModuleChange, ...]
     values: tuple[ValueChange, ...]
     derived: tuple[LeafDifference, ...]
+    types: tuple[ValueChange, ...]
     leaves: tuple[LeafDifference, ...]
 
     @property
