@@ -119,9 +119,29 @@ def width_of(stream: TextIO) -> int:
     return shutil.get_terminal_size((100, 24)).columns if stream.isatty() else 100
 
 
+def table_width() -> int | None:
+    """Returns the width of a table on stdout in columns, or ``None`` if stdout is no terminal."""
+    return width_of(sys.stdout) if sys.stdout.isatty() else None
+
+
 def message(text: str) -> None:
-    """Prints a message for the user on stderr, because stdout is for results."""
+    """Prints a message for the user on stderr, because stdout is for results.
+
+    On a terminal, long lines are broken between words.
+    """
+    if sys.stderr.isatty():
+        width = max(width_of(sys.stderr), 30)
+        text = "\n".join(_broken(line, width) for line in text.split("\n"))
     print(text, file=sys.stderr)
+
+
+def _broken(line: str, width: int) -> str:
+    if len(line) <= width:
+        return line
+    indent = " " * (len(line) - len(line.lstrip()) + 2)
+    return textwrap.fill(
+        line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
 
 
 def print_json(value: Any, *, one_line: bool = False) -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import gc
 
-from thorvaldc.cli.diagnostic_output import message, print_json, show_report
+from thorvaldc.cli.diagnostic_output import message, print_json, show_report, table_width
 from thorvaldc.cli.progress import Progress
 from thorvaldc.cli.run_pictures import RunPictures
 from thorvaldc.cli.run_records import call_all, open_joint_logs, open_recorders, record_summary
@@ -74,7 +74,7 @@ def run_drive(
     if json:
         print_json(result.as_json())
     else:
-        print(result_table([result]))
+        print(result_table([result], table_width()))
     status = show_report(compilation.located(report), compilation.sources)
     if record:
         message(record_summary(record, robots))

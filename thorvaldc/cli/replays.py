@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from thorvaldc.cli.diagnostic_output import message, print_json, report_of, show_report
+from thorvaldc.cli.diagnostic_output import message, print_json, report_of, show_report, table_width
 from thorvaldc.cli.run_pictures import RunPictures
 from thorvaldc.cli.run_records import Robots, open_recorders, record_summary, write_errors
 from thorvaldc.compiler.compilation import Compilation
@@ -55,7 +55,7 @@ def replay_run(
     if json:
         print_json(result.as_json())
     else:
-        print(result_table([result]))
+        print(result_table([result], table_width()))
     if record:
         _convert_record(record, robots, runs)
     pictures.write(model, robots, files)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import typer
 
-from thorvaldc.cli.diagnostic_output import message, print_json, show_report
+from thorvaldc.cli.diagnostic_output import message, print_json, show_report, table_width
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.options import library_folders, parse_count
 from thorvaldc.cli.progress import Progress
@@ -73,7 +73,7 @@ def run_scenario(
     if json:
         print_json(result.as_json())
     else:
-        print(scenario_text(result))
+        print(scenario_text(result, table_width()))
     status = show_report(compilation.located(report), compilation.sources)
     if record:
         message(record_summary(record, robots))
@@ -184,7 +184,7 @@ def _collect_runs(batch: Batch, process_count: int, output: Path | None, json: b
             if json:
                 print(runs_as_json(runs))
             elif runs:
-                print(results_table(runs))
+                print(results_table(runs, table_width()))
             if len(runs) < len(batch):
                 message(f"{len(runs)} of {len(batch)} runs are done")
     return runs

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from thorvaldc.can.lss import UNCONFIGURED
 from thorvaldc.commissioning.plan import Plan, step_to_json
 from thorvaldc.commissioning.scan_result import ScanEntry, ScanResult, identity_text
 from thorvaldc.commissioning.verify import Verification
+from thorvaldc.diagnostics.text_table import text_table
 
 
-def scan_table(scan: ScanResult) -> str:
+def scan_table(scan: ScanResult, width: int | None = None) -> str:
     """Returns a text table with one row for each node and each unknown device.
 
     The columns of the scan table are the verdict, the name of the node, the node id in the robot
     file, the node id on the bus, and the description of the device.
+    ``width``: number of columns of the terminal, or ``None`` for one line per row.
     """
     header = ("verdict", "node", "id", "found", "device")
-    return text_table([header, *(_scan_row(entry) for entry in scan.entries)])
+    return text_table([header, *(_scan_row(entry) for entry in scan.entries)], width)
 
 
 def _scan_row(entry: ScanEntry) -> tuple[str, ...]:
@@ -51,8 +52,11 @@ def scan_notes(scan: ScanResult) -> list[str]:
     return notes
 
 
-def plan_table(plan: Plan) -> str:
-    """Returns the steps, problems, notes and hash of a commissioning plan as text."""
+def plan_table(plan: Plan, width: int | None = None) -> str:
+    """Returns the steps, problems, notes and hash of a commissioning plan as text.
+
+    ``width``: number of columns of the terminal, or ``None`` for one line per step.
+    """
     lines = []
     if plan.steps:
         rows = [("step", "how", "what")]
@@ -60,7 +64,7 @@ def plan_table(plan: Plan) -> str:
             (str(number), step.back_end, step.description)
             for number, step in enumerate(plan.steps, 1)
         ]
-        lines.append(text_table(rows))
+        lines.append(text_table(rows, width))
     lines += [f"problem: {problem}" for problem in (*plan.strangers, *plan.problems)]
     lines += [f"note: {note}" for note in plan.notes]
     if not plan.steps and not plan.problems and not plan.strangers:
@@ -82,11 +86,12 @@ def plan_as_json(plan: Plan) -> dict[str, Any]:
     }
 
 
-def verification_table(verification: Verification) -> str:
+def verification_table(verification: Verification, width: int | None = None) -> str:
     """Returns a text table with one row for each check of a verification.
 
     The columns of the verification table are the result, the node, the checked quantity, the
     expected value, and the value on the bus.
+    ``width``: number of columns of the terminal, or ``None`` for one line per check.
     """
     rows = [("", "node", "what", "wanted", "found")]
     rows += [
@@ -99,14 +104,4 @@ def verification_table(verification: Verification) -> str:
         )
         for check in verification.checks
     ]
-    return text_table(rows)
-
-
-def text_table(rows: Sequence[Sequence[str]]) -> str:
-    """Returns the rows of a table as text with left-aligned columns."""
-    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
-    lines = (
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        for row in rows
-    )
-    return "\n".join(line.rstrip() for line in lines)
+    return text_table(rows, width)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from thorvaldc.diagnostics.text_table import text_table
 from thorvaldc.runtime.se2 import Pose2, Twist
 
 
@@ -90,12 +91,13 @@ class SimulationResult:
         return value
 
 
-def result_table(results: Sequence[SimulationResult]) -> str:
+def result_table(results: Sequence[SimulationResult], width: int | None = None) -> str:
     """Returns a text table with one line per robot.
 
     Path lengths are in m, errors in mm and masses in kg.  A `-` replaces a value that is nan.
+    ``width``: number of columns of the terminal, or ``None`` for one line per robot.
     """
-    lines = [
+    lines: list[tuple[str, ...]] = [
         (
             "robot",
             "mass",
@@ -121,14 +123,7 @@ def result_table(results: Sequence[SimulationResult]) -> str:
         for result in results
         for robot in result.robots
     ]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if column == 0 else cell.rjust(width)
-            for column, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    )
+    return text_table(lines, width, right=range(1, len(lines[0])))
 
 
 def _cell(text: str) -> str:

@@ -9,10 +9,13 @@ from thorvaldc.simulation.run_result import result_table
 from thorvaldc.simulation.scenario_expectations import ScenarioResult
 
 
-def scenario_text(result: ScenarioResult) -> str:
-    """Returns a text with the result table of the robots and one line for each expectation."""
+def scenario_text(result: ScenarioResult, width: int | None = None) -> str:
+    """Returns a text with the result table of the robots and one line for each expectation.
+
+    ``width``: number of columns of the terminal, or ``None`` for one line per robot.
+    """
     run = result.run
-    lines = [result_table([run])]
+    lines = [result_table([run], width)]
     for check in result.checks:
         verdict = "ok    " if check.passed else "FAILED"
         lines.append(

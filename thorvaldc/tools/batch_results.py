@@ -10,6 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, TextIO
 
+from thorvaldc.diagnostics.text_table import text_table
 from thorvaldc.model.finite_json import finite
 from thorvaldc.simulation.scenario_metrics import UNITS
 from thorvaldc.tools.scenario_batch import Run
@@ -33,10 +34,11 @@ def runs_as_json(runs: Sequence[Run]) -> str:
     return json.dumps(values, indent=1, ensure_ascii=False)
 
 
-def results_table(runs: Sequence[Run]) -> str:
+def results_table(runs: Sequence[Run], width: int | None = None) -> str:
     """Returns a text table of the results of the runs.
 
     The columns are the varied values, the metrics, the verdict and the hash of each run.
+    ``width``: number of columns of the terminal, or ``None`` for one line per run.
     """
     has_fleet = any(run.result is not None and len(run.result["metrics"]) > 1 for run in runs)
     headings = [heading for _, heading, _, _ in _COLUMNS]
@@ -52,15 +54,11 @@ def results_table(runs: Sequence[Run]) -> str:
             ]
             robot_cell = [robot] * has_fleet
             rows.append([str(run.number), *values, *robot_cell, *cells, verdict, short_hash])
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = [
-        "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    ]
+    table = text_table(rows, width, right=range(len(rows[0])))
     failed = sum(1 for run in runs if not run.passed)
     verdicts = f"{failed} not as expected" if failed else "all as expected"
     noun = "run" if len(runs) == 1 else "runs"
-    return "\n".join([*lines, f"{len(runs)} {noun}, {verdicts}"])
+    return "\n".join([table, f"{len(runs)} {noun}, {verdicts}"])
 
 
 class ResultFile:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from thorvaldc.cli.compiling import compile_and_show
-from thorvaldc.cli.diagnostic_output import message, print_json, report_of, show_report
+from thorvaldc.cli.diagnostic_output import message, print_json, report_of, show_report, table_width
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.options import Json, Library, Parameters, Trust
 from thorvaldc.compiler.source.units import UnitError, parse_quantity
@@ -71,7 +71,7 @@ def calibrate(
     if json:
         print_json(as_json(result))
     else:
-        print(table(result))
+        print(table(result, table_width()))
     if output and status == DONE:
         if not result.determines_anything:
             message(f"{output} is not written: the log determines nothing")

@@ -10,7 +10,7 @@ import typer
 
 from thorvaldc.cli.bus_access import BusAccess, with_bus
 from thorvaldc.cli.console_operator import agrees
-from thorvaldc.cli.diagnostic_output import count, message, print_json
+from thorvaldc.cli.diagnostic_output import count, message, print_json, table_width
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.options import (
     BusInterface,
@@ -85,7 +85,7 @@ def _dry_run(access: BusAccess, json: bool) -> int:
     if json:
         print_json({**plan_as_json(plan), "applied": False})
     else:
-        print(plan_table(plan))
+        print(plan_table(plan, table_width()))
         message("dry run: nothing was written; --apply writes")
     return INPUT if plan.problems or plan.strangers else DONE
 

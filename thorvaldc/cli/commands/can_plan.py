@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from thorvaldc.cli.bus_access import BusAccess, with_bus
-from thorvaldc.cli.diagnostic_output import print_json
+from thorvaldc.cli.diagnostic_output import print_json, table_width
 from thorvaldc.cli.exits import DONE, INPUT
 from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store, Trust
 from thorvaldc.commissioning.commissioning_text import plan_as_json, plan_table
@@ -22,7 +22,7 @@ def plan(
         if json:
             print_json(plan_as_json(plan))
         else:
-            print(plan_table(plan))
+            print(plan_table(plan, table_width()))
         return INPUT if plan.problems or plan.strangers else DONE
 
     return with_bus(file, bus, store, library, trust, work)

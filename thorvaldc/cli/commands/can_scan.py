@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from thorvaldc.cli.bus_access import BusAccess, with_bus
-from thorvaldc.cli.diagnostic_output import message, print_json
+from thorvaldc.cli.diagnostic_output import message, print_json, table_width
 from thorvaldc.cli.exits import DONE, INPUT
 from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store, Trust
 from thorvaldc.commissioning.commissioning_text import scan_notes, scan_table
@@ -32,7 +32,7 @@ def scan(
         if json:
             print_json(scan.as_json())
         else:
-            print(scan_table(scan))
+            print(scan_table(scan, table_width()))
             for note in scan_notes(scan):
                 message(note)
         differs = any(entry.verdict != "ok" for entry in scan.entries)

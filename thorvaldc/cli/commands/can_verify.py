@@ -4,7 +4,7 @@ periods and load of a CAN bus."""
 from __future__ import annotations
 
 from thorvaldc.cli.bus_access import BusAccess, with_bus
-from thorvaldc.cli.diagnostic_output import count, message, print_json
+from thorvaldc.cli.diagnostic_output import count, message, print_json, table_width
 from thorvaldc.cli.exits import DONE, INPUT
 from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store, Trust
 from thorvaldc.commissioning.commissioning_text import verification_table
@@ -27,7 +27,7 @@ def verify(
         if json:
             print_json(verification.as_json())
         else:
-            print(verification_table(verification))
+            print(verification_table(verification, table_width()))
             if verification.not_seen:
                 names = ", ".join(verification.not_seen)
                 message(f"not seen: {names}; drives send them only after their start")

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from thorvaldc.cli.diagnostic_output import count, message, show_report
+from thorvaldc.cli.diagnostic_output import count, message, show_report, table_width
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.compiler.writer import WriteError
 from thorvaldc.simulation.run_result import result_table
@@ -36,7 +36,7 @@ def demo(
     statuses = [show_report(outcome.report, outcome.sources) for outcome in outcomes]
     results = [outcome.result for outcome in outcomes if outcome.result is not None]
     if results:
-        print(result_table(results))
+        print(result_table(results, table_width()))
     robots = sum(len(result.robots) for result in results)
     seconds = time.monotonic() - started
     message(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from thorvaldc.cli.diagnostic_output import message, print_json, report_of
+from thorvaldc.cli.diagnostic_output import message, print_json, report_of, table_width
 from thorvaldc.cli.exits import DONE, INPUT
 from thorvaldc.cli.options import (
     Jobs,
@@ -69,5 +69,5 @@ def faults(
     if json:
         print_json(matrix_json(matrix, rows, file))
     else:
-        print("\n".join(markdown(matrix, rows, file)))
+        print("\n".join(markdown(matrix, rows, file, table_width())))
     return DONE if all(row.passed for row in rows) else INPUT

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from thorvaldc.diagnostics.text_table import text_table
 from thorvaldc.tools.calibration.self_calibration import (
     CalibrationResult,
     Estimate,
@@ -61,12 +62,13 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
     }
 
 
-def table(result: CalibrationResult) -> str:
+def table(result: CalibrationResult, width: int | None = None) -> str:
     """Returns the calibration result as a text table with one line per wheel.
 
     Each value has a random and a systematic standard error.  Radii and steering offsets that the
     robot does not take over are marked.  The last line is the noise of the log, as a section of
-    ``robot.yaml``.
+    ``robot.yaml``.  ``width``: number of columns of the terminal, or ``None`` for one line per
+    wheel.
     """
     errors = "+- random +- systematic"
     lines = [("wheel", f"steering offset {errors}", f"radius ratio {errors}", "radius")]
@@ -80,19 +82,11 @@ def table(result: CalibrationResult) -> str:
                 "" if wheel.radius is None else f"{wheel.radius * 1000:.2f} mm",
             )
         )
-    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
-    rows = [
-        "  ".join(
-            cell.ljust(width) if i == 0 else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    ]
     noise = (
         f"noise of this log: {{speed_ratio: {100.0 * result.rolling:.3f} %, "
         f"angle: {math.degrees(result.pointing):.3f} deg, correlation: {result.correlation:.2f} s}}"
     )
-    return "\n".join([*rows, noise])
+    return "\n".join([text_table(lines, width, right=(1, 2, 3)), noise])
 
 
 def _cell(estimate: Estimate | None, format_value: Any, unit: str, convert: Any) -> str:

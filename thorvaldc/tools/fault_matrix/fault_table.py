@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import math
+import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 from thorvaldc import __version__
+from thorvaldc.diagnostics.text_table import text_table
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import to_json
 from thorvaldc.tools.fault_matrix.fault_cases import DRIVING, MOVING_PHASES, PHASES
@@ -67,19 +69,28 @@ def row_json(robot: Robot, row: FaultRow) -> dict[str, Any]:
     }
 
 
-def markdown(matrix: FaultMatrix, rows: Sequence[FaultRow], file: str) -> Iterator[str]:
-    """Yields the lines of a Markdown page with the fault matrix."""
+def markdown(
+    matrix: FaultMatrix, rows: Sequence[FaultRow], file: str, width: int | None = None
+) -> Iterator[str]:
+    """Yields the lines of a Markdown page with the fault matrix.
+
+    ``width``: number of columns of the terminal, or ``None`` for a file.  On a terminal the matrix
+    is a text table, because a table in Markdown has one line per row.
+    """
     robot, twist = matrix.robot, matrix.twist
     yield f"# Faults of the robot {robot.name}"
     yield ""
-    yield SIMULATED
+    yield SIMULATED if width is None else textwrap.fill(SIMULATED, width)
     yield ""
     yield f"- Robot file: `{file}`"
     yield f"- SHA-256 of its model.json: `{model_hash(robot)}`"
     yield f"- thorvaldc {__version__}"
     yield f"- Driving: {twist.vx:.2f} m/s in curves of {abs(twist.wz):.2f} rad/s to both sides"
     yield ""
-    yield from table(robot, rows)
+    if width is None:
+        yield from table(robot, rows)
+    else:
+        yield text_table([HEADINGS, *(row_cells(robot, row) for row in rows)], width)
     broken = [(row, phase, text) for row in rows for phase, texts in row.broken.items()
               for text in texts]  # fmt: skip
     yield ""

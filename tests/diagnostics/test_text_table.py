@@ -1,0 +1,44 @@
+"""Tables fit their width, and no character of a cell is lost."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from thorvaldc.diagnostics.text_table import text_table
+
+HEADINGS = ("robot", "mass", "wheels driven/steered", "commanded", "true", "odometry", "end error")
+ROWS = [
+    HEADINGS,
+    ("slim", "150.0 kg", "4: 4/4", "0.129 m", "0.124 m", "0.124 m", "0.0 mm"),
+    ("farm_north/thorvald_9wd9ws_asymmetric", "1367.2 kg", "9: 9/9", "-", "1.1 m", "2 m", "0.0 mm"),
+]
+
+
+def test_a_table_without_a_width_has_one_line_per_row() -> None:
+    lines = text_table(ROWS, None, right=range(1, 7)).splitlines()
+    assert len(lines) == len(ROWS)
+    assert lines[2].startswith(ROWS[2][0])
+    assert len({line.index("0.0 mm") for line in lines[1:]}) == 1
+
+
+@pytest.mark.parametrize("width", range(20, 130, 3))
+def test_a_table_fits_every_width_and_keeps_every_character(width: int) -> None:
+    text = text_table(ROWS, width, right=range(1, 7))
+    assert max(map(len, text.splitlines())) <= max(width, len(ROWS[2][0]))
+    for row in ROWS[1:]:
+        for cell in row:
+            for part in re.split(r"(?<=[_/])|\s+", cell):
+                assert part in text
+
+
+def test_headings_take_several_lines_before_names_do() -> None:
+    lines = text_table(ROWS, 100, right=range(1, 7)).splitlines()
+    assert "driven/" in lines[1]
+    assert any(ROWS[2][0] in line for line in lines)
+
+
+def test_a_terminal_that_is_too_narrow_gets_a_paragraph_per_row() -> None:
+    lines = text_table(ROWS, 40).splitlines()
+    assert lines[0].startswith("robot slim  mass 150.0 kg")
