@@ -26,7 +26,7 @@ def test_a_table_without_a_width_has_one_line_per_row() -> None:
 @pytest.mark.parametrize("width", range(20, 130, 3))
 def test_a_table_fits_every_width_and_keeps_every_character(width: int) -> None:
     text = text_table(ROWS, width, right=range(1, 7))
-    assert max(map(len, text.splitlines())) <= max(width, len(ROWS[2][0]))
+    assert max(map(len, text.splitlines())) <= max(width, len(ROWS[2][0]) + 2)
     for row in ROWS[1:]:
         for cell in row:
             for part in re.split(r"(?<=[_/])|\s+", cell):

@@ -51,7 +51,7 @@ def text_table(
 
 
 def _total(widths: Sequence[int], gap: str) -> int:
-    return sum(widths) + len(gap) * (len(widths) - 1)
+    return len(gap.join(" " * width for width in widths))
 
 
 def _least(column: Sequence[str]) -> int:
