@@ -320,13 +320,14 @@ def test_new_creates_a_robot_without_errors(thorvaldc: Command, preset: str) -> 
 def test_targets(thorvaldc: Command) -> None:
     assert [line.split()[0] for line in thorvaldc("targets").out.splitlines()] == [
         "can",
+        "datasheet",
         "mjcf",
         "ros2",
         "sdf",
         "urdf",
     ]
     targets = json.loads(thorvaldc("targets", "--json").out)
-    assert set(targets) == {"can", "mjcf", "ros2", "sdf", "urdf"}
+    assert set(targets) == {"can", "datasheet", "mjcf", "ros2", "sdf", "urdf"}
 
 
 @pytest.mark.parametrize(

@@ -69,6 +69,7 @@ TARGETS: dict[str, Target] = {
     "sdf": Target("thorvaldc.backends.sdf:Sdf", default=False),
     "ros2": Target("thorvaldc.backends.ros2:Ros2"),
     "can": Target("thorvaldc.backends.can:Can"),
+    "datasheet": Target("thorvaldc.backends.datasheet:Datasheet", default=False),
 }
 DEFAULT_TARGETS = tuple(name for name, target in TARGETS.items() if target.default)
 PLUGINS: PluginTable[Backend] = PluginTable(

@@ -12,7 +12,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -22,27 +21,14 @@ from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.model.data_folder import data_folder
 
 Content = TypeVar("Content")
 
-_PACKAGE = Path(__file__).resolve().parent.parent
 FILE = "module.yaml"
 PALETTE = "palette.yaml"
 # Diagnostics show the name ``<library>`` instead of the path of the built-in library.
 BUILTIN_LIBRARY = "<library>"
-
-
-@cache
-def data_folder(name: str) -> Path:
-    """Returns the path of the data folder ``modules`` or ``templates``.
-
-    The folder of a source checkout is preferred to the copy in an installed package, because an
-    editable installation may contain an outdated copy.
-    """
-    checkout = _PACKAGE.parent / name
-    if (_PACKAGE.parent / "pyproject.toml").is_file() and checkout.is_dir():
-        return checkout
-    return _PACKAGE / "_data" / name
 
 
 @dataclass(frozen=True, eq=False)

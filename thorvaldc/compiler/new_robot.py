@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from thorvaldc.compiler.library import data_folder
+from thorvaldc.model.data_folder import data_folder
 
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from thorvaldc.compiler.library import data_folder
 from thorvaldc.model import Fleet, Robot
+from thorvaldc.model.data_folder import data_folder
 from thorvaldc.simulation.pictures.web_page import robot_page
 
 VIEWER = "/*VIEWER*/"

@@ -1,0 +1,160 @@
+"""The data sheet: one accessible page that loads nothing, with the facts and the drawings."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+
+from tests.buses import robot_with_bus
+from tests.examples import FLEETS, ROBOTS, example_fleet, example_robot
+from tests.robots import FOUR_STEERED, make_robot
+from thorvaldc.backends.datasheet import Datasheet
+from thorvaldc.model import Link, Robot
+from thorvaldc.model.facts import robot_facts
+from thorvaldc.model.facts.fact_tables import fact_tables
+
+VOID = {"meta", "wbr"}
+ROBOTS_TO_CHECK = ["4wd2ws_tall", "car", "2wd0ws_greenhouse"]
+
+
+class Page(HTMLParser):
+    """The elements and texts of a page; checks that every element is closed."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: list[tuple[str, str]] = []
+        self._open: list[str] = []
+        self.feed(text)
+        assert not self._open, self._open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if data.strip():
+            self.texts.append((self._open[-1] if self._open else "", data.strip()))
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.elements if name == tag]
+
+
+def text_of(robot: Robot) -> str:
+    return Datasheet().emit(robot)["datasheet/datasheet.html"].decode()
+
+
+@pytest.fixture(scope="module", params=ROBOTS_TO_CHECK)
+def name(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+def test_the_page_loads_nothing(name: str) -> None:
+    text = text_of(example_robot(name))
+    assert not re.search(r"(src|href|url|@import|<script|<link|<iframe)\b\s*[=(]?", text)
+
+
+def test_the_page_is_accessible(name: str) -> None:
+    page = Page(text_of(example_robot(name)))
+    assert page.all("html")[0]["lang"] == "en"
+    headings = [int(tag[1]) for tag, _ in page.elements if re.fullmatch(r"h\d", tag)]
+    assert headings[0] == 1
+    assert headings.count(1) == 1
+    assert all(after - before <= 1 for before, after in itertools.pairwise(headings))
+    ids = [str(a["id"]) for _, a in page.elements if "id" in a]
+    assert len(ids) == len(set(ids))
+    for tag, attributes in page.elements:
+        for reference in str(attributes.get("aria-labelledby") or "").split():
+            assert reference in ids, (tag, reference)
+    assert len(page.all("svg")) == 6
+    for svg in page.all("svg"):
+        assert svg["role"] == "img"
+        assert svg["aria-labelledby"]
+    assert all(attributes.get("scope") in ("row", "col") for attributes in page.all("th"))
+
+
+def test_the_page_has_every_fact(name: str) -> None:
+    robot = example_robot(name)
+    text = text_of(robot)
+    shown = re.sub(r"<wbr>|</?code>", "", text)
+    for table in fact_tables(robot_facts(robot)):
+        assert f">{table.title}</h2>" in shown
+        for row in table.rows:
+            for cell in row:
+                assert cell.replace("`", "") in shown
+
+
+def test_the_drawing_has_the_dimensions(name: str) -> None:
+    robot = example_robot(name)
+    size = robot_facts(robot).size
+    texts = [text for tag, text in Page(text_of(robot)).texts if tag == "text"]
+    for value in (size.length, size.width, size.height, size.wheelbase, size.track):
+        assert value is not None
+        assert f"{1000 * value:.0f}" in texts
+
+
+def test_the_outlines_fill_the_dimensions() -> None:
+    """The drawing comes from the shapes and the dimensions from their extents: they must agree."""
+    robot = example_robot("car")
+    text = text_of(robot)
+    front = text[text.index('aria-labelledby="front-title') :]
+    front = front[: front.index("</svg>")]
+    points = re.findall(r'points="([^"]*)"', front)
+    xs = [float(pair.split(",")[0]) for polygon in points for pair in polygon.split()]
+    ys = [float(pair.split(",")[1]) for polygon in points for pair in polygon.split()]
+    size = robot_facts(robot).size
+    assert max(xs) - min(xs) == pytest.approx(1000 * size.width, abs=1.0)
+    assert max(ys) - min(ys) == pytest.approx(1000 * size.height, abs=1.0)
+
+
+def test_labels_have_names_and_addresses() -> None:
+    robot = robot_with_bus()
+    page = Page(text_of(robot))
+    nodes = [node for bus in robot.buses for node in bus.nodes if node.id_space]
+    assert len(page.all("li")) == len(nodes) > 0
+    for node in nodes:
+        assert f"(0x{node.id:02X})" in [text for tag, text in page.texts if tag == "span"]
+
+
+@pytest.mark.parametrize(
+    "robot",
+    [
+        make_robot([]),
+        replace(
+            make_robot([]),
+            links=(Link("base_link", "", None, (), (), make_robot([]).span),),
+            joints=(),
+        ),
+        make_robot([(0.5, 0.1, "fixed"), (0.5, -0.1, "fixed")]),
+        make_robot([(0.5, 0.5, "swivel"), (0.5, -0.5, "swivel"), (-0.5, 0.0, "swivel")]),
+        make_robot(FOUR_STEERED, suspended=True),
+        replace(make_robot(FOUR_STEERED), description='<b>"&amp;" `code` {{ 1 }}'),
+    ],
+    ids=["no_wheels", "only_a_base", "falls", "casters", "suspended", "odd_text"],
+)
+def test_pages_of_odd_robots(robot: Robot) -> None:
+    page = Page(text_of(robot))
+    if robot.description:
+        assert "".join(text for tag, text in page.texts if tag == "p").startswith(robot.description)
+
+
+@pytest.mark.parametrize("name", sorted(set(ROBOTS) - set(ROBOTS_TO_CHECK)))
+def test_every_example_has_a_page(name: str) -> None:
+    Page(text_of(example_robot(name)))
+
+
+def test_a_fleet_has_a_page_for_each_robot() -> None:
+    fleet = example_fleet(FLEETS[0])
+    files = Datasheet().emit_fleet(fleet)
+    assert set(files) == {f"{p.name}/datasheet/datasheet.html" for p in fleet.placements}

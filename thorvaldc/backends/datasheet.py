@@ -1,0 +1,69 @@
+"""Writes the data sheet of a robot: one HTML page with all facts, drawings and labels."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from thorvaldc.backends import Backend
+from thorvaldc.backends.datasheet_drawings import (
+    dimension_drawing,
+    side_pictures,
+    tip_over_drawing,
+)
+from thorvaldc.backends.datasheet_outlines import OutlineProjector
+from thorvaldc.model import Robot
+from thorvaldc.model.data_folder import data_folder
+from thorvaldc.model.facts import robot_facts
+from thorvaldc.model.facts.fact_tables import fact_tables
+
+if TYPE_CHECKING:
+    from jinja2 import Template
+    from markupsafe import Markup
+
+# A backend must not read files, so the template is read when the target is loaded.
+_TEMPLATE = (data_folder("templates") / "datasheet" / "page.html").read_text(encoding="utf-8")
+
+
+class Datasheet(Backend):
+    name = "datasheet"
+    summary = "HTML page to print: facts, dimension drawing, wiring, labels, bill of modules"
+
+    def emit(self, robot: Robot) -> dict[str, bytes]:
+        facts = robot_facts(robot)
+        projector = OutlineProjector(robot)
+        addresses = [address for bus in facts.buses for address in bus.addresses]
+        page = _template().render(
+            facts=facts,
+            tables=fact_tables(facts),
+            dimensions=dimension_drawing(robot, facts, projector),
+            sides=side_pictures(facts, projector),
+            tip_over=tip_over_drawing(facts.stability),
+            labels=[address for address in addresses if address.id_space],
+        )
+        return {"datasheet/datasheet.html": page.encode()}
+
+
+def _template() -> Template:
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters["code"] = _code
+    return environment.from_string(_TEMPLATE)
+
+
+def _code(text: str) -> Markup:
+    """Return a text as HTML in which names in backticks are code.
+
+    A long name may be broken after an underscore, a dot or a slash.
+    """
+    from markupsafe import Markup, escape
+
+    html = re.sub(r"`([^`]*)`", r"<code>\1</code>", str(escape(text)))
+    return Markup(re.sub(r"(?<=\w)([_./])(?=[^\W\d])", r"\1<wbr>", html))
