@@ -26,7 +26,7 @@ ENVIRONMENT = {
 CONFIG = ClientServerConfig(
     server_command=[sys.executable, "-m", "thorvaldc", "lsp", "--stdio"], server_env=ENVIRONMENT
 )
-TIME_LIMIT = 60.0
+TIME_LIMIT = 30.0
 
 
 @pytest_lsp.fixture(config=CONFIG, scope="package")
@@ -97,6 +97,43 @@ class Editor:
         self.client.text_document_did_close(
             types.DidCloseTextDocumentParams(types.TextDocumentIdentifier(uri))
         )
+
+    def mark(self, name: str, text: str) -> tuple[str, types.Position]:
+        """Opens a document with the cursor at the mark; returns its URI and the position."""
+        before, _, after = text.partition("|")
+        lines = before.replace("\r\n", "\n").split("\n")
+        position = types.Position(len(lines) - 1, len(lines[-1].encode("utf-16-le")) // 2)
+        return self.open(name, before + after), position
+
+    def at(self, kind: type[Any], place: tuple[str, types.Position], **others: Any) -> Any:
+        """Returns the parameters of a request at a position."""
+        uri, position = place
+        return kind(types.TextDocumentIdentifier(uri), position, **others)
+
+    async def hover(self, name: str, text: str) -> str:
+        place = self.mark(name, text)
+        answer = await self.client.text_document_hover_async(self.at(types.HoverParams, place))
+        if answer is None:
+            return ""
+        assert isinstance(answer.contents, types.MarkupContent)
+        return answer.contents.value
+
+    async def hover_at(self, uri: str, text: str) -> str:
+        """Returns the hover at the mark in the text of a document that is open."""
+        lines = text.partition("|")[0].split("\n")
+        place = uri, types.Position(len(lines) - 1, len(lines[-1]))
+        answer = await self.client.text_document_hover_async(self.at(types.HoverParams, place))
+        assert answer is not None
+        assert isinstance(answer.contents, types.MarkupContent)
+        return answer.contents.value
+
+    async def complete(self, name: str, text: str) -> dict[str, types.CompletionItem]:
+        place = self.mark(name, text)
+        answer = await self.client.text_document_completion_async(
+            self.at(types.CompletionParams, place)
+        )
+        assert isinstance(answer, types.CompletionList)
+        return {item.label: item for item in answer.items}
 
     async def until(self, condition: Callable[[], Any]) -> Any:
         """Waits until a condition holds after a publication, and returns its value."""

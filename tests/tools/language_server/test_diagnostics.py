@@ -6,25 +6,13 @@ import pytest
 from lsprotocol import types
 
 from tests.tools.language_server.conftest import ROOT, Editor
-from thorvaldc.compiler.new_robot import robot_text
+from tests.tools.language_server.texts import POST, ROBOT, WITH_POST
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.tools.language_server.open_document import uri_of
 
 pytestmark = pytest.mark.asyncio(loop_scope="package")
 
-ROBOT = robot_text("cart", "4wd4ws")
 TWICE = ROBOT.replace("can: 2", "can: 3")
-POST = """\
-thorvaldc: 1
-description: A post.
-params: {size: {quantity: length, default: 0.1 m, description: Its size., source: "chosen: x"}}
-mount: {kinds: [frame_clamp], link: post}
-links: {post: {parts: [{shape: {box: ["${size}", 0.1, 0.1]}, mass: 1 kg, source: "chosen: x"}]}}
-"""
-WITH_POST = (
-    ROBOT.replace("modules:", "library: [my modules]\nmodules:", 1)
-    + "  post: {type: my/post, mount: frame.front_center}\n"
-)
 FLEET = "thorvaldc: 1\nname: two\nrobots:\n  a: {robot: robot.yaml, xyz: [0, 0, 0]}\n"
 EXAMPLES = [
     *(ROOT / "examples" / name for name in ("fleet_of_four/fleet.yaml", "odrive/robot.yaml")),
@@ -85,7 +73,7 @@ async def test_a_module_that_is_edited_changes_the_open_robot(editor: Editor) ->
 
 
 async def test_diagnostics_in_files_that_are_not_open(editor: Editor) -> None:
-    module = editor.write("my modules/my/post/module.yaml", POST.replace("0.1 m", "0.1 kg"))
+    module = editor.write("my modules/my/post/module.yaml", POST.replace("10 cm", "0.1 kg"))
     robot = editor.open("robot.yaml", WITH_POST)
     await editor.diagnostics_of(robot)
     (published,) = editor.diagnostics[uri_of(module)]

@@ -156,7 +156,7 @@ class Mounting:
         """Checks that the kind of a port fits the mount kinds of the module type."""
         if mounted_leaf.type is None or not kind:
             return
-        fitting_kinds = _fitting_kinds(mounted_leaf)
+        fitting_kinds = mount_kinds(mounted_leaf)
         if kind in fitting_kinds:
             return
         shown_kinds = " or ".join(f"`{k}`" for k in fitting_kinds) or "no port at all"
@@ -201,7 +201,7 @@ class Mounting:
             mount = Mount(carrier, link, carrier.scope.pose(section), section.span)
             kind = carrier.scope.text(section.get("kind"))
             is_present = carrier.scope.boolean(section.get("when"), True)
-            if is_present and mount.place not in occupied and kind in _fitting_kinds(mounted):
+            if is_present and mount.place not in occupied and kind in mount_kinds(mounted):
                 references.append(f"{carrier.path}.{name}")
         return references
 
@@ -232,7 +232,7 @@ class Mounting:
             )
 
 
-def _fitting_kinds(leaf: Instance) -> list[str]:
+def mount_kinds(leaf: Instance) -> list[str]:
     """Returns the kinds of ports that a module fits."""
     mount = leaf.type.document.get("mount") if leaf.type is not None else None
     kinds = mount.get("kinds") if mount is not None else None

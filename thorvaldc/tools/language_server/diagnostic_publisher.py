@@ -18,6 +18,8 @@ from typing import Any
 from lsprotocol import types
 
 from thorvaldc.diagnostics import Diagnostic, Severity, Span
+from thorvaldc.diagnostics.report import Fix
+from thorvaldc.model import Fleet, Robot
 from thorvaldc.tools.language_server.analysis import Analysis, analyse
 from thorvaldc.tools.language_server.open_document import OpenDocument, texts_of, uri_of
 
@@ -47,6 +49,9 @@ class DiagnosticPublisher:
     publish: Callable[[types.PublishDiagnosticsParams], Any]
     log: Callable[[str], Any]
     analyses: dict[str, Analysis] = field(default_factory=dict)
+    _models: dict[str, Robot | Fleet] = field(default_factory=dict)
+    # The open documents at the time of the analysis of each document.
+    _documents: dict[str, dict[str, OpenDocument]] = field(default_factory=dict)
     _pending: dict[str, None] = field(default_factory=dict)  # URIs, the last change first
     _published: dict[str, set[str]] = field(default_factory=dict)  # URIs of files, by document
     _changed_at: float = 0.0
@@ -70,8 +75,8 @@ class DiagnosticPublisher:
 
     def document_closed(self, uri: str) -> None:
         """Removes the diagnostics of a closed document."""
-        self.analyses.pop(uri, None)
-        self._pending.pop(uri, None)
+        for kept in (self.analyses, self._models, self._documents, self._pending):
+            kept.pop(uri, None)
         for file in self._published.pop(uri, set()):
             self._publish_file(file)
         self.files_changed()
@@ -104,7 +109,8 @@ class DiagnosticPublisher:
             document = self.documents.get(uri)
             if document is None:
                 continue
-            texts, folders = texts_of(self.documents), self._library_folders()
+            documents = dict(self.documents)
+            texts, folders = texts_of(documents), self.library_folders
             try:
                 analysis = await loop.run_in_executor(
                     self._executor, analyse, document, texts, folders
@@ -115,9 +121,18 @@ class DiagnosticPublisher:
             is_stale = uri in self._pending or self.documents.get(uri) is not document
             if not is_stale:
                 self.analyses[uri] = analysis
+                self._documents[uri] = documents
+                if analysis.model is not None:
+                    self._models[uri] = analysis.model
                 self._publish(uri, analysis)
 
-    def _library_folders(self) -> tuple[Path, ...]:
+    @property
+    def models(self) -> dict[str, Robot | Fleet]:
+        """Models of the last analyses without errors, by the URI of the document."""
+        return dict(self._models)
+
+    @property
+    def library_folders(self) -> tuple[Path, ...]:
         """Returns the library folders that the open robots name."""
         folders = (folder for analysis in self.analyses.values() for folder in analysis.library)
         return tuple(dict.fromkeys(folders))
@@ -186,3 +201,56 @@ class DiagnosticPublisher:
                 for label in diagnostic.labels
             ],
         )
+
+    # -- quick fixes ------------------------------------------------------------------
+
+    def code_actions(self, document: OpenDocument, place: types.Range) -> list[types.CodeAction]:
+        """Returns the changes that the hints of the diagnostics in a range propose.
+
+        The changes of a diagnostic are left out if a text has changed since its analysis.
+        """
+        actions: list[types.CodeAction] = []
+        for uri, analysis in list(self.analyses.items()):
+            for diagnostic in analysis.diagnostics:
+                if not diagnostic.fixes or diagnostic.span is None:
+                    continue
+                if self._uri(diagnostic.span, analysis.sources) != document.uri:
+                    continue
+                span_range = document.source.range(diagnostic.span)
+                if span_range.end < place.start or place.end < span_range.start:
+                    continue
+                for fix in diagnostic.fixes:
+                    action = self._code_action(diagnostic, fix, uri, analysis)
+                    if action is not None:
+                        actions.append(action)
+        return actions
+
+    def _code_action(
+        self, diagnostic: Diagnostic, fix: Fix, uri: str, analysis: Analysis
+    ) -> types.CodeAction | None:
+        target = self._uri(fix.span, analysis.sources)
+        document = self.documents.get(target)
+        if document is not self._documents.get(uri, {}).get(target):
+            return None
+        if document is not None:
+            old = document.source.span_text(fix.span)
+            edit_range = document.source.range(fix.span)
+        else:
+            old, edit_range = "", self._range(fix.span, analysis.sources)
+        edit = types.TextEdit(edit_range, fix.text)
+        return types.CodeAction(
+            _title(diagnostic, fix, old),
+            kind=types.CodeActionKind.QuickFix,
+            diagnostics=[self._converted(diagnostic, analysis.sources)],
+            is_preferred=len(diagnostic.fixes) == 1 and not fix.is_example,
+            edit=types.WorkspaceEdit({target: [edit]}),
+        )
+
+
+def _title(diagnostic: Diagnostic, fix: Fix, old: str) -> str:
+    """Returns the title of a quick fix: the hint, or the new text if there are alternatives."""
+    if len(diagnostic.fixes) == 1 and diagnostic.hint:
+        return diagnostic.hint[:1].upper() + diagnostic.hint[1:120]
+    new = " ".join(fix.text.split()) or "nothing"
+    action = f"Replace `{old}` by `{new}`" if old else f"Insert `{new}`"
+    return action[:120]

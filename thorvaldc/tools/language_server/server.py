@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import asyncio
+import logging
 import os
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 from lsprotocol import types
+from pygls.exceptions import FeatureRequestError, JsonRpcInvalidParams
 from pygls.lsp.server import LanguageServer
 
 from thorvaldc import __version__
 from thorvaldc.tools.language_server.diagnostic_publisher import DiagnosticPublisher
-from thorvaldc.tools.language_server.open_document import OpenDocument, open_document, path_of
+from thorvaldc.tools.language_server.features import Features, RenameError, Session
+from thorvaldc.tools.language_server.open_document import (
+    OpenDocument,
+    open_document,
+    path_of,
+    texts_of,
+)
 
 
 class ThorvaldcServer(LanguageServer):
@@ -36,6 +46,12 @@ class ThorvaldcServer(LanguageServer):
         self.publisher = DiagnosticPublisher(
             self.documents, self.text_document_publish_diagnostics, self.log_error
         )
+        self._executor = ThreadPoolExecutor(1, "thorvaldc-requests")
+        self._features = Features()
+        self._register_notifications()
+        self._register_requests()
+
+    def _register_notifications(self) -> None:
         self._notification(types.TEXT_DOCUMENT_DID_OPEN, self._did_open)
         self._notification(types.TEXT_DOCUMENT_DID_CHANGE, self._did_change)
         self._notification(types.TEXT_DOCUMENT_DID_SAVE, self._files_changed)
@@ -43,11 +59,96 @@ class ThorvaldcServer(LanguageServer):
         self._notification(types.TEXT_DOCUMENT_DID_CLOSE, self._did_close)
         self._notification(types.SHUTDOWN, self._shutdown)
 
+    def _register_requests(self) -> None:
+        features = self._features
+        self._request(
+            types.TEXT_DOCUMENT_HOVER,
+            lambda document, p, session: features.hover(document, p.position, session),
+        )
+        self._request(
+            types.TEXT_DOCUMENT_COMPLETION,
+            lambda document, p, session: features.completion(document, p.position, session),
+            types.CompletionOptions(trigger_characters=list(".: {[\"'/")),
+        )
+        self._request(
+            types.TEXT_DOCUMENT_DEFINITION,
+            lambda document, p, session: features.definition(document, p.position, session),
+        )
+        self._request(
+            types.TEXT_DOCUMENT_DOCUMENT_SYMBOL,
+            lambda document, p, session: features.symbols(document),
+        )
+        self._request(
+            types.TEXT_DOCUMENT_FORMATTING,
+            lambda document, p, session: features.formatting(document),
+        )
+        self._request(
+            types.TEXT_DOCUMENT_REFERENCES,
+            lambda document, p, session: features.references(
+                document, p.position, p.context.include_declaration, session
+            ),
+        )
+        self._request(
+            types.TEXT_DOCUMENT_PREPARE_RENAME,
+            lambda document, p, session: features.prepare_rename(document, p.position, session),
+        )
+        self._request(
+            types.TEXT_DOCUMENT_RENAME,
+            lambda document, p, session: features.rename(document, p.position, p.new_name, session),
+            types.RenameOptions(prepare_provider=True),
+        )
+        self._request(
+            types.TEXT_DOCUMENT_CODE_ACTION,
+            lambda document, p, session: self.publisher.code_actions(document, p.range),
+            types.CodeActionOptions([types.CodeActionKind.QuickFix]),
+        )
+
     def _notification(self, method: str, handle: Callable[[Any], None]) -> None:
         # pygls sets attributes on the function of a feature, which a bound method does not have.
         @self.feature(method)
         def call(params: Any) -> None:
             handle(params)
+
+    def _request(
+        self,
+        method: str,
+        answer: Callable[[OpenDocument, Any, Session], Any],
+        options: object = None,
+    ) -> None:
+        """Registers a request that is answered in the thread of the requests.
+
+        The answer is dropped if the document has changed in the meantime.
+        """
+
+        @self.feature(method, options)
+        async def call(params: Any) -> Any:
+            document = self.documents.get(params.text_document.uri)
+            if document is None:
+                return None
+            loop, session = asyncio.get_running_loop(), self._session()
+            try:
+                value = await loop.run_in_executor(
+                    self._executor, answer, document, params, session
+                )
+            except RenameError as error:
+                raise JsonRpcInvalidParams(str(error)) from None
+            except Exception as error:
+                self.log_error(f"{method}, {document.path}: {type(error).__name__}: {error}")
+                return None
+            return value if self.documents.get(document.uri) is document else None
+
+    def _session(self) -> Session:
+        completion = getattr(self.client_capabilities.text_document, "completion", None)
+        item = getattr(completion, "completion_item", None)
+        folders = [path_of(uri) for uri in self.workspace.folders] or [self.folder]
+        return Session(
+            texts_of(self.documents),
+            {document.real_path: document.uri for document in self.documents.values()},
+            self.publisher.models,
+            self.publisher.library_folders,
+            tuple(folder for folder in folders if folder is not None),
+            bool(getattr(item, "snippet_support", False)),
+        )
 
     @property
     def folder(self) -> Path:
@@ -61,7 +162,12 @@ class ThorvaldcServer(LanguageServer):
         self.window_log_message(types.LogMessageParams(types.MessageType.Error, message))
 
     def report_server_error(self, error: Exception, source: Any) -> None:
-        """Writes an unexpected error to the log, in place of the pop-up window of pygls."""
+        """Writes an unexpected error to the log, in place of the pop-up window of pygls.
+
+        The editor gets the errors of requests as their answers.
+        """
+        if source is FeatureRequestError:
+            return
         self.log_error(f"{type(error).__name__}: {error}")
 
     # -- documents --------------------------------------------------------------------
@@ -90,6 +196,7 @@ class ThorvaldcServer(LanguageServer):
 
     def _shutdown(self, params: None) -> None:
         self.publisher.close()
+        self._executor.shutdown(wait=False, cancel_futures=True)
 
 
 def serve() -> None:
@@ -97,6 +204,7 @@ def serve() -> None:
 
     What other code prints goes to standard error, because standard output belongs to the protocol.
     """
+    logging.getLogger("pygls").setLevel(logging.CRITICAL)  # errors are in the log of the editor
     with os.fdopen(os.dup(1), "wb") as output:
         os.dup2(2, 1)
         sys.stdout = sys.stderr

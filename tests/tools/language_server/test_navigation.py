@@ -1,0 +1,155 @@
+"""Definitions, references, renaming and the outline."""
+
+from __future__ import annotations
+
+import pytest
+from lsprotocol import types
+from pygls.exceptions import JsonRpcException
+
+from tests.tools.language_server.conftest import ROOT, Editor
+from tests.tools.language_server.texts import POST, ROBOT, WITH_POST, edited
+from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.tools.language_server.open_document import uri_of
+
+pytestmark = pytest.mark.asyncio(loop_scope="package")
+
+STEERED_DRIVE = "modules/assembly/steered_drive/module.yaml"
+DEFINITIONS = [  # name, text, place, file, text that starts at the definition
+    ("robot.yaml", ROBOT, "mount: fr|ame.front_left", "", "frame:\n"),
+    (
+        "robot.yaml",
+        ROBOT,
+        "frame.front_l|eft",
+        "modules/frame/tube_rectangular/module.yaml",
+        "front_left:",
+    ),
+    ("robot.yaml", ROBOT, "type: assem|bly/steered_drive", STEERED_DRIVE, "thorvaldc: 1"),
+    ("robot.yaml", ROBOT, "  f|l: {", STEERED_DRIVE, "thorvaldc: 1"),
+    ("robot.yaml", ROBOT, "le|ngth: 1.10", "modules/frame/tube_rectangular/module.yaml", "length:"),
+    ("module.yaml", POST, "${si|ze / 2}", "", "size: {quantity"),
+    ("module.yaml", POST, "${ha|lf}", "", 'half: "'),
+    (
+        "module.yaml",
+        POST,
+        "default: whe|el/agri_200",
+        "modules/wheel/agri_200/module.yaml",
+        "thorvaldc: 1",
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "place", "file", "start"), DEFINITIONS)
+async def test_definition(
+    editor: Editor, name: str, text: str, place: str, file: str, start: str
+) -> None:
+    marked = editor.mark(name, text.replace(place.replace("|", ""), place, 1))
+    answer = await editor.client.text_document_definition_async(
+        editor.at(types.DefinitionParams, marked)
+    )
+    assert isinstance(answer, types.Location)
+    assert answer.uri == (uri_of(ROOT / file) if file else marked[0])
+    shown = (ROOT / file).read_text(encoding="utf-8") if file else text
+    line = answer.range.start.line
+    rest = "\n".join(shown.splitlines()[line:])[answer.range.start.character :]
+    assert rest.startswith(start)
+
+
+async def test_definition_of_files(editor: Editor) -> None:
+    editor.write("a b/robot.yaml", ROBOT)
+    text = "thorvaldc: 1\nname: f\nrobots: {a: {robot: a b/ro|bot.yaml}}\n"
+    answer = await editor.client.text_document_definition_async(
+        editor.at(types.DefinitionParams, editor.mark("fleet.yaml", text))
+    )
+    assert isinstance(answer, types.Location)
+    assert answer.uri == editor.uri("a b/robot.yaml")
+
+
+SCENARIO = """\
+thorvaldc: 1
+scenario: s
+robots: {a: {robot: robot.yaml}}
+duration: 1 s
+faults:
+  - {type: radius_error, wheel: fl_wheel, error: 0.1}
+  - {type: radius_error, wheel: "fr_wheel", error: 0.1}
+"""
+CALIBRATION = """\
+thorvaldc: 1
+robot: cart
+wheels: {fl_wheel: {radius: 201 mm}, fl_2_wheel: {radius: 201 mm}}
+"""
+
+
+async def test_rename_changes_all_references(editor: Editor) -> None:
+    text = ROBOT.replace(
+        "  battery:", "  fl_2: {type: caster/fixed, mount: frame.rear_center}\n  battery:"
+    )
+    scenario = editor.write("scenario.yaml", SCENARIO)
+    calibration = editor.open("calibration.yaml", CALIBRATION)
+    place = editor.mark("robot.yaml", text.replace("  fl:", "  f|l:"))
+    uris = [place[0], uri_of(scenario), calibration]
+    for uri in uris[1:2]:
+        editor.open("scenario.yaml", uri=uri)
+    prepared = await editor.client.text_document_prepare_rename_async(
+        editor.at(types.PrepareRenameParams, place)
+    )
+    assert isinstance(prepared, types.PrepareRenamePlaceholder)
+    assert prepared.placeholder == "fl"
+    answer = await editor.client.text_document_rename_async(
+        editor.at(types.RenameParams, place, new_name="left")
+    )
+    assert answer is not None
+    changes = dict(answer.changes or {})
+    assert set(changes) == set(uris)
+    renamed = edited(text, list(changes[place[0]]))
+    assert renamed == text.replace("  fl:", "  left:")
+    assert edited(SCENARIO, list(changes[uris[1]])) == SCENARIO.replace("fl_wheel", "left_wheel")
+    assert edited(CALIBRATION, list(changes[calibration])) == CALIBRATION.replace(
+        "{fl_wheel", "{left_wheel"
+    )
+    for bad_name in ("fr", "Left", "a b", ""):
+        with pytest.raises(JsonRpcException, match=r"fr|name"):
+            await editor.client.text_document_rename_async(
+                editor.at(types.RenameParams, place, new_name=bad_name)
+            )
+
+
+async def test_rename_of_a_carrying_module_changes_the_mounts(editor: Editor) -> None:
+    editor.write("my modules/my/post/module.yaml", POST)
+    editor.write("robot.lock.yaml", "thorvaldc_lock: 1\naddresses: {}\n")
+    place = editor.mark("robot.yaml", WITH_POST.replace("frame.rear_l", "fra|me.rear_l"))
+    answer = await editor.client.text_document_rename_async(
+        editor.at(types.RenameParams, place, new_name="chassis")
+    )
+    assert answer is not None
+    renamed = edited(WITH_POST, list((answer.changes or {})[place[0]]))
+    assert renamed.count("chassis") == 7
+    assert "frame." not in renamed
+    assert compile_file(editor.write("new.yaml", renamed)).report.errors == []
+    references = await editor.client.text_document_references_async(
+        types.ReferenceParams(
+            types.ReferenceContext(False), types.TextDocumentIdentifier(place[0]), place[1]
+        )
+    )
+    assert len(references or []) == 6
+
+
+async def test_the_outline_is_the_tree_of_modules(editor: Editor) -> None:
+    uri = editor.open("robot.yaml", ROBOT)
+    answer = await editor.client.text_document_document_symbol_async(
+        types.DocumentSymbolParams(types.TextDocumentIdentifier(uri))
+    )
+    symbols = {symbol.name: symbol for symbol in answer or ()}
+    assert list(symbols) == ["thorvaldc", "name", "description", "base_calculator", "modules"]
+    modules = symbols["modules"]
+    assert isinstance(modules, types.DocumentSymbol)
+    assert [child.name for child in modules.children or ()] == [
+        "frame",
+        "fl",
+        "fr",
+        "rl",
+        "rr",
+        "battery",
+    ]
+    details = [child.detail for child in modules.children or ()]
+    assert details[1] == "assembly/steered_drive on frame.front_left"
