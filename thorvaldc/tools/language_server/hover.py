@@ -181,7 +181,9 @@ def _facts(robot: Robot, name: str) -> list[str]:
     rows = []
     masses = [part for part in facts.modules if _is_part(part.module, name)]
     if masses:
-        rows.append(f"- mass: {float_sum(part.mass for part in masses):.4g} kg")
+        rows.append(
+            f"- mass: {float_sum(part.mass for part in masses if part.mass is not None):.4g} kg"
+        )
     for wheel in facts.wheels:
         if not _is_part(wheel.module, name):
             continue
