@@ -17,7 +17,6 @@ from thorvaldc.diagnostics import Span
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.schema.documents import Kind
 from thorvaldc.tools.language_server import module_references
-from thorvaldc.tools.language_server.completion import Proposed, proposals_at
 from thorvaldc.tools.language_server.cursor import cursor_at
 from thorvaldc.tools.language_server.definition import definition_at
 from thorvaldc.tools.language_server.document_tree import tree_around, tree_of
@@ -26,6 +25,7 @@ from thorvaldc.tools.language_server.hover import hover_at
 from thorvaldc.tools.language_server.module_view import ModuleView
 from thorvaldc.tools.language_server.open_document import OpenDocument, uri_of
 from thorvaldc.tools.language_server.outline import Entry, outline_of
+from thorvaldc.tools.language_server.proposals import Proposed, proposals_at
 from thorvaldc.tools.language_server.source_text import SourceText
 from thorvaldc.tools.language_server.workspace_files import workspace_documents
 
