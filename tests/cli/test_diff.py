@@ -186,3 +186,37 @@ def test_wrong_inputs(
     assert result.status == status, result
     assert message in result.err
     assert "Traceback" not in result.err
+
+
+def test_a_page_shows_both_robots_and_the_differences(thorvaldc: Command) -> None:
+    other = written(
+        "other.yaml",
+        ("width: 0.9 m", "width: 1 m"),
+        ("name: good", 'name: good\ndescription: "<script>alert(1)</script>"'),
+    )
+    thorvaldc("build", "good.yaml", "-o", "out", "--target", "urdf")
+    result = thorvaldc("diff", "out", other, "--html", "both.html")
+    assert (result.status, result.err) == (0, "both.html\n")
+    page = Path("both.html").read_text(encoding="utf-8")
+    assert '"ghost":' in page
+    assert "<td>track</td><td>0.9 m -&gt; 1 m (+11 %)</td>" in page
+    assert "<script>alert" not in page
+    assert thorvaldc("diff", "out", other, "--html", "both.pdf").status == 2
+
+
+def test_fleets_by_robot(thorvaldc: Command) -> None:
+    """A robot of a fleet has other parameters, and another stands somewhere else."""
+    written("wide.yaml", ("width: 0.9 m", "width: 1.2 m"))
+    fleet = (
+        "thorvaldc: 1\nname: two\nrobots:\n"
+        "  a: {robot: good.yaml}\n  b: {robot: good.yaml, xyz: [0, 3 m, 0]}\n"
+    )
+    Path("before.yaml").write_text(fleet, encoding="utf-8")
+    changed = fleet.replace("a: {robot: good", "a: {robot: wide").replace("3 m", "4 m")
+    Path("after.yaml").write_text(changed + "  c: {robot: good.yaml, xyz: [0, 9, 0]}\n", "utf-8")
+    out = thorvaldc("diff", "before.yaml", "after.yaml").out
+    assert "c" in [line.split()[1] for line in out.splitlines() if line.startswith("  + ")]
+    assert "a: modules" in out
+    assert "width 0.9 m -> 1.2 m" in out
+    assert "b: " not in out
+    assert "(0, 3, 0) m -> (0, 4, 0) m" in out

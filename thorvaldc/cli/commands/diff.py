@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from thorvaldc.cli.diagnostic_output import print_json, show_report
+from thorvaldc.cli.diagnostic_output import message, print_json, show_report
 from thorvaldc.cli.exits import DONE, INPUT
 from thorvaldc.cli.options import Json, Library, Trust, library_folders
+from thorvaldc.cli.run_pictures import check_output
 from thorvaldc.tools.comparison.compared_inputs import InputKindError, compare, read_input
 from thorvaldc.tools.comparison.difference_text import (
     difference_document,
@@ -38,6 +40,10 @@ def diff(
     everything: Annotated[
         bool, typer.Option("--all", help="List derived values as well, such as poses and shapes.")
     ] = False,
+    html: Annotated[
+        str,
+        typer.Option("--html", metavar="OUT.html", help="Write a page that shows both robots."),
+    ] = "",
     exit_code: Annotated[
         bool, typer.Option("--exit-code", help="End with the exit status 1 if A and B differ.")
     ] = False,
@@ -48,8 +54,11 @@ def diff(
         raise typer.BadParameter(
             f"{format!r} is none of {', '.join(FORMATS)}", param_hint="'--format'"
         )
+    if html:
+        check_output(html, ["html", "htm"], "--html")
     folders = library_folders(library)
     inputs = []
+    models = []
     with ExitStack() as temporary:
         for name in (before, after):
             compared = read_input(name, temporary, folders, trust=trust)
@@ -57,10 +66,18 @@ def diff(
             if compared.model is None:
                 return status or INPUT
             inputs.append(compared)
+            models.append(compared.model)
     try:
         difference = compare(*inputs)
     except InputKindError as error:
         raise typer.BadParameter(str(error), param_hint="'A' / 'B'") from None
+    if html:
+        # The page is imported only when it is used, because it imports numpy.
+        from thorvaldc.tools.comparison.difference_page import difference_page
+
+        page = difference_page(difference, *models)
+        Path(html).write_text(page, encoding="utf-8", newline="\n")
+        message(html)
     if json or format == "json":
         print_json(difference_document(difference))
     elif format == "markdown":

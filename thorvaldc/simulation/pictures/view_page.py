@@ -8,14 +8,17 @@ from thorvaldc.simulation.pictures.web_page import robot_page
 
 VIEWER = "/*VIEWER*/"
 """Placeholder in the template that the script of the viewer replaces."""
+PANEL = "<!--PANEL-->"
+"""Placeholder in the template for more sections beside the picture."""
 
 
-def view_page(model: Robot | Fleet, before: Robot | Fleet | None = None) -> str:
+def view_page(model: Robot | Fleet, before: Robot | Fleet | None = None, panel: str = "") -> str:
     """Returns an HTML document that shows the model of a robot or a fleet in 3D.
 
     The document also shows the model ``before``, as a translucent shape at the same place.
+    ``panel`` is HTML beside the picture.
     """
     folder = data_folder("templates") / "view"
-    template = (folder / "page.html").read_text(encoding="utf-8")
+    template = (folder / "page.html").read_text(encoding="utf-8").replace(PANEL, panel, 1)
     viewer = (folder / "viewer.js").read_text(encoding="utf-8")
     return robot_page(model, template, before).replace(VIEWER, viewer, 1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import os
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -11,6 +13,7 @@ from pathlib import Path
 from thorvaldc.compiler.compilation import Compilation
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics.bounded_file import read_bounded
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.model_json import load_model
@@ -19,7 +22,7 @@ from thorvaldc.tools.comparison.module_outline import Outline, outline_of_file
 from thorvaldc.tools.comparison.robot_comparison import compare_fleets, compare_robots
 from thorvaldc.tools.comparison.robot_difference import Difference
 
-MODEL_FILE = "model.json"
+MAX_MESH_BYTES = 64_000_000
 
 
 @dataclass
@@ -92,7 +95,8 @@ def compare(before: ComparedInput, after: ComparedInput) -> Difference:
 
 def _read(compared: ComparedInput, path: Path, library: Sequence[Path], trust: bool) -> None:
     if path.is_dir() or path.suffix == ".json":
-        compared.model = load_model(path if path.is_dir() else path.parent)
+        folder = path if path.is_dir() else path.parent
+        compared.model = _with_meshes(load_model(folder), folder / "meshes")
         return
     compilation = compile_file(path, library=library, trust=trust)
     compared.model = compilation.model
@@ -101,6 +105,28 @@ def _read(compared: ComparedInput, path: Path, library: Sequence[Path], trust: b
         compared.modules = {"": outline_of_file(path, library, compilation.model)}
     elif isinstance(compilation.model, Fleet):
         compared.modules = _fleet_modules(path, library, compilation, compilation.model)
+
+
+def _with_meshes(model: Robot | Fleet, folder: Path) -> Robot | Fleet:
+    """Returns the model of a build with the bytes of its mesh files, as far as they are there."""
+    if isinstance(model, Fleet):
+        placements = (
+            replace(p, robot=_robot_with_meshes(p.robot, folder)) for p in model.placements
+        )
+        return replace(model, placements=tuple(placements))
+    return _robot_with_meshes(model, folder)
+
+
+def _robot_with_meshes(robot: Robot, folder: Path) -> Robot:
+    meshes = []
+    for mesh in robot.meshes:
+        data = b""
+        with contextlib.suppress(OSError):
+            # A name of a mesh is not a path: nothing outside of the folder is read.
+            data = read_bounded(folder / Path(mesh.name).name, MAX_MESH_BYTES)
+        is_same = hashlib.sha256(data).hexdigest() == mesh.sha256
+        meshes.append(replace(mesh, data=data if is_same else b""))
+    return replace(robot, meshes=tuple(meshes))
 
 
 def _fleet_modules(

@@ -37,7 +37,7 @@ def difference_text(difference: Difference, width: int = 80, *, everything: bool
     for section in sections_of(difference, everything=everything):
         lines += ["", section.title, *_section_lines(section, width)]
     if not everything:
-        for summary in _summaries(difference):
+        for summary in summaries_of(difference):
             lines += ["", *textwrap.wrap(f"{summary} (--all lists them)", width)]
     return "\n".join(lines) + "\n"
 
@@ -81,7 +81,7 @@ def difference_markdown(difference: Difference, *, everything: bool = False) -> 
             for row in section.rows
         ]
     if not everything:
-        for summary in _summaries(difference):
+        for summary in summaries_of(difference):
             lines += ["", _escaped(summary)]
     return "\n".join(lines) + "\n"
 
@@ -96,7 +96,8 @@ def _escaped(text: str) -> str:
     return text.replace("\\<", "&lt;").replace("-\\>", "→").replace("\\>", "&gt;")
 
 
-def _summaries(difference: Difference) -> Iterator[str]:
+def summaries_of(difference: Difference) -> Iterator[str]:
+    """Yields a sentence about the derived values of each robot."""
     if isinstance(difference, FleetDifference):
         for name, robot in difference.robots:
             summary = derived_summary(robot)
