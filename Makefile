@@ -22,7 +22,7 @@ help:
 	@echo "make mutants   do the tests notice small changes of the code? LAYER=can NUMBER=20 SEED=1"
 	@echo "make bench     measure; prints a table and writes bench.json"
 	@echo "make golden    rewrite the tests' golden files and tables (review the diff)"
-	@echo "make pictures  render the examples' pictures"
+	@echo "make pictures  render the pictures of examples and modules"
 	@echo "make docs      build the documentation as a site in build/site"
 	@echo "make docs-serve  show the site at http://127.0.0.1:8000, also while you edit it"
 	@echo "make lint, make types, make clean, make distclean"
@@ -85,9 +85,11 @@ golden: $(READY)
 	$(BIN)/python -m tests.golden.rewrite
 	$(BIN)/python -m tests.runtime.can_base.fault_matrix
 	$(BIN)/python -m tests.commissioning.fault_matrix
+	$(BIN)/python -m tests.docs.tutorial
 
 pictures: $(READY)
 	PYTHONPATH=. $(BIN)/python tools/render_examples.py
+	PYTHONPATH=. $(BIN)/python tools/render_modules.py
 
 # The variable silences the advertisement of another program.
 docs: $(READY)

@@ -54,9 +54,8 @@ TOOLS = (
     ),
     _program("bash", "bash"),  # completes commands
     _program("shellcheck", "shellcheck"),  # reads the generated shell script
-    _program("npm", "npm"),  # installs axe-core, which checks the accessibility of pages
     _program("chromium", "chromium", "google-chrome"),  # opens the generated web page
-    _program("npm", "npm nodejs"),  # builds the viewer of the web page
+    _program("npm", "npm nodejs"),  # builds the viewer; installs axe-core
     Tool(  # draws pictures
         "EGL",
         "libegl1 libegl-mesa0 libgl1-mesa-dri",

@@ -165,3 +165,14 @@ def test_the_reference_has_every_key_of_a_robot(site: Path) -> None:
     keys = json.loads((ROOT / "thorvaldc/schema/robot.schema.json").read_text())["properties"]
     text = (site / "reference/robot.html").read_text(encoding="utf-8")
     assert all(f">{key}<" in text or f'id="{key}"' in text for key in keys)
+
+
+def test_the_reference_has_every_module_with_a_picture(site: Path) -> None:
+    """Modules without a visible part have none."""
+    bare = {"controller/propulsion_propulsion", "frame/open"}
+    for file in ROOT.glob("modules/*/*/module.yaml"):
+        category, name = file.parts[-3:-1]
+        page = (site / f"reference/modules/{category}.html").read_text(encoding="utf-8")
+        assert f'id="{name}"' in page
+        picture = f"{category}_{name}.png"
+        assert (picture in page) == (f"{category}/{name}" not in bare), picture

@@ -79,7 +79,9 @@ def snippets_of(blocks: list[Block]) -> list[Block]:
 def write_files(folder: Path, text: str, blocks: list[Block]) -> None:
     """Writes the files that the snippets of a page need."""
     for name in ("examples", "modules"):
-        (folder / name).symlink_to(ROOT / name)
+        # A page that writes files there gets a folder of its own, not that of the repository.
+        if not any(block.file.startswith(f"{name}/") for block in blocks):
+            (folder / name).symlink_to(ROOT / name)
     for block in blocks:
         name = re.match(r"thorvaldc: 1\n.*?^name: (\w+)", block.text, re.S | re.M)
         if block.file:

@@ -17,6 +17,7 @@ import latex2mathml.converter
 import reference_commands
 import reference_diagnostics
 import reference_documents
+import reference_modules
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -71,6 +72,7 @@ def on_files(files: Files, config: Any) -> Files:
         "reference/commands.md": reference_commands.page(),
         "diagnostics/index.md": reference_diagnostics.page(),
         **reference_documents.pages(),
+        **reference_modules.pages(),
     }
     for address, text in generated.items():
         files.append(File.generated(config, address, content=text))

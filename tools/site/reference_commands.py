@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-import typer
-
-from thorvaldc.cli.app import COMMANDS, app
-from thorvaldc.cli.command import CommandEntry, GroupEntry
+from thorvaldc.cli.app import COMMANDS
+from thorvaldc.cli.command import CommandEntry, GroupEntry, load_command
 
 
 def page() -> str:
@@ -18,21 +16,19 @@ def page() -> str:
         "Every command with its arguments and options, as `thorvaldc COMMAND --help` prints them."
         " [Commands](../commands.md) lists them by task.",
     ]
-    group = typer.main.get_command(app)
     for entry in COMMANDS:
         if entry.hidden:
             continue
-        command: Any = group.get_command(None, entry.name)
         if isinstance(entry, GroupEntry):
             for part in entry.commands:
-                lines += section(f"{entry.name} {part.name}", part, command)
+                lines += section(f"{entry.name} {part.name}", part)
         else:
-            lines += section(entry.name, entry, group)
+            lines += section(entry.name, entry)
     return "\n".join(lines) + "\n"
 
 
-def section(name: str, entry: CommandEntry, group: Any) -> Iterator[str]:
-    command = group.get_command(None, entry.name)
+def section(name: str, entry: CommandEntry) -> Iterator[str]:
+    command = load_command(entry)
     parameters = [parameter for parameter in command.params if not parameter.hidden]
     arguments = [p for p in parameters if p.param_type_name == "argument"]
     options = [p for p in parameters if p.param_type_name == "option"]
