@@ -359,7 +359,11 @@ def test_modules_list_and_show(thorvaldc: Command) -> None:
     output = thorvaldc("modules", "show", "drive/standard").out
     assert "gear_ratio" in output
     assert "published: " in output
-    assert json.loads(thorvaldc("modules", "show", "drive/standard", "--json").out)["params"]
+    assert "10 kg" in output
+    assert (
+        "gear_ratio"
+        in json.loads(thorvaldc("modules", "show", "drive/standard", "--json").out)["params"]
+    )
 
 
 def test_modules_check(thorvaldc: Command) -> None:

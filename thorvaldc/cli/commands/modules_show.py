@@ -10,7 +10,14 @@ from thorvaldc.cli.completed_values import module_types
 from thorvaldc.cli.diagnostic_output import print_json, print_table, show_report
 from thorvaldc.cli.options import Json, Library, library_folders
 from thorvaldc.compiler.library import Library as ModuleLibrary
-from thorvaldc.compiler.module_text import module_facts, parameter_rows
+from thorvaldc.compiler.module_description import describe_module
+from thorvaldc.compiler.module_text import (
+    description_document,
+    mass_rows,
+    module_facts,
+    parameter_rows,
+    port_rows,
+)
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.suggest import nearest
@@ -38,13 +45,20 @@ def show_module(
     status = show_report(report, module_library.files)
     if module is None:
         return status
+    description = describe_module(module, module_library)
     if json:
-        print_json({"type": type} | module.document.plain())
+        facts = description_document(description)
+        print_json({"type": type} | module.document.plain() | {"facts": facts})
         return status
     print(type)
-    print_table(module_facts(module))
-    rows = [(f"  {name}", text) for name, text in parameter_rows(module)]
-    if rows:
-        print("\nparams:")
-        print_table(rows)
+    print_table(module_facts(module, description))
+    for title, rows in (
+        ("sources of the mass", mass_rows(description)),
+        ("ports, with default params and relative to the first link", port_rows(description)),
+        ("params", parameter_rows(module)),
+    ):
+        lines = [(f"  {name}", text) for name, text in rows]
+        if lines:
+            print(f"\n{title}:")
+            print_table(lines)
     return status

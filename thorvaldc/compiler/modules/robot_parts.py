@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from thorvaldc.compiler.geometry.wheel_geometry import PlacedWheel
@@ -201,24 +201,25 @@ def modules_of(robot: Instance, hardware: Mapping[str, Hardware]) -> tuple[Modul
         if leaf.type is None:
             continue
         mounted = leaf.is_mechanical
-        links = hardware[leaf.path].links if mounted else ()
         modules.append(
             Module(
                 leaf.path,
                 leaf.type.name,
                 leaf.mount.leaf.path if mounted and leaf.mount is not None else "",
                 mounted,
-                _mass_by_source(mass for link in links for mass in link.masses),
+                mass_by_source(hardware[leaf.path]) if mounted else (),
                 leaf.span,
             )
         )
     return tuple(modules)
 
 
-def _mass_by_source(parts: Iterable[SourcedMass]) -> tuple[SourcedMass, ...]:
+def mass_by_source(hardware: Hardware) -> tuple[SourcedMass, ...]:
+    """Returns the mass of a module by source, in the order of the module document."""
     masses: dict[str, float] = {}
-    for part in parts:
-        masses[part.source] = masses.get(part.source, 0.0) + part.mass
+    for link in hardware.links:
+        for part in link.masses:
+            masses[part.source] = masses.get(part.source, 0.0) + part.mass
     return tuple(SourcedMass(clean(mass), source) for source, mass in masses.items())
 
 
