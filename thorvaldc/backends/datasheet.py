@@ -27,7 +27,7 @@ _TEMPLATE = (data_folder("templates") / "datasheet" / "page.html").read_text(enc
 
 class Datasheet(Backend):
     name = "datasheet"
-    summary = "HTML page to print: facts, dimension drawing, wiring, labels, bill of modules"
+    summary = "HTML page to print: facts, drawings, wiring, labels, modules"
 
     def emit(self, robot: Robot) -> dict[str, bytes]:
         facts = robot_facts(robot)

@@ -37,7 +37,25 @@ def first_sentence(module: ModuleType) -> str:
     return text.split(". ")[0].rstrip(".") + "."
 
 
-def module_facts(module: ModuleType, description: ModuleDescription) -> list[Row]:
+def module_facts(module: ModuleType) -> list[Row]:
+    """Returns the description, mount kinds, ports and parts of a module type as table rows."""
+    document = module.document.plain()
+    rows = [("what", str(document.get("description", "")))]
+    kinds = (document.get("mount") or {}).get("kinds", [])
+    if kinds:
+        rows.append(("mounts on", ", ".join(kinds)))
+    ports = [
+        f"{name} ({port['kind']})" if isinstance(port, dict) else f"{name} = {port}"
+        for name, port in document.get("ports", {}).items()
+    ]
+    if ports:
+        rows.append(("ports", ", ".join(ports)))
+    parts = ("links", "joints", "motors", "channels", "modules")
+    rows += [(key, ", ".join(document[key])) for key in parts if document.get(key)]
+    return rows
+
+
+def description_rows(module: ModuleType, description: ModuleDescription) -> list[Row]:
     """Returns what a module type is, fits and consists of, as table rows."""
     document = module.document.plain()
     rows = [("what", description.description), ("category", description.category)]

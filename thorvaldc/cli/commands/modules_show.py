@@ -13,8 +13,8 @@ from thorvaldc.compiler.library import Library as ModuleLibrary
 from thorvaldc.compiler.module_description import describe_module
 from thorvaldc.compiler.module_text import (
     description_document,
+    description_rows,
     mass_rows,
-    module_facts,
     parameter_rows,
     port_rows,
 )
@@ -51,7 +51,7 @@ def show_module(
         print_json({"type": type} | module.document.plain() | {"facts": facts})
         return status
     print(type)
-    print_table(module_facts(module, description))
+    print_table(description_rows(module, description))
     for title, rows in (
         ("sources of the mass", mass_rows(description)),
         ("ports, with default params and relative to the first link", port_rows(description)),
