@@ -145,8 +145,12 @@ class _Expanded:
         """Kind of each port by its name."""
         kinds = {}
         for name, port in self._module.section("ports").items():
-            found = self._leaf_port(name)
-            node = found[0].type.section("ports").get(found[1]) if found and found[0].type else port
+            leaf_port = self._leaf_port(name)
+            node = (
+                leaf_port[0].type.section("ports").get(leaf_port[1])
+                if leaf_port and leaf_port[0].type
+                else port
+            )
             kind = node.get("kind") if node is not None else None
             if kind is not None:
                 kinds[name] = str(kind.value)
@@ -177,10 +181,10 @@ class _Expanded:
 
     def position(self, name: str) -> Vec3 | None:
         """Returns the position (m) of a port relative to the first link, see ``Port``."""
-        hardware, found = self._hardware_by_path(), self._leaf_port(name)
-        if hardware is None or found is None:
+        hardware, leaf_port = self._hardware_by_path(), self._leaf_port(name)
+        if hardware is None or leaf_port is None:
             return None
-        leaf, port_name = found
+        leaf, port_name = leaf_port
         if leaf.type is None:
             return None
         parts = RobotParts([Link("base_link", "", None, (), (), leaf.span)])
