@@ -168,6 +168,27 @@ def test_unknown_values(thorvaldc: Command, path: str, message: str) -> None:
     assert "Traceback" not in result.err
 
 
+@pytest.mark.parametrize(
+    "path",
+    [
+        "nodes.fl.objects.0x1017:0.value",
+        # No robot has only the changed value: a backend refuses it.
+        "frames.fl_controller_tpdo1.signals.steering_position.floating_point",
+        "ros2/package.xml:1.format",
+    ],
+)
+def test_values_that_nothing_varies(thorvaldc: Command, path: str) -> None:
+    result = thorvaldc("why", "good.yaml", path)
+    assert result.status in (0, 1), result
+    assert "Traceback" not in result.err
+
+
+def test_a_constant_of_a_template_has_no_sources(thorvaldc: Command) -> None:
+    document = explained(thorvaldc, "mjcf/scene.xml:offheight")
+    assert document["sources"] == []
+    assert document["model_values"] == []
+
+
 def test_a_text_is_not_varied(thorvaldc: Command) -> None:
     result = thorvaldc("why", "good.yaml", "wheels.fl.link")
     assert result.status == 0

@@ -16,7 +16,6 @@ from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.suggest import nearest
 from thorvaldc.model import Robot
-from thorvaldc.model.model_json import ModelFormatError
 from thorvaldc.tools.comparison.field_names import field_unit
 from thorvaldc.tools.comparison.leaf_differences import (
     ABSENT,
@@ -35,6 +34,7 @@ from thorvaldc.tools.provenance.influence_search import (
 )
 from thorvaldc.tools.provenance.model_paths import (
     changed_value,
+    is_model_path,
     observed_value,
     resolve_path,
     value_at,
@@ -132,7 +132,8 @@ class Explainer:
         Raises ``DiagnosticError`` (``why-path-unknown``) if there is no such value.
         """
         file, colon, query = text.rpartition(":")
-        if colon and file:
+        # The name of an object of a node contains a colon.
+        if colon and file and not is_model_path(self.document, text):
             explanation = self._explain_output(file, query)
         elif text.split(".")[0] == "modules":
             explanation = self._explain_parameter(text)
@@ -176,7 +177,7 @@ class Explainer:
         """Yields the output files that differ between the robot and a changed robot."""
         try:
             other = emit(changed_robot(), backends.DEFAULT_TARGETS)
-        except ModelFormatError:
+        except Exception:  # A backend may raise anything for a robot that no compiler made.
             return
         for name, content in emit(self.robot, backends.DEFAULT_TARGETS).items():
             if other.get(name) != content and name.rpartition("/")[2] not in MODEL_FILES:
@@ -270,15 +271,16 @@ class Explainer:
         while groups and emissions < MOST_EMISSIONS:
             paths = groups.pop()
             emissions += 1
+            is_robot = True
             try:
                 changed = with_values(self.robot, {path: changes[path] for path in paths})
                 if read(changed) == value:
                     continue
-            except (ModelFormatError, ValueError, ArithmeticError, LookupError):
-                pass  # no robot has only these of the other values
+            except Exception:  # A backend may raise anything for a robot that no compiler made.
+                is_robot = False
             middle = len(paths) // 2
             if middle == 0:
-                sources += paths
+                sources += paths if is_robot else []
             else:
                 groups += [paths[middle:], paths[:middle]]
         return sources, not groups

@@ -52,7 +52,7 @@ class ExplanationText:
         self.most_rows = 10**9 if everything else MOST_ROWS
         self.most_numbers = 10**9 if everything else MOST_NUMBERS
         self.most_model_values = 10**9 if everything else MOST_MODEL_VALUES
-        self.excerpts = Excerpts(files, width)
+        self.excerpts = Excerpts(files, width - 4)
 
     def text(self, explanation: Explanation) -> str:
         """Returns an explanation as text."""
@@ -146,6 +146,8 @@ class ExplanationText:
 
     def _excerpt_lines(self, span: Span, step: Step) -> list[str]:
         lines = [f"  {self.place(span)}  {step.key_path}"]
+        if len(lines[0]) > self.width:
+            lines = [f"  {self.place(span)}", f"    {step.key_path}"]
         excerpt = self.excerpts.show(span, 4)
         if excerpt is not None:
             lines.append(f"  {span.line:>4} | {excerpt.text}")

@@ -63,6 +63,12 @@ def resolve_path(document: dict[str, Any], text: str) -> ValuePath:
     return path
 
 
+def is_model_path(document: dict[str, Any], text: str) -> bool:
+    """Returns whether a text begins with the name of a part of the model."""
+    first = text.partition(".")[0]
+    return first in document or first in _ALIASES or first in _BUS_PARTS
+
+
 def value_at(document: Any, path: ValuePath) -> Any:
     """Returns the value at a path, or ``None`` if there is none."""
     for key in path:
