@@ -9,6 +9,7 @@ changed.
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -27,6 +28,8 @@ Content = TypeVar("Content")
 
 FILE = "module.yaml"
 PALETTE = "palette.yaml"
+MAX_FOLDERS = 10_000
+"""Greatest number of folders that are searched for module types in a library folder."""
 # Diagnostics show the name ``<library>`` instead of the path of the built-in library.
 BUILTIN_LIBRARY = "<library>"
 
@@ -198,8 +201,13 @@ class Library:
         return sorted({name for folder, _ in self.folders for name in self.names_in(folder)})
 
     def names_in(self, folder: Path) -> list[str]:
-        """Returns the sorted names of the module types in one library folder."""
-        folders = (Path(root) for root, _, files in os.walk(folder) if FILE in files)
+        """Returns the sorted names of the module types in one library folder.
+
+        At most ``MAX_FOLDERS`` folders are searched: a document may name the folder ``/`` by
+        mistake.
+        """
+        walk = itertools.islice(os.walk(folder), MAX_FOLDERS)
+        folders = (Path(root) for root, _, files in walk if FILE in files)
         return sorted(path.relative_to(folder).as_posix() for path in folders)
 
     def palette(self, report: Report | None = None) -> dict[str, str]:

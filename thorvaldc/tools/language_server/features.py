@@ -19,7 +19,7 @@ from thorvaldc.schema.documents import Kind
 from thorvaldc.tools.language_server import module_references
 from thorvaldc.tools.language_server.cursor import cursor_at
 from thorvaldc.tools.language_server.definition import definition_at
-from thorvaldc.tools.language_server.document_tree import tree_around, tree_of
+from thorvaldc.tools.language_server.document_tree import tree_around
 from thorvaldc.tools.language_server.formatting import formatted
 from thorvaldc.tools.language_server.hover import hover_at
 from thorvaldc.tools.language_server.module_view import ModuleView
@@ -73,7 +73,7 @@ class Features:
         """Returns the modules of a document, from the cache if no open text has changed."""
         key = (document.uri, tuple(session.texts.items()), session.folders)
         if key not in self._views:
-            tree = tree_of(document.source, str(document.path))
+            tree = document.tree
             self._views[key] = ModuleView(kind, document.path, tree, session.folders)
             while len(self._views) > MAX_VIEWS:
                 self._views.popitem(last=False)
@@ -155,7 +155,7 @@ class Features:
     def symbols(self, document: OpenDocument) -> list[types.DocumentSymbol]:
         if document.kind is None:
             return []
-        tree = tree_of(document.source, str(document.path))
+        tree = document.tree
         listed = outline_of(tree) if tree is not None else []
         return [_symbol(entry, document.source) for entry in listed]
 

@@ -18,7 +18,7 @@ from thorvaldc.compiler.modules.value_reader import entries
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Span
 from thorvaldc.tools.language_server.cursor import Path as KeyPath
-from thorvaldc.tools.language_server.document_tree import place_at, tree_of
+from thorvaldc.tools.language_server.document_tree import place_at
 from thorvaldc.tools.language_server.module_view import ModuleView
 from thorvaldc.tools.language_server.open_document import OpenDocument
 from thorvaldc.tools.language_server.places import reference_at, references_of
@@ -67,7 +67,7 @@ def uses_of(
             continue
         if other.kind is None and other.real_path != lock:
             continue
-        tree = tree_of(other.source, str(other.path))
+        tree = other.tree
         if tree is None:
             continue
         if other.real_path == lock:

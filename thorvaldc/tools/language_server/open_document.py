@@ -11,7 +11,9 @@ from pathlib import Path
 from urllib.parse import quote, unquote, urlsplit
 
 from thorvaldc.compiler.library import FILE as MODULE_FILE
+from thorvaldc.compiler.source.node import Node
 from thorvaldc.schema.documents import Kind
+from thorvaldc.tools.language_server.document_tree import tree_of
 from thorvaldc.tools.language_server.source_text import SourceText
 
 _TOP_LEVEL_KEY = re.compile(r"^(?:\{\s*)?[\"']?([A-Za-z_]\w*)[\"']?[ \t]*:(?=\s|$)", re.MULTILINE)
@@ -81,6 +83,11 @@ class OpenDocument:
     def encoded(self) -> bytes:
         """The text as UTF-8; half of a pair of UTF-16 code units becomes invalid UTF-8."""
         return self.text.encode("utf-8", "surrogatepass")
+
+    @cached_property
+    def tree(self) -> Node | None:
+        """The YAML tree without the lines that have YAML errors, or ``None``."""
+        return tree_of(self.source, str(self.path))
 
     @cached_property
     def kind(self) -> Kind | None:
