@@ -10,13 +10,19 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from thorvaldc.compiler.acceptances import (
+    Acceptance,
+    accept_warnings,
+    read_acceptances,
+    report_unused,
+)
 from thorvaldc.compiler.consequences import without_consequences
 from thorvaldc.compiler.library import BUILTIN_LIBRARY
 from thorvaldc.compiler.source.input_file import unsaved_text
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.compiler.validation.document_kinds import is_fleet, is_scenario, report_wrong_kind
-from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics import Accepted, Diagnostic, Label, Report, Span
 from thorvaldc.diagnostics.bounded_file import MAX_LOG_BYTES
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.schema.documents import Kind
@@ -87,6 +93,7 @@ class Compilation:
     folder : the folder of the compiled file.
     files : path of the input file for each file name in spans of ``model``.
     locks : text of each lock file that a build must write, by the path of the lock file.
+    acceptances : entries of the sections ``accept`` of the compiled file, its modules and parts.
     """
 
     model: Robot | Fleet | None = None
@@ -97,6 +104,7 @@ class Compilation:
     folder: Path = field(default_factory=Path)
     files: dict[str, Path] = field(default_factory=dict)
     locks: dict[Path, str] = field(default_factory=dict)
+    acceptances: list[Acceptance] = field(default_factory=list)
 
     def __repr__(self) -> str:
         content = "no model" if self.model is None else repr(self.model)
@@ -108,7 +116,10 @@ class Compilation:
         return cls(folder=source.folder, files={source.name: source.path})
 
     def located(self, report: Report) -> Report:
-        """Replaces file names in diagnostics about the model by the paths that the user passed."""
+        """Replaces file names in diagnostics about the model by the paths that the user passed.
+
+        Warnings that the documents accept become accepted warnings.
+        """
 
         def with_user_path(span: Span) -> Span:
             if span.file.startswith((BUILTIN_LIBRARY, SETTING)):
@@ -118,19 +129,23 @@ class Compilation:
             path = os.path.normpath(self.files.get(span.file) or self.folder / span.file)
             return Span(path, *span[1:])
 
-        located = Report()
-        for diagnostic in report:
+        def with_user_paths(diagnostic: Diagnostic) -> Diagnostic:
             span = diagnostic.span
             labels = (Label(with_user_path(label.span), label.text) for label in diagnostic.labels)
-            located.put(
-                replace(
-                    diagnostic,
-                    span=with_user_path(span) if span is not None else None,
-                    labels=tuple(labels),
-                    fixes=tuple(
-                        replace(fix, span=with_user_path(fix.span)) for fix in diagnostic.fixes
-                    ),
-                )
+            fixes = (replace(fix, span=with_user_path(fix.span)) for fix in diagnostic.fixes)
+            return replace(
+                diagnostic,
+                span=with_user_path(span) if span is not None else None,
+                labels=tuple(labels),
+                fixes=tuple(fixes),
+            )
+
+        accept_warnings(report, self.acceptances)
+        located = Report()
+        located.extend(map(with_user_paths, report))
+        for diagnostic, reason, span in report.accepted:
+            located.add_accepted(
+                Accepted(with_user_paths(diagnostic), reason, with_user_path(span))
             )
         return located
 
@@ -165,8 +180,17 @@ class Compilation:
         if source.document is not None:
             self.source_sha256 = self._hash_sources(parts, lock_file)
         later = without_consequences(source.shape, report.excluding_spans_of(source.shape))
+        own = self.acceptances
+        if source.document is not None:
+            own = [*read_acceptances(source.document, later), *own]
+        self.acceptances = [*own, *(a for part in parts.values() for a in part.acceptances)]
         for stage_report in (source.shape, later):
             self.report.extend(self.located(stage_report))
+        # After an error, later stages are left out, so that warnings may be missing.
+        if not self.report.has_errors:
+            unused = Report()
+            report_unused((entry for entry in own if not entry.is_module), unused)
+            self.report.extend(self.located(unused))
         for name, path in self.files.items():
             is_builtin = name.startswith(BUILTIN_LIBRARY)
             self.sources[name if is_builtin else os.path.normpath(path)] = path

@@ -153,6 +153,11 @@ class Library:
         """Path of each library file that was read, by the name of the file in diagnostics."""
         return dict(self._files)
 
+    def user_modules(self) -> list[ModuleType]:
+        """Returns the module types that were loaded from the folders of the user."""
+        loaded = [module for module in self._types.values() if module is not None]
+        return [module for module in loaded if not module.display.startswith(BUILTIN_LIBRARY)]
+
     def exists(self, name: str) -> bool:
         """Returns whether a library folder contains a module type with the name ``name``."""
         return any(os.path.isfile(folder / name / FILE) for folder, _ in self.folders)

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from thorvaldc import backends
+from thorvaldc.compiler.acceptances import read_acceptances
 from thorvaldc.compiler.compilation import Compilation, SourceFile
 from thorvaldc.compiler.geometry.meshes import shared_mesh_workers
 from thorvaldc.compiler.geometry.robot_checks import check_robot
@@ -129,6 +130,8 @@ def compile_robot(source: SourceFile, library: Sequence[Path], trust: bool = Fal
             trust=trust,
         )
         compilation.files.update(modules.files)
+        for module in modules.user_modules():
+            compilation.acceptances += read_acceptances(module.document, report, is_module=True)
         design = read_design(document, report)
         if model is not None:
             check_robot(model, design, report)

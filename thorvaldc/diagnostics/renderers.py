@@ -81,6 +81,17 @@ def render_text(
     return "\n".join(texts)
 
 
+def render_accepted(report: Report, *, color: bool = False) -> str:
+    """Returns the accepted warnings of a report as text, each with the user's reason."""
+    paint = _painter(color)
+    lines: list[str] = []
+    for diagnostic, reason, span in report.accepted:
+        place = f"{diagnostic.span}: " if diagnostic.span is not None else ""
+        title = paint(_LABEL_STYLE, f"accepted[{diagnostic.code.number}] {diagnostic.code.name}")
+        lines += [f"{place}{title}: {diagnostic.message}", f"  = reason: {reason} ({span})", ""]
+    return "\n".join(lines)
+
+
 def _painter(color: bool) -> Any:
     if color:
         return lambda style, text: f"\x1b[{style}m{text}\x1b[0m" if text else ""
@@ -158,6 +169,7 @@ def render_json(report: Report, *, builds: Sequence[Mapping[str, Any]] | None = 
 
     The JSON keys ``errors`` and ``warnings`` contain the numbers of errors and warnings.  The JSON
     key ``diagnostics`` contains the list of the diagnostics in the order of file, line and column.
+    The JSON key ``accepted`` contains the accepted warnings, which are not in the other list.
     If ``builds`` is not ``None``, the JSON object also contains the descriptions of the build
     results.
     """
@@ -165,6 +177,10 @@ def render_json(report: Report, *, builds: Sequence[Mapping[str, Any]] | None = 
         "errors": len(report.errors),
         "warnings": len(report.warnings),
         "diagnostics": [_json(d) for d in report.sorted()],
+        "accepted": [
+            _json(diagnostic) | {"reason": reason, "accepted_at": _json_span(span)}
+            for diagnostic, reason, span in report.accepted
+        ],
     }
     if builds is not None:
         document["builds"] = list(builds)

@@ -141,6 +141,19 @@ class Diagnostic:
         return f"<Diagnostic {self.code.number} {self.code.name}{place}: {self.message}>"
 
 
+class Accepted(NamedTuple):
+    """A warning that the section ``accept`` of a document accepts.
+
+    - ``diagnostic``: the warning.
+    - ``reason``: the user's reason.
+    - ``span``: the entry of the section.
+    """
+
+    diagnostic: Diagnostic
+    reason: str
+    span: Span
+
+
 def _shortened(text: str) -> str:
     """Returns a text with at most ``_MAX_TEXT`` characters: a value in it can have any length."""
     half = _MAX_TEXT // 2
@@ -163,6 +176,7 @@ class Report:
         # The original diagnostics are stored to detect repeated diagnostics.
         self._diagnostics: dict[Diagnostic, Diagnostic] = {}
         self._user: Label | None = None
+        self._accepted: dict[Accepted, None] = {}
 
     def add(
         self,
@@ -202,9 +216,32 @@ class Report:
         self._diagnostics.setdefault(diagnostic, labelled)
 
     def extend(self, diagnostics: Iterable[Diagnostic]) -> None:
-        """Adds several diagnostics to the report, in the given order."""
+        """Adds several diagnostics to the report, in the given order.
+
+        From another report, the accepted warnings are added too.
+        """
         for diagnostic in diagnostics:
             self.put(diagnostic)
+        if isinstance(diagnostics, Report):
+            self._accepted.update(diagnostics._accepted)
+
+    def accept(self, diagnostic: Diagnostic, reason: str, span: Span) -> None:
+        """Moves a diagnostic of the report to the accepted warnings.
+
+        - ``reason``, ``span``: the user's reason, and where it is written.
+        """
+        kept = {key: d for key, d in self._diagnostics.items() if d != diagnostic}
+        self._diagnostics = kept
+        self.add_accepted(Accepted(diagnostic, reason, span))
+
+    def add_accepted(self, accepted: Accepted) -> None:
+        """Adds an accepted warning, unless the report already contains an equal one."""
+        self._accepted[accepted] = None
+
+    @property
+    def accepted(self) -> list[Accepted]:
+        """The warnings that a document accepts, which do not count as warnings."""
+        return list(self._accepted)
 
     @contextlib.contextmanager
     def used_by(self, user: Label) -> Iterator[None]:

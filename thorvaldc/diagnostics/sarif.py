@@ -10,7 +10,7 @@ from thorvaldc import __version__
 from thorvaldc.diagnostics import explain
 from thorvaldc.diagnostics.codes import Code
 from thorvaldc.diagnostics.excerpt import json_text
-from thorvaldc.diagnostics.report import Diagnostic, Fix, Report, Span
+from thorvaldc.diagnostics.report import Accepted, Diagnostic, Fix, Report, Span
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 
@@ -22,7 +22,8 @@ def render_sarif(report: Report) -> str:
     a diagnostic code is the help text of the SARIF rule.
     """
     diagnostics = report.sorted()
-    codes = sorted({d.code.number: d.code for d in diagnostics}.values(), key=lambda c: c.number)
+    shown = [*diagnostics, *(a.diagnostic for a in report.accepted)]
+    codes = sorted({d.code.number: d.code for d in shown}.values(), key=lambda c: c.number)
     index = {code.number: i for i, code in enumerate(codes)}
     document = {
         "$schema": SCHEMA,
@@ -37,7 +38,10 @@ def render_sarif(report: Report) -> str:
                     }
                 },
                 "columnKind": "unicodeCodePoints",
-                "results": [_result(d, index) for d in diagnostics],
+                "results": [
+                    *(_result(d, index) for d in diagnostics),
+                    *(_accepted_result(a, index) for a in report.accepted),
+                ],
             }
         ],
     }
@@ -79,6 +83,17 @@ def _result(diagnostic: Diagnostic, index: dict[str, int]) -> dict[str, Any]:
     if diagnostic.fixes:
         result["fixes"] = [_fix(fix) for fix in diagnostic.fixes]
     return result
+
+
+def _accepted_result(accepted: Accepted, index: dict[str, int]) -> dict[str, Any]:
+    """Returns an accepted warning as a result that is suppressed in the source."""
+    suppression = {
+        "kind": "inSource",
+        "status": "accepted",
+        "justification": accepted.reason,
+        "location": {"physicalLocation": _physical_location(accepted.span)},
+    }
+    return _result(accepted.diagnostic, index) | {"suppressions": [suppression]}
 
 
 def _fix(fix: Fix) -> dict[str, Any]:

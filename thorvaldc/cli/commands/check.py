@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import sys
+from typing import Annotated
 
-from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
+import typer
+
+from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count, has_color
 from thorvaldc.cli.options import Format, Library, ModelFiles, Strict, Trust, library_folders
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.worker_process import containment_gaps
+from thorvaldc.diagnostics.renderers import render_accepted
 from thorvaldc.model import Fleet, Robot
 
 
@@ -17,6 +21,9 @@ def check(
     strict: Strict = False,
     library: Library = [],  # noqa: B006
     trust: Trust = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Show accepted warnings with their reasons.")
+    ] = False,
 ) -> int:
     check_format(format)
     folders = library_folders(library)
@@ -24,8 +31,12 @@ def check(
     for file in files:
         compilation = compile_file(file, library=folders, trust=trust)
         output.add(compilation.report, compilation.sources)
+        accepted = compilation.report.accepted
+        if accepted and verbose and format == "text":
+            print(render_accepted(compilation.report, color=has_color(sys.stdout)))
         if compilation.model is not None:
-            output.result(f"{file}: {compilation.model.name}, {_summary(compilation.model)}")
+            more = f"; {count(len(accepted), 'warning')} accepted" if accepted else ""
+            output.result(f"{file}: {compilation.model.name}, {_summary(compilation.model)}{more}")
     if format == "text" and containment_gaps:
         gaps = ", ".join(f"{layer} ({reason})" for layer, reason in containment_gaps.items())
         print(f"note: xacro and mesh files were read without these layers: {gaps}", file=sys.stderr)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from thorvaldc.compiler.acceptances import accept_warnings, read_acceptances, report_unused
 from thorvaldc.compiler.bus.assemble_buses import BusSpec, Device, build_buses
 from thorvaldc.compiler.library import Library, ModuleType
 from thorvaldc.compiler.modules.hardware import hardware_of
@@ -45,6 +46,14 @@ def check_library(folder: Path | None) -> LibraryCheck:
     for name in check.names:
         check_module(name, library, check.report)
     check.sources = library.files
+    acceptances = [
+        entry
+        for module in library.user_modules()
+        for entry in read_acceptances(module.document, check.report, is_module=True)
+    ]
+    accept_warnings(check.report, acceptances)
+    if not check.report.has_errors:
+        report_unused(acceptances, check.report)
     return check
 
 
