@@ -48,7 +48,10 @@ def test_version(thorvaldc: Command) -> None:
         (["check"], "Missing argument 'FILE"),
         (["check", "good.yaml", "--nope"], "No such option: --nope"),
         (["check", "good.yaml", "--format", "xml"], "'xml' is none of text, json, github, sarif"),
-        (["build", "good.yaml", "--target", "urdf,mjfc"], "unknown target `mjfc`"),
+        (
+            ["build", "good.yaml", "--target", "urdf,mjfc"],
+            "unknown target `mjfc`; did you mean `mjcf`?",
+        ),
         (["build", "good.yaml", "--target", ","], "names no target"),
         (["check", "good.yaml", "--library", "nowhere"], "no folder 'nowhere'"),
         (["sim", "good.yaml", "--duration", "5 m"], "'5 m'"),

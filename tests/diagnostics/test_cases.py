@@ -11,6 +11,7 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
 
   - ``compile`` (default);
   - ``emit`` to all targets, or to ``targets``;
+  - ``fresh``: compare build/NAME with a build; ``built``: whether it was built before;
   - ``pin``: write the lock file, into a folder that may be ``read_only``;
   - ``sim``: simulate ``twist`` for ``seconds``, with the parameter sets ``parameters``;
   - ``bus``: run the simulated bus with the injected faults of faults.yaml;
@@ -50,7 +51,7 @@ PAGES = HERE.parent.parent / "docs" / "diagnostics"
 KEYS = {
     *("code", "line", "file", "files", "neighbour", "entry", "run", "targets"),
     *("twist", "seconds", "parameters", "record", "distance", "read_only"),
-    *("bus", "devices", "options", "situation", "git", "path"),
+    *("bus", "devices", "options", "situation", "git", "path", "built"),
 }
 NEIGHBOUR = "neighbour_"
 
@@ -72,6 +73,19 @@ def write(files: dict[str, Any], folder: Path) -> None:
         if isinstance(content, dict):
             content = content["repeat"] * content["times"]
         path.write_bytes(content if isinstance(content, bytes) else content.encode())
+
+
+def check_build(compilation: Any, case: dict[str, Any]) -> None:
+    from thorvaldc.compiler.build_freshness import check_freshness
+    from thorvaldc.compiler.pipeline import emit
+    from thorvaldc.compiler.writer import write_build
+
+    files = emit(compilation.model, ["urdf"])
+    name, folder = compilation.model.name, Path("build") / compilation.model.name
+    if case.get("built"):
+        digest = compilation.source_sha256
+        write_build(files, folder, name=name, source_sha256=digest, version="1")
+    check_freshness(compilation, files, folder, file="robot.yaml", command="", version="1")
 
 
 def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
@@ -99,6 +113,8 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
     compilation = compile_file(entry)
     if command == "emit" and compilation.model is not None:
         emit(compilation.model, case.get("targets", DEFAULT_TARGETS), compilation.report)
+    if command == "fresh":
+        check_build(compilation, case)
     if command == "pin":
         from thorvaldc.compiler.writer import write_locks
 

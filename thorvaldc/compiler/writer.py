@@ -254,16 +254,25 @@ class _FolderContent(NamedTuple):
     user_files: list[str]
 
 
-def _list_content(target: Path) -> _FolderContent:
-    """Lists the files of the last build and the files of the user in the build folder."""
-    built: dict[str, None] | None = None
+def listed_files(target: Path) -> dict[str, None] | None:
+    """Returns the files of the last build in a folder, including the manifest.
+
+    The files are the keys of the dictionary, in the order of the manifest.  Returns ``None`` if the
+    folder contains no manifest.
+    """
     with contextlib.suppress(
         OSError, ValueError, AttributeError, TypeError, LookupError, RecursionError
     ):
         manifest_content = json.loads(read_bounded(target / MANIFEST, _MAX_MANIFEST_BYTES))
         if manifest_content.get("format") == FORMAT:
-            built = {path: None for path in manifest_content["files"] if _is_inside(path)}
-            built[MANIFEST] = None
+            paths = [path for path in manifest_content["files"] if _is_inside(path)]
+            return dict.fromkeys([*paths, MANIFEST])
+    return None
+
+
+def _list_content(target: Path) -> _FolderContent:
+    """Lists the files of the last build and the files of the user in the build folder."""
+    built = listed_files(target)
     user_files = []
     for root, folders, names in os.walk(target, onerror=_raise):
         here = Path(root)

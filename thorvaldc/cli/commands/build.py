@@ -4,8 +4,9 @@ targets."""
 from __future__ import annotations
 
 import os
+import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +17,7 @@ from thorvaldc.cli.completed_values import target_names
 from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
 from thorvaldc.cli.exits import OutsideError
 from thorvaldc.cli.options import Format, Library, ModelFiles, Trust, library_folders
+from thorvaldc.compiler.build_freshness import check_freshness
 from thorvaldc.compiler.compilation import Compilation
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.compiler.writer import WriteError, write_build, write_locks
@@ -49,6 +51,12 @@ def build(
     format: Format = "text",
     library: Library = [],  # noqa: B006
     trust: Trust = False,
+    check: Annotated[
+        bool,
+        typer.Option(
+            "--check", help="Write nothing; fail if the folder is not what a build would write."
+        ),
+    ] = False,
 ) -> int:
     check_format(format)
     targets = _parse_targets(target)
@@ -59,12 +67,9 @@ def build(
     for file in files:
         compilation = compile_file(file, library=folders, trust=trust)
         contents = _emit(compilation, targets)
-        pinned_locks = []
-        if compilation.locks and not compilation.report.has_errors:
-            pinned_locks = write_locks(compilation.locks, compilation.report)
-        shown.add(compilation.report, compilation.sources)
         model = compilation.model
         if model is None or compilation.report.has_errors:
+            shown.add(compilation.report, compilation.sources)
             continue
         folder = _folder(output, model.name, len(files))
         if str(folder) in file_by_folder:
@@ -74,6 +79,22 @@ def build(
                 param_hint="FILE",
             )
         file_by_folder[str(folder)] = file
+        if check:
+            difference = check_freshness(
+                compilation,
+                contents,
+                folder,
+                file=file,
+                command=_command(file, target, output and str(folder), library, trust),
+                version=__version__,
+            )
+            shown.add(compilation.report, compilation.sources)
+            if not compilation.report.has_errors:
+                shown.result(f"{folder}: fresh ({count(len(contents), 'file')})")
+            builds.append({"file": file, "folder": str(folder)} | difference.as_json())
+            continue
+        pinned_locks = write_locks(compilation.locks, compilation.report)
+        shown.add(compilation.report, compilation.sources)
         try:
             _write(compilation, model, contents, folder)
         except WriteError as error:
@@ -128,6 +149,17 @@ def _write(
         source_sha256=compilation.source_sha256,
         version=__version__,
     )
+
+
+def _command(
+    file: str, target: str | None, output: str, library: Sequence[str], trust: bool
+) -> str:
+    """Returns the command that writes a build, for the hint of a build that is not fresh."""
+    words = ["thorvaldc", "build", file]
+    words += ["--target", target] if target else []
+    words += ["-o", output] if output else []
+    words += [word for folder in library for word in ("--library", folder)]
+    return shlex.join([*words, *(["--trust"] if trust else [])])
 
 
 def _folder(output: str, name: str, file_count: int) -> Path:
