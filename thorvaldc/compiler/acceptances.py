@@ -144,7 +144,7 @@ def _place(document: Node, at: Node, report: Report) -> Span | None:
         if child is None and number == 0:
             sections = (document.get(name) for name in _SHORT)
             child = next(
-                (found for s in sections if s is not None and (found := _child(s, key))), None
+                (entry for s in sections if s is not None and (entry := _child(s, key))), None
             )
         if child is None:
             where = f"`{'.'.join(keys[:number])}` has no" if number else "the document has no"
