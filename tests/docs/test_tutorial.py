@@ -21,7 +21,7 @@ from tests.docs.tutorial import (
 from tests.ros.environments import variables
 
 ROOT = Path(__file__).resolve().parents[2]
-pytestmark = [pytest.mark.xdist_group("tutorial"), pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.xdist_group("tutorial"), pytest.mark.timeout(600)]
 
 
 def page(name: str) -> str:
@@ -56,7 +56,7 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> Reader:
 def test_every_command_of_the_page_prints_what_it_shows(name: str, reader: Reader) -> None:
     if name.endswith("ros2"):
         ros_programs_in(reader.folder.parent / "bin")
-    differences = reader.follow(page(name))
+    differences = reader.follow_in_real_time(page(name))
     assert not differences, "\n\n".join(differences)
 
 

@@ -17,7 +17,7 @@ A comment before a block changes this, with one or more of these parts, separate
 - ``<!-- test: numbers differ by 20 % -->``; speeds and hashes by any amount
 - ``<!-- test: stop Terminal 2 -->``: presses Ctrl-C there
 
-``python -m tests.docs.tutorial`` runs all pages, writes the output of the commands into them, and
+``python -m tests.docs.tutorial`` runs all pages, corrects the output that they show, and
 stores the pictures that they show.
 """
 
@@ -29,6 +29,7 @@ import os
 import pty
 import re
 import select
+import shutil
 import signal
 import struct
 import subprocess
@@ -136,7 +137,7 @@ class Reader:
     variables: dict[str, str]
     terminals: dict[str, ChildProcess] = field(default_factory=dict)
     printed: dict[int, str] = field(default_factory=dict)
-    """Output of the console blocks of the page, by the beginning of their text."""
+    """Output that differs from a console block of the page, by the beginning of the block."""
 
     def follow(self, page: str) -> list[str]:
         """Does what a page says; returns the differences."""
@@ -157,6 +158,21 @@ class Reader:
                 path.write_text(block.text, encoding="utf-8")
         for name in reversed(list(self.terminals)):
             differences += self.stop(name)
+        return differences
+
+    def follow_in_real_time(self, page: str, attempts: int = 3) -> list[str]:
+        """Follows a page; again from its beginning if it has programs that run in real time.
+
+        A driver stops with a fault where a busy computer holds up the simulated bus.
+        """
+        before = self.folder.with_name("before")
+        shutil.copytree(self.folder, before)
+        differences = self.follow(page)
+        while differences and "Terminal" in page and (attempts := attempts - 1):
+            shutil.rmtree(self.folder)
+            shutil.copytree(before, self.folder)
+            differences = self.follow(page)
+        shutil.rmtree(before)
         return differences
 
     def edit(self, path: Path, change: str) -> None:
@@ -185,7 +201,8 @@ class Reader:
                 differences.append(f"{command}: exit status {status}\n{output}")
             elif not block.has("keys") and (line := mismatch(shown, output, block.tolerance)):
                 differences.append(f"{command}: the page shows: {line}\n{output}")
-        self.printed[block.span[0]] = result
+        if differences:
+            self.printed[block.span[0]] = result
         return differences
 
     def run(self, command: str) -> tuple[str, int]:
@@ -317,7 +334,7 @@ def main() -> None:
         for page in PAGES:
             file = FOLDER / f"{page}.md"
             text = file.read_text(encoding="utf-8")
-            for difference in reader.follow(text):
+            for difference in reader.follow_in_real_time(text):
                 print(f"{page}: {difference}")
             text = with_output(text, reader.printed)
             file.write_text(text, encoding="utf-8")
