@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import pty
 import select
+import struct
 import sys
 import termios
 import time
@@ -54,6 +56,11 @@ class Person:
             self.type(typing)
             self.read()
         self.shown = self.shown.partition(text)[2]
+
+    def resize(self, columns: int, lines: int) -> None:
+        """Changes the size of the terminal, of which the command is told by SIGWINCH."""
+        size = struct.pack("HHHH", lines, columns, 0, 0)
+        fcntl.ioctl(self.our_end, termios.TIOCSWINSZ, size)
 
     def type(self, text: str) -> None:
         os.write(self.our_end, text.encode())

@@ -54,14 +54,42 @@ def test_json_lines_text_and_live_view(bus: str, folder: Path, thorvaldc: Comman
     assert "fl_controller_heartbeat" in result.out
     assert "\x1b" not in result.out
 
-    person = Person(folder, *watch)
+
+def test_the_live_view_without_textual(
+    bus: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    missing = folder / "missing"
+    missing.mkdir()
+    (missing / "textual.py").write_text("raise ImportError")
+    monkeypatch.syspath_prepend(str(missing))
+    person = Person(folder, "can", "monitor", "good.yaml", "--bus", bus)
     try:
+        person.until("pip install 'thorvaldc[tui]'")
         person.until("\x1b[?1049h")
         person.until("good main")
         person.until("lines; arrow keys --")
         person.type("\x1b[B")
         person.until("-- 2 to ")
         person.type("q")
+        assert person.end() == 0
+        assert "\x1b[?1049l" in person.shown
+    finally:
+        person.close()
+
+
+def test_the_live_view_groups_frames_by_node_and_scrolls(bus: str, folder: Path) -> None:
+    person = Person(folder, "can", "monitor", "good.yaml", "--bus", bus)
+    try:
+        person.resize(80, 24)
+        person.until("good main")
+        person.until("FL_CONTROLLER")
+        person.until("NEVER  master: sync")
+        person.type("\x1b[B" * 60)  # down, to the end of the table
+        person.until("OTHERS")
+        person.resize(60, 20)
+        person.type("\x1b[C" * 40)
+        person.until("values")
+        person.type("\x03")
         assert person.end() == 0
         assert "\x1b[?1049l" in person.shown
     finally:

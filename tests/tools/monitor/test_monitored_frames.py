@@ -37,6 +37,10 @@ class Bus:
         name = next(f.name for f in self.bus.frames if f.cob_id == identifier)
         return next(frame for frame in frames if frame["name"] == name)
 
+    def node_of_summary(self, now: float) -> dict[str, Any]:
+        nodes: list[dict[str, Any]] = self.monitor.summary(now)["nodes"]
+        return next(node for node in nodes if node["id"] == 1)
+
     def node(self, now: float) -> dict[str, Any]:
         nodes: list[dict[str, Any]] = self.monitor.summary(now)["nodes"]
         return next(node for node in nodes if node["id"] == 1 and node["nmt"] is not None)
@@ -62,9 +66,41 @@ def test_load_of_the_last_second() -> None:
     assert summary["highest_load"] == pytest.approx(bits / bus.bus.bitrate)
 
 
+def test_a_missing_frame_is_no_problem_before_the_monitor_has_listened_for_a_second() -> None:
+    bus = Bus()
+    assert bus.frame(5.0)["problem"] == ""
+    assert bus.frame(5.9)["problem"] == ""
+    assert bus.frame(6.0)["problem"] == "never"
+    assert bus.node_of_summary(5.4)["silent"] is False
+    assert bus.node_of_summary(6.0)["silent"] is True
+
+
+def test_a_node_sends_its_reports_only_while_it_is_operational() -> None:
+    bus = Bus()
+    for tick in range(100):
+        bus.send(1.0 + 0.1 * tick, HEARTBEAT, b"\x7f")
+    assert bus.frame(11.0)["problem"] == ""
+    bus.send(11.0, HEARTBEAT, b"\x05")
+    assert bus.frame(11.9)["problem"] == ""
+    bus.send(12.0, HEARTBEAT, b"\x05")
+    assert bus.frame(12.0)["problem"] == "never"
+    bus.send(12.1, HEARTBEAT, b"\x7f")
+    assert bus.frame(12.1)["problem"] == ""
+
+
+def test_a_node_that_starts_may_send_its_reports_too_often() -> None:
+    bus = Bus()
+    bus.send(1.0, HEARTBEAT, b"\x05")
+    for tick in range(90):
+        bus.send(1.0 + 0.01 * tick)
+    assert bus.frame(1.9)["problem"] == ""
+    for tick in range(90, 200):
+        bus.send(1.0 + 0.01 * tick)
+    assert bus.frame(3.0)["problem"] == "too often"
+
+
 def test_the_period_is_the_mean_of_the_last_eight_gaps() -> None:
     bus = Bus()
-    assert bus.frame(0.0)["problem"] == "never"
     bus.send(0.0)
     assert bus.frame(0.0)["period"] is None
     for tick in range(1, 9):

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from thorvaldc.can.canopen import Emergency, heartbeat_state, nmt_state_text
+from thorvaldc.can.canopen import Emergency, NmtState, heartbeat_state, nmt_state_text
 from thorvaldc.can.cia402 import DriveState
 from thorvaldc.can.frame import CanFrame, ReceivedFrame
 from thorvaldc.can.frame_bits import frame_bits
@@ -34,6 +34,11 @@ GAPS, SLOW_GAPS, SLOW = 8, 4, 0.5
 """The measured period is the mean of the last ``GAPS`` times between two frames.
 
 For an expected period of ``SLOW`` seconds or more, only the last ``SLOW_GAPS`` times are used."""
+SETTLING, SETTLING_PERIODS = 1.0, 3
+"""A frame is judged after it should have been sent for ``SETTLING`` s and ``SETTLING_PERIODS``
+periods.
+
+Before, the monitor has not listened for long enough, or the node is still being started."""
 MOST_EMERGENCIES = 100
 """Largest number of stored EMCY messages."""
 MOST_UNKNOWN = 200
@@ -114,6 +119,8 @@ class BusMonitor:
         self._bits = 0
         self._highest_load = 0.0
         self._first_time = math.nan
+        self._start = math.nan  # time of the first frame or of the first summary
+        self._operational_since: dict[str, float] = {}
         self.total = 0
         self.unknown_lost = 0
         """Number of frames that are neither in the CAN map nor stored as unknown identifiers."""
@@ -123,6 +130,7 @@ class BusMonitor:
         time, frame = received.time / NANOSECONDS, received.frame
         if math.isnan(self._first_time):
             self._first_time = time
+        self._begin(time)
         self.total += 1
         self._count_bits(time, frame)
         record = None if frame.extended or frame.remote else self._frames.get(frame.id)
@@ -137,6 +145,8 @@ class BusMonitor:
         record.take(time, frame.data)
         if record.codec is not None and record.codec.frame.kind == "emcy":
             self._emergency(time, record.codec.frame, frame.data)
+        if record.codec is not None and record.codec.frame.kind == "heartbeat" and frame.data:
+            self._note_state(time, record.codec.frame.producer, frame.data)
 
     def summary(self, now: float) -> dict[str, Any]:
         """Returns the measured state of the CAN bus as JSON values.
@@ -145,6 +155,7 @@ class BusMonitor:
         unknown quantity is ``None``.  The last element of the list ``emergencies`` is the newest
         EMCY message.
         """
+        self._begin(now)
         self._drop_old_bits(now)
         span = min(max(now - self._first_time, 1e-3), WINDOW) if self.total else WINDOW
         load = self._bits / (self.bus.bitrate * span)
@@ -182,6 +193,41 @@ class BusMonitor:
         }
 
     # -- inside --------------------------------------------------------------------------------
+
+    def _begin(self, time: float) -> None:
+        if math.isnan(self._start):
+            self._start = time
+
+    def _note_state(self, time: float, node: str, data: bytes) -> None:
+        if heartbeat_state(data) == NmtState.OPERATIONAL:
+            self._operational_since.setdefault(node, time)
+        else:
+            self._operational_since.pop(node, None)
+
+    def _is_judged(self, frame: FrameDefinition, now: float) -> bool:
+        """Returns whether the frame should have been sent for long enough to be judged.
+
+        A node whose heartbeat was received sends PDOs only while it is operational.
+        """
+        start = self._started(frame)
+        start = self._start if start is None else start
+        return now - start >= _settling(frame)
+
+    def _started(self, frame: FrameDefinition) -> float | None:
+        """Returns the time at which a node that sends heartbeats began to send its PDO, or infinity
+        if the node is not operational; ``None`` for all other frames."""
+        if frame.kind != "pdo" or not self._sends_heartbeats(frame.producer):
+            return None
+        return self._operational_since.get(frame.producer, math.inf)
+
+    def _sends_heartbeats(self, node: str) -> bool:
+        records = (r for r in self._frames.values() if r.codec and r.count)
+        return any(
+            r.codec is not None
+            and r.codec.frame.kind == "heartbeat"
+            and r.codec.frame.producer == node
+            for r in records
+        )
 
     def _count_bits(self, time: float, frame: CanFrame) -> None:
         bits = frame_bits(frame)
@@ -227,7 +273,8 @@ class BusMonitor:
             if heartbeat.count and heartbeat.data:
                 summary["nmt"] = nmt_state_text(heartbeat_state(heartbeat.data))
             timeout = node.heartbeat_timeout
-            summary["silent"] = timeout is not None and not now - heartbeat.time <= timeout
+            last = max(heartbeat.time, self._start)
+            summary["silent"] = timeout is not None and not now - last <= timeout
         return summary
 
     def _frame(self, frame: FrameDefinition, now: float) -> dict[str, Any]:
@@ -241,11 +288,34 @@ class BusMonitor:
             "age": _finite(max(now - record.time, 0.0)),
             "period": _finite(record.period()),
             "period_expected": frame.period,
-            "problem": _problem(frame, record, now - record.time),
+            "problem": self._problem(frame, record, now),
             "values": values,
             "units": {n: s.unit for n, s in record.signals.items() if n in values and s.unit},
             "flags": [n for n, s in record.signals.items() if n in values and s.length == 1],
         }
+
+    def _problem(self, frame: FrameDefinition, record: _FrameRecord, now: float) -> str:
+        """Returns a message about missing or wrong CAN frames with one identifier, or an empty
+        text."""
+        if record.too_short:
+            return f"{record.too_short} of {record.count} too short"
+        if record.not_finite:
+            return f"{record.not_finite} of {record.count} with a number that is not finite"
+        expected = frame.period
+        if expected is None:
+            return ""
+        if self._is_judged(frame, now):
+            if not record.count:
+                return "never"
+            if now - record.time > LATE * expected:
+                return "late"
+        gaps = GAPS if expected < SLOW else SLOW_GAPS
+        if record.count <= gaps or record.period(gaps) >= TOO_OFTEN * expected:
+            return ""
+        # A node that is being started sends its PDOs more often.
+        started = self._started(frame)
+        settled = started is None or record.times[-1 - gaps] >= started + _settling(frame)
+        return "too often" if settled else ""
 
 
 def watch(
@@ -287,23 +357,9 @@ def watch(
             received = interface.receive(0.0)
 
 
-def _problem(frame: FrameDefinition, record: _FrameRecord, age: float) -> str:
-    """Returns a message about missing or wrong CAN frames with one identifier, or an empty text."""
-    if record.too_short:
-        return f"{record.too_short} of {record.count} too short"
-    if record.not_finite:
-        return f"{record.not_finite} of {record.count} with a number that is not finite"
-    expected = frame.period
-    if expected is None:
-        return ""
-    if not record.count:
-        return "never"
-    if age > LATE * expected:
-        return "late"
-    gaps = GAPS if expected < SLOW else SLOW_GAPS
-    if record.count > gaps and record.period(gaps) < TOO_OFTEN * expected:
-        return "too often"
-    return ""
+def _settling(frame: FrameDefinition) -> float:
+    """Returns the time (s) after which a frame that should have been sent is judged."""
+    return max(SETTLING, SETTLING_PERIODS * (frame.period or 0.0))
 
 
 def _drive_states(node: Node, records: list[_FrameRecord]) -> dict[str, str | None]:

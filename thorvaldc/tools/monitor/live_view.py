@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable, Mapping
 from typing import IO, Any
@@ -26,6 +27,18 @@ def watch_live(
     ``duration`` seconds.  ``interval``: time (s) between two updates of the terminal.  Raises
     ``ConnectionError`` if the connection to the CAN interface is lost.
     """
+    until = interface.now + duration
+    if keys is not None and os.environ.get("TERM") != "dumb" and has_textual():
+        from thorvaldc.tools.monitor.monitor_app import Show, run_monitor_app
+
+        with end_signals() as end_requested:
+
+            def listen(show: Show, quitted: Callable[[], bool]) -> None:
+                ended = lambda: end_requested() or quitted()  # noqa: E731
+                watch(interface, monitor, interval, show, until=until, ended=ended)
+
+            run_monitor_app(listen)
+        return
     with end_signals() as end_requested, Terminal(keys, screen, whole=True) as terminal:
         view = LiveView(terminal)
         watch(
@@ -33,9 +46,18 @@ def watch_live(
             monitor,
             interval,
             view.show,
-            until=interface.now + duration,
+            until=until,
             ended=lambda: end_requested() or view.poll(),
         )
+
+
+def has_textual() -> bool:
+    """Returns whether the library Textual (the extra ``tui``) is installed."""
+    try:
+        import textual  # noqa: F401
+    except ImportError:
+        return False
+    return True
 
 
 def watch_stream(

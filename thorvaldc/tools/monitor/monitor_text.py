@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 NAME_WIDTH = 30
 SHOWN_EMERGENCIES = 5
+NAMED_FRAMES = 2
+COLUMNS = ("id", "frame", "period", "age", "problem", "values")
+"""Columns of the rows of ``table_rows``."""
 
 
 def monitor_lines(summary: Mapping[str, Any]) -> list[str]:
@@ -15,7 +18,7 @@ def monitor_lines(summary: Mapping[str, Any]) -> list[str]:
     The text contains a headline, the nodes, the EMCY messages, the CAN frames that are not in the
     CAN map, and the CAN frames of the CAN map with their signal values.
     """
-    lines = [_head(summary), ""]
+    lines = [headline(summary), ""]
     lines += _nodes(summary["nodes"])
     lines += _emergencies(summary["emergencies"], summary["time"])
     lines += _unknown(summary["unknown"])
@@ -38,7 +41,8 @@ def page(lines: Sequence[str], height: int, first: int) -> list[str]:
     return [*shown, f"-- {first + 1} to {first + len(shown)} of {len(lines)} lines; arrow keys --"]
 
 
-def _head(summary: Mapping[str, Any]) -> str:
+def headline(summary: Mapping[str, Any]) -> str:
+    """Returns robot, bus, bit rate, load and the state of this computer's CAN controller."""
     parts = [
         f"{summary['robot']} {summary['bus']}",
         f"{summary['bitrate'] // 1000} kbit/s",
@@ -54,19 +58,75 @@ def _head(summary: Mapping[str, Any]) -> str:
     return "  ".join(parts)
 
 
+def problem_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Returns a line for each silent node, for the frames of each node with the same problem, for
+    the newest EMCY messages, and for each identifier that the robot does not use."""
+    lines = [f"SILENT  {node['name']} (id {node['id']})" for node in _silent(summary)]
+    names: dict[tuple[str, str], list[str]] = {}
+    for frame in summary["frames"]:
+        if frame["problem"]:
+            key = (frame["problem"].upper(), frame["producer"])
+            names.setdefault(key, []).append(frame["name"])
+    for (problem, producer), frames in names.items():
+        more = len(frames) - NAMED_FRAMES
+        rest = f" and {more} more" if more > 0 else ""
+        lines.append(f"{problem}  {producer}: {', '.join(frames[:NAMED_FRAMES])}{rest}")
+    lines += [line for line in _emergencies(summary["emergencies"], summary["time"]) if line]
+    return lines + [line for line in _unknown(summary["unknown"]) if line]
+
+
+def table_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yields the key and the cells of each row of a table: a row for each node, which the frames of
+    the node follow, and the frames of others at the end.
+
+    The cells are those of ``COLUMNS``.
+    """
+    frames = list(summary["frames"])
+    for node in summary["nodes"]:
+        state, drive = _state(node)
+        head = (f"{node['id']}", node["name"].upper(), "", "", "", f"{state}  {drive}".rstrip())
+        yield f"node {node['name']}", head
+        yield from (_row(f) for f in frames if f["producer"] == node["name"])
+    names = {node["name"] for node in summary["nodes"]}
+    others = [frame for frame in frames if frame["producer"] not in names]
+    if others:
+        yield "others", ("", "OTHERS", "", "", "", "")
+        yield from map(_row, others)
+
+
+def _row(frame: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]:
+    cells = (
+        f"{frame['id']:x}",
+        frame["name"],
+        _time(frame["period"]),
+        _time(frame["age"]),
+        frame["problem"].upper(),
+        _values(frame),
+    )
+    return f"frame {frame['id']}", cells
+
+
+def _silent(summary: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    return [node for node in summary["nodes"] if node["silent"]]
+
+
 def _nodes(nodes: Sequence[Mapping[str, Any]]) -> list[str]:
     width = max([len("node"), *(len(node["name"]) for node in nodes)])
     lines = [f"{'node':{width}} {'id':>3}  state"] if nodes else []
     for node in nodes:
-        drive = ", ".join(
-            name.replace("_", " ") if state is None else f"{name} {state}"
-            for name, state in node["drive"].items()
-        )
-        state = node["nmt"] or ("-" if node["heard"] is not None else "no frame yet")
-        if node["silent"]:
-            state += "  SILENT"
+        state, drive = _state(node)
         lines.append(f"{node['name']:{width}} {node['id']:>3}  {state:17}  {drive}".rstrip())
     return lines
+
+
+def _state(node: Mapping[str, Any]) -> tuple[str, str]:
+    """Returns the NMT state of a node, and the states of its drives with the flags that are set."""
+    drive = ", ".join(
+        name.replace("_", " ") if state is None else f"{name} {state}"
+        for name, state in node["drive"].items()
+    )
+    state = node["nmt"] or ("-" if node["heard"] is not None else "no frame yet")
+    return (f"{state}  SILENT" if node["silent"] else state), drive
 
 
 def _emergencies(emergencies: Sequence[Mapping[str, Any]], now: float) -> list[str]:
@@ -94,18 +154,21 @@ def _unknown(frames: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _frame(frame: Mapping[str, Any]) -> str:
-    units = frame["units"]
-    flags = frame["flags"]
-    values = "  ".join(
-        name if name in flags else f"{name} {_value(value)} {units.get(name, '')}".rstrip()
-        for name, value in frame["values"].items()
-        if value or name not in flags
-    )
+    values = _values(frame)
     problem = f"{frame['problem'].upper()}  " if frame["problem"] else ""
     return (
         f"{frame['id']:>4x} {frame['name']:{NAME_WIDTH}} {_time(frame['period']):>8} "
         f"{_time(frame['age']):>8}  {problem}{values}"
     ).rstrip()
+
+
+def _values(frame: Mapping[str, Any]) -> str:
+    units, flags = frame["units"], frame["flags"]
+    return "  ".join(
+        name if name in flags else f"{name} {_value(value)} {units.get(name, '')}".rstrip()
+        for name, value in frame["values"].items()
+        if value or name not in flags
+    )
 
 
 def _value(value: float | str) -> str:
