@@ -67,10 +67,7 @@ def energy_of(robot: Robot) -> Energy:
     consumers = list(_stated_powers(robot))
     silent = [name for name, power in consumers if power is None]
     power = float_sum(power for _, power in consumers if power is not None)
-    missing = []
-    if not present:
-        missing.append("a battery")
-    missing += [
+    missing = [
         f"voltage or capacity of `{battery.name}`" for battery in present if battery.energy is None
     ]
     if force <= 0.0:

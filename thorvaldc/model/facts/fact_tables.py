@@ -13,7 +13,7 @@ from thorvaldc.model.facts.masses import NO_SOURCE, BillRow, ModuleMass, source_
 from thorvaldc.model.facts.robot_facts import RobotFacts
 from thorvaldc.model.facts.size import Size
 from thorvaldc.model.facts.slopes import SlopeLimits, Slopes
-from thorvaldc.model.facts.stability import Stability, WheelLoad
+from thorvaldc.model.facts.stability import DIRECTIONS, Stability, WheelLoad
 from thorvaldc.model.module import SourcedMass
 
 Row = tuple[str, ...]
@@ -48,7 +48,7 @@ def fact_tables(facts: RobotFacts) -> tuple[FactTable, ...]:
         _energy(facts.energy),
         _slopes(facts.slopes),
         *_buses(facts.buses),
-        _wiring(facts.wiring),
+        _wiring(facts.wiring, has_battery=bool(facts.energy.batteries)),
         _modules(facts.modules),
         _bill(facts.bill),
         _sources(facts.bill),
@@ -145,10 +145,7 @@ def _stability(stability: Stability, height: float) -> FactTable:
         return FactTable("stability", "Tip-over angles", (), tuple(rows))
     rows = [(name, _angle(angle)) for name, angle in stability.angles]
     least = stability.least
-    direction = math.degrees(least.direction)
-    side = "to the left" if direction > 0.0 else "to the right"
-    where = "forwards" if abs(direction) < 0.05 else f"{abs(direction):.1f} deg {side}"
-    rows.append(("least", f"{_angle(least.angle)} ({where})"))
+    rows.append(("least", f"{_angle(least.angle)} ({_direction(least.direction)})"))
     return FactTable(
         "stability",
         "Tip-over angles",
@@ -161,7 +158,18 @@ def _stability(stability: Stability, height: float) -> FactTable:
     )
 
 
+def _direction(direction: float) -> str:
+    """Return a direction in words, such as ``30.0 deg left of the front``."""
+    for name, angle in DIRECTIONS.items():
+        if abs(math.remainder(direction - angle, math.tau)) < math.radians(0.05):
+            return name
+    side = "left" if direction > 0.0 else "right"
+    return f"{abs(math.degrees(direction)):.1f} deg {side} of the front"
+
+
 def _driving(driving: Driving) -> FactTable:
+    if not driving.forwards and driving.turn is None:
+        return FactTable("driving", "Driving", (), (("top speed", "no wheel is driven"),))
     rows: list[Row] = [("forwards", _speed(driving.forwards))]
     rows.append(
         ("sideways", _speed(driving.sideways) if driving.sideways else "does not roll sideways")
@@ -231,7 +239,7 @@ def _interval(values: tuple[float, float]) -> str:
 
 
 def _energy(energy: Energy) -> FactTable:
-    rows: list[Row] = []
+    rows: list[Row] = [] if energy.batteries else [("battery", "none")]
     for battery in energy.batteries:
         if not battery.present:
             rows.append((battery.name, "empty enclosure"))
@@ -258,9 +266,7 @@ def _energy(energy: Energy) -> FactTable:
             "The bound of the range is the energy over the rolling resistance, without any loss."
         )
     if energy.missing:
-        notes.append(f"No module states {'; '.join(energy.missing)}.")
-    if not rows:
-        rows.append(("energy", "not stated"))
+        notes.append(f"Not stated by the modules: {'; '.join(energy.missing)}.")
     return FactTable("energy", "Energy and range", (), tuple(rows), notes=tuple(notes))
 
 
@@ -304,7 +310,7 @@ def _buses(buses: Iterable[BusFacts]) -> Iterator[FactTable]:
     )
 
 
-def _wiring(wiring: tuple[Wire, ...]) -> FactTable:
+def _wiring(wiring: tuple[Wire, ...], *, has_battery: bool) -> FactTable:
     rows = tuple(
         (
             wire.bus or "-",
@@ -326,7 +332,9 @@ def _wiring(wiring: tuple[Wire, ...]) -> FactTable:
         numeric=(2, 5, 6, 7),
         notes=(
             "An encoder (ppr: pulses per revolution of the motor) is wired to the channel of its"
-            " motor. The robot file does not say which battery supplies which controller.",
+            " motor."
+            + " The robot file does not say which battery supplies which controller."
+            * (has_battery and any(wire.node for wire in wiring)),
         ),
     )
     return _without_columns(table, *([0] if len({wire.bus for wire in wiring}) == 1 else []))
@@ -368,7 +376,11 @@ def _bill(bill: Iterable[BillRow]) -> FactTable:
         for row in bill
     )
     columns = ("type", "count", "mass [kg]", "total [kg]", "source")
-    return FactTable("bill", "Bill of modules", columns, rows, numeric=(1, 2, 3))
+    types = [row[0] for row in rows]
+    notes = ("Modules of one type with different parameters can have different masses.",) * (
+        len(set(types)) < len(types)
+    )
+    return FactTable("bill", "Bill of modules", columns, rows, numeric=(1, 2, 3), notes=notes)
 
 
 def _kinds(sources: Iterable[SourcedMass]) -> str:
