@@ -93,6 +93,11 @@ def test_a_limit_that_the_robot_file_states(thorvaldc: Command) -> None:
     assert sources(document) == {"driver.max_linear_velocity": pytest.approx(1.0)}
 
 
+def test_a_fact(thorvaldc: Command) -> None:
+    document = explained(thorvaldc, "size.track")
+    assert sources(document)["modules.frame.params.width"] == pytest.approx(1.0)
+
+
 def test_a_node_id(thorvaldc: Command) -> None:
     document = explained(thorvaldc, "nodes.fl.id")
     assert sources(document) == {"modules.fl.can": None}

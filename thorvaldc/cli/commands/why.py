@@ -13,9 +13,10 @@ from thorvaldc.cli.compiling import compile_and_show
 from thorvaldc.cli.diagnostic_output import print_json, report_of, show_report
 from thorvaldc.cli.exits import DONE, INPUT
 from thorvaldc.cli.options import Json, Library, Trust, library_folders
+from thorvaldc.cli.progress import Progress
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
-from thorvaldc.tools.provenance.explanation import Explainer
+from thorvaldc.tools.provenance.explanation import MOST_COMPILATIONS, Explainer
 from thorvaldc.tools.provenance.explanation_text import ExplanationText, explanation_document
 
 
@@ -47,10 +48,14 @@ def why(
         )
     with ExitStack() as stack:
         explainer = Explainer(Path(file), compilation.model, library_folders(library), trust, stack)
+        progress = Progress(MOST_COMPILATIONS, "compilations", "searching")
+        explainer.probe.on_compilation = progress.show
         try:
             explanation = explainer.explain(path)
         except DiagnosticError as error:
+            progress.clear()
             return show_report(report_of(error), {})
+        progress.clear()
         writer = ExplanationText(
             explainer.probe.documents, compilation.files, everything=everything
         )

@@ -7,8 +7,10 @@ expands the remaining xacro files.
 from __future__ import annotations
 
 import contextlib
+import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -207,6 +209,22 @@ def readable_folders(
     return sorted({os.path.realpath(path) for path in folders})
 
 
+_remembered: ContextVar[dict[str, Any] | None] = ContextVar("xacro expansions", default=None)
+
+
+@contextlib.contextmanager
+def remembered_expansions() -> Iterator[None]:
+    """Within this context, equal requests are expanded once.
+
+    The context is for many compilations of one robot, during which its xacro files do not change.
+    """
+    token = _remembered.set({})
+    try:
+        yield
+    finally:
+        _remembered.reset(token)
+
+
 def expand(
     requests: Sequence[ExpansionRequest], paths: DisplayPaths, *, trust: bool = False
 ) -> list[ExpandedFile]:
@@ -230,7 +248,14 @@ def expand(
         }
         for r in requests
     ]
-    answers = _answers(entries, folders)
+    remembered = _remembered.get()
+    if remembered is None:
+        answers = _answers(entries, folders)
+    else:
+        key = json.dumps([entries, folders])
+        if key not in remembered:
+            remembered[key] = _answers(entries, folders)
+        answers = remembered[key]
     roots = [*search["ament"], *search["ros"]]
     expanded_files: list[ExpandedFile] = []
     for answer, request in zip(answers, requests, strict=True):

@@ -16,6 +16,12 @@ from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.suggest import nearest
 from thorvaldc.model import Robot
+from thorvaldc.model.facts.driving import driving_of
+from thorvaldc.model.facts.energy import energy_of
+from thorvaldc.model.facts.facts_document import facts_document
+from thorvaldc.model.facts.size import size_of
+from thorvaldc.model.facts.slopes import slopes_of
+from thorvaldc.model.facts.stability import stability_of
 from thorvaldc.tools.comparison.field_names import field_unit
 from thorvaldc.tools.comparison.leaf_differences import (
     ABSENT,
@@ -55,6 +61,14 @@ MOST_EMISSIONS = 100
 """Most emissions of a target that search the values of the model behind an output value."""
 MOST_EFFECTS = 20
 MODEL_FILES = ("model.json",)
+FACTS: dict[str, Callable[[Robot], Any]] = {
+    "size": size_of,
+    "stability": stability_of,
+    "driving": driving_of,
+    "slopes": slopes_of,
+    "energy": energy_of,
+}
+"""Parts of the facts about a robot, which are computed from its model."""
 NAMES_OF_OUTPUT = 3
 """Number of names of an output value that are shown; MJCF nests dozens of bodies."""
 
@@ -137,6 +151,8 @@ class Explainer:
             explanation = self._explain_output(file, query)
         elif text.split(".")[0] == "modules":
             explanation = self._explain_parameter(text)
+        elif text.split(".")[0] in FACTS:
+            explanation = self._explain_fact(text)
         else:
             explanation = self._explain_model_value(text)
         explanation.compilations = self.probe.count
@@ -162,6 +178,21 @@ class Explainer:
             names = [use.file for use in explanation.uses]
             uses = self._uses(lambda: changed)
             explanation.source_uses = [use for use in uses if use.file not in names]
+        return explanation
+
+    def _explain_fact(self, text: str) -> Explanation:
+        """Explains a value that `thorvaldc info` shows, such as ``stability.angles.left``."""
+        part = text.partition(".")[0]
+
+        def document(robot: Robot) -> dict[str, Any]:
+            facts = FACTS[part](robot)
+            return {part: facts_document(facts) if facts is not None else {}}
+
+        path = resolve_path(document(self.robot), text)
+        explanation = Explanation(".".join(path), value_at(document(self.robot), path))
+        explanation.is_varied = changed_value(explanation.value, SMALL_CHANGE) is not None
+        if explanation.is_varied:
+            self._search(explanation, lambda robot: value_at(document(robot), path))
         return explanation
 
     def _search(self, explanation: Explanation, observe: Callable[[Robot], Any]) -> None:

@@ -26,6 +26,7 @@ _ALIASES: dict[str, ValuePath] = {
     "drives": ("actuators",),
 }
 _BUS_PARTS = ("nodes", "frames", "load", "bitrate")
+_OTHER_PARTS = (*_BUS_PARTS, "size", "stability", "driving", "slopes", "energy")
 _AXES = {"x": "0", "y": "1", "z": "2"}
 MOST_SHOWN = 12
 
@@ -45,14 +46,14 @@ def resolve_path(document: dict[str, Any], text: str) -> ValuePath:
     if parts[0] in _ALIASES and parts[0] not in document:
         path = _ALIASES[parts.pop(0)]
         value = value_at(document, path)
-    elif parts[0] in _BUS_PARTS:
+    elif parts[0] in _BUS_PARTS and "buses" in document:
         buses = [name for name in document["buses"] if name != ORDER] if document["buses"] else []
         if len(buses) == 1:
             parts[:0] = ["buses", buses[0]]
     while parts:
         step = _step(value, parts, _module_names(value))
         if step is None:
-            names = list(_keys(value)) + ([] if path else [*_ALIASES, "modules", *_BUS_PARTS])
+            names = list(_keys(value)) + ([] if path else [*_ALIASES, *_OTHER_PARTS])
             raise _unknown(text, ".".join(path), names, parts[0])
         keys, used = step
         for key in keys:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import cached_property
@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.compiler.compilation import Compilation, SourceFile
+from thorvaldc.compiler.extras.xacro_expand import remembered_expansions
+from thorvaldc.compiler.geometry.meshes import shared_mesh_workers
 from thorvaldc.compiler.library import Library, ModuleType
 from thorvaldc.compiler.lock_update import read_robot_lock
 from thorvaldc.compiler.modules.elaborate import elaborate
@@ -62,12 +64,17 @@ class RobotProbe:
     path : path of the robot file, which has no errors.
     library : additional folders with modules.
     trust : whether xacro files are expanded without restrictions.
+    on_compilation : called with the number of compilations, for a display of the progress.
+    stack : temporary files and worker processes end when the stack is closed.
     """
 
     def __init__(self, path: Path, library: Sequence[Path], trust: bool, stack: ExitStack) -> None:
+        stack.enter_context(shared_mesh_workers())
+        stack.enter_context(remembered_expansions())
         self.path = path
         self.trust = trust
         self.count = 0
+        self.on_compilation: Callable[[int], None] = lambda count: None
         self.source = SourceFile(path, path.name, path.parent)
         document = self.source.document
         assert document is not None, "the file was compiled before"
@@ -107,6 +114,7 @@ class RobotProbe:
         Returns the model, or ``None`` and the errors.
         """
         self.count += 1
+        self.on_compilation(self.count)
         by_file: dict[str, list[tuple[tuple[Key, ...], Any]]] = {}
         for value, new in changes.items():
             by_file.setdefault(value.span.file, []).append((value.keys, new))
