@@ -70,7 +70,7 @@ DRAKE_PYTHON = ENVIRONMENTS / "drake/bin/python"
 """The Python of an environment with Drake, which reads URDF; made by ``.ci/run``."""
 DART_PYTHON = ENVIRONMENTS / "dart/bin/python"
 """The Python of an environment with DART, the physics engine of Gazebo; made by ``.ci/run``."""
-ALWAYS_HERE = frozenset(["sh"])  # programs of every system
+ALWAYS_HERE = frozenset(["sh", "bash"])  # programs of every system
 
 
 def path_of(name: str) -> str:

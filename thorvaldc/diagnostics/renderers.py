@@ -44,6 +44,8 @@ def render(
         return render_json(report, builds=builds)
     if format == "github":
         return render_github(report)
+    if format == "badge":
+        return render_badge(report)
     if format == "sarif":
         from thorvaldc.diagnostics.sarif import render_sarif
 
@@ -215,6 +217,15 @@ def _json_span(span: Span | None) -> dict[str, Any] | None:
         "end_line": span.end_line,
         "end_column": span.end_column,
     }
+
+
+def render_badge(report: Report) -> str:
+    """Returns the numbers of errors and warnings as the JSON of a shields.io endpoint badge."""
+    errors, warnings = len(report.errors), len(report.warnings)
+    color = "red" if errors else "yellow" if warnings else "brightgreen"
+    message = report.summary() if errors or warnings else "no errors"
+    badge = {"schemaVersion": 1, "label": "thorvaldc check", "message": message, "color": color}
+    return json_text(badge)
 
 
 # -- github -----------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count, has_color
-from thorvaldc.cli.options import Format, Library, ModelFiles, Strict, Trust, library_folders
+from thorvaldc.cli.options import Library, ModelFiles, Strict, Trust, library_folders
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.worker_process import containment_gaps
 from thorvaldc.diagnostics.renderers import render_accepted
@@ -17,7 +17,14 @@ from thorvaldc.model import Fleet, Robot
 
 def check(
     files: ModelFiles,
-    format: Format = "text",
+    format: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            metavar="text|json|github|sarif|badge",
+            help="Output format of the diagnostics; badge: the JSON of a shields.io endpoint.",
+        ),
+    ] = "text",
     strict: Strict = False,
     library: Library = [],  # noqa: B006
     trust: Trust = False,
@@ -25,7 +32,8 @@ def check(
         bool, typer.Option("--verbose", "-v", help="Show accepted warnings with their reasons.")
     ] = False,
 ) -> int:
-    check_format(format)
+    if format != "badge":
+        check_format(format)
     folders = library_folders(library)
     output = DiagnosticOutput(format, sys.stdout)
     for file in files:
