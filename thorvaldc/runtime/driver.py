@@ -385,6 +385,27 @@ class BaseDriver:
             return ""
         return f"{self._gap_reason}; command zero first"
 
+    def limit_of(self, twist: Twist) -> str:
+        """Returns the name and the value of the speed limit that scales a commanded twist, or an
+        empty text if the twist is within the speed limits."""
+        feasible = self.calculator.feasible(twist)
+        limited = self._limited(feasible)
+        if limited.speed >= feasible.speed * (1.0 - 1e-6) and (
+            abs(limited.wz) >= abs(feasible.wz) * (1.0 - 1e-6)
+        ):
+            return ""
+        share = self.speed_share
+        part = f", {100.0 * share:.0f} % of it at present" if share < 1.0 else ""
+        # The scaled twist reaches one of the limits, and is within the other.
+        top_rate = share * self.settings.max_angular_velocity
+        if abs(limited.wz) >= top_rate * (1.0 - 1e-6):
+            return f"max_angular_velocity {self.settings.max_angular_velocity:.4g} rad/s{part}"
+        return f"max_linear_velocity {self.settings.max_linear_velocity:.4g} m/s{part}"
+
+    def limited(self, twist: Twist) -> Twist:
+        """Returns the part of a commanded twist that the wheels and the speed limits allow."""
+        return self._limited(self.calculator.feasible(twist))
+
     def _limited(self, twist: Twist) -> Twist:
         """Scales the twist so that it does not exceed the robot's speed limits."""
         settings, share = self.settings, self.speed_share

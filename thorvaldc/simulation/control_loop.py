@@ -94,6 +94,11 @@ class ControlLoop:
         self.infeasible_twist = ZERO_TWIST
         self.unreachable: tuple[int, ...] = ()
         self.unreachable_twist = ZERO_TWIST
+        self._last_commanded = ZERO_TWIST
+        self.limit = ""
+        """Speed limit that scaled a commanded twist, or empty."""
+        self.limited_twist = self.limited_to = ZERO_TWIST
+        """Fastest commanded twist beyond a speed limit, and the twist that the limit allows."""
 
     @property
     def scene(self) -> MujocoScene | None:
@@ -124,6 +129,9 @@ class ControlLoop:
         command = state.command
         if command is None:
             return
+        if state.commanded_twist != self._last_commanded:
+            self._last_commanded = state.commanded_twist
+            self._note_limit(state.commanded_twist)
         infeasible = state.infeasible
         if infeasible is not ZERO_TWIST and (
             largest_component(infeasible) > largest_component(self.infeasible)
@@ -134,6 +142,14 @@ class ControlLoop:
                 if i not in self.unreachable:
                     self.unreachable += (i,)
                     self.unreachable_twist = state.commanded_twist
+
+    def _note_limit(self, commanded: Twist) -> None:
+        if largest_component(commanded) <= largest_component(self.limited_twist):
+            return
+        limit = self.driver.limit_of(commanded)
+        if limit:
+            self.limit, self.limited_twist = limit, commanded
+            self.limited_to = self.driver.limited(commanded)
 
     def _measure_truth(self) -> None:
         base = self._truth

@@ -64,6 +64,14 @@ def report_run(
                 loop.robot.span,
                 hint="command another twist, or widen the steering limits",
             )
+        if loop.limit:
+            report.add(
+                "twist-limited",
+                f"the commanded twist of {loop.name} is {_twist_text(loop.limited_twist)}; it is"
+                f" limited to {_twist_text(loop.limited_to)} by {loop.limit}",
+                loop.robot.span,
+                hint="command a slower twist, or change the limit in `driver` of the robot file",
+            )
         limited = loop.driver.calculator.limiting_wheels(loop.infeasible_twist)
         if (
             largest_component(loop.infeasible) > NEGLIGIBLE_TWIST

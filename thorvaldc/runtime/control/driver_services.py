@@ -161,6 +161,7 @@ def driver_state(driver: BaseDriver, multiplexer: Multiplexer, now: float) -> di
         "pose": state.pose._asdict(),
         "fault": state.fault,
         "held": state.hold_reason,
+        "limited_by": driver.limit_of(state.commanded_twist),
     }
 
 

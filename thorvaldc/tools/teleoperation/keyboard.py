@@ -60,13 +60,13 @@ _ALIASES = {
 }  # fmt: skip
 
 HELP = """\
-  u i o    forward, with a turn to the left or right       or w a s d, or the arrow keys
-  j   l    turn on the spot                                with Shift: sideways
-  m , .    backward                                        space or k: stop
+  u i o    forward, with a turn to the left or right    or w a s d, or arrows
+  j   l    turn on the spot                             with Shift: sideways
+  m , .    backward                                     space or k: stop
   + -      faster, slower      1..9 0   10..90, 100 % of the top speed
-  g        arm: the robot may move; G disarms              r   reset odometry
-  x        safety stop: all sources; X releases it, F also those of other programs
-  h        home steering       f   reset faults            p   next parameter set
+  g        arm: the robot may move; G disarms           r   reset odometry
+  x        safety stop: all sources; X releases it, F also those of others
+  h        home steering       f   reset faults         p   next parameter set
   q        quit
 A key drives while it is held; the robot stops when it is not repeated."""
 

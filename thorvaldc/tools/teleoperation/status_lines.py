@@ -1,43 +1,56 @@
-"""The two status lines that the operator sees in the terminal."""
+"""The status lines that the operator sees in the terminal."""
 
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Mapping
 from typing import Any
 
 from thorvaldc.runtime.se2 import Twist
 
+WIDTH = 79
+INDENT = " " * 7
+
 
 def status_lines(
     state: Mapping[str, Any], commanded: Twist | None, share: float, message: str
 ) -> list[str]:
-    """Returns the two status lines for the operator of a robot.
+    """Returns the status lines for the operator of a robot, of at most ``WIDTH`` columns.
 
-    The first status line shows the commanded twist and the twist that the base driver applies. The
-    second status line shows the pose of the robot and the state of the base driver.
+    The lines are the commanded twist, the twist that the base driver applies with the limit that
+    scales it, the pose of the robot, the state of the base driver with a message, and the fault.
 
     - ``state``: result of the service ``state``.
     - ``commanded``: twist that the operator commands, or ``None``.
     """
-    command = _twist_text(commanded) if commanded is not None else f"{'nothing':^24}"
+    command = _twist_text(commanded) if commanded is not None else "nothing"
     source = state.get("source") or "nobody"
     x, y, yaw = (state["pose"][name] for name in ("x", "y", "yaw"))
-    pose = f"x {x:.2f} m  y {y:.2f} m  yaw {math.degrees(yaw):.1f} deg"
+    in_force = _twist_text(Twist(**state["in_force"]))
+    limit = state.get("limited_by")
     parts = [str(state.get("supervisor") or state["mode"]), f"drives: {source}"]
     if state["locks"]:
         parts.append(f"locked: {', '.join(state['locks'])}")
-    if state["fault"]:
-        parts.append(f"FAULT {state['fault']}")
-    elif state["held"] == "disarmed":
+    if not state["fault"] and state["held"] == "disarmed":
         parts.append("disarmed: press g")
-    elif state["held"] and state["held"] != parts[0]:
+    elif not state["fault"] and state["held"] and state["held"] != parts[0]:
         parts.append(f"held: {state['held']}")
     if message:
         parts.append(message)
-    in_force = _twist_text(Twist(**state["in_force"]))
-    first = f"{share * 100:3.0f} %  commanded {command}  in force {in_force}"
-    return [first, f"{pose}  |  {'  '.join(parts)}"]
+    return [
+        f"{share * 100:3.0f} %  commanded {command}",
+        f"{INDENT}in force  {in_force}",
+        *(_wrapped(f"limited by {limit}") if limit else []),
+        f"{INDENT}x {x:.2f} m  y {y:.2f} m  yaw {math.degrees(yaw):.1f} deg",
+        *_wrapped("  ".join(parts)),
+        *(_wrapped(f"FAULT {state['fault']}") if state["fault"] else []),
+    ]
+
+
+def _wrapped(text: str) -> list[str]:
+    """Returns a text on indented lines of at most ``WIDTH`` columns."""
+    return textwrap.wrap(text, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT)
 
 
 def _twist_text(twist: Twist) -> str:

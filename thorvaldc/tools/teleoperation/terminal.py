@@ -144,7 +144,8 @@ class Terminal:
             return
         up = f"\x1b[{self._shown_lines - 1}A" if self._shown_lines > 1 else ""
         self._shown_lines = len(lines)
-        self._write(f"{up}{body}")
+        # The lines may be fewer than before.
+        self._write(f"{up}{body}\x1b[J")
 
     def _write(self, text: str) -> None:
         """Writes as much waiting text to the terminal as possible without blocking.

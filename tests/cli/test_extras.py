@@ -1,0 +1,83 @@
+"""Extras: `all` has those for users, and a hint names the extra with the missing package."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+from tests.cli.conftest import Command
+
+ROOT = Path(__file__).parents[2]
+NOT_FOR_USERS = {"dev", "bench", "docs", "all"}
+# A package, a command that needs it, and the extra that installs it.
+HINTS = [
+    ("matplotlib", ("sim", "good.yaml", "--ideal", "--duration", "0.1", "--plot", "o.png"), "plot"),
+    ("PIL", ("sim", "good.yaml", "--duration", "0.1", "--video", "o.gif"), "video"),
+    ("imageio_ffmpeg", ("sim", "good.yaml", "--duration", "0.1", "--video", "o.mp4"), "video"),
+    ("rosbags", ("replay", "good.yaml", "o.mcap"), "record"),
+    ("evdev", ("teleop", "good.yaml", "--on", "ideal", "--joystick", "auto"), "joystick"),
+    ("serial", ("can", "scan", "good.yaml", "--bus", "slcan:/dev/null"), "serial"),
+    ("msgpack", ("can", "scan", "good.yaml", "--bus", "udp"), "udp"),
+    ("pygls", ("lsp",), "lsp"),
+]
+# Hints of which other tests show that they appear.
+SHOWN_ELSEWHERE = {"gym", "tui"}
+
+
+def extras(file: str) -> dict[str, list[Requirement]]:
+    project = tomllib.loads((ROOT / file).read_text())["project"]
+    table = project["optional-dependencies"]
+    return {name: list(map(Requirement, texts)) for name, texts in table.items()}
+
+
+@pytest.mark.parametrize("file", ["pyproject.toml", "thorvaldc/runtime/pyproject.toml"])
+def test_the_extra_all_contains_all_extras_for_users(file: str) -> None:
+    found = extras(file)
+    (requirement,) = found["all"]
+    assert requirement.extras == found.keys() - NOT_FOR_USERS
+
+
+def test_every_hint_names_an_extra_and_has_a_test() -> None:
+    text = "\n".join(p.read_text() for p in (ROOT / "thorvaldc").rglob("*.py"))
+    named = set(re.findall(r"pip install 'thorvaldc\[([a-z]+)\]'", text))
+    named |= {extra for _, _, extra in HINTS if extra in ("serial", "udp")}
+    assert named <= extras("pyproject.toml").keys()
+    assert named == {extra for _, _, extra in HINTS} | SHOWN_ELSEWHERE
+    runtime = set(re.findall(r"'thorvaldc-runtime\[([a-z]+)\]'", text))
+    assert runtime
+    assert runtime <= extras("thorvaldc/runtime/pyproject.toml").keys()
+
+
+@pytest.mark.parametrize(("package", "arguments", "extra"), HINTS, ids=[h[0] for h in HINTS])
+def test_a_missing_package_is_one_line_with_the_extra_that_installs_it(
+    thorvaldc: Command,
+    monkeypatch: pytest.MonkeyPatch,
+    package: str,
+    arguments: tuple[str, ...],
+    extra: str,
+) -> None:
+    for name in [name for name in sys.modules if name.partition(".")[0] == package]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.setenv("PATH", "")  # no ffmpeg
+    Path("o.mcap").write_bytes(b"\x89MCAP0\r\n")
+    result = thorvaldc(*arguments)
+    assert result.status in (1, 3)
+    assert f"pip install 'thorvaldc[{extra}]'" in result.err
+    assert "Traceback" not in result.err
+    if package in packages_distributions():  # evdev exists on Linux alone
+        installs = {requirement.name.lower() for requirement in extras("pyproject.toml")[extra]}
+        assert {name.lower() for name in packages_distributions()[package]} & installs
+
+
+def test_a_missing_gymnasium() -> None:
+    script = "import sys; sys.modules['gymnasium'] = None; import thorvaldc.environments"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
+    assert "pip install 'thorvaldc[gym]'" in done.stderr

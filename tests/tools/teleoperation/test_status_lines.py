@@ -1,0 +1,34 @@
+"""The status lines of teleoperation fit a terminal of 80 columns."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from thorvaldc.runtime.se2 import Twist
+from thorvaldc.tools.teleoperation.joystick import HELP as JOYSTICK_HELP
+from thorvaldc.tools.teleoperation.keyboard import HELP as KEYBOARD_HELP
+from thorvaldc.tools.teleoperation.status_lines import status_lines
+
+STATE: dict[str, Any] = {
+    "mode": "fault",
+    "source": "teleop_joy",
+    "locks": ["safety_stop", "another_lock_with_a_long_name"],
+    "in_force": {"vx": -10.0, "vy": -10.0, "wz": -10.0},
+    "pose": {"x": -1000.0, "y": -1000.0, "yaw": -3.0},
+    "fault": "the process of the simulated bus is 0.7 s late: the machine is too busy; " * 2,
+    "held": "",
+    "limited_by": "max_angular_velocity 1.541 rad/s",
+}
+
+
+def test_the_lines_fit_80_columns_and_a_fault_has_lines_of_its_own() -> None:
+    lines = status_lines(STATE, Twist(-10.0, -10.0, -10.0), 1.0, "a message " * 8)
+    assert max(map(len, lines)) < 80
+    fault = next(i for i, line in enumerate(lines) if line.startswith("       FAULT the process"))
+    assert "safety_stop" in " ".join(lines[:fault])
+    assert "too busy" in " ".join(lines[fault:])
+    assert lines[2].endswith("limited by max_angular_velocity 1.541 rad/s")
+
+
+def test_the_help_fits_80_columns() -> None:
+    assert max(map(len, f"{KEYBOARD_HELP}\n{JOYSTICK_HELP}".splitlines())) < 80
