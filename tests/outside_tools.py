@@ -56,6 +56,7 @@ TOOLS = (
     _program("shellcheck", "shellcheck"),  # reads the generated shell script
     _program("chromium", "chromium", "google-chrome"),  # opens the generated web page
     _program("npm", "npm nodejs"),  # builds the viewer; installs axe-core
+    _program("node", "nodejs"),  # runs the extension for VS Code
     Tool(  # draws pictures
         "EGL",
         "libegl1 libegl-mesa0 libgl1-mesa-dri",
