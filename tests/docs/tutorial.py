@@ -163,7 +163,7 @@ class Reader:
     def follow_in_real_time(self, page: str, attempts: int = 3) -> list[str]:
         """Follows a page; again from its beginning if it has programs that run in real time.
 
-        A driver stops with a fault where a busy computer holds up the simulated bus.
+        On a busy computer, a driver may also stop while the page drives.
         """
         before = self.folder.with_name("before")
         shutil.copytree(self.folder, before)
@@ -245,7 +245,18 @@ class Reader:
         return output.decode(errors="replace"), process.returncode
 
     def start(self, block: Block, command: str, shown: str) -> str:
-        """Starts a command in a terminal of its own; waits until it has printed the lines."""
+        """Starts a command in a terminal of its own; waits until it has printed the lines.
+
+        A driver stops with a fault where a busy computer holds up the simulated bus; then the
+        command is started again, as the page says.
+        """
+        for _ in range(6):
+            output = self.start_once(block, command, shown)
+            if self.terminals[block.title].poll() is None:
+                break
+        return output
+
+    def start_once(self, block: Block, command: str, shown: str) -> str:
         name = block.title
         log = self.folder / f".{name}"
         with log.open("w") as file:
