@@ -9,6 +9,7 @@ import typer
 
 from thorvaldc.cli.completed_values import preset_names
 from thorvaldc.cli.exits import DONE
+from thorvaldc.compiler.new_project import project_files, write_project
 from thorvaldc.compiler.new_robot import is_robot_name, presets, robot_text
 
 
@@ -23,6 +24,12 @@ def new(
             help="4wd4ws, 2wd0ws or 1wd1ws.",
         ),
     ] = "4wd4ws",
+    project: Annotated[
+        bool,
+        typer.Option(
+            "--project", help="Make a repository: robot, own module, scenario, CI, README."
+        ),
+    ] = False,
 ) -> int:
     if not is_robot_name(name):
         raise typer.BadParameter(
@@ -34,6 +41,8 @@ def new(
             f"there is no preset {preset!r}; there are {', '.join(presets())}",
             param_hint="'--preset'",
         )
+    if project:
+        return _new_project(name, preset)
     file = Path(name) / "robot.yaml"
     if file.exists():
         raise typer.BadParameter(f"{file} exists already", param_hint="NAME")
@@ -41,4 +50,17 @@ def new(
     with file.open("x", encoding="utf-8") as stream:
         stream.write(robot_text(name, preset))
     print(f"{file}: a {preset} robot. Next:\n  thorvaldc check {file}\n  thorvaldc build {file}")
+    return DONE
+
+
+def _new_project(name: str, preset: str) -> int:
+    files = project_files(name, preset)
+    try:
+        write_project(Path(name), files)
+    except FileExistsError as error:
+        raise typer.BadParameter(f"{error} exists already", param_hint="NAME") from None
+    print(
+        f"{name}: a repository with {len(files)} files. Next:\n  cd {name}\n"
+        f"  thorvaldc check --strict robots/*.yaml\n  thorvaldc scenario scenarios/straight.yaml"
+    )
     return DONE

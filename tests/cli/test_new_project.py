@@ -1,0 +1,55 @@
+"""`new --project` makes a repository in which every command of its CI succeeds."""
+
+from __future__ import annotations
+
+import glob
+import os
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from tests.cli.conftest import Command
+from thorvaldc.compiler.new_project import project_files
+from thorvaldc.compiler.new_robot import presets
+
+
+def test_every_command_of_its_ci_succeeds(
+    thorvaldc: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert thorvaldc("new", "farm", "--project").status == 0
+    monkeypatch.chdir("farm")
+    workflow = yaml.safe_load(Path(".gitlab-ci.yml").read_text())
+    commands = [line for line in workflow["check"]["script"] if line.startswith("thorvaldc ")]
+    assert len(commands) == 3
+    for command in [*commands, "thorvaldc scenario scenarios/straight.yaml"]:
+        words = [path for word in command.split()[1:] for path in glob.glob(word) or [word]]
+        status, _, err = thorvaldc(*words)
+        assert (status, err) == (0, ""), command
+    text = Path(".github/workflows/robots.yml").read_text()
+    assert yaml.safe_load(text)["jobs"]["check"]["steps"]
+    for command in commands:
+        assert command.removesuffix(" modules") in re.sub(" --format github", "", text)
+    assert yaml.safe_load(Path(".pre-commit-config.yaml").read_text())["repos"]
+
+
+@pytest.mark.parametrize("preset", presets())
+def test_every_preset_passes_a_strict_check(thorvaldc: Command, preset: str) -> None:
+    thorvaldc("new", "farm", "--project", "--preset", preset)
+    status, out, _ = thorvaldc("check", "--strict", "farm/robots/farm.yaml")
+    assert status == 0, out
+
+
+def test_existing_files_are_kept(thorvaldc: Command) -> None:
+    Path("farm").mkdir()
+    Path("farm/README.md").write_text("mine")
+    status, _, err = thorvaldc("new", "farm", "--project")
+    assert status == 2
+    assert f"farm{os.sep}README.md exists already" in err
+    assert [path.name for path in Path("farm").iterdir()] == ["README.md"]
+    assert Path("farm/README.md").read_text() == "mine"
+
+
+def test_no_placeholder_is_left() -> None:
+    assert "@NAME@" not in "".join(project_files("farm", "4wd4ws").values())

@@ -1,0 +1,50 @@
+"""Creates the files of a new repository of robots from templates."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from thorvaldc.compiler.new_robot import robot_text
+from thorvaldc.model.data_folder import data_folder
+
+# The templates have no leading point, so that packagers and file managers show them.
+_FILES = {
+    "README.md": "README.md",
+    "modules/top/plate/module.yaml": "module.yaml",
+    "scenarios/straight.yaml": "scenario.yaml",
+    ".github/workflows/robots.yml": "github.yml",
+    ".gitlab-ci.yml": "gitlab.yml",
+    ".pre-commit-config.yaml": "pre-commit.yaml",
+}
+_PLATE = "  plate: {type: top/plate, mount: {parent: frame, xyz: [0, 0, 300 mm]}}\n"
+
+
+def project_files(name: str, preset: str) -> dict[str, str]:
+    """Returns the text of each file of a new repository, by its relative path.
+
+    - ``name``: name of the repository and of its first robot.
+    - ``preset``: name of the template of the robot.
+    """
+    folder = data_folder("templates") / "project"
+    files = {
+        path: (folder / template).read_text(encoding="utf-8").replace("@NAME@", name)
+        for path, template in _FILES.items()
+    }
+    robot = robot_text(name, preset).replace("modules:\n", "library: [../modules]\nmodules:\n", 1)
+    files[f"robots/{name}.yaml"] = robot.rstrip("\n") + "\n" + _PLATE
+    files[".gitignore"] = "build/\n"
+    return files
+
+
+def write_project(folder: Path, files: dict[str, str]) -> None:
+    """Writes the files of a new repository; an existing file is never replaced.
+
+    Raises ``FileExistsError`` before any file is written if one of them exists.
+    """
+    for path in files:
+        if (folder / path).exists():
+            raise FileExistsError(str(folder / path))
+    for path, text in files.items():
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        with (folder / path).open("x", encoding="utf-8") as stream:
+            stream.write(text)
