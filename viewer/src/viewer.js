@@ -22,13 +22,17 @@ function place(object, [x, y, z, qw, qx, qy, qz]) {
   return object;
 }
 
+const geometries = new WeakMap(); // of the shapes of the data
+
 function geometryOf(shape) {
+  if (geometries.has(shape)) return geometries.get(shape);
   const bytes = (text) => Uint8Array.from(atob(text), (character) => character.charCodeAt(0)).buffer;
   const geometry = new BufferGeometry();
   geometry.setAttribute("position", new BufferAttribute(new Float32Array(bytes(shape.points)), 3));
   geometry.setIndex(new BufferAttribute(new Uint32Array(bytes(shape.faces)), 1));
   geometry.computeBoundingBox();
   geometry.computeBoundingSphere();
+  geometries.set(shape, geometry);
   return geometry;
 }
 
@@ -104,6 +108,7 @@ export class Viewer {
     this.selected = null;
     this.isGrey = false;
     this.names = false;
+    this.retired = []; // materials and geometries to dispose of
     this.shown = { sensor: false, link: false };
     this.camera = new PerspectiveCamera(40, 1, 0.01, 1000);
     this.camera.up.set(0, 0, 1);
@@ -134,8 +139,9 @@ export class Viewer {
     const isFirst = this.robots.length === 0;
     const positions = Object.fromEntries(this.robots.map((robot) => [robot.name, robot.positions]));
     for (const child of [...this.world.children]) this.world.remove(child);
+    const old = new Set();
     for (const robot of [...this.robots, ...this.ghosts])
-      for (const mesh of robot.meshes) { mesh.material.dispose(); mesh.geometry.dispose(); }
+      for (const mesh of robot.meshes) { this.retired.push(mesh.material); old.add(mesh.geometry); }
     const views = (data, isGhost) => {
       const geometries = data.shapes.map(geometryOf);
       return data.robots.map((robot, number) => new RobotView(robot, data.designs[robot.design], geometries, number, isGhost));
@@ -147,6 +153,8 @@ export class Viewer {
       for (const name of Object.keys(known)) if (robot.joints[name]) robot.positions[name] = known[name];
     }
     for (const robot of [...this.robots, ...this.ghosts]) { robot.move(); this.world.add(robot.base); }
+    for (const robot of [...this.robots, ...this.ghosts]) for (const mesh of robot.meshes) old.delete(mesh.geometry);
+    this.retired.push(...old);
     if (isFirst) this.look();
     this.addGrid();
     this.color();
@@ -192,6 +200,16 @@ export class Viewer {
   // Moves the base of a robot to a pose [x, y, z, qw, qx, qy, qz] of the scene.
   setBase(robot, pose) {
     place(this.robots[robot].base, pose);
+    this.redraw();
+  }
+
+  // Moves the base of a robot, and the camera with it.
+  follow(robot, pose) {
+    const base = this.robots[robot].base, before = base.position.clone();
+    place(base, pose);
+    const way = base.position.clone().sub(before);
+    this.camera.position.add(way);
+    this.controls.target.add(way);
     this.redraw();
   }
 
@@ -260,6 +278,9 @@ export class Viewer {
       this.renderer.render(this.scene, this.camera);
       triangles = this.robots.flatMap((robot) => robot.meshes).reduce((sum, mesh) => sum + mesh.geometry.index.count / 3, 0);
     }
+    // After the draw: without a living material, three.js would compile the shaders again.
+    for (const item of this.retired) item.dispose();
+    this.retired = [];
     this.label(width, height);
     document.documentElement.dataset.triangles = triangles;
     if (this.onDraw) this.onDraw();
