@@ -179,3 +179,29 @@ def test_the_module_example_of_the_page_is_valid() -> None:
 @pytest.mark.parametrize("heading", ["Hardware", "Devices on a bus", "Assemblies"])
 def test_the_module_parts_of_the_page_are_valid(heading: str) -> None:
     assert_valid(HEAD + section(heading), "module")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_defaults_that_are_described_are_valid_and_equal(kind: Kind) -> None:
+    """Editors propose the keyword `default`; readers see the description."""
+    for name, schema in properties(kind):
+        stated = re.search(
+            r"; default:? `?(true|false|-?[.\d]+(?: [a-z%/]+)?)`?\.$",
+            schema["description"],
+        )
+        if stated is not None:
+            shown = json.dumps(schema.get("default"), ensure_ascii=False).strip('"')
+            assert shown == stated[1], name
+        if "default" in schema:
+            assert (
+                Draft202012Validator(bundle(kind) | {"properties": {}, "required": []})
+                .evolve(schema={**schema, "$defs": bundle(kind)["$defs"]})
+                .is_valid(schema["default"])
+            ), name
+
+
+def test_quantities_have_a_pattern_for_other_editors() -> None:
+    validator = Draft202012Validator(bundle("robot"))
+    document = {"thorvaldc": 1, "name": "a", "modules": {"f": {"type": "a/b"}}}
+    for rate, is_valid in (("50 Hz", True), (50, True), (".5 kHz", True), ("fast", False)):
+        assert validator.is_valid(document | {"driver": {"rate": rate}}) == is_valid, rate

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import json
+import re
 import typing
 from pathlib import Path
 from typing import Any, Literal
@@ -15,6 +16,8 @@ from typing import Any, Literal
 Kind = Literal["robot", "module", "fleet", "calibration", "scenario", "bus_faults", "device_memory"]
 KINDS: tuple[Kind, ...] = typing.get_args(Kind)
 
+_QUANTITY = r"^([-+]?\s*[.\d].*"
+_EXPRESSION = r".*\$\{.*"
 _COMMON = "common.schema.json#/$defs/"
 
 
@@ -26,7 +29,11 @@ def _load(name: str) -> dict[str, Any]:
 
 
 def bundle(kind: str) -> dict[str, Any]:
-    """Returns the JSON Schema of a kind of document, including all shared definitions."""
+    """Returns the JSON Schema of a kind of document, including all shared definitions.
+
+    Editors that know only JSON Schema get a pattern for each quantity: a number with or without a
+    unit, an expression, or one of the words that the key allows.
+    """
     definitions: dict[str, Any] = {}
 
     def with_local_references(value: Any) -> Any:
@@ -34,6 +41,9 @@ def bundle(kind: str) -> dict[str, Any]:
             return [with_local_references(item) for item in value]
         if not isinstance(value, dict):
             return value
+        if "x-quantity" in value and "pattern" not in value:
+            words = "".join(f"|{re.escape(word)}" for word in value.get("x-words", ()))
+            value = {**value, "pattern": f"{_QUANTITY}|{_EXPRESSION}{words})$"}
         reference = value.get("$ref")
         if not isinstance(reference, str) or not reference.startswith(_COMMON):
             return {key: with_local_references(item) for key, item in value.items()}
