@@ -174,7 +174,7 @@ def dimension_drawing(robot: Robot, facts: RobotFacts, projector: OutlineProject
         _described(size),
         round(1000 * (length + width + 4 * margin), 1),
         round(1000 * (height + width + 4.7 * margin), 1),
-        round(1000 * 0.02 * (length + width + 4 * margin), 1),
+        round(1000 * 0.023 * (length + width + 4 * margin), 1),
     )
     left, top = 1000 * (2 * margin - lower[0]), 1000 * (margin + size.upper[1])
     bottom = 1000 * (margin + width + 2.1 * margin + size.upper[2])
