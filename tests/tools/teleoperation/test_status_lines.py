@@ -25,8 +25,8 @@ def test_the_lines_fit_80_columns_and_a_fault_has_lines_of_its_own() -> None:
     lines = status_lines(STATE, Twist(-10.0, -10.0, -10.0), 1.0, "a message " * 8)
     assert max(map(len, lines)) < 80
     fault = next(i for i, line in enumerate(lines) if line.startswith("       FAULT the process"))
-    assert "safety_stop" in " ".join(lines[:fault])
-    assert "too busy" in " ".join(lines[fault:])
+    assert "locked: safety_stop" in " ".join(lines[:fault])
+    assert "busy" in " ".join(lines[fault:])
     assert lines[2].endswith("limited by max_angular_velocity 1.541 rad/s")
 
 

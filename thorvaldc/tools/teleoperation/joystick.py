@@ -27,8 +27,9 @@ MOST_EVENTS = 500
 """Largest number of events that are read in a cycle. The next cycle reads the remaining events."""
 
 HELP = """\
-Joystick: hold the left shoulder button (or the trigger) and move the left stick; the
-right one turns.  The right shoulder button (or the thumb's) drives at full speed.
+Joystick: hold the left shoulder button (or the trigger) and move the left
+stick; the right one turns.  The right shoulder button (or the thumb's) drives
+at full speed.
 North button: arm.  East button: safety stop; start: its release."""
 
 # Codes of linux/input-event-codes.h.
