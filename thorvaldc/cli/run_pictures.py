@@ -99,7 +99,8 @@ class RunPictures:
         by path."""
         with picture_errors():
             if self.plot:
-                plot(dict(robots), self._samples, self.plot, model.name)
+                world = model.world if isinstance(model, Fleet) else None
+                plot(dict(robots), self._samples, self.plot, model.name, world)
                 message(self.plot)
             if self._video_recorder is not None and files is not None:
                 progress = Progress(len(self._video_recorder), "pictures", self.video)

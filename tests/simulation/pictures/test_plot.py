@@ -9,7 +9,9 @@ from typing import Any
 
 import pytest
 
-from tests.examples import example_robot
+from tests.examples import FOLDER, example_robot
+from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.model import Fleet
 from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.pictures import PictureError
@@ -108,3 +110,18 @@ def test_without_matplotlib_the_error_names_the_extra(monkeypatch: pytest.Monkey
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
     with pytest.raises(PictureError, match=r"pip install 'thorvaldc\[plot\]'"):
         check_plotting()
+
+
+def test_the_world_of_a_scenario_is_under_the_paths() -> None:
+    compilation = compile_file(FOLDER / "scenarios" / "field_edge.yaml")
+    assert isinstance(compilation.model, Fleet)
+    world = compilation.model.world
+    assert world is not None
+    robots = {p.name: p.robot for p in compilation.model.placements}
+    samples: dict[str, list[Sample]] = {name: [] for name in robots}
+    plain, ground = draw(robots, samples, "plain").axes[0], draw(robots, samples, "", world).axes[0]
+    assert len(ground.patches) - len(plain.patches) == len(world.blocks) + len(world.zones)
+    assert "rises by 4 deg" in [text.get_text() for text in ground.texts]
+    crate = next(block for block in world.blocks if block.name == "crate")
+    centres = [patch.get_path().get_extents().get_points().mean(axis=0) for patch in ground.patches]
+    assert any(math.dist(centre, crate.pose.xyz[:2]) < 0.01 for centre in centres)

@@ -10,10 +10,12 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from thorvaldc.model import Robot
+from thorvaldc.model.fleet import World
 from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.runtime.se2 import Pose2
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.pictures import PictureError
+from thorvaldc.simulation.pictures.world_plot import draw_world
 
 if TYPE_CHECKING:
     from thorvaldc.simulation.pictures.surfaces import Points
@@ -37,9 +39,13 @@ def check_plotting() -> None:
 
 
 def plot(
-    robots: Mapping[str, Robot], samples: Mapping[str, Sequence[Sample]], path: str, title: str
+    robots: Mapping[str, Robot],
+    samples: Mapping[str, Sequence[Sample]],
+    path: str,
+    title: str,
+    world: World | None = None,
 ) -> None:
-    """Draws the plots of a run to a file whose suffix is one of ``FORMATS``.
+    """Draws the plots of a run, with its world, to a file whose suffix is one of ``FORMATS``.
 
     ``samples`` has the samples of all ticks by robot name.  Equal runs give files with equal
     bytes.  Raises ``PictureError`` if matplotlib is not installed.  Raises ``OSError`` if the file
@@ -48,7 +54,7 @@ def plot(
     check_plotting()
     import matplotlib
 
-    figure = draw(robots, samples, title)
+    figure = draw(robots, samples, title, world)
     file_format = path.rsplit(".", 1)[-1].lower()
     # Without the metadata (date, version of matplotlib), equal runs give files with equal bytes.
     metadata: dict[str, dict[str, None]] = {
@@ -60,7 +66,12 @@ def plot(
         figure.savefig(path, dpi=130, format=file_format, metadata=metadata[file_format])
 
 
-def draw(robots: Mapping[str, Robot], samples: Mapping[str, Sequence[Sample]], title: str) -> Any:
+def draw(
+    robots: Mapping[str, Robot],
+    samples: Mapping[str, Sequence[Sample]],
+    title: str,
+    world: World | None = None,
+) -> Any:
     """Returns the plots of a run as a matplotlib figure that does not require a display."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -84,6 +95,8 @@ def draw(robots: Mapping[str, Robot], samples: Mapping[str, Sequence[Sample]], t
     FigureCanvasAgg(figure)
     figure.suptitle(title)
     _draw_paths(ground, robots, finite)
+    if world is not None:
+        draw_world(ground, world, next(iter(robots.values())))
     for name, axes in zip(shown, columns, strict=True):
         _draw_velocities(axes, finite[name])
         if len(robots) > 1:
@@ -189,11 +202,11 @@ def footprint(robot: Robot, sample: Sample | None = None) -> list[Part]:
             local, _ = surface(robot, visual.shape)
             axes = np.array([pose.rotate(e) for e in ((1, 0, 0), (0, 1, 0), (0, 0, 1))])
             points = local @ axes + np.asarray(pose.xyz)
-            parts.append(Part(_convex(points[:, :2]), visual.color, float(points[:, 2].max())))
+            parts.append(Part(convex(points[:, :2]), visual.color, float(points[:, 2].max())))
     return sorted(parts, key=lambda part: part.top)
 
 
-def _convex(points: Points) -> Points:
+def convex(points: Points) -> Points:
     """Returns an approximate convex hull of points.
 
     The corners of the hull are the furthest points in each of ``_DIRECTIONS`` directions.
@@ -235,7 +248,7 @@ def _draw_outline(axes: Any, parts: Sequence[Part], pose: Pose2) -> None:
     from matplotlib.patches import Polygon
 
     if parts:
-        outline = _convex(np.vstack([part.outline for part in parts]))
+        outline = convex(np.vstack([part.outline for part in parts]))
         axes.add_patch(
             Polygon(
                 _transformed(outline, pose),
