@@ -56,6 +56,7 @@ COMMANDS: tuple[CommandEntry | GroupEntry, ...] = (
     CommandEntry("batch", "batch:batch", "Run variations of a scenario in parallel."),
     CommandEntry("replay", "replay:replay", "Show a recorded run again, without physics."),
     CommandEntry("render", "render:render", "Draw a picture of a robot or fleet."),
+    CommandEntry("preview", "preview:preview", "Show a robot in a browser while you edit it."),
     CommandEntry("view", "view:view", "Show a robot in MuJoCo's viewer or as a web page."),
     CommandEntry("run", "run:run", "Run the base driver on a real or simulated CAN bus."),
     CommandEntry("teleop", "teleop:teleop", "Drive a robot with the keyboard or a joystick."),

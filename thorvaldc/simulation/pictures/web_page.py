@@ -42,9 +42,18 @@ def robot_page(model: Robot | Fleet, template: str, before: Robot | Fleet | None
     return template.replace(PLACEHOLDER, text)
 
 
-def page_data(model: Robot | Fleet) -> dict[str, Any]:
-    """Returns the data of a robot or a fleet that the viewer draws, as a JSON object."""
-    shapes = _Shapes()
+MeshData = dict[str, str]
+"""Points and triangles of a mesh in base64."""
+MeshCache = dict[tuple[Shape, str], MeshData]
+"""Meshes by shape and hash of the mesh file."""
+
+
+def page_data(model: Robot | Fleet, cache: MeshCache | None = None) -> dict[str, Any]:
+    """Returns the data of a robot or a fleet that the viewer draws, as a JSON object.
+
+    The function takes meshes from ``cache`` and adds new ones to it.
+    """
+    shapes = _Shapes({} if cache is None else cache)
     designs: list[str] = []
     robots: list[dict[str, Any]] = []
     placements = (
@@ -69,8 +78,9 @@ def page_data(model: Robot | Fleet) -> dict[str, Any]:
 class _Shapes:
     """The triangle meshes of all visual shapes.  Equal shapes share one mesh."""
 
-    def __init__(self) -> None:
-        self.meshes: list[dict[str, str]] = []
+    def __init__(self, cache: MeshCache) -> None:
+        self.meshes: list[MeshData] = []
+        self._cache = cache
         self._indices: dict[tuple[Shape, str], int] = {}
 
     def index(self, robot: Robot, shape: Shape) -> int:
@@ -79,14 +89,14 @@ class _Shapes:
             content = next(mesh.sha256 for mesh in robot.meshes if mesh.name == shape.mesh)
         key = (shape, content)
         if key not in self._indices:
-            points, faces = surface(robot, shape)
-            self._indices[key] = len(self.meshes)
-            self.meshes.append(
-                {
+            if key not in self._cache:
+                points, faces = surface(robot, shape)
+                self._cache[key] = {
                     "points": _base64(points.astype("<f4")),
                     "faces": _base64(faces.astype("<u4")),
                 }
-            )
+            self._indices[key] = len(self.meshes)
+            self.meshes.append(self._cache[key])
         return self._indices[key]
 
 

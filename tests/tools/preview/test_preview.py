@@ -1,0 +1,225 @@
+"""The page of ``thorvaldc preview`` in a browser, and the requests that its server refuses."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from tests.child_process import ChildProcess
+from tests.outside_tools import path_of
+
+ROOT = Path(__file__).parents[3]
+GOOD = (ROOT / "examples" / "4wd4ws_wide" / "robot.yaml").read_text(encoding="utf-8")
+BAD = GOOD + "\nfoo: 3\n"
+OPTIONS = (
+    "--no-sandbox",
+    "--disable-dev-shm-usage",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+)
+WAIT = 60_000  # ms, for a busy machine
+
+pytestmark = pytest.mark.timeout(240)
+
+
+class Preview:
+    def __init__(self, folder: Path) -> None:
+        self.file = folder / "robot.yaml"
+        self.file.write_text(GOOD, encoding="utf-8")
+        self.process = ChildProcess(
+            [
+                sys.executable,
+                "-m",
+                "thorvaldc",
+                "preview",
+                str(self.file),
+                "--no-browser",
+            ],
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
+        )
+        assert self.process.stdout is not None
+        self.url = self.process.stdout.readline().strip()
+        self.port = urlsplit(self.url).port or 0
+
+    def save(self, text: str) -> None:
+        new = self.file.with_suffix(".new")
+        new.write_text(text, encoding="utf-8")
+        os.replace(new, self.file)  # as most editors do
+
+    def status(self, path: str, **headers: str) -> int:
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=10)
+        try:
+            connection.request("GET", path, headers=headers)
+            return connection.getresponse().status
+        finally:
+            connection.close()
+
+    def end(self) -> int:
+        self.process.send_signal(signal.SIGINT)
+        try:
+            return self.process.wait(20)
+        finally:
+            self.process.end()
+
+
+@pytest.fixture(scope="module")
+def preview(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Preview]:
+    server = Preview(tmp_path_factory.mktemp("preview"))
+    yield server
+    assert server.end() == 0
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    program = path_of("chromium")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=list(OPTIONS))
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(params=[(1280, 800), (390, 844)], ids=["desk", "phone"])
+def page(request: pytest.FixtureRequest, preview: Preview, browser: Browser) -> Iterator[Page]:
+    width, height = request.param
+    page = browser.new_page(viewport={"width": width, "height": height})
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto(preview.url)
+    page.wait_for_selector("html[data-version]", timeout=WAIT)
+    page.wait_for_selector("#tables details", state="attached", timeout=WAIT)
+    yield page
+    page.close()
+    assert errors == []
+
+
+def version(page: Page) -> int:
+    return int(page.evaluate("document.documentElement.dataset.version"))
+
+
+def wait_until(page: Page, condition: Callable[[], bool]) -> None:
+    """Waits in Python, because the policy of the page lets no text become a script."""
+    for _ in range(WAIT // 100):
+        if condition():
+            return
+        page.wait_for_timeout(100)
+    raise AssertionError("the page did not change")
+
+
+def wait_for_change(page: Page, before: int) -> None:
+    wait_until(page, lambda: version(page) > before)
+
+
+def position(page: Page) -> Any:
+    return page.evaluate("Number((document.documentElement.dataset.position || '0').split(' ')[0])")
+
+
+def test_a_change_an_error_and_the_way_back(preview: Preview, page: Page) -> None:
+    assert "190.6 kg" in page.inner_text("#facts")
+    assert page.evaluate("Number(document.documentElement.dataset.triangles)") > 1000
+    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+    before = version(page)
+    preview.save(BAD)
+    page.wait_for_selector(".diagnostic.error", timeout=WAIT)
+    assert "foo: 3" in page.inner_text(".diagnostic pre")
+    wait_for_change(page, before)
+    assert page.evaluate("viewer.isGrey && viewer.robots.length") == 1
+    assert "1 error" in page.inner_text("#status")
+    before = version(page)
+    preview.save(GOOD.replace("thorvald_4wd4ws_wide", "renamed"))
+    wait_for_change(page, before)
+    assert page.inner_text("h1") == "renamed"
+    assert page.locator(".diagnostic").count() == 0
+    assert not page.evaluate("viewer.isGrey")
+    page.wait_for_selector("#difference:not([hidden])", timeout=WAIT)
+    before = version(page)
+    preview.save(GOOD)
+    wait_for_change(page, before)
+
+
+def test_joints_move_and_keep_their_positions(preview: Preview, page: Page) -> None:
+    slider = page.locator("input[data-joint=fl_steering_joint]")
+    slider.focus()
+    page.keyboard.press("ArrowRight")
+    value = page.evaluate("viewer.robots[0].positions.fl_steering_joint")
+    assert value > 0
+    before = version(page)
+    preview.save(GOOD + "\n# a comment\n")
+    wait_for_change(page, before)
+    assert page.evaluate("viewer.robots[0].positions.fl_steering_joint") == value
+    page.click("#frames")
+    assert page.evaluate("viewer.robots[0].frames.some((axes) => axes.visible)")
+
+
+def test_each_control_is_reached_with_the_keyboard(page: Page) -> None:
+    page.evaluate("document.activeElement.blur()")
+    seen = set()
+    for _ in range(12):
+        page.keyboard.press("Tab")
+        seen.add(page.evaluate("document.activeElement.id"))
+    assert {"canvas", "drive", "names", "frames", "sensors", "zero"} <= seen
+    page.focus("#canvas")
+    before = page.evaluate("viewer.camera.position.x")
+    page.keyboard.press("ArrowLeft")
+    assert page.evaluate("viewer.camera.position.x") != before
+
+
+def test_the_robot_drives_while_a_key_is_held(page: Page) -> None:
+    page.click("#drive")
+    page.wait_for_selector("#drive[aria-pressed=true]", timeout=WAIT)
+    wait_until(page, lambda: page.evaluate("'position' in document.documentElement.dataset"))
+    page.wait_for_timeout(500)
+    start = position(page)
+    assert abs(start) < 0.01  # it does not move unasked
+    page.keyboard.down("w")
+    wait_until(page, lambda: position(page) > start + 0.2)
+    page.keyboard.up("w")
+    page.wait_for_timeout(2500)
+    stopped = position(page)
+    page.wait_for_timeout(500)
+    assert position(page) == pytest.approx(stopped, abs=0.01)
+    page.keyboard.press("Escape")
+    page.wait_for_selector("#drive[aria-pressed=false]", timeout=WAIT)
+
+
+def test_requests_that_are_refused(preview: Preview) -> None:
+    path = urlsplit(preview.url).path
+    assert preview.status(path) == 200
+    assert preview.status("/") == 403
+    assert preview.status("/wrong/") == 403
+    assert preview.status(path, Host="evil.example") == 403
+    assert preview.status(path, Host=f"evil.example:{preview.port}") == 403
+    assert preview.status(path, Origin="http://evil.example") == 403
+    assert preview.status(path, Origin="null") == 403
+    assert preview.status(f"{path}socket") == 403  # without an origin
+    for name in ("robot.yaml", "../robot.yaml", "..%2f..%2fetc/passwd", "//etc/passwd"):
+        assert preview.status(path + name) in (403, 404)
+
+
+def test_a_port_in_use() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = str(other.getsockname()[1])
+        command = [sys.executable, "-m", "thorvaldc", "preview", "--port", port, "--no-browser"]
+        done = subprocess.run(
+            [*command, "examples/4wd4ws_wide/robot.yaml"],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            cwd=ROOT,
+        )
+    assert done.returncode == 3
+    assert port in done.stderr
+    assert "--port" in done.stderr
+    assert "Traceback" not in done.stderr

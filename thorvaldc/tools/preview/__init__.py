@@ -1,0 +1,1 @@
+"""Serves a page that shows a robot while its file is edited."""

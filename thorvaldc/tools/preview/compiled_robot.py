@@ -1,0 +1,173 @@
+"""Compiles a file again after each change, and describes the result for the page."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.renderers import render_text
+from thorvaldc.model import Fleet, Robot
+from thorvaldc.model.facts import robot_facts
+from thorvaldc.model.facts.fact_tables import fact_tables
+from thorvaldc.simulation.pictures.web_page import MeshCache, MeshData, page_data
+from thorvaldc.tools.comparison.difference_text import difference_text
+from thorvaldc.tools.comparison.robot_comparison import compare_fleets, compare_robots
+
+MESHES = "meshes"
+"""Folder of the meshes of a module, beside its file."""
+INPUT_SUFFIXES = frozenset(
+    (".yaml", ".yml", ".csv", ".xacro", ".urdf", ".stl", ".obj", ".dae", ".lock")
+)
+"""Suffixes of the files that a compilation can read."""
+DIAGNOSTIC_WIDTH = 76
+MAX_DIAGNOSTICS = 50
+
+Signature = dict[str, tuple[int, int]]
+
+
+class CompiledRobot:
+    """The newest compilation of a file, and the last one without errors.
+
+    - ``version``: number of compilations.
+    - ``model``: model of the last compilation without errors, or ``None``.
+    - ``folders``: folders of the files that the newest compilation has read.
+    """
+
+    def __init__(self, path: Path, library: Sequence[Path], trust: bool) -> None:
+        self.path = path
+        self.version = 0
+        self.model: Robot | Fleet | None = None
+        self.folders: frozenset[str] = frozenset()
+        self.is_good = False
+        self._library, self._trust = library, trust
+        self._before: Robot | Fleet | None = None
+        self._data: dict[str, Any] | None = None
+        self._keys: list[str] = []
+        self._diagnostics: list[dict[str, str]] = []
+        self._stages: dict[str, float] = {}
+        self._meshes: MeshCache = {}
+        self._signature: Signature = {}
+
+    def has_changed(self) -> bool:
+        """Returns whether a file in the watched folders has changed since the last compilation."""
+        return _signature(self.folders) != self._signature
+
+    def compile(self) -> None:
+        """Compiles the file."""
+        start = time.perf_counter()
+        before = _signature(self.folders)
+        compilation = compile_file(self.path, library=self._library, trust=self._trust)
+        folders = {os.path.dirname(os.path.realpath(self.path))}
+        for path in compilation.sources.values():
+            folder = os.path.dirname(os.path.realpath(path))
+            folders |= {folder, os.path.join(folder, MESHES)}
+        folders |= {os.path.realpath(folder) for folder in self._library}
+        watched = frozenset(folder for folder in folders if os.path.isdir(folder))
+        # A change during the compilation must be seen as a change after it.
+        self._signature = before if watched == self.folders else _signature(watched)
+        self.folders = watched
+        compiled = time.perf_counter()
+        self._diagnostics = _diagnostics(compilation.report, compilation.sources)
+        self.is_good = compilation.model is not None
+        if compilation.model is not None:
+            self._before, self.model = self.model, compilation.model
+            self._data = page_data(self.model, self._meshes)
+            self._keys = [_key(mesh) for mesh in self._data["shapes"]]
+        self.version += 1
+        now = time.perf_counter()
+        self._stages = {
+            "compile": 1e3 * (compiled - start),
+            "describe": 1e3 * (now - compiled),
+        }
+
+    def message(self, known: set[str]) -> dict[str, Any]:
+        """Returns the message about the newest compilation for a page.
+
+        - ``known``: keys of the meshes that the page has; the function adds the keys of the others.
+        """
+        model = None
+        if self._data is not None:
+            shapes: list[dict[str, str]] = []
+            for key, mesh in zip(self._keys, self._data["shapes"], strict=True):
+                shapes.append({"key": key} if key in known else {"key": key, **mesh})
+                known.add(key)
+            model = {**self._data, "shapes": shapes}
+        return {
+            "kind": "model",
+            "version": self.version,
+            "good": self.is_good,
+            "model": model,
+            "diagnostics": self._diagnostics,
+            "can_drive": isinstance(self.model, Robot),
+            "stages": self._stages,
+        }
+
+    def details(self) -> dict[str, Any]:
+        """Returns the facts about the last model without errors, and what changed in it."""
+        tables: list[dict[str, Any]] = []
+        if isinstance(self.model, Robot):
+            tables = [asdict(table) for table in fact_tables(robot_facts(self.model))]
+        elif isinstance(self.model, Fleet):
+            for placed in self.model.placements:
+                for table in fact_tables(robot_facts(placed.robot)):
+                    title = f"{placed.name}: {table.title}"
+                    tables.append(
+                        {**asdict(table), "key": f"{placed.name}.{table.key}", "title": title}
+                    )
+        difference = ""
+        before, after = self._before, self.model
+        if isinstance(before, Robot) and isinstance(after, Robot):
+            robots = compare_robots(before, after)
+            difference = "" if robots.is_equal else difference_text(robots, DIAGNOSTIC_WIDTH)
+        elif isinstance(before, Fleet) and isinstance(after, Fleet):
+            fleets = compare_fleets(before, after)
+            difference = "" if fleets.is_equal else difference_text(fleets, DIAGNOSTIC_WIDTH)
+        return {"kind": "details", "tables": tables, "difference": difference}
+
+
+def _key(mesh: MeshData) -> str:
+    return hashlib.sha256(f"{mesh['points']} {mesh['faces']}".encode()).hexdigest()[:20]
+
+
+def _diagnostics(report: Report, sources: dict[str, Path]) -> list[dict[str, str]]:
+    items = []
+    for diagnostic in report.sorted()[:MAX_DIAGNOSTICS]:
+        single = Report()
+        single.put(diagnostic)
+        text = render_text(single, sources, width=DIAGNOSTIC_WIDTH)
+        span = diagnostic.span
+        items.append(
+            {
+                "severity": diagnostic.severity.name.lower(),
+                "code": diagnostic.code.number,
+                "message": diagnostic.message,
+                "place": "" if span is None else f"{os.path.basename(span.file)}:{span.line}",
+                "text": text.partition("\n")[2].strip("\n"),  # the excerpt and the hint
+            }
+        )
+    return items
+
+
+def _signature(folders: frozenset[str]) -> Signature:
+    """Returns the time of change (ns) and the size of each input file in the folders."""
+    signature: Signature = {}
+    for folder in folders:
+        try:
+            entries = list(os.scandir(folder))
+        except OSError:
+            continue
+        for entry in entries:
+            if os.path.splitext(entry.name)[1].lower() in INPUT_SUFFIXES:
+                try:
+                    status = entry.stat()
+                except OSError:
+                    continue
+                signature[entry.path] = (status.st_mtime_ns, status.st_size)
+    return signature

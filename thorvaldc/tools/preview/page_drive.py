@@ -1,0 +1,141 @@
+"""Drives a simulated robot for a page, with the base driver and the physics of ``sim``."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from thorvaldc.compiler.pipeline import emit
+from thorvaldc.model import Robot
+from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
+from thorvaldc.tools.teleoperation.operator import FIRST_SHARE, Limits, Request
+from thorvaldc.tools.teleoperation.teleop_loop import operate
+from thorvaldc.tools.teleoperation.vehicle import SimulatedVehicle
+
+HOLD_TIME = 0.25
+"""Time in s for which a motion from the page drives.  The page repeats a held motion 20 times per
+second."""
+GIVE_WAY = 0.1
+"""Time in s for which the page commands zero after the robot was driven."""
+PICTURE_PERIOD = 1 / 30
+"""Time in s between two states for the page."""
+SOURCE = "teleop_joy"
+
+Send = Callable[[dict[str, Any]], None]
+
+
+class PageOperator:
+    """An operator who drives with a page.  The robot stops if the page sends no motions."""
+
+    def __init__(self, limits: Limits) -> None:
+        self.limits = limits
+        self.share = FIRST_SHARE
+        self.message = ""
+        self.finished = False
+        self._motion = (0.0, 0.0, 0.0)
+        self._received = -math.inf
+
+    def move(self, x: float, y: float, yaw: float, now: float) -> None:
+        """Stores a motion: fractions of the top speeds, between -1 and 1."""
+        if all(math.isfinite(value) for value in (x, y, yaw)):
+            self._motion = (_clamped(x), _clamped(y), _clamped(yaw))
+            self._received = now
+
+    def poll(self, now: float) -> list[Request]:
+        return []
+
+    def twist(self, now: float) -> Twist | None:
+        age = now - self._received
+        if age <= HOLD_TIME and not self.finished:
+            return self.limits.twist(*self._motion, self.share)
+        return ZERO_TWIST if age <= HOLD_TIME + GIVE_WAY else None
+
+    def close(self) -> None:
+        self.finished = True
+
+
+def _clamped(value: float) -> float:
+    return min(max(value, -1.0), 1.0)
+
+
+class PageDrive:
+    """A simulated robot in a thread of its own.
+
+    ``send`` is called in the thread: with the states of the robot, and once at the end.
+    """
+
+    def __init__(self, robot: Robot, send: Send) -> None:
+        self._robot, self._send = robot, send
+        self._operator: PageOperator | None = None
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="drive", daemon=True)
+        self._thread.start()
+
+    def move(self, x: float, y: float, yaw: float) -> None:
+        """Drives for ``HOLD_TIME``."""
+        if self._operator is not None:
+            self._operator.move(x, y, yaw, time.monotonic())
+
+    def close(self) -> None:
+        """Stops the robot and ends the simulation."""
+        self._ended.set()
+
+    def join(self) -> None:
+        self._thread.join(timeout=5.0)
+
+    def _run(self) -> None:
+        text = ""
+        try:
+            scene = MujocoScene(emit(self._robot, ["mjcf"]))
+            base = MujocoBase(self._robot, scene)
+            vehicle = _ShownVehicle(BaseDriver(self._robot, base), scene, self._send)
+            try:
+                self._operator = PageOperator(Limits.of(vehicle.description))
+                self._send({"kind": "drive", "on": True, "message": "ready"})
+                sources = vehicle.description["sources"]
+                source = SOURCE if SOURCE in sources else next(iter(sources))
+                operate(vehicle, self._operator, source, lambda lines: None, self._ended.is_set)
+            finally:
+                vehicle.close()
+        except Exception as error:  # the page shows what ended the simulation
+            text = f"the simulation ended: {error}"
+        self._send({"kind": "drive", "on": False, "message": text})
+
+
+class _ShownVehicle(SimulatedVehicle):
+    """A simulated vehicle that sends its state to the page."""
+
+    def __init__(self, driver: BaseDriver, scene: MujocoScene, send: Send) -> None:
+        super().__init__(driver)
+        robot = driver.robot
+        self._scene, self._send = scene, send
+        self._body = scene.index("body", robot.prefix + robot.links[0].name, robot)
+        self._joints = [
+            (joint.name, int(scene.model.jnt_qposadr[index]))
+            for joint in robot.joints
+            if joint.type != "fixed" and joint.mimic is None
+            for index in [scene.index("joint", robot.prefix + joint.name, robot)]
+        ]
+        self._shown = -math.inf
+
+    def cycle(self) -> None:
+        super().cycle()
+        if self.now - self._shown < PICTURE_PERIOD:
+            return
+        self._shown = self.now
+        data = self._scene.data
+        twist = self.call("state")["in_force"]
+        self._send(
+            {
+                "kind": "state",
+                "pose": [*data.xpos[self._body].tolist(), *data.xquat[self._body].tolist()],
+                "joints": {name: float(data.qpos[index]) for name, index in self._joints},
+                "twist": twist,
+            }
+        )

@@ -1,0 +1,244 @@
+"""The web server of the preview: one page and one socket, on the loopback interface alone."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import secrets
+import signal
+import socket
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from aiohttp import WSCloseCode, WSMsgType, web
+from watchfiles import awatch
+
+from thorvaldc.model import Robot
+from thorvaldc.model.data_folder import data_folder
+from thorvaldc.simulation.pictures.view_page import VIEWER
+from thorvaldc.tools.preview.compiled_robot import CompiledRobot
+from thorvaldc.tools.preview.page_drive import PageDrive
+
+HOST = "127.0.0.1"
+DEBOUNCE = 10
+"""Time in ms for which changes of files are collected."""
+CHECK_PERIOD = 1000
+"""Time in ms after which the files are compared, for file systems that report no changes."""
+MAX_MESSAGE = 4096
+"""Largest message in bytes from a page."""
+TIMINGS = 200
+"""Number of pictures whose times a server keeps."""
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline';"
+    " style-src 'unsafe-inline'; connect-src 'self'; frame-ancestors 'none'; base-uri 'none';"
+    " form-action 'none'",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+class _Client:
+    """A page that is connected."""
+
+    def __init__(self, connection: web.WebSocketResponse) -> None:
+        self.connection = connection
+        self.known: set[str] = set()
+        self.drive: PageDrive | None = None
+        self._sending: set[asyncio.Task[None]] = set()
+
+    def send_soon(self, message: dict[str, Any]) -> None:
+        """Sends a message.  States of the robot are left out while the page is slow."""
+        if message["kind"] == "state" and self._sending:
+            return
+        task = asyncio.ensure_future(self.send(message))
+        self._sending.add(task)
+        task.add_done_callback(self._sending.discard)
+
+    async def send(self, message: dict[str, Any]) -> None:
+        with contextlib.suppress(ConnectionError, RuntimeError):  # the page was closed
+            await self.connection.send_str(json.dumps(message, separators=(",", ":")))
+
+    def stop(self) -> None:
+        """Stops the robot that the page drives."""
+        if self.drive is not None:
+            self.drive.close()
+
+
+class PreviewServer:
+    """Serves the page of a robot, and compiles the robot again when its files change."""
+
+    def __init__(self, compiled: CompiledRobot) -> None:
+        self.compiled = compiled
+        self.token = secrets.token_urlsafe(24)
+        self.port = 0
+        self.timings: list[dict[str, float]] = []
+        self._clients: set[_Client] = set()
+        self._drives: set[PageDrive] = set()
+        self._details: dict[str, Any] = {}
+        folder = data_folder("templates")
+        page = (folder / "preview" / "page.html").read_text(encoding="utf-8")
+        viewer = (folder / "view" / "viewer.js").read_text(encoding="utf-8")
+        self._page = page.replace(VIEWER, viewer, 1)
+
+    @property
+    def url(self) -> str:
+        return f"http://{HOST}:{self.port}/{self.token}/"
+
+    async def run(self, port: int, started: Callable[[], None]) -> None:
+        """Serves the page until the process is interrupted.
+
+        ``port`` is the TCP port, or 0 for any free one.  Raises ``OSError`` if the port is in use.
+        """
+        listener = socket.create_server((HOST, port))
+        self.port = listener.getsockname()[1]
+        application = web.Application(middlewares=[self._guard])
+        application.router.add_get(f"/{self.token}/", self._show_page)
+        application.router.add_get(f"/{self.token}/socket", self._serve_socket)
+        runner = web.AppRunner(application, access_log=None, shutdown_timeout=1.0)
+        end = asyncio.Event()
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, end.set)
+        await runner.setup()
+        tasks = []
+        try:
+            await web.SockSite(runner, listener).start()
+            await asyncio.to_thread(self._compile)
+            tasks = [asyncio.create_task(self._watch(end)), asyncio.create_task(end.wait())]
+            started()
+            finished, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in finished:
+                task.result()
+        finally:
+            end.set()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            for client in tuple(self._clients):
+                client.stop()
+                await client.connection.close(code=WSCloseCode.GOING_AWAY)
+            for drive in tuple(self._drives):
+                await asyncio.to_thread(drive.join)
+            await runner.cleanup()
+
+    # -- requests ------------------------------------------------------------------------------
+
+    @web.middleware
+    async def _guard(
+        self,
+        request: web.Request,
+        handler: Callable[[web.Request], Awaitable[web.StreamResponse]],
+    ) -> web.StreamResponse:
+        """Refuses other hosts and origins, so that no page of the internet reaches the server."""
+        hosts = {f"{name}:{self.port}" for name in (HOST, "localhost")}
+        origin = request.headers.get("Origin")
+        if request.headers.get("Host") not in hosts:
+            raise web.HTTPForbidden(text="the host is not this computer")
+        if origin is not None and origin.removeprefix("http://") not in hosts:
+            raise web.HTTPForbidden(text="the page comes from another server")
+        first = request.path.removeprefix("/").split("/", 1)[0]
+        if not secrets.compare_digest(first.encode(), self.token.encode()):
+            raise web.HTTPForbidden(text="the address has not the token that the command printed")
+        return await handler(request)
+
+    async def _show_page(self, request: web.Request) -> web.Response:
+        return web.Response(text=self._page, content_type="text/html", headers=HEADERS)
+
+    async def _serve_socket(self, request: web.Request) -> web.WebSocketResponse:
+        if request.headers.get("Origin") is None:  # each browser sends it with a socket
+            raise web.HTTPForbidden(text="the socket needs an origin")
+        connection = web.WebSocketResponse(heartbeat=2.0, max_msg_size=MAX_MESSAGE, compress=False)
+        await connection.prepare(request)
+        client = _Client(connection)
+        await client.send(self.compiled.message(client.known))
+        if self._details:
+            await client.send(self._details)
+        self._clients.add(client)
+        try:
+            async for message in connection:
+                if message.type is WSMsgType.TEXT:
+                    self._receive(client, message.data)
+        finally:
+            client.stop()
+            self._clients.discard(client)
+        return connection
+
+    def _receive(self, client: _Client, text: str) -> None:
+        try:
+            message = json.loads(text)
+            kind = message["kind"]
+            if kind == "motion" and client.drive is not None:
+                client.drive.move(*(float(message[name]) for name in ("x", "y", "yaw")))
+            elif kind == "drive":
+                self._switch(client, message["on"] is True)
+            elif kind == "drawn":
+                times = {str(name): float(value) for name, value in message["times"].items()}
+                self.timings = [*self.timings[1 - TIMINGS :], times]
+        except (ValueError, TypeError, KeyError, AttributeError):
+            return  # no message of the page
+
+    def _switch(self, client: _Client, on: bool) -> None:
+        model = self.compiled.model
+        if not on:
+            client.stop()
+        elif client.drive is None and isinstance(model, Robot):
+            loop = asyncio.get_running_loop()
+            drive: PageDrive | None = None
+
+            def deliver(message: dict[str, Any]) -> None:  # in the event loop
+                if message["kind"] == "drive" and not message["on"] and drive is not None:
+                    self._drives.discard(drive)
+                    client.drive = None
+                client.send_soon(message)
+
+            def send(message: dict[str, Any]) -> None:  # in the thread of the robot
+                with contextlib.suppress(RuntimeError):  # the server has ended
+                    loop.call_soon_threadsafe(deliver, message)
+
+            drive = client.drive = PageDrive(model, send)
+            self._drives.add(drive)
+
+    # -- changes of files ----------------------------------------------------------------------
+
+    def _compile(self) -> None:
+        self.compiled.compile()
+        if self.compiled.is_good:
+            self._details = {}
+
+    async def _watch(self, end: asyncio.Event) -> None:
+        await self._describe()
+        while not end.is_set():
+            folders = self.compiled.folders
+            changes = awatch(
+                *folders,
+                watch_filter=None,
+                debounce=DEBOUNCE,
+                step=5,
+                stop_event=end,
+                rust_timeout=CHECK_PERIOD,
+                yield_on_timeout=True,
+                recursive=False,
+                raise_interrupt=False,
+            )
+            async with contextlib.aclosing(changes):
+                async for _ in changes:
+                    if self.compiled.has_changed():
+                        await self._update()
+                    if self.compiled.folders != folders:
+                        break
+
+    async def _update(self) -> None:
+        await asyncio.to_thread(self._compile)
+        for client in tuple(self._clients):
+            if self.compiled.is_good:
+                client.stop()  # the robot that it drives is an old one
+            await client.send(self.compiled.message(client.known))
+        await self._describe()
+
+    async def _describe(self) -> None:
+        if not self.compiled.is_good:
+            return
+        self._details = await asyncio.to_thread(self.compiled.details)
+        for client in tuple(self._clients):
+            await client.send(self._details)
