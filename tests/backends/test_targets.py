@@ -76,7 +76,8 @@ def test_unknown_target() -> None:
     with pytest.raises(TargetError) as caught:
         backends.load("mjfc")
     assert str(caught.value) == (
-        "unknown target `mjfc`; did you mean `mjcf`? The targets are can, mjcf, ros2, sdf, urdf"
+        "unknown target `mjfc`; did you mean `mjcf`?"
+        " The targets are can, datasheet, mjcf, ros2, sdf, urdf"
     )
 
 

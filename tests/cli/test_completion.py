@@ -6,8 +6,10 @@ import os
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -37,7 +39,7 @@ FIELD = FOLDER / "scenarios" / "field_edge.yaml"
 
 
 @pytest.fixture
-def shell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def shell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder with the program ``thorvaldc``, which is first in PATH."""
     program = tmp_path / "bin" / "thorvaldc"
     program.parent.mkdir()
@@ -45,9 +47,10 @@ def shell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     program.chmod(0o755)
     monkeypatch.setenv("PATH", f"{program.parent}:{os.environ['PATH']}")
     monkeypatch.setenv("PYTHONPATH", ":".join(sys.path))
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.chdir(tmp_path)
-    return tmp_path
+    with tempfile.TemporaryDirectory(prefix="tv") as sockets:  # paths of sockets are short
+        monkeypatch.setenv("XDG_RUNTIME_DIR", sockets)
+        yield tmp_path
 
 
 def bash(*words: str) -> list[str]:
@@ -100,7 +103,7 @@ def test_bash_completes_running_drivers_and_their_services(shell: Path) -> None:
 
 
 def test_bash_replaces_only_the_part_after_a_colon_or_an_equals_sign(shell: Path) -> None:
-    folder = shell / "thorvaldc"
+    folder = Path(os.environ["XDG_RUNTIME_DIR"]) / "thorvaldc"
     folder.mkdir(mode=0o700)
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as running:
         running.bind(str(folder / "one_robot.sock"))

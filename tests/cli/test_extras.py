@@ -26,6 +26,7 @@ HINTS = [
     ("serial", ("can", "scan", "good.yaml", "--bus", "slcan:/dev/null"), "serial"),
     ("msgpack", ("can", "scan", "good.yaml", "--bus", "udp"), "udp"),
     ("pygls", ("lsp",), "lsp"),
+    ("aiohttp", ("preview", "good.yaml", "--no-browser"), "preview"),
 ]
 # Hints of which other tests show that they appear.
 SHOWN_ELSEWHERE = {"gym", "tui"}
@@ -63,8 +64,9 @@ def test_a_missing_package_is_one_line_with_the_extra_that_installs_it(
     arguments: tuple[str, ...],
     extra: str,
 ) -> None:
-    for name in [name for name in sys.modules if name.partition(".")[0] == package]:
-        monkeypatch.delitem(sys.modules, name)
+    for name in list(sys.modules):  # python-can's interfaces keep the packages that they use
+        if name.partition(".")[0] == package or name.startswith("can.interfaces."):
+            monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.setenv("PATH", "")  # no ffmpeg
     Path("o.mcap").write_bytes(b"\x89MCAP0\r\n")

@@ -18,7 +18,8 @@ from thorvaldc.diagnostics import Diagnostic, Fix, Severity
 # Commands that need seconds.  Their diagnostics are about runs, and propose no change of a file.
 SLOW = ("sim", "drive", "calibrate", "demo", "can")
 CONCRETE = re.compile(r"did you mean `|^as in `|, as in `|write `[^`]*`|^add it")
-# Hints about files that are not YAML, or about another place than that of the diagnostic.
+# Hints about files that are not YAML, about the command line, or about another place than that of
+# the diagnostic.
 ADVICE = {
     "audit-description-broken",
     "audit-frame-unknown",
@@ -30,10 +31,13 @@ ADVICE = {
     "extra-environment",
     "extra-left-out",
     "extra-link-unknown",
+    "git-file-missing",
+    "git-revision-unknown",
     "expression-syntax",
     "expression-value",
     "import-missing",
     "joint-log-joint",
+    "why-path-unknown",
 }
 
 

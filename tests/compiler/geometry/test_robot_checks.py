@@ -129,7 +129,10 @@ def test_the_slope_that_motors_can_climb(workshop: Workshop, driven: int) -> Non
     # Of 132 kg: torque 50 N m on 0.2 m each, rolling resistance 0.01.
     weight, push = 132 * 9.81, driven * 50 / 0.2
     limit = math.degrees(math.asin(push / weight / math.hypot(1, 0.01)) - math.atan(0.01))
-    grip = math.degrees(math.atan(0.8 * driven / 4 - 0.01))
+    # The axles are 1 m apart; the wheels (5 kg each) have their centres at 0.2 m, the rest is at
+    # 0.6 m. On the slope a, a front wheel carries the share 1/4 - height tan(a) / 2 of W cos(a).
+    height = (112 * 0.6 + 20 * 0.2) / 132 if driven < 4 else 0.0
+    grip = math.degrees(math.atan((0.8 * driven / 4 - 0.01) / (1 + 0.8 * driven * height / 2)))
     limit = min(limit, grip)
     for slope, steep in ((limit - 0.01, False), (limit + 0.01, True)):
         diagnostics = workshop.diagnostics(cart, f"design: {{slope: {slope:.6f} deg}}\n")
