@@ -21,7 +21,7 @@ from tests.docs.tutorial import (
 from tests.ros.environments import variables
 
 ROOT = Path(__file__).resolve().parents[2]
-pytestmark = [pytest.mark.xdist_group("tutorial"), pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.xdist_group("tutorial"), pytest.mark.timeout(900)]
 
 
 def page(name: str) -> str:
@@ -49,6 +49,9 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> Reader:
     }
     if "MUJOCO_GL" in os.environ:
         environment["MUJOCO_GL"] = os.environ["MUJOCO_GL"]
+    # On a busy computer, matplotlib prints that it looks for fonts; the pages do not show that.
+    fonts = [sys.executable, "-c", "import matplotlib.font_manager"]
+    subprocess.run(fonts, env=environment, check=True, capture_output=True)
     return Reader(home / "scout", environment)
 
 
@@ -81,3 +84,16 @@ def test_a_difference_is_noticed() -> None:
     assert mismatch("a ...", "a b") is None
     assert mismatch("1.0 m", "1.5 m", tolerance=0.2) == "1.0 m"
     assert mismatch("1.0 m", "1.0 kg", tolerance=0.2) == "1.0 m"
+    assert mismatch("1-2", "12", tolerance=0.2) == "1-2"
+
+
+def test_a_command_that_does_not_end_is_a_difference_of_its_page_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tests.docs.tutorial.LONGEST_COMMAND_S", 0.2)
+    (tmp_path / "scout").mkdir()
+    reader = Reader(tmp_path / "scout", {"PATH": os.environ["PATH"]})
+    [difference] = reader.follow_in_real_time("```console\n$ sleep 60\n```\n")
+    assert difference == "sleep 60: exit status 1\n(did not end in 0.2 s)\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["scout"]
+    assert not reader.follow_in_real_time("```console\n$ echo next\nnext\n```\n")

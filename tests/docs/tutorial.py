@@ -57,6 +57,7 @@ VARYING = re.compile(r"(?<![\w.])(?:\d+x|[0-9a-f]{8}(?:[0-9a-f]{8})?)(?!\w)")
 """Speeds, and hashes of results, which depend on the computer."""
 AS_IN_A_TERMINAL = {"PYTHONUNBUFFERED": "1"}
 """Keeps the order of results and messages, as a person sees them."""
+LONGEST_COMMAND_S = 240.0  # `sim --plot` needs 45 s beside six other programs on two cores
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
 
 
@@ -125,8 +126,10 @@ def alike(shown: str, printed: str, tolerance: float) -> bool:
     pair = [VARYING.sub("~", " ".join(text.split())) for text in (shown, printed)]
     if NUMBER.sub("", pair[0]) != NUMBER.sub("", pair[1]):
         return False
-    numbers = zip(*(map(float, NUMBER.findall(text)) for text in pair), strict=True)
-    return all(abs(a - b) <= tolerance * max(abs(a), abs(b), 0.05) for a, b in numbers)
+    numbers = [[float(number) for number in NUMBER.findall(text)] for text in pair]
+    return len(numbers[0]) == len(numbers[1]) and all(
+        abs(a - b) <= tolerance * max(abs(a), abs(b), 0.05) for a, b in zip(*numbers, strict=True)
+    )
 
 
 @dataclass
@@ -165,14 +168,14 @@ class Reader:
 
         On a busy computer, a driver may also stop while the page drives.
         """
-        before = self.folder.with_name("before")
-        shutil.copytree(self.folder, before)
-        differences = self.follow(page)
-        while differences and "Terminal" in page and (attempts := attempts - 1):
-            shutil.rmtree(self.folder)
-            shutil.copytree(before, self.folder)
+        with tempfile.TemporaryDirectory(dir=self.folder.parent) as name:
+            before = Path(name) / "before"
+            shutil.copytree(self.folder, before)
             differences = self.follow(page)
-        shutil.rmtree(before)
+            while differences and "Terminal" in page and (attempts := attempts - 1):
+                shutil.rmtree(self.folder)
+                shutil.copytree(before, self.folder)
+                differences = self.follow(page)
         return differences
 
     def edit(self, path: Path, change: str) -> None:
@@ -206,7 +209,7 @@ class Reader:
         return differences
 
     def run(self, command: str) -> tuple[str, int]:
-        done = subprocess.run(
+        with ChildProcess(
             ["sh", "-c", command],
             cwd=self.folder,
             env={**self.variables, **AS_IN_A_TERMINAL},
@@ -214,10 +217,12 @@ class Reader:
             stderr=subprocess.STDOUT,
             stdin=subprocess.DEVNULL,
             text=True,
-            check=False,
-            timeout=120,
-        )
-        return done.stdout, done.returncode
+        ) as process:
+            try:
+                return process.communicate(timeout=LONGEST_COMMAND_S)[0], process.returncode
+            except subprocess.TimeoutExpired:
+                process.end()
+                return f"(did not end in {LONGEST_COMMAND_S:g} s)\n", 1
 
     def press(self, command: str, keys: str) -> tuple[str, int]:
         """Runs a command in a terminal of 80 columns and 24 lines, and presses keys."""
