@@ -118,8 +118,11 @@ def _make_special(special: str, path: Path) -> None:
         path.write_bytes(data)
         os.truncate(path, 2**33)
     elif special == "socket":
-        with socket.socket(socket.AF_UNIX) as server, suppress(OSError):
-            server.bind(str(path))
+        short = Path(tempfile.mkdtemp(prefix="s"))  # a socket's path has at most 107 bytes
+        with socket.socket(socket.AF_UNIX) as server:
+            server.bind(str(short / "s"))
+        os.rename(short / "s", path)
+        short.rmdir()
 
 
 def judge(case: Case, parent: Path | None = None) -> Verdict:
