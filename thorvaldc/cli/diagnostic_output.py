@@ -8,7 +8,7 @@ import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -22,14 +22,13 @@ from thorvaldc.diagnostics.renderers import render, render_text
 from thorvaldc.model.finite_json import finite
 
 FORMATS = ("text", "json", "github", "sarif")
+RESULT_FORMATS = ("text", "json", "markdown")
 
 
-def check_format(name: str) -> None:
+def check_format(name: str, known: Sequence[str] = FORMATS) -> None:
     """Raises ``typer.BadParameter`` if the output format is unknown."""
-    if name not in FORMATS:
-        raise typer.BadParameter(
-            f"{name!r} is none of {', '.join(FORMATS)}", param_hint="'--format'"
-        )
+    if name not in known:
+        raise typer.BadParameter(f"{name!r} is none of {', '.join(known)}", param_hint="'--format'")
 
 
 class DiagnosticOutput:

@@ -32,6 +32,12 @@ ScenarioRobot = Annotated[
     str,
     typer.Option("--robot", metavar="FILE", help="Use this robot instead of the scenario's."),
 ]
+ANY_MODEL = (
+    "A robot.yaml, a fleet.yaml, a build folder, or a file of a git revision: HEAD~1:robot.yaml."
+)
+ResultFormat = Annotated[
+    str, typer.Option("--format", metavar="text|json|markdown", help="Output format.")
+]
 Format = Annotated[
     str,
     typer.Option(

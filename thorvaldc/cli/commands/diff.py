@@ -9,9 +9,15 @@ from typing import Annotated
 
 import typer
 
-from thorvaldc.cli.diagnostic_output import message, print_json, show_report
+from thorvaldc.cli.diagnostic_output import (
+    RESULT_FORMATS,
+    check_format,
+    message,
+    print_json,
+    show_report,
+)
 from thorvaldc.cli.exits import DONE, INPUT
-from thorvaldc.cli.options import Json, Library, Trust, library_folders
+from thorvaldc.cli.options import ANY_MODEL, Json, Library, ResultFormat, Trust, library_folders
 from thorvaldc.cli.run_pictures import check_output
 from thorvaldc.tools.comparison.compared_inputs import InputKindError, compare, read_input
 from thorvaldc.tools.comparison.difference_text import (
@@ -20,22 +26,17 @@ from thorvaldc.tools.comparison.difference_text import (
     difference_text,
 )
 
-FORMATS = ("text", "json", "markdown")
-
 
 def diff(
     before: Annotated[
         str,
         typer.Argument(
             metavar="A",
-            help="A robot.yaml, a fleet.yaml, a build folder, or a file of a git revision:"
-            " HEAD~1:robot.yaml.",
+            help=ANY_MODEL,
         ),
     ],
     after: Annotated[str, typer.Argument(metavar="B", help="The robot to compare with A.")],
-    format: Annotated[
-        str, typer.Option("--format", metavar="text|json|markdown", help="Output format.")
-    ] = "text",
+    format: ResultFormat = "text",
     json: Json = False,
     everything: Annotated[
         bool, typer.Option("--all", help="List derived values as well, such as poses and shapes.")
@@ -50,10 +51,7 @@ def diff(
     library: Library = [],  # noqa: B006
     trust: Trust = False,
 ) -> int:
-    if format not in FORMATS:
-        raise typer.BadParameter(
-            f"{format!r} is none of {', '.join(FORMATS)}", param_hint="'--format'"
-        )
+    check_format(format, RESULT_FORMATS)
     if html:
         check_output(html, ["html", "htm"], "--html")
     folders = library_folders(library)

@@ -8,15 +8,13 @@ from typing import Annotated
 
 import typer
 
-from thorvaldc.cli.diagnostic_output import print_json, show_report
+from thorvaldc.cli.diagnostic_output import RESULT_FORMATS, check_format, print_json, show_report
 from thorvaldc.cli.exits import INPUT
-from thorvaldc.cli.options import Json, Library, Trust, library_folders
+from thorvaldc.cli.options import ANY_MODEL, Json, Library, ResultFormat, Trust, library_folders
 from thorvaldc.model import Fleet
 from thorvaldc.model.facts import facts_document, robot_facts
 from thorvaldc.tools.comparison.compared_inputs import read_input
 from thorvaldc.tools.facts_text import facts_markdown, facts_text
-
-FORMATS = ("text", "json", "markdown")
 
 
 def info(
@@ -24,13 +22,10 @@ def info(
         str,
         typer.Argument(
             metavar="ROBOT",
-            help="A robot.yaml, a fleet.yaml, a build folder, or a file of a git revision:"
-            " HEAD~1:robot.yaml.",
+            help=ANY_MODEL,
         ),
     ],
-    format: Annotated[
-        str, typer.Option("--format", metavar="text|json|markdown", help="Output format.")
-    ] = "text",
+    format: ResultFormat = "text",
     json: Json = False,
     everything: Annotated[
         bool, typer.Option("--all", help="List every module with the source of its mass.")
@@ -38,10 +33,7 @@ def info(
     library: Library = [],  # noqa: B006
     trust: Trust = False,
 ) -> int:
-    if format not in FORMATS:
-        raise typer.BadParameter(
-            f"{format!r} is none of {', '.join(FORMATS)}", param_hint="'--format'"
-        )
+    check_format(format, RESULT_FORMATS)
     with ExitStack() as temporary:
         loaded = read_input(file, temporary, library_folders(library), trust=trust)
         status = show_report(loaded.report, loaded.sources)
