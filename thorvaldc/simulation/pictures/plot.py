@@ -24,7 +24,6 @@ FORMATS = ("png", "svg", "pdf")
 TRUE, ESTIMATED, COMMANDED, LIMITED = "#1b7837", "#d95f02", "#9a9a9a", "#4575b4"
 MOST_ROBOTS = 6
 """Largest number of robots whose velocities are drawn.  Paths are drawn for all robots."""
-_DIRECTIONS = 48
 _OUT_OF_RANGE = 1e6  # m, m/s: the plot ends before the first larger value (divergence)
 
 
@@ -185,9 +184,7 @@ def footprint(robot: Robot, sample: Sample | None = None) -> list[Part]:
 
     The wheels are drawn at the steering angles in ``sample``.
     """
-    import numpy as np
-
-    from thorvaldc.simulation.pictures.surfaces import surface
+    from thorvaldc.simulation.pictures.surfaces import outline_from_above
 
     positions: dict[str, float] = {}
     if sample is not None and sample.joints is not None:
@@ -199,24 +196,9 @@ def footprint(robot: Robot, sample: Sample | None = None) -> list[Part]:
     for link in robot.links:
         for visual in link.visuals:
             pose = poses[link.name] * visual.pose
-            local, _ = surface(robot, visual.shape)
-            axes = np.array([pose.rotate(e) for e in ((1, 0, 0), (0, 1, 0), (0, 0, 1))])
-            points = local @ axes + np.asarray(pose.xyz)
-            parts.append(Part(convex(points[:, :2]), visual.color, float(points[:, 2].max())))
+            outline, top = outline_from_above(robot, visual.shape, pose)
+            parts.append(Part(outline, visual.color, top))
     return sorted(parts, key=lambda part: part.top)
-
-
-def convex(points: Points) -> Points:
-    """Returns an approximate convex hull of points.
-
-    The corners of the hull are the furthest points in each of ``_DIRECTIONS`` directions.
-    """
-    import numpy as np
-
-    angles = np.arange(_DIRECTIONS) * math.tau / _DIRECTIONS
-    furthest = np.argmax(points @ np.array([np.cos(angles), np.sin(angles)]), axis=0)
-    outline: Points = points[furthest]
-    return outline
 
 
 def _transformed(outline: Points, pose: Pose2) -> Points:
@@ -246,6 +228,8 @@ def _draw_robot(axes: Any, parts: Sequence[Part], pose: Pose2, opacity: float) -
 def _draw_outline(axes: Any, parts: Sequence[Part], pose: Pose2) -> None:
     import numpy as np
     from matplotlib.patches import Polygon
+
+    from thorvaldc.simulation.pictures.surfaces import convex
 
     if parts:
         outline = convex(np.vstack([part.outline for part in parts]))

@@ -12,12 +12,14 @@ import numpy.typing as npt
 
 from thorvaldc.model import Box, Cylinder, MeshShape, Robot, Sphere
 from thorvaldc.model.robot import Shape
-from thorvaldc.model.spatial import Vec3
+from thorvaldc.model.spatial import Pose, Vec3
 
 Points = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
 SIDES = 24
 """Number of corners of a circle."""
+_DIRECTIONS = 48
+"""Number of directions in which an outline has a corner."""
 
 
 def surface(robot: Robot, shape: Shape) -> tuple[Points, Faces]:
@@ -81,3 +83,26 @@ def _ball(shape: Sphere) -> tuple[Points, Faces]:
             a, b, c, d = (r * SIDES + s for r, s in ((k, i), (k, j), (k + 1, j), (k + 1, i)))
             faces += [(a, b, c)] * (k > 0) + [(a, c, d)] * (k < rows - 1)
     return shape.radius * np.asarray(points), np.asarray(faces)
+
+
+def outline_from_above(robot: Robot, shape: Shape, pose: Pose) -> tuple[Points, float]:
+    """Returns the approximate convex outline of a shape, seen from above, and its highest z (m).
+
+    ``pose``: the frame of the shape in the frame of the outline, with the array shape (n, 2) in m.
+    """
+    local, _ = surface(robot, shape)
+    turned = np.array([pose.rotate(e) for e in ((1, 0, 0), (0, 1, 0), (0, 0, 1))])
+    points = local @ turned + np.asarray(pose.xyz)
+    outline = convex(points[:, :2])
+    return outline, float(points[:, 2].max())
+
+
+def convex(points: Points) -> Points:
+    """Returns an approximate convex hull of points, with the array shape (n, 2).
+
+    The corners of the hull are the furthest points in each of ``_DIRECTIONS`` directions.
+    """
+    angles = np.arange(_DIRECTIONS) * math.tau / _DIRECTIONS
+    furthest = np.argmax(points @ np.array([np.cos(angles), np.sin(angles)]), axis=0)
+    outline: Points = points[furthest]
+    return outline

@@ -54,19 +54,15 @@ def _draw_zone(axes: Any, zone: Zone) -> None:
 
 
 def _draw_bodies(axes: Any, world: World, robot: Robot) -> None:
-    import numpy as np
     from matplotlib.patches import Polygon
 
-    from thorvaldc.simulation.pictures.plot import convex
-    from thorvaldc.simulation.pictures.surfaces import surface
+    from thorvaldc.simulation.pictures.surfaces import outline_from_above
 
     for block in world.blocks:
-        local, _ = surface(robot, block.shape)
-        turned = np.array([block.pose.rotate(e) for e in ((1, 0, 0), (0, 1, 0), (0, 0, 1))])
-        points = local @ turned + np.asarray(block.pose.xyz)
+        outline, _ = outline_from_above(robot, block.shape, block.pose)
         axes.add_patch(
             Polygon(
-                convex(points[:, :2]),
+                outline,
                 facecolor=BODY,
                 edgecolor="#303030",
                 lw=0.4,
