@@ -6,7 +6,6 @@ import functools
 import http.server
 import json
 import os
-import shutil
 import subprocess
 import sys
 import threading
@@ -16,8 +15,9 @@ from typing import Any
 
 import pytest
 
+from tests.accessibility import axe_script, violations
 from tests.docs.site_pages import dead_links, foreign_files
-from tests.outside_tools import path_of, without
+from tests.outside_tools import path_of
 
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = [pytest.mark.xdist_group("site"), pytest.mark.timeout(300)]
@@ -91,19 +91,7 @@ def address(site: Path) -> Iterator[str]:
 @pytest.fixture(scope="module")
 def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
     """The program axe-core, which checks the accessibility of a page in a browser."""
-    folder = tmp_path_factory.mktemp("axe")
-    for name in ("package.json", "package-lock.json"):
-        shutil.copy(Path(__file__).parent / "axe" / name, folder)
-    install = subprocess.run(
-        [path_of("npm"), "ci", "--ignore-scripts", "--no-audit", "--no-fund"],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if install.returncode != 0:
-        without(f"axe-core cannot be installed: {install.stderr[-300:]}")
-    return (folder / "node_modules/axe-core/axe.min.js").read_text(encoding="utf-8")
+    return axe_script(tmp_path_factory.mktemp("axe"))
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +107,7 @@ def browser() -> Iterator[Any]:
 
 
 def test_pages_are_accessible_and_ask_no_other_host(address: str, axe: str, browser: Any) -> None:
-    violations, hosts, errors, wide = [], set(), [], []
+    found, hosts, errors, wide = [], set(), [], []
     for name, width, colours in SAMPLE:
         page = browser.new_page(
             viewport={"width": width, "height": 900}, color_scheme=colours, bypass_csp=True
@@ -127,17 +115,11 @@ def test_pages_are_accessible_and_ask_no_other_host(address: str, axe: str, brow
         page.on("request", lambda request: hosts.add(request.url.split("/")[2]))
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.goto(f"{address}/{name}")
-        page.evaluate(axe)
-        result = page.evaluate("axe.run(document, {resultTypes: ['violations']})")
-        violations += [
-            f"{name} {width} {colours}: {violation['id']}: {node['html'][:200]}"
-            for violation in result["violations"]
-            for node in violation["nodes"][:3]
-        ]
+        found += violations(page, axe, f"{name} {width} {colours}")
         if page.evaluate("document.documentElement.scrollWidth") > width:
             wide.append(f"{name} {width}")
         page.close()
-    assert violations == []
+    assert found == []
     assert hosts == {address.removeprefix("http://")}
     assert (errors, wide) == ([], [])
 
@@ -145,10 +127,9 @@ def test_pages_are_accessible_and_ask_no_other_host(address: str, axe: str, brow
 def test_axe_finds_a_picture_without_a_text(axe: str, browser: Any) -> None:
     page = browser.new_page()
     page.set_content("<html lang='en'><title>x</title><main><h1>x</h1><img src='x.png'></main>")
-    page.evaluate(axe)
-    result = page.evaluate("axe.run()")
+    found = violations(page, axe, "page")
     page.close()
-    assert [violation["id"] for violation in result["violations"]] == ["image-alt"]
+    assert found == ['page: image-alt: <img src="x.png">']
 
 
 def test_the_search_finds_a_page(address: str, browser: Any) -> None:

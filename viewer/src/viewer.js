@@ -14,6 +14,8 @@ const SELECTED = new Color().setRGB(1, 0.62, 0.1, "srgb");
 const GREY = new Color().setRGB(0.72, 0.74, 0.76, "srgb");
 const GHOST = new Color().setRGB(0.2, 0.45, 0.9, "srgb");
 const FRAME_SIZE = 0.12; // m
+const TURNS = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] }; // rad
+const ZOOMS = { "+": 0.9, "=": 0.9, "-": 1 / 0.9 };
 const MAX_GRID = 60; // m, half the side
 
 function place(object, [x, y, z, qw, qx, qy, qz]) {
@@ -131,7 +133,23 @@ export class Viewer {
       if (down && Math.hypot(event.clientX - down[0], event.clientY - down[1]) < 4 && event.button === 0) onPick(...this.pick(event));
       down = null;
     });
+    canvas.addEventListener("keydown", (event) => this.turn(event));
     window.addEventListener("resize", () => this.redraw());
+  }
+
+  // Arrow keys turn the camera around its target, plus and minus change the distance.
+  turn(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const [right, up] = TURNS[event.key] || [0, 0], scale = ZOOMS[event.key] || 1;
+    if (!right && !up && scale === 1) return;
+    event.preventDefault();
+    const offset = this.camera.position.clone().sub(this.controls.target), length = offset.length() * scale;
+    const rise = Math.min(Math.max(Math.asin(offset.z / offset.length()) + up, -1.5), 1.5);
+    const angle = Math.atan2(offset.y, offset.x) + right;
+    offset.set(Math.cos(rise) * Math.cos(angle), Math.cos(rise) * Math.sin(angle), Math.sin(rise)).multiplyScalar(length);
+    this.camera.position.copy(this.controls.target).add(offset);
+    this.controls.update();
+    this.redraw();
   }
 
   // Shows other robots. The camera stays where it is if the viewer showed robots before.

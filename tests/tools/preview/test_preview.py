@@ -16,8 +16,14 @@ from urllib.parse import urlsplit
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
+from tests.accessibility import axe_script, violations
 from tests.child_process import ChildProcess
+from tests.examples import example_robot
 from tests.outside_tools import path_of
+from thorvaldc.compiler.pipeline import emit
+from thorvaldc.simulation.pictures.view_page import view_page
+from thorvaldc.tools.comparison.difference_page import difference_page
+from thorvaldc.tools.comparison.robot_comparison import compare_robots
 
 ROOT = Path(__file__).parents[3]
 GOOD = (ROOT / "examples" / "4wd4ws_wide" / "robot.yaml").read_text(encoding="utf-8")
@@ -28,9 +34,10 @@ OPTIONS = (
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 )
+SIZES, IDS = ((1280, 800), (390, 844)), ("desk", "phone")
 WAIT = 60_000  # ms, for a busy machine
 
-pytestmark = pytest.mark.timeout(240)
+pytestmark = [pytest.mark.xdist_group("preview"), pytest.mark.timeout(240)]
 
 
 class Preview:
@@ -91,7 +98,12 @@ def browser() -> Iterator[Browser]:
         browser.close()
 
 
-@pytest.fixture(params=[(1280, 800), (390, 844)], ids=["desk", "phone"])
+@pytest.fixture(scope="module")
+def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return axe_script(tmp_path_factory.mktemp("axe"))
+
+
+@pytest.fixture(params=SIZES, ids=IDS)
 def page(request: pytest.FixtureRequest, preview: Preview, browser: Browser) -> Iterator[Page]:
     width, height = request.param
     page = browser.new_page(viewport={"width": width, "height": height})
@@ -192,6 +204,59 @@ def test_the_robot_drives_while_a_key_is_held(page: Page) -> None:
     assert position(page) == pytest.approx(stopped, abs=0.01)
     page.keyboard.press("Escape")
     page.wait_for_selector("#drive[aria-pressed=false]", timeout=WAIT)
+
+
+@pytest.mark.parametrize("size", SIZES, ids=IDS)
+def test_the_page_is_accessible(
+    preview: Preview, browser: Browser, axe: str, size: tuple[int, int]
+) -> None:
+    width, height = size
+    page = browser.new_page(viewport={"width": width, "height": height}, bypass_csp=True)
+    found = []
+
+    def check(state: str) -> None:
+        for colours in ("light", "dark"):
+            page.emulate_media(color_scheme=colours)
+            found.extend(violations(page, axe, f"{state} {colours}"))
+
+    page.goto(preview.url)
+    page.wait_for_selector("#tables details", state="attached", timeout=WAIT)
+    page.click("#names")
+    page.click("#sensors")
+    check("robot")
+    preview.save(BAD)
+    page.wait_for_selector(".diagnostic.error", timeout=WAIT)
+    page.wait_for_timeout(200)  # the picture fades
+    check("error")
+    preview.save(GOOD)
+    page.wait_for_selector(".diagnostic.error", state="detached", timeout=WAIT)
+    page.click("#drive")
+    page.wait_for_selector("#drive[aria-pressed=true]", timeout=WAIT)
+    check("driving")
+    page.close()
+    assert found == []
+
+
+def test_exported_pages_are_accessible(browser: Browser, axe: str, tmp_path: Path) -> None:
+    robot, before = example_robot("4wd4ws_wide"), example_robot("4wd4ws_slim")
+    texts = {
+        "view": view_page(robot).encode(),
+        "diff": difference_page(compare_robots(before, robot), before, robot).encode(),
+        "datasheet": emit(robot, ["datasheet"])["datasheet/datasheet.html"],
+    }
+    found = []
+    for name, text in texts.items():
+        path = tmp_path / f"{name}.html"
+        path.write_bytes(text)
+        for (width, height), colours in zip(SIZES, ("light", "dark"), strict=True):
+            page = browser.new_page(
+                viewport={"width": width, "height": height}, color_scheme=colours, bypass_csp=True
+            )
+            page.goto(path.as_uri())
+            found += violations(page, axe, f"{name} {width} {colours}")
+            assert page.evaluate("document.documentElement.scrollWidth") <= width, name
+            page.close()
+    assert found == []
 
 
 def test_requests_that_are_refused(preview: Preview) -> None:
