@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,8 @@ from tests.docs.tutorial import (
     Reader,
     blocks_of,
     mismatch,
+    picture_difference,
+    pictures_in,
     programs_in,
     ros_programs_in,
 )
@@ -28,17 +31,16 @@ def page(name: str) -> str:
     return (FOLDER / f"{name}.md").read_text(encoding="utf-8")
 
 
+def install_command() -> str:
+    return re.findall(r"^\$ (pip install .*)$", page("tutorial/README"), re.M)[0]
+
+
 @pytest.fixture(scope="module")
 def reader(tmp_path_factory: pytest.TempPathFactory) -> Reader:
     """A reader with the package of the wheel, and with no settings of this computer's user."""
     home = tmp_path_factory.mktemp("home")
-    install = ["install", "--quiet", "--no-deps", "--no-index", "--no-build-isolation"]
-    subprocess.run(
-        [sys.executable, "-m", "pip", *install, "--target", str(home / "site"), str(ROOT)],
-        check=True,
-        capture_output=True,
-    )
     (home / "scout").mkdir()
+    (home / "thorvaldc").symlink_to(ROOT)  # where the pages say that the checkout is
     environment = {
         **{name: value for name, value in variables(home).items() if name.startswith("ROS_")},
         "HOME": str(home),
@@ -49,6 +51,16 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> Reader:
     }
     if "MUJOCO_GL" in os.environ:
         environment["MUJOCO_GL"] = os.environ["MUJOCO_GL"]
+    options = {"TARGET": "site", "NO_DEPS": "1", "NO_INDEX": "1", "NO_BUILD_ISOLATION": "0"}
+    done = subprocess.run(
+        ["sh", "-c", install_command()],
+        cwd=home,
+        env={**environment, **{f"PIP_{name}": value for name, value in options.items()}},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
     # On a busy computer, matplotlib prints that it looks for fonts; the pages do not show that.
     fonts = [sys.executable, "-c", "import matplotlib.font_manager"]
     subprocess.run(fonts, env=environment, check=True, capture_output=True)
@@ -61,6 +73,10 @@ def test_every_command_of_the_page_prints_what_it_shows(name: str, reader: Reade
         ros_programs_in(reader.folder.parent / "bin")
     differences = reader.follow_in_real_time(page(name))
     assert not differences, "\n\n".join(differences)
+    for picture in pictures_in(page(name)):
+        stored = FOLDER / "tutorial/pictures" / picture
+        if (reader.folder / picture).exists():  # not the pictures of other pages
+            assert picture_difference(stored, reader.folder / picture) < 0.02, picture
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -71,6 +87,13 @@ def test_the_page_shows_pictures_that_its_commands_make(name: str) -> None:
         if f"pictures/{picture.name}" in text:
             commands = [block.text for block in blocks_of(text) if block.language == "console"]
             assert any(picture.name in command for command in commands), picture.name
+
+
+def test_another_picture_is_noticed() -> None:
+    pictures = [FOLDER / f"tutorial/pictures/{name}.png" for name in ("first", "tank", "run")]
+    assert picture_difference(pictures[0], pictures[0]) == 0.0
+    assert picture_difference(pictures[0], pictures[1]) > 0.03  # without and with the tank
+    assert picture_difference(pictures[0], pictures[2]) > 0.1
 
 
 def test_a_difference_is_noticed() -> None:

@@ -308,9 +308,9 @@ def with_output(page: str, printed: dict[int, str]) -> str:
 
 
 def programs_in(folder: Path) -> Path:
-    """Writes the programs ``python`` and ``thorvaldc`` of this environment; returns the folder."""
+    """Writes ``python``, ``pip`` and ``thorvaldc`` of this environment; returns the folder."""
     folder.mkdir()
-    for name, arguments in (("python", ""), ("thorvaldc", "-m thorvaldc ")):
+    for name, arguments in (("python", ""), ("pip", "-m pip "), ("thorvaldc", "-m thorvaldc ")):
         script = folder / name
         script.write_text(f'#!/bin/sh\nexec {sys.executable} {arguments}"$@"\n', encoding="utf-8")
         script.chmod(0o755)
@@ -328,6 +328,21 @@ def ros_programs_in(folder: Path) -> None:
         script = folder / name
         script.write_text(f'#!/bin/sh\n{path} exec {command} "$@"\n', encoding="utf-8")
         script.chmod(0o755)
+
+
+def pictures_in(page: str) -> list[str]:
+    return re.findall(r"\(pictures/(\S+)\)", page)
+
+
+def picture_difference(first: Path, second: Path) -> float:
+    """Returns the mean difference of two pictures per pixel, from 0 to 1 (black and white)."""
+    from PIL import Image, ImageChops, ImageStat
+
+    pictures = [Image.open(path).convert("RGBA").convert("RGB") for path in (first, second)]
+    if pictures[0].size != pictures[1].size:
+        return 1.0
+    small = [picture.resize((160, 100)) for picture in pictures]  # edges and texts may move a bit
+    return max(ImageStat.Stat(ImageChops.difference(*small)).mean) / 255.0
 
 
 def store_pictures(source: Path, names: list[str]) -> None:
@@ -354,7 +369,7 @@ def main() -> None:
                 print(f"{page}: {difference}")
             text = with_output(text, reader.printed)
             file.write_text(text, encoding="utf-8")
-            store_pictures(reader.folder, re.findall(r"\(pictures/(\S+)\)", text))
+            store_pictures(reader.folder, pictures_in(text))
 
 
 if __name__ == "__main__":
