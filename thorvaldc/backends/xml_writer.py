@@ -79,6 +79,14 @@ def _format(value: Value) -> str:
     return number(value)
 
 
+def _attributes_text(attributes: dict[str, Value | None]) -> str:
+    text = ""
+    for name, value in attributes.items():
+        if value is not None:
+            text += f'{_head(name)}{_format(value)}"'
+    return text
+
+
 class Element:
     """An XML element with attributes and either children or text.
 
@@ -89,11 +97,9 @@ class Element:
 
     def __init__(self, tag: str, /, **attributes: Value | None) -> None:
         self.tag = tag
-        self.attributes = ""
+        self.attributes = _attributes_text(attributes) if attributes else ""
         self.children: list[Element] = []
         self.text = ""
-        if attributes:
-            self.set(**attributes)
 
     def set(self, **attributes: Value | None) -> None:
         """Add attributes to the XML element. XML attributes with the value ``None`` are omitted.
@@ -101,15 +107,13 @@ class Element:
         A trailing underscore is removed from the name of an XML attribute. A trailing underscore
         allows XML attribute names that are keywords of Python, such as ``class_``.
         """
-        text = self.attributes
-        for name, value in attributes.items():
-            if value is not None:
-                text += f'{_head(name)}{_format(value)}"'
-        self.attributes = text
+        self.attributes += _attributes_text(attributes)
 
     def add(self, tag: str, /, **attributes: Value | None) -> Element:
         """Append a new child element to the XML element and return the child."""
-        child = Element(tag, **attributes)
+        child = Element(tag)
+        if attributes:
+            child.attributes = _attributes_text(attributes)
         self.children.append(child)
         return child
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 import json
-import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -158,25 +157,13 @@ def json_text(document: dict[str, Any]) -> str:
 
 
 def _layout(value: Any, depth: int) -> str:
-    kind = type(value)
-    if kind is str:
-        return _text(value)
-    if kind is dict:
-        if all(map(_is_flat, _containers(value.values()))):
-            return "{" + ", ".join([f"{_text(k)}: {_layout(v, 0)}" for k, v in value.items()]) + "}"
-        pad = "\n" + "  " * depth
+    pad = "\n" + "  " * depth
+    if type(value) is dict and not all(map(_is_flat, _containers(value.values()))):
         rows = [f"{pad}  {_text(k)}: {_layout(v, depth + 1)}" for k, v in value.items()]
         return "{" + ",".join(rows) + pad + "}"
-    if kind is list:
-        if not _containers(value):
-            return "[" + ", ".join([_layout(v, 0) for v in value]) + "]"
-        pad = "\n" + "  " * depth
+    if type(value) is list and _containers(value):
         return "[" + ",".join([f"{pad}  {_layout(v, depth + 1)}" for v in value]) + pad + "]"
-    if value is None:
-        return "null"
-    if kind is int or (kind is float and math.isfinite(value)):
-        return repr(value)
-    return _ENCODER.encode(value)
+    return _text(value) if type(value) is str else _ENCODER.encode(value)
 
 
 # One call of the JSON encoder takes several microseconds, and most texts occur many times.
