@@ -16,6 +16,7 @@ A comment before a block changes this, with one or more of these parts, separate
 - ``<!-- test: fails -->``: the last command has an exit status that is not 0
 - ``<!-- test: numbers differ by 20 % -->``; speeds and hashes by any amount
 - ``<!-- test: stop Terminal 2 -->``: presses Ctrl-C there
+- ``<!-- test: screenshot NAME.png -->``: opens the address that the block prints, in a browser
 
 ``python -m tests.docs.tutorial`` runs all pages, corrects the output that they show, and
 stores the pictures that they show.
@@ -41,6 +42,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tests.child_process import ChildProcess
+from tests.outside_tools import path_of
 from tests.ros.environments import python_of, variables
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -197,6 +199,8 @@ class Reader:
                 output, status = self.press(command, block.value("keys"))
             elif block.title and last:
                 output, status = self.start(block, command, shown), 0
+                if block.has("screenshot"):
+                    take_screenshot(output, self.folder / block.value("screenshot"))
             else:
                 output, status = self.run(command)
             result += f"$ {command}\n{output.rstrip()}\n" if output else f"$ {command}\n"
@@ -330,6 +334,23 @@ def ros_programs_in(folder: Path) -> None:
         script.chmod(0o755)
 
 
+def take_screenshot(output: str, picture: Path) -> None:
+    """Stores what a browser shows of the address in ``output``, a page with a picture in 3D."""
+    from playwright.sync_api import sync_playwright
+
+    address = re.findall(r"http://\S+", output)[0]
+    options = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path_of("chromium"), args=options)
+        page = browser.new_page(viewport={"width": 1000, "height": 600})
+        page.goto(address)
+        page.wait_for_selector("html[data-version]", timeout=60_000)
+        page.wait_for_selector("#tables details", state="attached", timeout=60_000)
+        page.wait_for_timeout(1000)  # for the picture in 3D
+        page.screenshot(path=picture)
+        browser.close()
+
+
 def pictures_in(page: str) -> list[str]:
     return re.findall(r"\(pictures/(\S+)\)", page)
 
@@ -360,7 +381,8 @@ def main() -> None:
         programs = programs_in(Path(name) / "bin")
         ros_programs_in(programs)
         path = f"{programs}{os.pathsep}{os.environ['PATH']}"
-        reader = Reader(Path(name) / "scout", {**variables(Path(name)), "PATH": path})
+        environment = {**variables(Path(name)), "PATH": path, "BROWSER": "true"}
+        reader = Reader(Path(name) / "scout", environment)
         reader.folder.mkdir()
         for page in PAGES:
             file = FOLDER / f"{page}.md"
