@@ -20,6 +20,7 @@ MODULES = (
         "Show a module type: parameters, ports, sources of its numbers.",
     ),
     CommandEntry("check", "modules_check:check_modules", "Check the modules in folders."),
+    CommandEntry("new", "modules_new:new_module", "Make a module with a mesh to start from."),
 )
 CAN = (
     CommandEntry(
@@ -69,7 +70,7 @@ COMMANDS: tuple[CommandEntry | GroupEntry, ...] = (
         "calibrate:calibrate",
         "Estimate wheel radii and steering offsets from a joint log.",
     ),
-    GroupEntry("modules", MODULES, "List, show and check the hardware modules."),
+    GroupEntry("modules", MODULES, "List, show, check and make hardware modules."),
     CommandEntry("info", "info:info", "Show size, loads, limits, wiring and parts of a robot."),
     CommandEntry("diff", "diff:diff", "Compare two robots, builds or git revisions."),
     CommandEntry("why", "why:why", "Explain where a number of a robot comes from."),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from thorvaldc.compiler.new_robot import robot_text
@@ -36,15 +37,15 @@ def project_files(name: str, preset: str) -> dict[str, str]:
     return files
 
 
-def write_project(folder: Path, files: dict[str, str]) -> None:
-    """Writes the files of a new repository; an existing file is never replaced.
+def write_new_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
+    """Writes files with new names into a folder; an existing file is never replaced.
 
     Raises ``FileExistsError`` before any file is written if one of them exists.
     """
     for path in files:
         if (folder / path).exists():
             raise FileExistsError(str(folder / path))
-    for path, text in files.items():
+    for path, content in files.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
-        with (folder / path).open("x", encoding="utf-8") as stream:
-            stream.write(text)
+        with (folder / path).open("xb") as stream:
+            stream.write(content.encode() if isinstance(content, str) else content)

@@ -9,7 +9,7 @@ import typer
 
 from thorvaldc.cli.completed_values import preset_names
 from thorvaldc.cli.exits import DONE
-from thorvaldc.compiler.new_project import project_files, write_project
+from thorvaldc.compiler.new_project import project_files, write_new_files
 from thorvaldc.compiler.new_robot import is_robot_name, presets, robot_text
 
 
@@ -56,7 +56,7 @@ def new(
 def _new_project(name: str, preset: str) -> int:
     files = project_files(name, preset)
     try:
-        write_project(Path(name), files)
+        write_new_files(Path(name), files)
     except FileExistsError as error:
         raise typer.BadParameter(f"{error} exists already", param_hint="NAME") from None
     print(

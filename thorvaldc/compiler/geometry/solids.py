@@ -86,7 +86,7 @@ def solid_of_shapes(
     return combine(bodies) if bodies else None
 
 
-def _triangles(mesh: Mesh) -> NDArray[np.float64]:
+def mesh_triangles(mesh: Mesh) -> NDArray[np.float64]:
     """Returns the corners of the triangles of a mesh that ``load_mesh`` has read, as (n, 3, 3)."""
     import numpy as np
 
@@ -136,7 +136,7 @@ def _closed_mesh(mesh: Mesh, scale: Vec3, density: float) -> Inertial | None:
     """
     import numpy as np
 
-    triangles = _triangles(mesh) * np.array(scale)
+    triangles = mesh_triangles(mesh) * np.array(scale)
     if not _is_closed(triangles):
         return None
     origin = triangles[0, 0]
