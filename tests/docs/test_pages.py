@@ -24,6 +24,13 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert (page.parent / target).exists(), target
 
 
+def test_the_index_leads_to_every_page() -> None:
+    docs = ROOT / "docs"
+    links = set(re.findall(r"\]\(([^)#]+)", (docs / "index.md").read_text(encoding="utf-8")))
+    pages = [*docs.glob("*.md"), *docs.glob("how-to/*.md"), *docs.glob("explanation/*.md")]
+    assert {str(page.relative_to(docs)) for page in pages} - links == {"index.md"}
+
+
 def test_the_first_look_shows_what_the_commands_print(tmp_path: Path) -> None:
     page = (ROOT / "docs/first-look.md").read_text(encoding="utf-8")
     document = re.search(r"```yaml\n(.*?)```", page, re.S)
