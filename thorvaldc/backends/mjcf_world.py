@@ -90,7 +90,7 @@ def _add_zones(scene: Element, body: Element, zones: Sequence[Zone]) -> dict[str
     files = {}
     for number, zone in enumerate(zones, 1):
         x, y = zone.size
-        geom = body.add("geom", pos=zone.pose.xyz, quat=zone.pose.quat, rgba=_zone_color(zone))
+        geom = body.add("geom", pos=zone.pose.xyz, quat=zone.pose.quat, rgba=zone_color(zone))
         if zone.level:
             # The plate of a level zone is only visible and has no contacts, because the ground
             # plane carries the robots.
@@ -111,7 +111,8 @@ def _add_zones(scene: Element, body: Element, zones: Sequence[Zone]) -> dict[str
     return files
 
 
-def _zone_color(zone: Zone) -> tuple[float, float, float, float]:
+def zone_color(zone: Zone) -> tuple[float, float, float, float]:
+    """Return the colour of a zone: red, green, blue and opacity, each 0 to 1."""
     if zone.friction is not None and zone.friction < _SLIPPERY:
         return (0.75, 0.87, 0.95, 1.0)
     return (0.62, 0.58, 0.48, 1.0) if zone.level else (0.72, 0.7, 0.62, 1.0)

@@ -30,6 +30,8 @@ from thorvaldc.schema.documents import Kind
 # The scenario classes are imported only for type checkers, because the import takes several
 # milliseconds.
 if TYPE_CHECKING:
+    from thorvaldc.compiler.modules.instance import Instance
+    from thorvaldc.compiler.modules.mounting_ports import MountingPort
     from thorvaldc.compiler.source.node import Node
     from thorvaldc.model.scenario import Scenario
 
@@ -94,6 +96,7 @@ class Compilation:
     files : path of the input file for each file name in spans of ``model``.
     locks : text of each lock file that a build must write, by the path of the lock file.
     acceptances : entries of the sections ``accept`` of the compiled file, its modules and parts.
+    instances : tree of module instances of each robot, by the file name in the span of the robot.
     """
 
     model: Robot | Fleet | None = None
@@ -105,6 +108,7 @@ class Compilation:
     files: dict[str, Path] = field(default_factory=dict)
     locks: dict[Path, str] = field(default_factory=dict)
     acceptances: list[Acceptance] = field(default_factory=list)
+    instances: dict[str, Instance] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         content = "no model" if self.model is None else repr(self.model)
@@ -114,6 +118,15 @@ class Compilation:
     def of(cls, source: SourceFile) -> Compilation:
         """Returns a compilation of the file without a model and without diagnostics."""
         return cls(folder=source.folder, files={source.name: source.path})
+
+    def ports(self, robot: Robot) -> list[MountingPort]:
+        """Returns the mounting ports of a robot of the compilation.
+
+        They are no part of the model, because the outputs of a build do not need them.
+        """
+        from thorvaldc.compiler.modules.mounting_ports import mounting_ports
+
+        return mounting_ports(self.instances[robot.span.file], robot)
 
     def located(self, report: Report) -> Report:
         """Replaces file names in diagnostics about the model by the paths that the user passed.
@@ -177,6 +190,7 @@ class Compilation:
             self.report.extend(part.report)
             self.sources.update(part.sources)
             self.locks.update(part.locks)
+            self.instances.update(part.instances)
         if source.document is not None:
             self.source_sha256 = self._hash_sources(parts, lock_file)
         later = without_consequences(source.shape, report.excluding_spans_of(source.shape))

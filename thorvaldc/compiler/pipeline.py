@@ -118,13 +118,17 @@ def compile_robot(source: SourceFile, library: Sequence[Path], trust: bool = Fal
     if _module_names(document):
         lock = read_robot_lock(source, compilation, report)
         modules = Library(library_folders_of(document, source.path.parent, library, report))
+        resolver = Resolver(modules, report)
+        invalid_modules = sorted(_module_names(source.document) - _module_names(document))
+        instance = resolver.resolve(document, invalid_modules)
+        compilation.instances[source.name] = instance
         model = elaborate(
             document,
-            Resolver(modules, report),
+            instance,
+            resolver,
             source.path.parent,
             report,
             compilation.files,
-            sorted(_module_names(source.document) - _module_names(document)),
             modules_are_valid=_modules_are_valid(source),
             lock=lock,
             trust=trust,

@@ -16,6 +16,7 @@ const GHOST = new Color().setRGB(0.2, 0.45, 0.9, "srgb");
 const FRAME_SIZE = 0.12; // m
 const TURNS = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] }; // rad
 const ZOOMS = { "+": 0.9, "=": 0.9, "-": 1 / 0.9 };
+const FLAT = ["ground", "zone"]; // parts of the world that may be much larger than what stands on it
 const MAX_GRID = 60; // m, half the side
 
 function place(object, [x, y, z, qw, qx, qy, qz]) {
@@ -28,7 +29,6 @@ const geometries = new WeakMap(); // of the shapes of the data
 
 function geometryOf(shape) {
   if (geometries.has(shape)) return geometries.get(shape);
-  const bytes = (text) => Uint8Array.from(atob(text), (character) => character.charCodeAt(0)).buffer;
   const geometry = new BufferGeometry();
   geometry.setAttribute("position", new BufferAttribute(new Float32Array(bytes(shape.points)), 3));
   geometry.setIndex(new BufferAttribute(new Uint32Array(bytes(shape.faces)), 1));
@@ -36,6 +36,60 @@ function geometryOf(shape) {
   geometry.computeBoundingSphere();
   geometries.set(shape, geometry);
   return geometry;
+}
+
+function materialOf([r, g, b, a], ghost = false) {
+  const material = new MeshLambertMaterial({
+    flatShading: true, side: DoubleSide, transparent: ghost || a < 1, opacity: ghost ? 0.25 : a, depthWrite: !ghost,
+  });
+  material.userData.color = ghost ? GHOST : new Color().setRGB(r, g, b, "srgb");
+  material.color.copy(material.userData.color);
+  return material;
+}
+
+function bytes(text) {
+  return Uint8Array.from(atob(text), (character) => character.charCodeAt(0)).buffer;
+}
+
+// The surface of a height grid, with squares of 1 m.
+function reliefOf({ size, rows, columns, heights }) {
+  const z = new Float32Array(bytes(heights)), points = new Float32Array(3 * z.length), shades = new Float32Array(3 * z.length);
+  const faces = new Uint32Array(6 * (rows - 1) * (columns - 1));
+  for (let row = 0, n = 0, f = 0; row < rows; row++)
+    for (let column = 0; column < columns; column++, n++) {
+      const x = size[0] * (column / (columns - 1) - 0.5), y = size[1] * (row / (rows - 1) - 0.5);
+      points.set([x, y, z[n]], 3 * n);
+      shades.fill((Math.floor(x) + Math.floor(y)) % 2 ? 1 : 0.86, 3 * n, 3 * n + 3);
+      if (row && column) {
+        faces.set([n - columns - 1, n - columns, n, n - columns - 1, n, n - 1], f);
+        f += 6;
+      }
+    }
+  const geometry = new BufferGeometry();
+  geometry.setAttribute("position", new BufferAttribute(points, 3));
+  geometry.setAttribute("color", new BufferAttribute(shades, 3));
+  geometry.setIndex(new BufferAttribute(faces, 1));
+  return geometry;
+}
+
+// What surrounds the robots: fixed bodies, zones and terrain.
+class WorldView {
+  constructor(world, geometries) {
+    this.group = new Group();
+    this.meshes = world.bodies.map((body) => {
+      const mesh = place(new Mesh(geometries[body.shape], materialOf(body.color)), body.pose);
+      mesh.userData = { kind: body.kind, name: body.name };
+      return mesh;
+    });
+    for (const relief of world.reliefs) {
+      const material = materialOf(relief.color);
+      material.vertexColors = true;
+      const mesh = place(new Mesh(reliefOf(relief), material), relief.pose);
+      mesh.userData = { kind: relief.kind, name: "" };
+      this.meshes.push(mesh);
+    }
+    this.group.add(...this.meshes);
+  }
 }
 
 // One robot of the scene: a tree of groups, one for each link.
@@ -58,21 +112,18 @@ class RobotView {
     this.meshes = [];
     for (const link of design.links)
       for (const visual of link.visuals) {
-        const [r, g, b, a] = visual.color;
-        const material = new MeshLambertMaterial({
-          flatShading: true, side: DoubleSide, transparent: ghost || a < 1, opacity: ghost ? 0.25 : a, depthWrite: !ghost,
-        });
-        material.userData.color = ghost ? GHOST : new Color().setRGB(r, g, b, "srgb");
-        material.color.copy(material.userData.color);
-        const mesh = place(new Mesh(geometries[visual.shape], material), visual.pose);
+        const mesh = place(new Mesh(geometries[visual.shape], materialOf(visual.color, ghost)), visual.pose);
         mesh.userData = { robot: number, part: link.module };
         if (this.links[link.name]) this.links[link.name].add(mesh);
         this.meshes.push(mesh);
       }
     this.frames = (design.frames || []).map((frame) => {
       const axes = new AxesHelper(frame.kind === "link" ? FRAME_SIZE / 2 : FRAME_SIZE);
-      axes.userData = { name: frame.name, kind: frame.kind };
+      axes.userData = { name: frame.name, kind: frame.kind, note: frame.note || "" };
+      axes.material.depthTest = false; // most frames are inside a body
+      axes.renderOrder = 1;
       axes.visible = false;
+      if (frame.pose) place(axes, frame.pose);
       if (this.links[frame.link]) this.links[frame.link].add(axes);
       return axes;
     });
@@ -96,7 +147,8 @@ class RobotView {
   // The position (m) of a link in the scene.
   at(link) {
     this.base.updateWorldMatrix(true, true);
-    return this.links[link].getWorldPosition(new Vector3()).toArray();
+    const point = this.links[link].getWorldPosition(new Vector3());
+    return (this.base.parent ? this.base.parent.worldToLocal(point) : point).toArray();
   }
 }
 
@@ -111,7 +163,8 @@ export class Viewer {
     this.isGrey = false;
     this.names = false;
     this.retired = []; // materials and geometries to dispose of
-    this.shown = { sensor: false, link: false };
+    this.shown = { sensor: false, link: false, port: false };
+    this.surroundings = null;
     this.camera = new PerspectiveCamera(40, 1, 0.01, 1000);
     this.camera.up.set(0, 0, 1);
     this.scene = new Scene();
@@ -158,8 +211,8 @@ export class Viewer {
     const positions = Object.fromEntries(this.robots.map((robot) => [robot.name, robot.positions]));
     for (const child of [...this.world.children]) this.world.remove(child);
     const old = new Set();
-    for (const robot of [...this.robots, ...this.ghosts])
-      for (const mesh of robot.meshes) { this.retired.push(mesh.material); old.add(mesh.geometry); }
+    for (const { meshes } of this.views())
+      for (const mesh of meshes) { this.retired.push(mesh.material); old.add(mesh.geometry); }
     const views = (data, isGhost) => {
       const geometries = data.shapes.map(geometryOf);
       return data.robots.map((robot, number) => new RobotView(robot, data.designs[robot.design], geometries, number, isGhost));
@@ -171,7 +224,11 @@ export class Viewer {
       for (const name of Object.keys(known)) if (robot.joints[name]) robot.positions[name] = known[name];
     }
     for (const robot of [...this.robots, ...this.ghosts]) { robot.move(); this.world.add(robot.base); }
-    for (const robot of [...this.robots, ...this.ghosts]) for (const mesh of robot.meshes) old.delete(mesh.geometry);
+    this.surroundings = data.world ? new WorldView(data.world, data.shapes.map(geometryOf)) : null;
+    if (this.surroundings) this.world.add(this.surroundings.group);
+    const [w, x, y, z] = data.world ? data.world.tilt : [1, 0, 0, 0];
+    this.world.quaternion.set(x, y, z, w);
+    for (const { meshes } of this.views()) for (const mesh of meshes) old.delete(mesh.geometry);
     this.retired.push(...old);
     if (isFirst) this.look();
     this.addGrid();
@@ -179,19 +236,24 @@ export class Viewer {
     this.setShown(this.shown);
   }
 
+  views() {
+    return [...this.robots, ...this.ghosts, ...(this.surroundings ? [this.surroundings] : [])];
+  }
+
   bounds() {
     const box = new Box3();
     this.world.updateWorldMatrix(true, true);
-    for (const robot of [...this.robots, ...this.ghosts]) for (const mesh of robot.meshes) box.expandByObject(mesh);
+    for (const { meshes } of this.views())
+      for (const mesh of meshes) if (!FLAT.includes(mesh.userData.kind)) box.expandByObject(mesh);
     return box.isEmpty() ? new Box3(new Vector3(-1, -1, 0), new Vector3(1, 1, 1)) : box;
   }
 
-  // Turns the camera to all robots, from the front left.
+  // Turns the camera to all robots, from the front right; in a world from behind, as worlds are mostly ahead of the robots.
   look() {
     const box = this.bounds(), radius = box.getSize(new Vector3()).length() / 2;
-    const target = box.getCenter(new Vector3()), turn = -0.7, rise = 0.4;
+    const target = box.getCenter(new Vector3()), turn = this.surroundings ? Math.PI + 0.5 : -0.7, rise = 0.4;
     const direction = new Vector3(Math.cos(rise) * Math.cos(turn), Math.cos(rise) * Math.sin(turn), Math.sin(rise));
-    this.camera.position.copy(target).addScaledVector(direction, 2.9 * radius);
+    this.camera.position.copy(target).addScaledVector(direction, (this.surroundings ? 2.2 : 2.9) * radius);
     this.controls.target.copy(target);
     this.controls.minDistance = 0.05;
     this.controls.maxDistance = 50 * radius + 10;
@@ -207,6 +269,8 @@ export class Viewer {
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(new Float32Array(lines), 3));
     this.grid = new LineSegments(geometry, new LineBasicMaterial({ color: 0x9aa2a8, transparent: true, opacity: 0.45 }));
+    // Rough ground has squares of its own.
+    this.grid.visible = !this.surroundings || !this.surroundings.meshes.some((mesh) => mesh.userData.kind === "ground");
     this.world.add(this.grid);
   }
 
@@ -225,7 +289,7 @@ export class Viewer {
   follow(robot, pose) {
     const base = this.robots[robot].base, before = base.position.clone();
     place(base, pose);
-    const way = base.position.clone().sub(before);
+    const way = base.position.clone().sub(before).applyQuaternion(this.world.quaternion);
     this.camera.position.add(way);
     this.controls.target.add(way);
     this.redraw();
@@ -246,7 +310,7 @@ export class Viewer {
     this.redraw();
   }
 
-  // Shows the frames of sensors or links, `{sensor: true, link: false}`.
+  // Shows the frames of sensors, links or mounting ports, `{sensor: true, link: false}`.
   setShown(shown) {
     this.shown = { ...this.shown, ...shown };
     for (const robot of this.robots) for (const axes of robot.frames) axes.visible = this.shown[axes.userData.kind];
@@ -259,6 +323,8 @@ export class Viewer {
         const isSelected = this.selected && this.selected.robot === userData.robot && this.selected.part === userData.part;
         material.color.copy(isSelected ? SELECTED : this.isGrey ? GREY : material.userData.color);
       }
+    for (const { material } of this.surroundings ? this.surroundings.meshes : [])
+      material.color.copy(this.isGrey ? GREY : material.userData.color);
     this.redraw();
   }
 
@@ -306,12 +372,13 @@ export class Viewer {
 
   label(width, height) {
     const labels = [], seen = new Set();
-    const add = (text, object, point) => {
+    const add = (text, object, point, kind = "") => {
       const at = point.applyMatrix4(object.matrixWorld).project(this.camera);
       if (!text || seen.has(text) || at.z > 1) return;
       seen.add(text);
       const span = document.createElement("span");
       span.textContent = text;
+      span.className = kind;
       span.style.left = `${((1 + at.x) * width) / 2}px`;
       span.style.top = `${((1 - at.y) * height) / 2}px`;
       labels.push(span);
@@ -321,8 +388,11 @@ export class Viewer {
       if (this.names)
         for (const mesh of robot.meshes)
           add(this.robots.length > 1 ? robot.name : mesh.userData.part, mesh, mesh.geometry.boundingBox.getCenter(new Vector3()));
-      for (const axes of robot.frames) if (axes.visible && axes.userData.kind === "sensor") add(axes.userData.name, axes, new Vector3());
+      for (const axes of robot.frames) if (axes.visible && axes.userData.kind !== "link") add(axes.userData.name, axes, new Vector3(), axes.userData.note);
     }
+    if (this.names && this.surroundings)
+      for (const mesh of this.surroundings.meshes)
+        if (["obstacle", "zone"].includes(mesh.userData.kind)) add(mesh.userData.name, mesh, new Vector3());
     this.labels.replaceChildren(...labels);
   }
 }

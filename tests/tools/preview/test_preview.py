@@ -41,9 +41,8 @@ pytestmark = [pytest.mark.xdist_group("preview"), pytest.mark.timeout(240)]
 
 
 class Preview:
-    def __init__(self, folder: Path) -> None:
-        self.file = folder / "robot.yaml"
-        self.file.write_text(GOOD, encoding="utf-8")
+    def __init__(self, file: Path) -> None:
+        self.file = file
         self.process = ChildProcess(
             [
                 sys.executable,
@@ -84,7 +83,9 @@ class Preview:
 
 @pytest.fixture(scope="module")
 def preview(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Preview]:
-    server = Preview(tmp_path_factory.mktemp("preview"))
+    file = tmp_path_factory.mktemp("preview") / "robot.yaml"
+    file.write_text(GOOD, encoding="utf-8")
+    server = Preview(file)
     yield server
     assert server.end() == 0
 
@@ -171,8 +172,16 @@ def test_joints_move_and_keep_their_positions(preview: Preview, page: Page) -> N
     preview.save(GOOD + "\n# a comment\n")
     wait_for_change(page, before)
     assert page.evaluate("viewer.robots[0].positions.fl_steering_joint") == value
-    page.click("#frames")
-    assert page.evaluate("viewer.robots[0].frames.some((axes) => axes.visible)")
+    for switch, frame in (("frames", "base_link"), ("sensors", "imu"), ("ports", "frame.center")):
+        shown = f"viewer.robots[0].frames.find((f) => f.userData.name === '{frame}').visible"
+        assert not page.evaluate(shown)
+        page.click(f"#{switch}")
+        assert page.evaluate(shown)
+    labels = page.locator("#labels .free")
+    wait_until(page, lambda: "frame.center" in labels.all_inner_texts())
+    assert "frame.front_left" not in labels.all_inner_texts()
+    row = page.locator("#port-rows tr", has_text="frame.front_left")
+    assert row.locator("td").all_text_contents() == ["frame.front_left", "frame_clamp", "fl"]
 
 
 def test_each_control_is_reached_with_the_keyboard(page: Page) -> None:
@@ -206,6 +215,22 @@ def test_the_robot_drives_while_a_key_is_held(page: Page) -> None:
     page.wait_for_selector("#drive[aria-pressed=false]", timeout=WAIT)
 
 
+def test_a_robot_drives_in_the_world_of_a_scenario(browser: Browser) -> None:
+    server = Preview(ROOT / "examples" / "scenarios" / "field_edge.yaml")
+    page = browser.new_page()
+    page.goto(server.url)
+    page.wait_for_selector("html[data-version]", timeout=WAIT)
+    assert "slope 4 deg" in page.inner_text("#world")
+    name = "viewer.surroundings.meshes.map((mesh) => mesh.userData.name)"
+    assert "crate" in page.evaluate(name)
+    page.click("#drive")
+    page.wait_for_selector("#drive[aria-pressed=true]", timeout=WAIT)
+    page.keyboard.down("w")
+    wait_until(page, lambda: position(page) > 0.1)
+    page.close()
+    assert server.end() == 0
+
+
 @pytest.mark.parametrize("size", SIZES, ids=IDS)
 def test_the_page_is_accessible(
     preview: Preview, browser: Browser, axe: str, size: tuple[int, int]
@@ -222,7 +247,7 @@ def test_the_page_is_accessible(
     page.goto(preview.url)
     page.wait_for_selector("#tables details", state="attached", timeout=WAIT)
     page.click("#names")
-    page.click("#sensors")
+    page.click("#ports")
     check("robot")
     preview.save(BAD)
     page.wait_for_selector(".diagnostic.error", timeout=WAIT)

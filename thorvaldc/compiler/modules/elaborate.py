@@ -5,7 +5,7 @@ The model contains the links, joints, wheels, motors and CAN buses of the robot.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,11 +53,11 @@ from thorvaldc.model.stopping import driven_wheels
 
 def elaborate(
     document: Node,
+    instance: Instance,
     resolver: Resolver,
     base_dir: Path,
     report: Report,
     files: dict[str, Path],
-    invalid_modules: Iterable[str] = (),
     *,
     modules_are_valid: bool = True,
     lock: Lock | None = None,
@@ -70,14 +70,13 @@ def elaborate(
 
     Parameters
     ----------
+    instance : tree of module instances that ``resolver`` made of the document.
     base_dir : folder of the robot file.
     files : the function adds each additional input file, by the name of the file in spans.
-    invalid_modules : names of the modules that were removed from the document because of errors.
     modules_are_valid : false if any value in the section ``modules`` is invalid.
     lock : node ids of the last build.
     trust : whether xacro files are expanded without restrictions.
     """
-    instance = resolver.resolve(document, invalid_modules)
     elaborator = _Elaborator(document, resolver, base_dir, report, files, lock or {}, trust)
     return elaborator.elaborate(instance, modules_are_valid)
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
+from thorvaldc.compiler.modules.mounting_ports import MountingPort
 from thorvaldc.model import Fleet, MeshShape, Robot
 from thorvaldc.model.robot import Joint, Shape
 from thorvaldc.model.spatial import Pose
@@ -46,12 +47,16 @@ MeshData = dict[str, str]
 """Points and triangles of a mesh in base64."""
 MeshCache = dict[tuple[Shape, str], MeshData]
 """Meshes by shape and hash of the mesh file."""
+PortsOf = Callable[[Robot], Sequence[MountingPort]]
 
 
-def page_data(model: Robot | Fleet, cache: MeshCache | None = None) -> dict[str, Any]:
+def page_data(
+    model: Robot | Fleet, cache: MeshCache | None = None, ports: PortsOf | None = None
+) -> dict[str, Any]:
     """Returns the data of a robot or a fleet that the viewer draws, as a JSON object.
 
-    The function takes meshes from ``cache`` and adds new ones to it.
+    The function takes meshes from ``cache`` and adds new ones to it.  ``ports`` returns the
+    mounting ports of a robot.
     """
     shapes = _Shapes({} if cache is None else cache)
     designs: list[str] = []
@@ -62,17 +67,24 @@ def page_data(model: Robot | Fleet, cache: MeshCache | None = None) -> dict[str,
         else [(model.name, Pose(), model)]
     )
     for name, pose, robot in placements:
-        design = json.dumps(_design(robot, shapes))
+        design = json.dumps(_design(robot, shapes, ports(robot) if ports is not None else ()))
         if design not in designs:
             designs.append(design)
-        robots.append({"name": name, "pose": _pose_values(pose), "design": designs.index(design)})
-    return {
+        robots.append({"name": name, "pose": pose_values(pose), "design": designs.index(design)})
+    data: dict[str, Any] = {
         "name": model.name,
         "description": model.description,
         "robots": robots,
         "designs": [json.loads(design) for design in designs],
         "shapes": shapes.meshes,
     }
+    if isinstance(model, Fleet) and model.world is not None:
+        from thorvaldc.simulation.pictures.world_page import world_data
+
+        first = model.placements[0].robot  # fixed bodies have no meshes: any robot will do
+        starts = tuple(p.pose for p in model.placements)
+        data["world"] = world_data(model.world, starts, lambda shape: shapes.index(first, shape))
+    return data
 
 
 class _Shapes:
@@ -92,15 +104,16 @@ class _Shapes:
             if key not in self._cache:
                 points, faces = surface(robot, shape)
                 self._cache[key] = {
-                    "points": _base64(points.astype("<f4")),
-                    "faces": _base64(faces.astype("<u4")),
+                    "points": base64_of(points.astype("<f4")),
+                    "faces": base64_of(faces.astype("<u4")),
                 }
             self._indices[key] = len(self.meshes)
             self.meshes.append(self._cache[key])
         return self._indices[key]
 
 
-def _base64(array: Any) -> str:
+def base64_of(array: Any) -> str:
+    """Returns the bytes of an array in base64."""
     return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode("ascii")
 
 
@@ -108,11 +121,12 @@ def _rounded(values: Sequence[float]) -> list[float]:
     return [round(value, 9) for value in values]
 
 
-def _pose_values(pose: Pose) -> list[float]:
+def pose_values(pose: Pose) -> list[float]:
+    """Returns a pose as [x, y, z, qw, qx, qy, qz], rounded."""
     return _rounded((*pose.xyz, *pose.quat))
 
 
-def _design(robot: Robot, shapes: _Shapes) -> dict[str, Any]:
+def _design(robot: Robot, shapes: _Shapes, ports: Sequence[MountingPort]) -> dict[str, Any]:
     """Returns the data of a robot that do not depend on the pose of the robot."""
     driven = sum(1 for wheel in robot.wheels if wheel.driven)
     steered = sum(1 for wheel in robot.wheels if wheel.steered)
@@ -129,7 +143,7 @@ def _design(robot: Robot, shapes: _Shapes) -> dict[str, Any]:
                 "visuals": [
                     {
                         "shape": shapes.index(robot, visual.shape),
-                        "pose": _pose_values(visual.pose),
+                        "pose": pose_values(visual.pose),
                         "color": _rounded(visual.color),
                     }
                     for visual in link.visuals
@@ -141,7 +155,18 @@ def _design(robot: Robot, shapes: _Shapes) -> dict[str, Any]:
         "frames": [
             *({"name": s.name, "kind": "sensor", "link": s.link} for s in robot.sensors),
             *({"name": link.name, "kind": "link", "link": link.name} for link in robot.links),
+            *(
+                {
+                    "name": p.name,
+                    "kind": "port",
+                    "link": p.link,
+                    "pose": pose_values(p.pose),
+                    "note": "" if p.carries else "free",
+                }
+                for p in ports
+            ),
         ],
+        "ports": [{"name": p.name, "kind": p.kind, "carries": list(p.carries)} for p in ports],
         "nodes": [
             {
                 "bus": bus.name,
@@ -165,7 +190,7 @@ def _joint(joint: Joint) -> dict[str, Any]:
         "type": joint.type,
         "parent": joint.parent,
         "child": joint.child,
-        "pose": _pose_values(joint.pose),
+        "pose": pose_values(joint.pose),
         "axis": _rounded(joint.axis),
         "lower": lower,
         "upper": upper,

@@ -42,15 +42,19 @@ def _draw_zone(axes: Any, zone: Zone) -> None:
 
     corners = [zone.pose.apply((x * zone.size[0], y * zone.size[1], 0.0))[:2] for x, y in _CORNERS]
     axes.add_patch(Polygon(corners, facecolor=ZONE, edgecolor="#6baed6", lw=0.6, zorder=0.5))
+    text = zone_text(zone)
+    if text:
+        axes.text(*zone.pose.xyz[:2], text, fontsize=7, ha="center", va="center", clip_on=True)
+
+
+def zone_text(zone: Zone, separator: str = "\n") -> str:
+    """Returns what differs in a zone from the ground around it."""
     parts = [f"friction {zone.friction:.3g}"] if zone.friction is not None else []
     if zone.rolling_resistance is not None:
         parts.append(f"rolling resistance {zone.rolling_resistance:.3g}")
     if zone.height:
         parts.append(f"height {zone.height:.3g} m")
-    if parts:
-        axes.text(
-            *zone.pose.xyz[:2], "\n".join(parts), fontsize=7, ha="center", va="center", clip_on=True
-        )
+    return separator.join(parts)
 
 
 def _draw_bodies(axes: Any, world: World, robot: Robot) -> None:

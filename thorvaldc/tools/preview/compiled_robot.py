@@ -78,7 +78,7 @@ class CompiledRobot:
         self.is_good = compilation.model is not None
         if compilation.model is not None:
             self._before, self.model = self.model, compilation.model
-            self._data = page_data(self.model, self._meshes)
+            self._data = page_data(self.model, self._meshes, compilation.ports)
             self._keys = [_key(mesh) for mesh in self._data["shapes"]]
         self.version += 1
         now = time.perf_counter()
@@ -105,7 +105,7 @@ class CompiledRobot:
             "good": self.is_good,
             "model": model,
             "diagnostics": self._diagnostics,
-            "can_drive": isinstance(self.model, Robot),
+            "can_drive": self.model is not None,
             "stages": self._stages,
         }
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from thorvaldc.compiler.pipeline import emit
-from thorvaldc.model import Robot
+from thorvaldc.model import Fleet, Robot
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
@@ -67,11 +67,19 @@ def _clamped(value: float) -> float:
 class PageDrive:
     """A simulated robot in a thread of its own.
 
-    ``send`` is called in the thread: with the states of the robot, and once at the end.
+    The other robots of a fleet stand in the scene.  ``send`` is called in the thread: with the
+    states of the robots, and once at the end.
     """
 
-    def __init__(self, robot: Robot, send: Send) -> None:
-        self._robot, self._send = robot, send
+    def __init__(self, model: Robot | Fleet, name: str, send: Send) -> None:
+        """Drives the robot ``name`` of the model, or its first robot without such a robot."""
+        robots = (
+            {placed.name: placed.robot for placed in model.placements}
+            if isinstance(model, Fleet)
+            else {model.name: model}
+        )
+        self._name = name if name in robots else next(iter(robots))
+        self._model, self._robots, self._send = model, robots, send
         self._operator: PageOperator | None = None
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="drive", daemon=True)
@@ -92,9 +100,10 @@ class PageDrive:
     def _run(self) -> None:
         text = ""
         try:
-            scene = MujocoScene(emit(self._robot, ["mjcf"]))
-            base = MujocoBase(self._robot, scene)
-            vehicle = _ShownVehicle(BaseDriver(self._robot, base), scene, self._send)
+            robot = self._robots[self._name]
+            scene = MujocoScene(emit(self._model, ["mjcf"]))
+            driver = BaseDriver(robot, MujocoBase(robot, scene))
+            vehicle = _ShownVehicle(driver, scene, self._name, self._robots, self._send)
             try:
                 self._operator = PageOperator(Limits.of(vehicle.description))
                 self._send({"kind": "drive", "on": True, "message": "ready"})
@@ -109,13 +118,23 @@ class PageDrive:
 
 
 class _ShownVehicle(SimulatedVehicle):
-    """A simulated vehicle that sends its state to the page."""
+    """A simulated vehicle that sends its state, and the poses of all robots, to the page."""
 
-    def __init__(self, driver: BaseDriver, scene: MujocoScene, send: Send) -> None:
+    def __init__(
+        self,
+        driver: BaseDriver,
+        scene: MujocoScene,
+        name: str,
+        robots: Mapping[str, Robot],
+        send: Send,
+    ) -> None:
         super().__init__(driver)
         robot = driver.robot
-        self._scene, self._send = scene, send
-        self._body = scene.index("body", robot.prefix + robot.links[0].name, robot)
+        self._scene, self._name, self._send = scene, name, send
+        self._bodies = {
+            name: scene.index("body", other.prefix + other.links[0].name, other)
+            for name, other in robots.items()
+        }
         self._joints = [
             (joint.name, int(scene.model.jnt_qposadr[index]))
             for joint in robot.joints
@@ -134,7 +153,11 @@ class _ShownVehicle(SimulatedVehicle):
         self._send(
             {
                 "kind": "state",
-                "pose": [*data.xpos[self._body].tolist(), *data.xquat[self._body].tolist()],
+                "robot": self._name,
+                "poses": {
+                    name: [*data.xpos[body].tolist(), *data.xquat[body].tolist()]
+                    for name, body in self._bodies.items()
+                },
                 "joints": {name: float(data.qpos[index]) for name, index in self._joints},
                 "twist": twist,
             }

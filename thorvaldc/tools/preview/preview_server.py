@@ -14,7 +14,6 @@ from typing import Any
 from aiohttp import WSCloseCode, WSMsgType, web
 from watchfiles import awatch
 
-from thorvaldc.model import Robot
 from thorvaldc.model.data_folder import data_folder
 from thorvaldc.simulation.pictures.view_page import VIEWER
 from thorvaldc.tools.preview.compiled_robot import CompiledRobot
@@ -171,18 +170,18 @@ class PreviewServer:
             if kind == "motion" and client.drive is not None:
                 client.drive.move(*(float(message[name]) for name in ("x", "y", "yaw")))
             elif kind == "drive":
-                self._switch(client, message["on"] is True)
+                self._switch(client, message["on"] is True, str(message.get("robot", "")))
             elif kind == "drawn":
                 times = {str(name): float(value) for name, value in message["times"].items()}
                 self.timings = [*self.timings[1 - TIMINGS :], times]
         except (ValueError, TypeError, KeyError, AttributeError):
             return  # no message of the page
 
-    def _switch(self, client: _Client, on: bool) -> None:
+    def _switch(self, client: _Client, on: bool, robot: str) -> None:
         model = self.compiled.model
         if not on:
             client.stop()
-        elif client.drive is None and isinstance(model, Robot):
+        elif client.drive is None and model is not None:
             loop = asyncio.get_running_loop()
             drive: PageDrive | None = None
 
@@ -196,7 +195,7 @@ class PreviewServer:
                 with contextlib.suppress(RuntimeError):  # the server has ended
                     loop.call_soon_threadsafe(deliver, message)
 
-            drive = client.drive = PageDrive(model, send)
+            drive = client.drive = PageDrive(model, robot, send)
             self._drives.add(drive)
 
     # -- changes of files ----------------------------------------------------------------------

@@ -123,9 +123,11 @@ class RobotProbe:
         if calibration in by_file:
             document = self._with_calibration(document, by_file[str(calibration)])
         report = Report()
+        resolver = Resolver(_ChangedLibrary(self.folders, by_file), report)
         robot = elaborate(
             document,
-            Resolver(_ChangedLibrary(self.folders, by_file), report),
+            resolver.resolve(document),
+            resolver,
             self.path.parent,
             report,
             {},
