@@ -31,6 +31,12 @@ def test_the_index_leads_to_every_page() -> None:
     assert {str(page.relative_to(docs)) for page in pages} - links == {"index.md"}
 
 
+def test_the_page_of_examples_has_every_example() -> None:
+    page = (ROOT / "docs/examples.md").read_text(encoding="utf-8")
+    for readme in ROOT.glob("examples/*/README.md"):
+        assert f"(../examples/{readme.parent.name})" in page, readme.parent.name
+
+
 def test_the_first_look_shows_what_the_commands_print(tmp_path: Path) -> None:
     page = (ROOT / "docs/first-look.md").read_text(encoding="utf-8")
     document = re.search(r"```yaml\n(.*?)```", page, re.S)
