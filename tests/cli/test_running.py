@@ -135,7 +135,6 @@ def test_usage(arguments: list[str], expected: str, thorvaldc: Command) -> None:
     ("arguments", "status", "code"),
     [
         (["bad.yaml", "--bus", "virtual"], 1, "TV201"),
-        (["good.yaml", "--bus", "virtual", "--twist", "1,2"], 1, "TV806"),
         (["good.yaml", "--bus", "virtual", "--parameters", "rail"], 1, "TV810"),
         (["good.yaml", "--bus", "socketkan:can0"], 3, "TV875"),
         (["good.yaml", "--bus", "slcan:/nowhere/port"], 3, "TV875"),

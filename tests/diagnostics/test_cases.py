@@ -132,13 +132,14 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
         compilation.report.extend(compilation.located(report))
     if command == "sim" and compilation.model is not None:
         from thorvaldc.diagnostics.error import DiagnosticError
-        from thorvaldc.runtime.twist_text import parse_twist
+        from thorvaldc.runtime.se2 import Twist
         from thorvaldc.simulation.simulation_run import Simulation
 
         try:
             files = emit(compilation.model, ["mjcf"], compilation.report)
             simulation = Simulation(compilation.model, files, case.get("parameters"))
-            simulation.run(case.get("seconds", 0.1), parse_twist(case["twist"]), compilation.report)
+            twist = Twist(*map(float, case["twist"].split(",")))
+            simulation.run(case.get("seconds", 0.1), twist, compilation.report)
         except DiagnosticError as error:
             compilation.report.put(error.diagnostic)
     if command == "bus" and isinstance(compilation.model, Robot):

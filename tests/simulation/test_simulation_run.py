@@ -80,9 +80,8 @@ def test_a_duration_must_be_positive(duration: float) -> None:
 def test_twists_as_text() -> None:
     assert parse_twist("1,0,0.3") == Twist(1.0, 0.0, 0.3)
     for text in ("", "1,0", "1,0,0,0", "a,b,c", "1,0,nan", "inf,0,0", "1;0;0"):
-        with pytest.raises(DiagnosticError) as caught:
+        with pytest.raises(ValueError, match="is not a twist of three finite numbers"):
             parse_twist(text)
-        assert caught.value.diagnostic.code.name == "twist-invalid"
 
 
 def test_tip_over_ends_the_run_and_is_reported() -> None:

@@ -16,7 +16,7 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.scenario import GROUPS
-from thorvaldc.runtime.twist_text import parse_twist
+from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.control_loop import TickCallback
 from thorvaldc.simulation.records.recorder import record_ticks
 from thorvaldc.simulation.run_result import result_table
@@ -31,7 +31,7 @@ def run_drive(
     model: Robot | Fleet,
     pictures: RunPictures,
     *,
-    twist: str,
+    twist: Twist | None,
     duration: float,
     parameters: str,
     ideal: bool,
@@ -42,7 +42,7 @@ def run_drive(
 ) -> int:
     """Drives a robot or fleet in simulation, prints the result and returns the exit status.
 
-    - ``twist``: text of the commanded twist, or empty for the demonstration manoeuvre of the robot.
+    - ``twist``: commanded twist, or ``None`` for the demonstration manoeuvre of the robot.
     - ``duration``: duration in s, or 0 for the default duration.
     - ``record``, ``log``: paths of the record and the joint log, or empty for no file.
     """
@@ -51,9 +51,8 @@ def run_drive(
     try:
         files = None if ideal else emit(model, ["mjcf"], report)
         simulation = Simulation(model, files, parameters or None, open_loop=open_loop)
-        commanded = parse_twist(twist) if twist else None
         if not duration:
-            duration = TWIST_DURATION if twist else simulation.demonstration()[1]
+            duration = TWIST_DURATION if twist is not None else simulation.demonstration()[1]
         robots = simulation.robots
         with contextlib.ExitStack() as stack:
             progress = Progress(duration)
@@ -64,8 +63,8 @@ def run_drive(
             if log:
                 watches.append(open_joint_logs(log, robots, stack))
             stack.callback(progress.clear)
-            if commanded is not None:
-                result = simulation.run(duration, commanded, report, call_all(watches))
+            if twist is not None:
+                result = simulation.run(duration, twist, report, call_all(watches))
             else:
                 result = simulation.demonstrate(report, duration, call_all(watches))
     except DiagnosticError as error:

@@ -10,8 +10,11 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli.diagnostic_output import show_report
 from thorvaldc.cli.exits import DONE, OutsideError
 from thorvaldc.cli.options import Library, ModelFile, Trust, library_folders
+from thorvaldc.compiler.source.reader import read_file
+from thorvaldc.diagnostics import Report
 
 MAX_PORT = 65535
 
@@ -34,7 +37,9 @@ def preview(
             f"expected a port from 0 to {MAX_PORT}, got {port!r}", param_hint="'--port'"
         )
     if not Path(file).is_file():
-        raise typer.BadParameter(f"there is no file {file!r}", param_hint="'FILE'")
+        report = Report()
+        read_file(Path(file), file, report)
+        return show_report(report, {})
     try:
         from thorvaldc.tools.preview.compiled_robot import CompiledRobot
         from thorvaldc.tools.preview.preview_server import HOST, PreviewServer

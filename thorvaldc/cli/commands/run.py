@@ -28,6 +28,7 @@ from thorvaldc.cli.options import (
     check_physics,
     parse_duration,
     parse_seed,
+    parsed,
     refuse_options,
 )
 from thorvaldc.cli.robot_file import load_robot
@@ -82,6 +83,7 @@ def run(
     trust: Trust = False,
 ) -> int:
     seconds = parse_duration(duration, "--duration") if duration else math.inf
+    commanded_twist = parsed(twist, parse_twist, "--twist") if twist else None
     check_physics(physics)
     virtual = bus == "virtual"
     if not virtual:
@@ -100,7 +102,6 @@ def run(
         try:
             if not virtual:
                 lock_buses(bus, loaded.robot, locks)
-            commanded_twist = parse_twist(twist) if twist else None
             interfaces = (
                 _virtual_interfaces(loaded.robot, file, physics, faults, parse_seed(seed), report)
                 if virtual

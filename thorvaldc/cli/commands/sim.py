@@ -34,12 +34,14 @@ from thorvaldc.cli.options import (
     Variations,
     Video,
     parse_duration,
+    parsed,
     refuse_options,
 )
 from thorvaldc.cli.replays import replay_run
 from thorvaldc.cli.run_pictures import RunPictures
 from thorvaldc.cli.scenario_runs import plan_runs, run_batch, run_scenario, single_run
 from thorvaldc.compiler.scenario.variations import Change
+from thorvaldc.runtime.twist_text import parse_twist
 
 
 def sim(
@@ -82,6 +84,7 @@ def sim(
     replay: Annotated[str, typer.Option("--replay", metavar="RECORD")] = "",
 ) -> int:
     seconds = parse_duration(duration, "--duration") if duration else 0.0
+    commanded_twist = parsed(twist, parse_twist, "--twist") if twist else None
     drive_options = {"--duration": duration, "--twist": twist, "--ideal": ideal}
     run_options: dict[str, str | bool] = {"--open-loop": open_loop, "--parameters": parameters}
     run_options |= {"--junit": junit, "--log": log}
@@ -130,7 +133,7 @@ def sim(
         compilation,
         compilation.model,
         pictures,
-        twist=twist,
+        twist=commanded_twist,
         duration=seconds,
         parameters=parameters,
         ideal=ideal,

@@ -15,7 +15,7 @@ from thorvaldc.cli.diagnostic_output import report_of
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.hardware_warning import is_hardware, warn_once
 from thorvaldc.cli.installation import check_full_installation
-from thorvaldc.cli.options import Library, Trust
+from thorvaldc.cli.options import Library, Trust, library_folders
 from thorvaldc.cli.robot_file import load_robot
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
@@ -92,6 +92,12 @@ def teleop(
 ) -> int:
     if bool(file) == bool(to):
         raise typer.BadParameter("name a robot's FILE, or a running driver with --to NAME")
+    if on not in ("sim", "ideal", "virtual", "udp") and ":" not in on:
+        raise typer.BadParameter(
+            f"{on!r} is none of sim, ideal, virtual, sim:NAME, slcan:PORT, socketcan:can0, udp",
+            param_hint="'--on'",
+        )
+    library_folders(library)
     share = _parse_share(speed)
     if map and not joystick:
         raise typer.BadParameter("is for a --joystick", param_hint="'--map'")
@@ -156,11 +162,6 @@ def _simulated_vehicle(robot: Robot, file: str, on: str, channel: str) -> Vehicl
 
 
 def _bus_vehicle(robot: Robot, file: str, on: str, channel: str) -> Vehicle:
-    if on not in ("virtual", "udp") and ":" not in on:
-        raise typer.BadParameter(
-            f"{on!r} is none of sim, ideal, virtual, sim:NAME, slcan:PORT, socketcan:can0, udp",
-            param_hint="'--on'",
-        )
     if on == "virtual":
         check_full_installation("`--on virtual`")
         from thorvaldc.cli.virtual_robot import start_virtual_robot
