@@ -80,6 +80,16 @@ def test_check_reads_the_lock_file(thorvaldc: Command) -> None:
     assert "auto.lock.yaml:2:" in result.out
 
 
+def test_a_pattern_may_name_the_lock_files_too(thorvaldc: Command) -> None:
+    thorvaldc("build", "auto.yaml")
+    files = sorted(str(path) for path in Path().glob("auto*.yaml"))
+    assert files == ["auto.lock.yaml", "auto.yaml"]
+    for command in (["check", "--strict"], ["build"], ["build", "--check"]):
+        result = thorvaldc(*command, *files)
+        assert (result.status, result.err) == (0, ""), command
+    assert "TV218" in thorvaldc("check", "auto.lock.yaml").out  # alone it is a mistake
+
+
 def test_a_build_that_fails_pins_nothing(thorvaldc: Command) -> None:
     Path("auto.yaml").write_text(AUTO.replace("can: 2", "can: 1"), encoding="utf-8")
     assert thorvaldc("build", "auto.yaml").status == 1

@@ -13,6 +13,7 @@ import pytest
 from tests.docs.tutorial import (
     FOLDER,
     PAGES,
+    TUTORIAL,
     Reader,
     blocks_of,
     mismatch,
@@ -39,14 +40,15 @@ def install_command() -> str:
 def reader(tmp_path_factory: pytest.TempPathFactory) -> Reader:
     """A reader with the package of the wheel, and with no settings of this computer's user."""
     home = tmp_path_factory.mktemp("home")
-    (home / "scout").mkdir()
+    for name in ("scout", "run"):
+        (home / name).mkdir()
     (home / "thorvaldc").symlink_to(ROOT)  # where the pages say that the checkout is
     environment = {
         **{name: value for name, value in variables(home).items() if name.startswith("ROS_")},
         "HOME": str(home),
         "PATH": f"{programs_in(home / 'bin')}{os.pathsep}/usr/bin{os.pathsep}/bin",
         "PYTHONPATH": str(home / "site"),
-        "XDG_RUNTIME_DIR": str(home),
+        "XDG_RUNTIME_DIR": str(home / "run"),
         "LANG": "C.UTF-8",
         "BROWSER": "true",  # the program `true`: no browser opens
     }
@@ -89,6 +91,13 @@ def test_the_page_shows_pictures_that_its_commands_make(name: str) -> None:
             blocks = [block for block in blocks_of(text) if block.language == "console"]
             sources = [f"{block.text} {block.value('screenshot')}" for block in blocks]
             assert any(picture.name in source for source in sources), picture.name
+
+
+def test_the_overview_has_the_length_of_the_tutorial() -> None:
+    text = "".join(page(f"tutorial/{name}") for name in ("README", *TUTORIAL))
+    words = len(re.sub(r"```.*?```|<!--.*?-->", "", text, flags=re.S).split())
+    commands = len(re.findall(r"^\$ ", text, re.M))
+    assert f"{round(words, -2)} words, {commands} commands" in text
 
 
 def test_another_picture_is_noticed() -> None:

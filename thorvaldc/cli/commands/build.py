@@ -18,6 +18,7 @@ from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, coun
 from thorvaldc.cli.exits import OutsideError
 from thorvaldc.cli.options import Format, Library, ModelFiles, Trust, library_folders
 from thorvaldc.compiler.build_freshness import check_freshness
+from thorvaldc.compiler.bus.lock_file import without_lock_files
 from thorvaldc.compiler.compilation import Compilation
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.compiler.writer import WriteError, write_build, write_locks
@@ -61,6 +62,7 @@ def build(
     check_format(format)
     targets = _parse_targets(target)
     folders = library_folders(library)
+    files = without_lock_files(files)
     shown = DiagnosticOutput(format, sys.stderr)
     builds: list[dict[str, Any]] = []
     file_by_folder: dict[str, str] = {}

@@ -9,6 +9,7 @@ import typer
 
 from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count, has_color
 from thorvaldc.cli.options import Library, ModelFiles, Strict, Trust, library_folders
+from thorvaldc.compiler.bus.lock_file import without_lock_files
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.worker_process import containment_gaps
 from thorvaldc.diagnostics.renderers import render_accepted
@@ -36,7 +37,7 @@ def check(
         check_format(format)
     folders = library_folders(library)
     output = DiagnosticOutput(format, sys.stdout)
-    for file in files:
+    for file in without_lock_files(files):
         compilation = compile_file(file, library=folders, trust=trust)
         output.add(compilation.report, compilation.sources)
         accepted = compilation.report.accepted

@@ -9,7 +9,7 @@ the lock file for node ids.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -36,6 +36,15 @@ Lock = dict[tuple[str, str, str], Pin]  # (bus, id space, module) -> node id
 def lock_path(robot: Path) -> Path:
     """Returns the path of the lock file of a robot, such as `robot.lock.yaml` for `robot.yaml`."""
     return robot.with_name(f"{robot.stem}.lock.yaml")
+
+
+def without_lock_files(files: Sequence[str]) -> list[str]:
+    """Returns the paths without those of the lock files of robots among them.
+
+    The pattern `robots/*.yaml` also names lock files; the compiler reads them with their robots.
+    """
+    locks = {lock_path(Path(file)) for file in files if Path(file).name}
+    return [file for file in files if Path(file) not in locks]
 
 
 def read_lock(document: Node, report: Report) -> Lock:
