@@ -5,7 +5,7 @@
 
 import {
   AmbientLight, AxesHelper, Box3, BufferAttribute, BufferGeometry, Color, DirectionalLight, DoubleSide, Group,
-  LineBasicMaterial, LineSegments, Mesh, MeshLambertMaterial, PerspectiveCamera, Quaternion, Raycaster, Scene, Vector2,
+  FrontSide, LineBasicMaterial, LineSegments, Mesh, MeshLambertMaterial, PerspectiveCamera, Quaternion, Raycaster, Scene, Vector2,
   Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
@@ -17,6 +17,7 @@ const FRAME_SIZE = 0.12; // m
 const TURNS = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] }; // rad
 const ZOOMS = { "+": 0.9, "=": 0.9, "-": 1 / 0.9 };
 const FLAT = ["ground", "zone"]; // parts of the world that may be much larger than what stands on it
+const REST = 400; // ms
 const MAX_GRID = 60; // m, half the side
 
 function place(object, [x, y, z, qw, qx, qy, qz]) {
@@ -34,14 +35,21 @@ function geometryOf(shape) {
   geometry.setIndex(new BufferAttribute(new Uint32Array(bytes(shape.faces)), 1));
   geometry.computeBoundingBox();
   geometry.computeBoundingSphere();
+  geometry.userData.closed = shape.closed;
   geometries.set(shape, geometry);
   return geometry;
 }
 
-function materialOf([r, g, b, a], ghost = false) {
-  const material = new MeshLambertMaterial({
-    flatShading: true, side: DoubleSide, transparent: ghost || a < 1, opacity: ghost ? 0.25 : a, depthWrite: !ghost,
-  });
+const spares = new Map(); // materials of the last scene, by kind: three.js prepares each new material for some 0.1 ms
+
+function materialOf([r, g, b, a], geometry, ghost = false, vertexColors = false) {
+  // The inside of a closed surface is never visible; an open surface has two visible sides.
+  const side = geometry.userData.closed && a >= 1 && !ghost ? FrontSide : DoubleSide;
+  const options = {
+    flatShading: true, side, transparent: ghost || a < 1, opacity: ghost ? 0.25 : a, depthWrite: !ghost, vertexColors,
+  };
+  const kind = JSON.stringify(options), material = spares.get(kind)?.pop() || new MeshLambertMaterial(options);
+  material.userData.kind = kind;
   material.userData.color = ghost ? GHOST : new Color().setRGB(r, g, b, "srgb");
   material.color.copy(material.userData.color);
   return material;
@@ -77,14 +85,13 @@ class WorldView {
   constructor(world, geometries) {
     this.group = new Group();
     this.meshes = world.bodies.map((body) => {
-      const mesh = place(new Mesh(geometries[body.shape], materialOf(body.color)), body.pose);
+      const mesh = place(new Mesh(geometries[body.shape], materialOf(body.color, geometries[body.shape])), body.pose);
       mesh.userData = { kind: body.kind, name: body.name };
       return mesh;
     });
     for (const relief of world.reliefs) {
-      const material = materialOf(relief.color);
-      material.vertexColors = true;
-      const mesh = place(new Mesh(reliefOf(relief), material), relief.pose);
+      const geometry = reliefOf(relief), material = materialOf(relief.color, geometry, false, true);
+      const mesh = place(new Mesh(geometry, material), relief.pose);
       mesh.userData = { kind: relief.kind, name: "" };
       this.meshes.push(mesh);
     }
@@ -112,7 +119,7 @@ class RobotView {
     this.meshes = [];
     for (const link of design.links)
       for (const visual of link.visuals) {
-        const mesh = place(new Mesh(geometries[visual.shape], materialOf(visual.color, ghost)), visual.pose);
+        const mesh = place(new Mesh(geometries[visual.shape], materialOf(visual.color, geometries[visual.shape], ghost)), visual.pose);
         mesh.userData = { robot: number, part: link.module };
         if (this.links[link.name]) this.links[link.name].add(mesh);
         this.meshes.push(mesh);
@@ -152,6 +159,14 @@ class RobotView {
   }
 }
 
+// Returns whether OpenGL draws without a graphics card. Smooth edges then take several times as long.
+function isSoftware() {
+  const gl = document.createElement("canvas").getContext("webgl2"), names = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = names ? gl.getParameter(names.UNMASKED_RENDERER_WEBGL) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|softpipe|basic render/i.test(name);
+}
+
 export class Viewer {
   // `onPick(robot number, module)` is called when a part is clicked; the module is null beside the robots.
   constructor(canvas, labels, onPick) {
@@ -162,6 +177,7 @@ export class Viewer {
     this.selected = null;
     this.isGrey = false;
     this.names = false;
+    this.lines = new LineBasicMaterial({ color: 0x9aa2a8, transparent: true, opacity: 0.45 });
     this.retired = []; // materials and geometries to dispose of
     this.shown = { sensor: false, link: false, port: false };
     this.surroundings = null;
@@ -173,7 +189,8 @@ export class Viewer {
     this.world = new Group();
     this.scene.add(this.world);
     try {
-      this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true, preserveDrawingBuffer: true });
+      this.isSoftware = isSoftware();
+      this.renderer = new WebGLRenderer({ canvas, antialias: !this.isSoftware, alpha: true });
     } catch {
       this.renderer = null; // a browser without WebGL 2
     }
@@ -212,7 +229,12 @@ export class Viewer {
     for (const child of [...this.world.children]) this.world.remove(child);
     const old = new Set();
     for (const { meshes } of this.views())
-      for (const mesh of meshes) { this.retired.push(mesh.material); old.add(mesh.geometry); }
+      for (const { material, geometry } of meshes) {
+        const { kind } = material.userData;
+        if (spares.get(kind)?.push(material) === undefined) spares.set(kind, [material]);
+        old.add(geometry);
+      }
+    for (const robot of this.robots) this.retired.push(...robot.frames);
     const views = (data, isGhost) => {
       const geometries = data.shapes.map(geometryOf);
       return data.robots.map((robot, number) => new RobotView(robot, data.designs[robot.design], geometries, number, isGhost));
@@ -229,7 +251,8 @@ export class Viewer {
     const [w, x, y, z] = data.world ? data.world.tilt : [1, 0, 0, 0];
     this.world.quaternion.set(x, y, z, w);
     for (const { meshes } of this.views()) for (const mesh of meshes) old.delete(mesh.geometry);
-    this.retired.push(...old);
+    this.retired.push(...old, ...[...spares.values()].flat());
+    spares.clear();
     if (isFirst) this.look();
     this.addGrid();
     this.color();
@@ -262,13 +285,13 @@ export class Viewer {
   }
 
   addGrid() {
-    if (this.grid) { this.world.remove(this.grid); this.grid.geometry.dispose(); }
+    if (this.grid) this.grid.geometry.dispose();
     const center = this.bounds().getCenter(new Vector3()), x = Math.round(center.x), y = Math.round(center.y);
     const n = Math.min(MAX_GRID, Math.ceil(4 + 2 * (this.radius || 1))), lines = [];
     for (let i = -n; i <= n; i++) lines.push(x + i, y - n, 0, x + i, y + n, 0, x - n, y + i, 0, x + n, y + i, 0);
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(new Float32Array(lines), 3));
-    this.grid = new LineSegments(geometry, new LineBasicMaterial({ color: 0x9aa2a8, transparent: true, opacity: 0.45 }));
+    this.grid = new LineSegments(geometry, this.lines);
     // Rough ground has squares of its own.
     this.grid.visible = !this.surroundings || !this.surroundings.meshes.some((mesh) => mesh.userData.kind === "ground");
     this.world.add(this.grid);
@@ -339,12 +362,16 @@ export class Viewer {
   }
 
   redraw() {
-    if (this.waiting) return;
-    this.waiting = true;
-    requestAnimationFrame(() => { this.waiting = false; this.draw(); });
+    this.waiting = this.waiting || requestAnimationFrame(() => this.draw());
   }
 
-  draw() {
+  // Draws at once, instead of with the next frame. Without a graphics card, edges become smooth when nothing changes:
+  // the picture is drawn again with twice as many pixels along each side.
+  draw(detail = 1) {
+    cancelAnimationFrame(this.waiting);
+    clearTimeout(this.resting);
+    this.waiting = 0;
+    if (this.isSoftware && detail === 1) this.resting = setTimeout(() => this.draw(2), REST);
     const width = Math.max(this.canvas.clientWidth, 1), height = Math.max(this.canvas.clientHeight, 1);
     const ratio = width / height;
     this.camera.aspect = ratio;
@@ -357,8 +384,10 @@ export class Viewer {
     this.sun.target.updateMatrixWorld();
     let triangles = 0;
     if (this.renderer) {
-      this.renderer.setPixelRatio(window.devicePixelRatio || 1);
-      this.renderer.setSize(width, height, false);
+      // Each of these calls makes a new buffer for the picture.
+      const scale = detail * (window.devicePixelRatio || 1), size = this.renderer.getSize(new Vector2());
+      if (this.renderer.getPixelRatio() !== scale) this.renderer.setPixelRatio(scale);
+      if (size.x !== width || size.y !== height) this.renderer.setSize(width, height, false);
       this.renderer.render(this.scene, this.camera);
       triangles = this.robots.flatMap((robot) => robot.meshes).reduce((sum, mesh) => sum + mesh.geometry.index.count / 3, 0);
     }

@@ -21,7 +21,7 @@ from tests.outside_tools import path_of
 from thorvaldc.model import Fleet, Robot, Sphere
 from thorvaldc.model.spatial import Pose
 from thorvaldc.model.statics.joint_tree import JointTree
-from thorvaldc.simulation.pictures.surfaces import surface
+from thorvaldc.simulation.pictures.surfaces import is_closed, surface
 from thorvaldc.simulation.pictures.view_page import view_page
 from thorvaldc.simulation.pictures.web_page import robot_page
 
@@ -129,6 +129,9 @@ def test_surfaces_are_closed_and_of_the_right_size() -> None:
         a, b, c = (points[faces[:, k]] for k in range(3))
         volume = float(np.sum(np.cross(a, b) * c)) / 6.0
         assert volume > 0.0, shape  # the triangles face outwards
+        assert is_closed(points, faces), shape
+        assert not is_closed(points, faces[1:]), shape  # a hole
+        assert not is_closed(points, np.concatenate((faces[:1, ::-1], faces[1:]))), shape
     ball, faces = surface(robot, Sphere(0.4))
     assert np.linalg.norm(ball, axis=1) == pytest.approx(0.4)
 

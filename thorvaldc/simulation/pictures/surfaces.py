@@ -41,6 +41,18 @@ def surface(robot: Robot, shape: Shape) -> tuple[Points, Faces]:
     return _ball(shape)
 
 
+def is_closed(points: Points, faces: Faces) -> bool:
+    """Returns whether triangles enclose a body: each edge has a triangle on both sides, which run
+    through the edge in opposite directions."""
+    # A corner of two triangles may be two equal points.
+    _, corners = np.unique(np.round(points, 7), axis=0, return_inverse=True)
+    triangles = corners.reshape(-1)[faces]
+    starts = triangles.reshape(-1)
+    ends = np.roll(triangles, -1, axis=1).reshape(-1)
+    edges, opposite = starts * len(points) + ends, ends * len(points) + starts
+    return len(np.unique(edges)) == len(edges) and bool(np.isin(opposite, edges).all())
+
+
 @cache
 def _mesh(name: str, data: bytes) -> tuple[Points, Faces]:
     import trimesh

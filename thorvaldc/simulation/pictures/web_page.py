@@ -18,7 +18,7 @@ from thorvaldc.model import Fleet, MeshShape, Robot
 from thorvaldc.model.robot import Joint, Shape
 from thorvaldc.model.spatial import Pose
 from thorvaldc.model.statics.joint_tree import JointTree
-from thorvaldc.simulation.pictures.surfaces import surface
+from thorvaldc.simulation.pictures.surfaces import is_closed, surface
 
 PLACEHOLDER = "/*DATA*/"
 """Placeholder in the template that the data of the model replaces."""
@@ -43,8 +43,8 @@ def robot_page(model: Robot | Fleet, template: str, before: Robot | Fleet | None
     return template.replace(PLACEHOLDER, text)
 
 
-MeshData = dict[str, str]
-"""Points and triangles of a mesh in base64."""
+MeshData = dict[str, Any]
+"""Points and triangles of a mesh in base64, and whether it is the surface of a closed body."""
 MeshCache = dict[tuple[Shape, str], MeshData]
 """Meshes by shape and hash of the mesh file."""
 PortsOf = Callable[[Robot], Sequence[MountingPort]]
@@ -59,7 +59,7 @@ def page_data(
     mounting ports of a robot.
     """
     shapes = _Shapes({} if cache is None else cache)
-    designs: list[str] = []
+    designs: list[dict[str, Any]] = []
     robots: list[dict[str, Any]] = []
     placements = (
         [(p.name, p.pose, p.robot) for p in model.placements]
@@ -67,7 +67,7 @@ def page_data(
         else [(model.name, Pose(), model)]
     )
     for name, pose, robot in placements:
-        design = json.dumps(_design(robot, shapes, ports(robot) if ports is not None else ()))
+        design = _design(robot, shapes, ports(robot) if ports is not None else ())
         if design not in designs:
             designs.append(design)
         robots.append({"name": name, "pose": pose_values(pose), "design": designs.index(design)})
@@ -75,7 +75,7 @@ def page_data(
         "name": model.name,
         "description": model.description,
         "robots": robots,
-        "designs": [json.loads(design) for design in designs],
+        "designs": designs,
         "shapes": shapes.meshes,
     }
     if isinstance(model, Fleet) and model.world is not None:
@@ -106,6 +106,7 @@ class _Shapes:
                 self._cache[key] = {
                     "points": base64_of(points.astype("<f4")),
                     "faces": base64_of(faces.astype("<u4")),
+                    "closed": is_closed(points, faces),
                 }
             self._indices[key] = len(self.meshes)
             self.meshes.append(self._cache[key])

@@ -94,7 +94,7 @@ class CompiledRobot:
         """
         model = None
         if self._data is not None:
-            shapes: list[dict[str, str]] = []
+            shapes: list[dict[str, Any]] = []
             for key, mesh in zip(self._keys, self._data["shapes"], strict=True):
                 shapes.append({"key": key} if key in known else {"key": key, **mesh})
                 known.add(key)

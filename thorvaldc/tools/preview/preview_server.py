@@ -24,6 +24,8 @@ DEBOUNCE = 10
 """Time in ms for which changes of files are collected."""
 CHECK_PERIOD = 1000
 """Time in ms after which the files are compared, for file systems that report no changes."""
+DRAW_TIME = 0.5
+"""Longest time in s that the facts wait for the picture.  A hidden page draws none."""
 MAX_MESSAGE = 4096
 """Largest message in bytes from a page."""
 TIMINGS = 200
@@ -77,6 +79,7 @@ class PreviewServer:
         self._clients: set[_Client] = set()
         self._drives: set[PageDrive] = set()
         self._details: dict[str, Any] = {}
+        self._drawn = asyncio.Event()
         folder = data_folder("templates")
         page = (folder / "preview" / "page.html").read_text(encoding="utf-8")
         viewer = (folder / "view" / "viewer.js").read_text(encoding="utf-8")
@@ -173,6 +176,7 @@ class PreviewServer:
                 self._switch(client, message["on"] is True, str(message.get("robot", "")))
             elif kind == "drawn":
                 times = {str(name): float(value) for name, value in message["times"].items()}
+                self._drawn.set()
                 self.timings = [*self.timings[1 - TIMINGS :], times]
         except (ValueError, TypeError, KeyError, AttributeError):
             return  # no message of the page
@@ -229,10 +233,15 @@ class PreviewServer:
 
     async def _update(self) -> None:
         await asyncio.to_thread(self._compile)
+        self._drawn.clear()
         for client in tuple(self._clients):
             if self.compiled.is_good:
                 client.stop()  # the robot that it drives is an old one
             await client.send(self.compiled.message(client.known))
+        if self._clients:
+            # The facts take longer than the compilation and would slow the picture down.
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._drawn.wait(), DRAW_TIME)
         await self._describe()
 
     async def _describe(self) -> None:
