@@ -35,6 +35,7 @@ finally:
         with open(os.environ["LOADED"], "w") as file:
             print(*(n for n, m in sys.modules.items() if m is not None), file=file)
 """
+CAR = FOLDER / "car" / "robot.yaml"
 FIELD = FOLDER / "scenarios" / "field_edge.yaml"
 
 
@@ -80,6 +81,9 @@ def test_bash_completes_the_values_of_options_and_arguments(shell: Path) -> None
     assert bash("thorvaldc", "batch", str(FIELD), "--set", "world.fri") == ["world.friction="]
     assert "virtual" in bash("thorvaldc", "run", "robot.yaml", "--bus", "")
     assert bash("thorvaldc", "teleop", "robot.yaml", "--on", "id") == ["ideal"]
+    assert {"mass", "wheels.", "size."} <= set(bash("thorvaldc", "why", str(CAR), ""))
+    assert "wheels.fl_wheel." in bash("thorvaldc", "why", str(CAR), "wh")
+    assert bash("thorvaldc", "why", "bad.yaml", "wh") == []
 
 
 def test_bash_completes_running_drivers_and_their_services(shell: Path) -> None:

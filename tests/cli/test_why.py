@@ -8,6 +8,11 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import GOOD, Command
+from tests.examples import example_robot
+from thorvaldc.model.facts import facts_document
+from thorvaldc.tools.comparison.field_names import field_unit
+from thorvaldc.tools.provenance.explanation import FACTS
+from thorvaldc.tools.provenance.model_paths import all_paths, value_at
 
 CALIBRATION = """\
 thorvaldc: 1
@@ -96,6 +101,22 @@ def test_a_limit_that_the_robot_file_states(thorvaldc: Command) -> None:
 def test_a_fact(thorvaldc: Command) -> None:
     document = explained(thorvaldc, "size.track")
     assert sources(document)["modules.frame.params.width"] == pytest.approx(1.0)
+    assert document["unit"] == "m"
+
+
+@pytest.mark.parametrize("name", ["car", "2wd0ws_greenhouse"])
+def test_every_fact_with_a_dimension_has_a_unit(name: str) -> None:
+    without = set()
+    for part, compute in FACTS.items():
+        document = {part: facts_document(compute(example_robot(name)))}
+        for path in all_paths(document):
+            value = value_at(document, path)
+            is_number = isinstance(value, float) or (isinstance(value, list) and bool(value))
+            if is_number and not field_unit(path):
+                without.add(".".join(path))
+            assert not (isinstance(value, str | bool) and field_unit(path)), path
+    # Coefficients are ratios; the others are lists of names.
+    assert without <= {"slopes.friction", "slopes.rolling_resistance", "energy.missing"}
 
 
 def test_a_node_id(thorvaldc: Command) -> None:

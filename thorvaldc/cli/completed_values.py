@@ -129,6 +129,25 @@ def scenario_variables(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     yield from (f"{path}=" for path in _paths(document, ""))
 
 
+@_completer
+def value_paths(ctx: typer.Context, incomplete: str) -> Iterator[str]:
+    """Proposes the names of the numbers of the robot in the argument ROBOT, part by part."""
+    from contextlib import ExitStack
+
+    from thorvaldc.compiler.pipeline import compile_file
+    from thorvaldc.model import Robot
+    from thorvaldc.tools.provenance.explanation import Explainer
+    from thorvaldc.tools.provenance.known_paths import known_paths, next_names
+
+    file = Path(ctx.params["file"])
+    library = [Path(name) for name in ctx.params.get("library") or ()]
+    robot = compile_file(file, library=library).model
+    assert isinstance(robot, Robot)  # a fleet has no values to explain
+    with ExitStack() as stack:
+        explainer = Explainer(file, robot, library, False, stack)
+        yield from next_names(known_paths(explainer), incomplete)
+
+
 def _paths(value: Any, path: str) -> Iterator[str]:
     """Returns the paths of the values in a document that are neither mappings nor lists."""
     if isinstance(value, dict):

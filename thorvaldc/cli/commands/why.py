@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from thorvaldc.cli.compiling import compile_and_show
+from thorvaldc.cli.completed_values import value_paths
 from thorvaldc.cli.diagnostic_output import print_json, report_of, show_report
 from thorvaldc.cli.exits import DONE, INPUT
 from thorvaldc.cli.options import Json, Library, Trust, library_folders
@@ -26,6 +27,7 @@ def why(
         str,
         typer.Argument(
             metavar="PATH",
+            autocompletion=value_paths,
             help="A value: wheels.fl.radius, mass, modules.frame.params.width, or one in an output"
             " file, FILE:NAME or FILE:LINE.",
         ),

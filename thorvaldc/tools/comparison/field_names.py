@@ -71,8 +71,33 @@ _UNITS: dict[str, dict[str, str]] = {
         "command_watchdog": "s",
     },
     "placements": {"xyz": "m"},
+    # Parts of the facts.
+    "size": dict.fromkeys(
+        ("length", "width", "height", "lower", "upper", "wheelbase", "track", "ground_clearance"),
+        "m",
+    ),
+    "stability": {
+        "margin": "m",
+        **dict.fromkeys(("angles", "least", "polar"), "rad"),
+    },
+    "driving": {
+        **dict.fromkeys(("forwards", "sideways"), "m/s"),
+        "acceleration": "m/s^2",
+        **dict.fromkeys(("x", "y", "radius", "wheel_circle", "outer_circle"), "m"),
+        "yaw_rate": "rad/s",
+    },
+    "slopes": dict.fromkeys(("grip", "torque", "tip_over", "steepest"), "rad"),
+    "energy": {
+        "voltage": "V",
+        "capacity": "A s",
+        "energy": "J",
+        "rolling_force": "N",
+        "range_bound": "m",
+        "power": "W",
+        "standby": "s",
+    },
 }
-"""SI units of fields, by the first and the last name of the path of a value."""
+"""SI units of fields, by the first and the last name of the path of a value or fact."""
 
 
 def field_label(path: ValuePath) -> str:

@@ -189,7 +189,8 @@ class Explainer:
             return {part: facts_document(facts) if facts is not None else {}}
 
         path = resolve_path(document(self.robot), text)
-        explanation = Explanation(".".join(path), value_at(document(self.robot), path))
+        value = value_at(document(self.robot), path)
+        explanation = Explanation(".".join(path), value, field_unit(path))
         explanation.is_varied = changed_value(explanation.value, SMALL_CHANGE) is not None
         if explanation.is_varied:
             self._search(explanation, lambda robot: value_at(document(robot), path))
