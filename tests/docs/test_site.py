@@ -65,6 +65,7 @@ SAMPLE = (
     ("reference/commands.html", 390, "light"),
     ("diagnostics/TV501.html", 1280, "dark"),
     ("explanation/least-squares.html", 1280, "light"),
+    ("examples.html", 390, "dark"),
     ("python.html", 1280, "light"),
     ("examples/odometry_experiment/index.html", 1280, "light"),
     ("404.html", 1280, "light"),
