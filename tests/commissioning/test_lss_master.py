@@ -101,3 +101,15 @@ def test_slaves_that_respond_to_every_serial_number_end_the_search() -> None:
     with pytest.raises(LssError):
         slaves.search()
     assert slaves.requests < 1000
+
+
+@pytest.mark.parametrize("lost", range(3, 150, 7))
+def test_a_search_with_a_lost_response_is_repeated(lost: int) -> None:
+    class Forgetful(Slaves):
+        def take(self, time: int, frame: CanFrame, senders: object) -> None:
+            if self.requests == lost and frame.id == 0x7E5:
+                self.requests += 1
+            else:
+                super().take(time, frame, senders)
+
+    assert Forgetful(SLAVES[1:2]).search() == SLAVES[1:2]

@@ -47,10 +47,21 @@ LAST_PART = 3
 """Index of the last part of the identity, the serial number."""
 MAXIMUM_SLAVES = 126
 """Largest number of devices without node id for which the master searches."""
+PATIENCE = (1.0, 3.0, 10.0)
+"""Time-outs of the fastscan requests in each search, as multiples of ``Timing.fastscan``.  On a
+busy computer a response can be later than the first time-out; the identities that a search finds
+then contradict each other."""
 
 
 class LssError(Exception):
     """Error: an LSS request has no response, more than one response, or was refused."""
+
+
+class UnconfirmedIdentityError(LssError):
+    """Error: the responses to the requests of an LSS fastscan contradict each other."""
+
+    def __init__(self) -> None:
+        super().__init__("a device without id does not confirm its identity")
 
 
 class LssMaster:
@@ -62,6 +73,7 @@ class LssMaster:
 
     def __init__(self, master: BusMaster) -> None:
         self.master = master
+        self._patience = PATIENCE[0]
 
     def switch_to_waiting(self) -> None:
         """Switches all LSS slaves to the waiting state.
@@ -121,14 +133,22 @@ class LssMaster:
         """Returns the identities of all LSS slaves without node id, except those in ``known``.
 
         All LSS slaves must be in the waiting state, and remain there.  Raises ``LssError`` if the
-        responses of the LSS slaves contradict each other.  Each LSS request waits for the full
-        time-out, because a late response would be counted as a response to the next request.
+        responses of the LSS slaves contradict each other, also in searches with longer time-outs.
+        Each LSS request waits for the full time-out, because a late response would be counted as a
+        response to the next request.
         """
+        self._patience = PATIENCE[0]
         if not self.has_unconfigured_slave():
             return []
         if self._fastscan_request(0, 0, LAST_PART, LAST_PART):
             raise LssError("a device without id responds to every fastscan request")
-        return [identity for identity in self._identities((), known) if identity not in known]
+        for patience in PATIENCE:
+            self._patience = patience
+            try:
+                return [found for found in self._identities((), known) if found not in known]
+            except UnconfirmedIdentityError:
+                continue
+        raise UnconfirmedIdentityError()
 
     def _identities(
         self, first: tuple[int, ...], known: Collection[Identity]
@@ -142,7 +162,7 @@ class LssMaster:
         self.has_unconfigured_slave()  # all slaves go back to part 0
         for position, number in enumerate(first):
             if not self._fastscan_request(number, 0, position, position + 1):
-                raise LssError("a device without id does not confirm its identity")
+                raise UnconfirmedIdentityError()
         present = {identity[part] for identity in known if identity[:part] == first}
         numbers = list(islice(self._numbers(part, 0, 32, present), MAXIMUM_SLAVES + 1))
         if len(numbers) > MAXIMUM_SLAVES:
@@ -161,7 +181,7 @@ class LssMaster:
         """
         if bit == 0:
             if start not in known and not self._fastscan_request(start, 0, part, part):
-                raise LssError("a device without id does not confirm its identity")
+                raise UnconfirmedIdentityError()
             yield start
             return
         bit -= 1
@@ -178,7 +198,7 @@ class LssMaster:
 
     def _fastscan_request(self, number: int, bit: int, part: int, next_part: int) -> bool:
         request = struct.pack("<BIBBB", lss.FASTSCAN, number, bit, part, next_part)
-        timeout = self.master.timing.fastscan
+        timeout = self._patience * self.master.timing.fastscan
         return bool(self._request(request, lss.SLAVE_IDENTIFIED, None, timeout))
 
     def _single_response(self, request: bytes, timeout: float | None = None) -> bytes:
