@@ -165,7 +165,7 @@ class Reader:
             differences += self.stop(name)
         return differences
 
-    def follow_in_real_time(self, page: str, attempts: int = 3) -> list[str]:
+    def follow_in_real_time(self, page: str, attempts: int = 5) -> list[str]:
         """Follows a page; again from its beginning if it has programs that run in real time.
 
         On a busy computer, a driver may also stop while the page drives.

@@ -145,9 +145,10 @@ class LssMaster:
         for patience in PATIENCE:
             self._patience = patience
             try:
-                return [found for found in self._identities((), known) if found not in known]
+                identities = list(self._identities((), known))
             except UnconfirmedIdentityError:
                 continue
+            return [identity for identity in identities if identity not in known]
         raise UnconfirmedIdentityError()
 
     def _identities(
