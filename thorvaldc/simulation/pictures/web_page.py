@@ -162,7 +162,7 @@ def _design(robot: Robot, shapes: _Shapes, ports: Sequence[MountingPort]) -> dic
                     "kind": "port",
                     "link": p.link,
                     "pose": pose_values(p.pose),
-                    "note": "" if p.carries else "free",
+                    "note": "taken" if p.carries else "free",
                 }
                 for p in ports
             ),
