@@ -401,10 +401,10 @@ export class Viewer {
 
   label(width, height) {
     const labels = [], seen = new Set();
-    const add = (text, object, point, kind = "") => {
+    const add = (text, object, point, kind = "", robot = "") => {
       const at = point.applyMatrix4(object.matrixWorld).project(this.camera);
-      if (!text || seen.has(text) || at.z > 1) return;
-      seen.add(text);
+      if (!text || seen.has(`${robot} ${text}`) || at.z > 1) return;
+      seen.add(`${robot} ${text}`);
       const span = document.createElement("span");
       span.textContent = text;
       span.className = kind;
@@ -417,7 +417,7 @@ export class Viewer {
       if (this.names)
         for (const mesh of robot.meshes)
           add(this.robots.length > 1 ? robot.name : mesh.userData.part, mesh, mesh.geometry.boundingBox.getCenter(new Vector3()));
-      for (const axes of robot.frames) if (axes.visible && axes.userData.kind !== "link") add(axes.userData.name, axes, new Vector3(), axes.userData.note);
+      for (const axes of robot.frames) if (axes.visible && axes.userData.kind !== "link") add(axes.userData.name, axes, new Vector3(), axes.userData.note, robot.name);
     }
     if (this.names && this.surroundings)
       for (const mesh of this.surroundings.meshes)
