@@ -186,7 +186,7 @@ def test_teleop_drives_the_robot_of_run(folder: Path, thorvaldc: Command) -> Non
         person = at_teleop(folder, "--to", "good")
         try:
             person.until("ready  drives: nobody  disarmed: press g")
-            person.until("ready  drives: nobody  arm", typing="g")
+            person.until("\x1b[2K       arm", typing="g")
             person.until("active  drives: teleop_joy", typing="i")
             again = thorvaldc("run", "good.yaml", "--bus", "virtual")
             assert again.status == 3
@@ -223,7 +223,7 @@ def test_a_robot_on_a_virtual_bus(folder: Path) -> None:
     try:
         running.until("homing")
         running.until("disarmed: press g")
-        running.until("ready  drives: nobody  arm", typing="g")
+        running.until("\x1b[2K       arm", typing="g")
         running.until("active  drives: teleop_joy", typing="l")
         running.type("\x03")
         assert running.end() == 0

@@ -26,7 +26,8 @@ def test_the_lines_fit_80_columns_and_a_fault_has_lines_of_its_own() -> None:
     assert max(map(len, lines)) < 80
     fault = next(i for i, line in enumerate(lines) if line.startswith("       FAULT the process"))
     assert "locked: safety_stop" in " ".join(lines[:fault])
-    assert "busy" in " ".join(lines[fault:])
+    message = next(i for i, line in enumerate(lines) if line.startswith("       a message"))
+    assert "busy" in " ".join(lines[fault:message])
     assert lines[2].endswith("limited by max_angular_velocity 1.541 rad/s")
 
 

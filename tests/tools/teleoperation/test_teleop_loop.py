@@ -105,7 +105,8 @@ def test_navigation_drives_when_the_operator_does_not() -> None:
 def test_a_refused_request_is_shown() -> None:
     drive = Drive({0.1: "h", 1.0: "q"})
     drive.run()
-    assert any("there is no service `home_steering`" in " ".join(lines) for lines in drive.shown)
+    text = " " * 7 + "home steering: this driver has no such service"
+    assert any(lines[-1] == text for lines in drive.shown)
 
 
 def test_the_safety_stop_holds_the_robot() -> None:

@@ -19,7 +19,7 @@ def status_lines(
     """Returns the status lines for the operator of a robot, of at most ``WIDTH`` columns.
 
     The lines are the commanded twist, the twist that the base driver applies with the limit that
-    scales it, the pose of the robot, the state of the base driver with a message, and the fault.
+    scales it, the pose of the robot, the state of the base driver, the fault, and a message.
 
     - ``state``: result of the service ``state``.
     - ``commanded``: twist that the operator commands, or ``None``.
@@ -36,8 +36,6 @@ def status_lines(
         parts.append("disarmed: press g")
     elif not state["fault"] and state["held"] and state["held"] != parts[0]:
         parts.append(f"held: {state['held']}")
-    if message:
-        parts.append(message)
     return [
         f"{share * 100:3.0f} %  commanded {command}",
         f"{INDENT}in force  {in_force}",
@@ -45,6 +43,7 @@ def status_lines(
         f"{INDENT}x {x:.2f} m  y {y:.2f} m  yaw {math.degrees(yaw):.1f} deg",
         *_wrapped("  ".join(parts)),
         *(_wrapped(f"FAULT {state['fault']}") if state["fault"] else []),
+        *(_wrapped(message) if message else []),
     ]
 
 
