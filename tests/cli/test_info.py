@@ -21,6 +21,21 @@ def test_the_text_of_an_example_fits_80_columns(thorvaldc: Command, name: str) -
         assert title in lines
 
 
+def test_groups_of_addresses_are_words(thorvaldc: Command) -> None:
+    lines = thorvaldc("info", str(FOLDER / "4wd4ws_wide" / "robot.yaml")).out.splitlines()
+    (battery,) = (
+        line for line in lines if line.strip().startswith("battery_left ") and "0x" in line
+    )
+    assert battery.split() == [
+        "battery_left",
+        "1",
+        "(0x01)",
+        "kc",
+        "battery",
+        "thorvald_kc_battery",
+    ]
+
+
 def test_json_of_a_robot(thorvaldc: Command) -> None:
     result = thorvaldc("info", "good.yaml", "--json")
     assert result.status == 0

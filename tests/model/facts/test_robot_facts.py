@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -77,8 +78,13 @@ def test_fixed_wheels_turn_by_skidding_and_not_sideways() -> None:
     assert driving.turn.skids
 
 
-def test_a_differential_drive_turns_about_its_axle() -> None:
+@pytest.mark.parametrize(
+    ("angular", "linear"), [(0.01, 9.0), (9.0, 0.01), (1e3, 1e3)], ids=["yaw", "base", "motors"]
+)
+def test_a_differential_drive_turns_about_its_axle(angular: float, linear: float) -> None:
     robot = make_robot([(-0.3, 0.4, "fixed"), (-0.3, -0.4, "fixed"), (0.5, 0.0, "swivel")])
+    driver = replace(robot.driver, max_angular_velocity=angular, max_linear_velocity=linear)
+    robot = replace(robot, driver=driver)
     turn = robot_facts(robot).driving.turn
     assert turn is not None
     assert not turn.skids

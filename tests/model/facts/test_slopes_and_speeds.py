@@ -39,6 +39,14 @@ def test_the_grip_of_four_driven_wheels() -> None:
         assert (limits.steepest, limits.reason) == (limits.grip, "grip")
 
 
+def test_no_slope_beyond_80_degrees_is_stated() -> None:
+    for angle, stated in ((79.9, True), (80.1, False)):
+        friction = math.tan(math.radians(angle))
+        robot = with_wheels(make_robot([(x, y, "steered") for x, y in SQUARE]), friction, 0.0)
+        for limits in limits_of(robot):
+            assert (limits.grip is not None) is stated
+
+
 def test_the_grip_of_two_driven_wheels_in_front() -> None:
     """With the lever arms l to the rear axle, L between the axles, and the height h:
 
