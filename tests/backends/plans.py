@@ -440,9 +440,22 @@ def square(kind: str = "steered", **more: object) -> list[Plan]:
     return [Plan(x, y, kind, **more) for x, y in corners]  # type: ignore[arg-type]
 
 
+def with_leaning_suspensions(robot: Robot) -> Robot:
+    """Returns a robot whose suspensions move along axes that are not vertical."""
+    axes = iter(((0.2, 0.1), (-0.1, 0.3), (0.3, -0.2), (-0.2, -0.1)))
+    joints = []
+    for joint in robot.joints:
+        if joint.role == "suspension":
+            x, y = next(axes)
+            joint = dataclasses.replace(joint, axis=(x, y, math.sqrt(1.0 - x * x - y * y)))
+        joints.append(joint)
+    return dataclasses.replace(robot, joints=tuple(joints))
+
+
 ROBOTS: dict[str, Robot] = {
     "square": build(square()),
     "suspended": build(square(suspended=True), body_com=(0.1, -0.05, 0.0)),
+    "leaning": with_leaning_suspensions(build(square(suspended=True), body_com=(0.1, -0.05, 0.0))),
     "off_centre": build(square(), body_com=(0.2, 0.1, 0.1)),
     "trike": build([Plan(0.6, 0.0), Plan(-0.5, 0.4, "passive"), Plan(-0.5, -0.4, "passive")]),
     "casters": build(

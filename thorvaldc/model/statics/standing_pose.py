@@ -16,7 +16,7 @@ The symbols are:
   for a prismatic joint with the axis a is a_z. The lift for a hinge joint with the axis a at the
   point o is a_x (y - o_y) - a_y (x - o_x).
 
-Raising a wheel by dz reduces its penetration by 2 dz. Stiffness matrix: Stiffness matrix:
+Raising a wheel by dz reduces its penetration by 2 dz. Stiffness matrix:
 
     K = -dr/dq = sum over wheels 2 f'(p_w) l_w l_w^T + diag(spring stiffnesses).
 
