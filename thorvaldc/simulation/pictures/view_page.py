@@ -7,7 +7,7 @@ from thorvaldc.model.data_folder import data_folder
 from thorvaldc.simulation.pictures.web_page import robot_page
 
 VIEWER = "/*VIEWER*/"
-"""Placeholder in the template that the script of the viewer replaces."""
+"""Placeholder in the templates that ``viewer_script()`` replaces."""
 PANEL = "<!--PANEL-->"
 """Placeholder in the template for more sections beside the picture."""
 
@@ -20,5 +20,11 @@ def view_page(model: Robot | Fleet, before: Robot | Fleet | None = None, panel: 
     """
     folder = data_folder("templates") / "view"
     template = (folder / "page.html").read_text(encoding="utf-8").replace(PANEL, panel, 1)
-    viewer = (folder / "viewer.js").read_text(encoding="utf-8")
-    return robot_page(model, template, before).replace(VIEWER, viewer, 1)
+    return robot_page(model, template, before).replace(VIEWER, viewer_script(), 1)
+
+
+def viewer_script() -> str:
+    """Returns the JavaScript of the 3D scene and of the tables beside it, for the pages."""
+    folder = data_folder("templates") / "view"
+    scripts = (folder / name for name in ("viewer.js", "panel.js"))
+    return "\n".join(script.read_text(encoding="utf-8") for script in scripts)

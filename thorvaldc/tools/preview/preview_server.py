@@ -15,7 +15,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from watchfiles import awatch
 
 from thorvaldc.model.data_folder import data_folder
-from thorvaldc.simulation.pictures.view_page import VIEWER
+from thorvaldc.simulation.pictures.view_page import VIEWER, viewer_script
 from thorvaldc.tools.preview.compiled_robot import CompiledRobot
 from thorvaldc.tools.preview.page_drive import PageDrive
 
@@ -80,10 +80,9 @@ class PreviewServer:
         self._drives: set[PageDrive] = set()
         self._details: dict[str, Any] = {}
         self._drawn = asyncio.Event()
-        folder = data_folder("templates")
-        page = (folder / "preview" / "page.html").read_text(encoding="utf-8")
-        viewer = (folder / "view" / "viewer.js").read_text(encoding="utf-8")
-        self._page = page.replace(VIEWER, viewer, 1)
+        template = data_folder("templates") / "preview" / "page.html"
+        page = template.read_text(encoding="utf-8")
+        self._page = page.replace(VIEWER, viewer_script(), 1)
 
     @property
     def url(self) -> str:
