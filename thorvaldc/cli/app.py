@@ -37,6 +37,13 @@ CAN = (
         "Show frames, bus load and node states; sends nothing.",
     ),
 )
+STUDY = (
+    CommandEntry(
+        "run", "study_run:run_study", "Evaluate the designs of a study; may be continued."
+    ),
+    CommandEntry("show", "study_show:show_study", "Show the best designs, or ask in SQL."),
+    CommandEntry("best", "study_best:write_best", "Write the robot file of the best design."),
+)
 # The command `sim` also accepts the options of the commands `scenario`, `batch` and `replay`, which
 # were parts of `sim` in the past.
 OLD_SIM_OPTIONS = (
@@ -55,6 +62,7 @@ COMMANDS: tuple[CommandEntry | GroupEntry, ...] = (
     ),
     CommandEntry("scenario", "scenario:scenario", "Run a scenario and check its expectations."),
     CommandEntry("batch", "batch:batch", "Run variations of a scenario in parallel."),
+    GroupEntry("study", STUDY, "Find the best designs of a robot among many."),
     CommandEntry("replay", "replay:replay", "Show a recorded run again, without physics."),
     CommandEntry("render", "render:render", "Draw a picture of a robot or fleet."),
     CommandEntry("preview", "preview:preview", "Show a robot in a browser while you edit it."),

@@ -28,6 +28,7 @@ ModelFiles = Annotated[
     list[str], typer.Argument(metavar="FILE", help="A robot.yaml or fleet.yaml.")
 ]
 ScenarioFile = Annotated[str, typer.Argument(metavar="SCENARIO", help="A scenario file.")]
+StudyFile = Annotated[str, typer.Argument(metavar="STUDY", help="A study file.")]
 ScenarioRobot = Annotated[
     str,
     typer.Option("--robot", metavar="FILE", help="Use this robot instead of the scenario's."),

@@ -21,7 +21,12 @@ from thorvaldc.compiler.library import BUILTIN_LIBRARY
 from thorvaldc.compiler.source.input_file import unsaved_text
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
-from thorvaldc.compiler.validation.document_kinds import is_fleet, is_scenario, report_wrong_kind
+from thorvaldc.compiler.validation.document_kinds import (
+    is_fleet,
+    is_scenario,
+    is_study,
+    report_wrong_kind,
+)
 from thorvaldc.diagnostics import Accepted, Diagnostic, Label, Report, Span
 from thorvaldc.diagnostics.bounded_file import MAX_LOG_BYTES
 from thorvaldc.model import Fleet, Robot
@@ -33,6 +38,7 @@ if TYPE_CHECKING:
     from thorvaldc.compiler.modules.instance import Instance
     from thorvaldc.compiler.modules.mounting_ports import MountingPort
     from thorvaldc.compiler.source.node import Node
+    from thorvaldc.compiler.study.study_definition import Study
     from thorvaldc.model.scenario import Scenario
 
 SETTING = "--set "
@@ -49,7 +55,7 @@ class SourceFile:
     folder : folder of the file that the user named on the command line.
     document : YAML tree of the file.  ``None`` if the file cannot be read, or if it is not a
         robot, fleet or scenario document.
-    kind : kind of the document: ``robot``, ``fleet`` or ``scenario``.
+    kind : kind of the document: ``robot``, ``fleet``, ``scenario`` or ``study``.
     shape : errors of the document against the schema, and errors of reading the file.
     """
 
@@ -63,7 +69,9 @@ class SourceFile:
             None if document is None or report_wrong_kind(document, self.shape) else document
         )
         self.kind: Kind = "robot"
-        if is_scenario(self.document):
+        if is_study(self.document):
+            self.kind = "study"
+        elif is_scenario(self.document):
             self.kind = "scenario"
         elif is_fleet(self.document):
             self.kind = "fleet"
@@ -88,6 +96,7 @@ class Compilation:
         File names in spans of the model are relative to ``folder``.  The outputs of a build
         therefore do not depend on the location of the folder.
     scenario : the scenario of a scenario file.  The fleet of the scenario is in ``model``.
+    study : the study of a study file.  The robot that the study names is in ``model``.
     report : all diagnostics.  Paths in spans of the report are written as the user gave them.
     source_sha256 : SHA-256 of all input files (hexadecimal).
     sources : path of the input file for each path in ``report``.  Messages show excerpts of the
@@ -101,6 +110,7 @@ class Compilation:
 
     model: Robot | Fleet | None = None
     scenario: Scenario | None = None
+    study: Study | None = None
     report: Report = field(default_factory=Report)
     source_sha256: str = ""
     sources: dict[str, Path] = field(default_factory=dict)
@@ -211,7 +221,7 @@ class Compilation:
         for part in parts.values():
             self.files.update(part.files)
         if self.report.has_errors:
-            self.model = self.scenario = None
+            self.model = self.scenario = self.study = None
             self.locks.clear()
         return self
 

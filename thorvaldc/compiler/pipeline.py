@@ -91,6 +91,11 @@ def compile_file(
             from thorvaldc.compiler.scenario_compilation import compile_scenario
 
             return compile_scenario(source, compile_one, robot, changes)
+        if source.kind == "study":
+            # The module ``study_compilation`` is imported only for study files.
+            from thorvaldc.compiler.study.study_compilation import compile_study
+
+            return compile_study(source, compile_one)
         return compile_one(source)
 
 

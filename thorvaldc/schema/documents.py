@@ -13,7 +13,16 @@ import typing
 from pathlib import Path
 from typing import Any, Literal
 
-Kind = Literal["robot", "module", "fleet", "calibration", "scenario", "bus_faults", "device_memory"]
+Kind = Literal[
+    "robot",
+    "module",
+    "fleet",
+    "calibration",
+    "scenario",
+    "study",
+    "bus_faults",
+    "device_memory",
+]
 KINDS: tuple[Kind, ...] = typing.get_args(Kind)
 
 _QUANTITY = r"^([-+]?\s*[.\d].*"

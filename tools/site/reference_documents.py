@@ -15,6 +15,7 @@ FILES = {
     "fleet": "fleet.yaml",
     "calibration": "calibration.yaml",
     "scenario": "A scenario",
+    "study": "A study",
     "bus_faults": "Faults of a bus",
     "device_memory": "Memory of devices",
 }

@@ -34,7 +34,7 @@ _FAULT_VALUES = {
 }
 _FAULTS_OF_MOTORS = ("encoder_frozen", "motor_lost")
 
-_METRICS = {
+METRICS = {
     "end_error": "length",
     "yaw_error": "angle",
     "path": "length",
@@ -298,7 +298,7 @@ class _SectionReader:
     def expectations(self, node: Node | None) -> Iterator[Expectation]:
         """Yields the expected range of each metric in the section `expect` of a scenario."""
         for metric, bounds in entries(node).items():
-            quantity = _METRICS.get(metric)
+            quantity = METRICS.get(metric)
             if quantity is None:
                 continue  # The schema check has already reported the unknown metric.
             least, most = (

@@ -202,7 +202,7 @@ def _read_values(path: str, node: Node, report: Report) -> VariedPath | None:
     low, high = node.get("min"), node.get("max")
     if low is None or high is None:
         return None
-    return _read_range(path, str(low.value), str(high.value), node.where, report)
+    return read_range(path, str(low.value), str(high.value), node.where, report)
 
 
 def _read_setting(path: str, text: str, report: Report) -> VariedPath | None:
@@ -210,7 +210,7 @@ def _read_setting(path: str, text: str, report: Report) -> VariedPath | None:
     span = Span(f"{SETTING}{path}")
     limits = _RANGE.fullmatch(text)
     if limits is not None:
-        return _read_range(path, limits[1], limits[2], span, report)
+        return read_range(path, limits[1], limits[2], span, report)
     yaml_report = Report()
     node = read_text(f"[{text}]".encode(), span.file, yaml_report)
     values = node.value if node is not None else None
@@ -238,7 +238,7 @@ def _with_span(node: Node, span: Span) -> Node:
     return Node(value, span, span, node.quoted)
 
 
-def _read_range(path: str, low: str, high: str, span: Span, report: Report) -> VariedPath | None:
+def read_range(path: str, low: str, high: str, span: Span, report: Report) -> VariedPath | None:
     """Reads the two limits of a range of values.
 
     Both limits of the range must have the same unit.  A limit of 0 needs no unit.

@@ -22,9 +22,11 @@ _unsaved: ContextVar[Mapping[str, bytes]] = ContextVar("unsaved")
 def unsaved_texts(texts: Mapping[str, bytes]) -> Iterator[None]:
     """Replaces the content of files in this thread within the ``with`` block.
 
+    Texts of an outer ``with`` block remain replaced.
+
     - ``texts``: content by the path of the file, as ``os.path.realpath`` returns it.
     """
-    token = _unsaved.set(texts)
+    token = _unsaved.set({**_unsaved.get({}), **texts})
     try:
         yield
     finally:

@@ -1,4 +1,4 @@
-"""Recognises a document as a robot, fleet or scenario document by its top-level keys."""
+"""Recognises a document as a robot, fleet, scenario or study document by its top-level keys."""
 
 from __future__ import annotations
 
@@ -19,6 +19,11 @@ def is_scenario(document: Node | None) -> bool:
         return True
     has_robots = document.get("robots") is not None or document.get("fleet") is not None
     return has_robots and any(document.get(key) is not None for key in _SCENARIO_KEYS)
+
+
+def is_study(document: Node | None) -> bool:
+    """Returns whether a YAML document is a study."""
+    return document is not None and document.get("study") is not None
 
 
 def is_fleet(document: Node | None) -> bool:

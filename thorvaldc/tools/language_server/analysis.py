@@ -54,7 +54,7 @@ def analyse(
     if kind is None:
         return Analysis()
     with unsaved_texts(texts):
-        if kind in ("robot", "fleet", "scenario"):
+        if kind in ("robot", "fleet", "scenario", "study"):
             compilation = compile_file(document.path)
             report, sources = compilation.report, compilation.sources
             model = compilation.model

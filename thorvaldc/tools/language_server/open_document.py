@@ -19,6 +19,7 @@ from thorvaldc.tools.language_server.source_text import SourceText
 _TOP_LEVEL_KEY = re.compile(r"^(?:\{\s*)?[\"']?([A-Za-z_]\w*)[\"']?[ \t]*:(?=\s|$)", re.MULTILINE)
 _NO_KIND = frozenset(["thorvaldc_lock", "motor_drives"])
 _KEYS_OF_KINDS: tuple[tuple[Kind, frozenset[str]], ...] = (
+    ("study", frozenset(["study", "objectives", "samples"])),
     ("scenario", frozenset(["scenario", "script", "expect", "duration", "world"])),
     ("robot", frozenset(["base_calculator", "extras", "buses", "design", "defaults"])),
     ("fleet", frozenset(["robots"])),

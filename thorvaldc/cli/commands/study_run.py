@@ -1,0 +1,63 @@
+"""The command ``thorvaldc study run``: evaluates the designs of a study."""
+
+from __future__ import annotations
+
+import gc
+from typing import Annotated
+
+import typer
+
+from thorvaldc.cli.diagnostic_output import count, message, table_width
+from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli.options import Jobs, Library, StudyFile, Trust, parse_count
+from thorvaldc.cli.progress import Progress
+from thorvaldc.cli.study_runs import plan_study, results_folder
+from thorvaldc.tools.scenario_batch import processors
+from thorvaldc.tools.study.sample_points import MissingPackageError
+from thorvaldc.tools.study.study_journal import StudyBusyError, StudyJournal
+from thorvaldc.tools.study.study_table import TABLE, StudyTable, load_duckdb
+from thorvaldc.tools.study.study_text import summary_text
+
+
+def run_study(
+    study: StudyFile,
+    output: Annotated[
+        str,
+        typer.Option(
+            "--output", "-o", metavar="DIR", help="Folder of the results (default: study/NAME)."
+        ),
+    ] = "",
+    jobs: Jobs = "",
+    library: Library = [],  # noqa: B006
+    trust: Trust = False,
+) -> int:
+    process_count = parse_count(jobs, "--jobs", 1) or processors()
+    gc.enable()
+    try:
+        load_duckdb()
+    except MissingPackageError as error:
+        raise OutsideError(str(error)) from None
+    run = plan_study(study, library, trust)
+    if run is None:
+        return INPUT
+    folder = results_folder(run.inputs.study.name, output)
+    try:
+        journal = StudyJournal(folder)
+    except StudyBusyError as error:
+        raise OutsideError(str(error)) from None
+    total = len(set(run.keys))
+    bar, finished = Progress(total, "designs"), 0
+    try:
+        for finished in run.results(journal, process_count):
+            bar.show(finished)
+    except RuntimeError as error:  # a process of the study was killed
+        raise OutsideError(f"{error}; run the command again to continue") from None
+    finally:
+        bar.clear()
+        run.write_table(journal, folder)
+        journal.close()
+        if finished < total:
+            message(f"{finished} of {count(total, 'design')} finished; the same command continues")
+    print(summary_text(StudyTable.open(folder), table_width()))
+    message(f"wrote {folder / TABLE}")
+    return DONE

@@ -1,0 +1,1 @@
+"""Reads study files: designs of one robot with variables, constraints and objectives."""

@@ -1,0 +1,409 @@
+"""Compiles study files.
+
+A study names a robot, variables, constraints, scenarios and objectives.  The compilation of a study
+compiles the robot, each scenario with the robot, and the robot with each listed value and each
+limit of a range alone.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+from thorvaldc.compiler.compilation import Compilation, Compile, SourceFile
+from thorvaldc.compiler.fleet_compilation import open_named_file
+from thorvaldc.compiler.library import Library
+from thorvaldc.compiler.modules.value_reader import entries, items
+from thorvaldc.compiler.pipeline import library_folders_of
+from thorvaldc.compiler.scenario.scenario_reader import METRICS
+from thorvaldc.compiler.scenario.variations import read_range
+from thorvaldc.compiler.scenario_compilation import compile_scenario
+from thorvaldc.compiler.source.input_file import unsaved_texts
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.reader import MAX_BYTES, read_bytes
+from thorvaldc.compiler.source.units import UnitError, parse_any
+from thorvaldc.compiler.study.replaced_values import (
+    PathError,
+    find_value,
+    shared_spans,
+    with_replaced_values,
+)
+from thorvaldc.compiler.study.study_definition import (
+    STATUS_COLUMNS,
+    Constraint,
+    Objective,
+    Samples,
+    Study,
+    Variable,
+    value_key,
+)
+from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.model import Robot
+from thorvaldc.model.facts.facts_document import facts_document
+from thorvaldc.model.facts.robot_facts import robot_facts
+
+MAX_DESIGNS = 100_000
+_WRONG_WITH_ALL_DESIGNS = ("module-type-unknown", "study-path")
+"""Names of errors outside of the codes TV2xx that a value causes whatever the other values are."""
+
+
+def compile_study(source: SourceFile, compile_robot: Compile) -> Compilation:
+    """Compiles a study file.
+
+    ``compile_robot`` is the function that compiles the robot file.  The model of the returned
+    compilation is the robot that the study names.
+    """
+    compilation, report = Compilation.of(source), Report()
+    parts: dict[str, Compilation] = {}
+    if source.document is not None:
+        document = source.check_shape(source.document)
+        robot = _compile_robot(document, source, compile_robot, report)
+        if robot is not None:
+            robot_source, part = robot
+            parts[robot_source.name] = part
+            if isinstance(part.model, Robot):
+                reader = _StudyReader(source, document, robot_source, part, compile_robot, report)
+                compilation.study = reader.read(parts)
+                compilation.model = part.model
+    return compilation.complete(source, report, parts)
+
+
+def _compile_robot(
+    document: Node, source: SourceFile, compile_robot: Compile, report: Report
+) -> tuple[SourceFile, Compilation] | None:
+    node = document.get("robot")
+    if node is None or not isinstance(node.value, str):
+        return None
+    robot_source = open_named_file(source, node, report)
+    if robot_source is None:
+        return None
+    if robot_source.kind != "robot":
+        message = f"`{robot_source.name}` is a {robot_source.kind}; a robot is needed"
+        report.add("fleet-in-fleet", message, node.span)
+        return None
+    return robot_source, compile_robot(robot_source)
+
+
+def fact_values(document: Any, path: str = "") -> Iterator[tuple[str, float]]:
+    """Yields the path and value of each number in the facts about a robot."""
+    if isinstance(document, bool):
+        return
+    if isinstance(document, int | float):
+        yield path, document
+    elif isinstance(document, dict | list):
+        items = document.items() if isinstance(document, dict) else enumerate(document)
+        for key, value in items:
+            yield from fact_values(value, f"{path}.{key}" if path else str(key))
+
+
+class _StudyReader:
+    """Reads the sections of a study document."""
+
+    def __init__(
+        self,
+        source: SourceFile,
+        document: Node,
+        robot_source: SourceFile,
+        robot: Compilation,
+        compile_robot: Compile,
+        report: Report,
+    ) -> None:
+        self.source = source
+        self.document = document
+        self.robot_source = robot_source
+        self.robot = robot
+        self.compile_robot = compile_robot
+        self.report = report
+        assert isinstance(robot.model, Robot)
+        self.facts = dict(fact_values(facts_document(robot_facts(robot.model))))
+        self.choice_inputs: list[tuple[str, str, str]] = []
+
+    def read(self, parts: dict[str, Compilation]) -> Study:
+        """Returns the study, and adds the compilations of the scenarios to ``parts``."""
+        self._check_names()
+        scenarios = tuple(self._scenarios(parts))
+        digest = hashlib.sha256()
+        for name in sorted(parts):
+            digest.update(f"{name}\0{parts[name].source_sha256}\0".encode())
+        samples = self.document.get("samples")
+        method, number, seed = (
+            entry.value if samples is not None and (entry := samples.get(key)) is not None else None
+            for key in ("method", "number", "seed")
+        )
+        name, description = (self.document.get(key) for key in ("study", "description"))
+        study = Study(
+            name="" if name is None else str(name.value),
+            description="" if description is None else str(description.value),
+            robot=self.robot_source.path,
+            variables=tuple(self._variables()),
+            constraints=tuple(self._constraints()),
+            scenarios=scenarios,
+            objectives=tuple(self._objectives()),
+            samples=Samples(
+                str(method),
+                number if isinstance(number, int) else 1,
+                seed if isinstance(seed, int) else 0,
+            ),
+        )
+        self._check_size(study)
+        return replace(study, inputs=digest.hexdigest(), choice_inputs=tuple(self.choice_inputs))
+
+    def _check_names(self) -> None:
+        """Checks that each column of the table of designs has its own name."""
+        used = dict.fromkeys(STATUS_COLUMNS, "a column of each table of designs")
+        for section in ("variables", "constraints", "scenarios", "objectives"):
+            for name, node in entries(self.document.get(section)).items():
+                if name in used:
+                    self.report.add(
+                        "study-name",
+                        f"the name `{name}` is also {used[name]}",
+                        node.where,
+                        hint="the results have a column of each name: choose another one",
+                    )
+                used[name] = f"in `{section}`"
+
+    def _scenarios(self, parts: dict[str, Compilation]) -> Iterator[tuple[str, Any]]:
+        # The diagnostics of the robot are already in the report.
+        silent = replace(self.robot, report=Report())
+        for name, node in entries(self.document.get("scenarios")).items():
+            file = node.get("scenario")
+            if file is None or not isinstance(file.value, str):
+                continue
+            opened = open_named_file(self.source, file, self.report)
+            if opened is None:
+                continue
+            if opened.kind != "scenario":
+                message = f"`{opened.name}` is a {opened.kind}; a scenario is needed"
+                self.report.add("study-name", message, file.span)
+                continue
+            parts[opened.name] = compile_scenario(
+                opened, lambda part: silent, self.robot_source.path, ()
+            )
+            yield name, opened.path
+
+    # -- variables ------------------------------------------------------------------
+
+    def _variables(self) -> Iterator[Variable]:
+        text = self._robot_text()
+        document = self.robot_source.document
+        assert document is not None
+        aliases = shared_spans(document)
+        for name, node in entries(self.document.get("variables")).items():
+            paths = [path for path in items(node.get("paths")) if isinstance(path.value, str)]
+            are_valid = [self._check_path(document, path, aliases) for path in paths]
+            variable = self._variable(name, node, tuple(str(path.value) for path in paths))
+            if variable is not None and paths and all(are_valid):
+                self._try_values(variable, node, text)
+                yield variable
+
+    def _variable(self, name: str, node: Node, paths: tuple[str, ...]) -> Variable | None:
+        least, most, choices = (node.get(key) for key in ("min", "max", "values"))
+        has_range = least is not None and most is not None
+        if (choices is not None) == (least is not None or most is not None) or not (
+            has_range or choices is not None
+        ):
+            self.report.add(
+                "study-value",
+                f"the variable `{name}` needs either `min` and `max`, or `values`",
+                node.where,
+            )
+            return None
+        if least is not None and most is not None:
+            limits = str(least.value), str(most.value)
+            varied = read_range(name, *limits, node.where, self.report)
+            if varied is None:
+                return None
+            limit = varied.least, varied.most, varied.unit, varied.whole
+            return Variable(name, paths, (), *limit, node.where)
+        values = tuple(item.value for item in items(choices) if item.value is not None)
+        return Variable(name, paths, values, 0.0, 0.0, "", False, node.where) if values else None
+
+    def _check_path(self, document: Node, path: Node, aliases: set[Any]) -> bool:
+        """Checks that a path leads to a scalar of the robot file, or to a parameter that the file
+        does not set."""
+        text = str(path.value)
+        try:
+            node, missing = find_value(document, text)
+        except PathError as error:
+            self.report.add("study-path", str(error), path.span)
+            return False
+        if missing:
+            return self._check_parameter(node, text, missing, path)
+        if isinstance(node.value, dict | tuple):
+            kind = "a mapping" if isinstance(node.value, dict) else "a list"
+            self.report.add(
+                "study-path",
+                f"`{text}` is {kind}; a variable replaces a single value",
+                path.span,
+                hint=f"name a value in it, such as `{text}.{next(_keys(node), '0')}`",
+            )
+            return False
+        if node.span in aliases:
+            self.report.add(
+                "study-path",
+                f"the value of `{text}` has a YAML alias, so that it stands for several values",
+                path.span,
+                hint="write the value in each place, and name each place in `paths`",
+            )
+            return False
+        return True
+
+    def _check_parameter(
+        self, mapping: Node, path: str, missing: tuple[str, ...], node: Node
+    ) -> bool:
+        """Checks a path whose last keys the robot file lacks.
+
+        The default of a parameter of a module can be replaced, also if the file does not set it.
+        """
+        keys = path.split(".")
+        known = list(_keys(mapping))
+        parents = keys[: len(keys) - len(missing)]
+        if len(keys) == 4 and keys[0] == "modules" and keys[2] == "params" and len(parents) >= 2:
+            known = self._parameters(keys[1])
+            if keys[3] in known:
+                return True
+            parents = keys[:3]
+            missing = (keys[3],)
+        place = ".".join(parents) or "the robot file"
+        rest = keys[len(parents) + 1 :]
+        near = did_you_mean(
+            path, [".".join([*parents, key, *rest]) for key in known], f"it has {', '.join(known)}"
+        )
+        self.report.add("study-path", f"`{place}` has no `{missing[0]}`", node.span, hint=near)
+        return False
+
+    def _parameters(self, module: str) -> list[str]:
+        """Returns the names of the parameters of the type of a module."""
+        document, ignored = self.robot_source.document, Report()
+        assert document is not None
+        node, missing = find_value(document, f"modules.{module}.type")
+        if missing:
+            return []
+        folder = self.robot_source.path.parent
+        library = Library(library_folders_of(document, folder, (), ignored))
+        loaded = library.load(str(node.value), node, ignored)
+        return [] if loaded is None else list(loaded.section("params"))
+
+    def _try_values(self, variable: Variable, node: Node, text: str) -> None:
+        """Compiles the robot with each value of a variable, and reports the values that no design
+        can have."""
+        listed = items(node.get("values"))
+        for index, value in enumerate(variable.tested_values()):
+            place = listed[index].span if listed else node.where
+            try:
+                changed = with_replaced_values(text, ((path, value) for path in variable.paths))
+            except PathError as error:
+                self.report.add("study-path", str(error), place)
+                return
+            path = self.robot_source.path
+            with unsaved_texts({os.path.realpath(path): changed.encode()}):
+                tried = self.compile_robot(
+                    SourceFile(path, self.robot_source.name, self.robot_source.folder)
+                )
+            self.choice_inputs.append((variable.name, value_key(value), tried.source_sha256))
+            for error in tried.report.errors:
+                number, name = error.code.number, error.code.name
+                if number.startswith("TV2") or name in _WRONG_WITH_ALL_DESIGNS:
+                    message = f"`{value}` is no value of `{variable.name}`: {error.message}"
+                    self.report.add("study-value", message, place)
+                    break
+
+    def _robot_text(self) -> str:
+        data = read_bytes(
+            self.robot_source.path, self.robot_source.name, self.report, limit=MAX_BYTES
+        )
+        return (data or b"").decode("utf-8", "replace")
+
+    # -- constraints and objectives -----------------------------------------------------
+
+    def _constraints(self) -> Iterator[Constraint]:
+        for name, node in entries(self.document.get("constraints")).items():
+            fact = self._fact(node.get("fact"))
+            least, most = (self._bound(node.get(key)) for key in ("at_least", "at_most"))
+            if node.get("at_least") is None and node.get("at_most") is None:
+                self.report.add(
+                    "study-value",
+                    f"the constraint `{name}` needs `at_least` or `at_most`",
+                    node.where,
+                )
+            elif least is not None and most is not None and least > most:
+                self.report.add(
+                    "study-value", f"no number is within the bounds of `{name}`", node.where
+                )
+            if fact:
+                yield Constraint(name, fact, least, most)
+
+    def _bound(self, node: Node | None) -> float | None:
+        if node is None or node.value is None:
+            return None
+        if isinstance(node.value, int | float):
+            return float(node.value)
+        try:
+            return parse_any(str(node.value))
+        except UnitError as error:
+            self.report.add(error.code, error.message, node.span, hint=error.hint)
+            return None
+
+    def _objectives(self) -> Iterator[Objective]:
+        scenarios = entries(self.document.get("scenarios"))
+        for name, node in entries(self.document.get("objectives")).items():
+            fact, metric, goal = (node.get(key) for key in ("fact", "metric", "goal"))
+            if (fact is None) == (metric is None):
+                message = f"the objective `{name}` needs either `fact` or `metric`"
+                self.report.add("study-value", message, node.where)
+                continue
+            known = [
+                f"{scenario}.{metric_name}" for scenario in scenarios for metric_name in METRICS
+            ]
+            if metric is not None and metric.value not in known:
+                self.report.add(
+                    "study-name",
+                    f"the study has no metric `{metric.value}`",
+                    metric.span,
+                    hint=did_you_mean(
+                        str(metric.value), known, "write it as SCENARIO.METRIC; it has no scenarios"
+                    ),
+                )
+                continue
+            path = self._fact(fact) if fact is not None else ""
+            maximise = goal is not None and goal.value == "maximise"
+            yield Objective(name, path, "" if metric is None else str(metric.value), maximise)
+
+    def _fact(self, node: Node | None) -> str:
+        """Returns the path of a fact, or an empty text and reports an unknown fact."""
+        if node is None or node.value is None:
+            return ""
+        path = str(node.value)
+        if path in self.facts:
+            return path
+        self.report.add(
+            "study-name",
+            f"the robot has no fact `{path}` that is a number",
+            node.span,
+            hint=did_you_mean(path, self.facts, "`thorvaldc info --json` shows the facts"),
+        )
+        return ""
+
+    def _check_size(self, study: Study) -> None:
+        """Checks the number of designs of a grid."""
+        size = 1
+        for variable in study.variables:
+            size *= len(variable.choices) or study.samples.number
+        if study.samples.method == "grid" and size > MAX_DESIGNS:
+            node = self.document.get("samples")
+            self.report.add(
+                "out-of-range",
+                f"the grid has {size} designs; there must be at most {MAX_DESIGNS}",
+                (node or self.document).where,
+            )
+
+
+def _keys(node: Node) -> Iterator[str]:
+    if isinstance(node.value, dict):
+        yield from node.value
+    elif isinstance(node.value, tuple):
+        yield from map(str, range(len(node.value)))

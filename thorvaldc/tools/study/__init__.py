@@ -1,0 +1,1 @@
+"""Runs studies: samples designs, evaluates each design, keeps the results."""

@@ -1,0 +1,158 @@
+"""Evaluates one design of a study: compiles it, checks its constraints and drives its scenarios."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from thorvaldc.compiler.compilation import Compilation, SourceFile
+from thorvaldc.compiler.extras.xacro_expand import remembered_expansions
+from thorvaldc.compiler.geometry.meshes import shared_mesh_workers
+from thorvaldc.compiler.pipeline import compile_robot, emit
+from thorvaldc.compiler.scenario_compilation import compile_scenario
+from thorvaldc.compiler.source.input_file import unsaved_texts
+from thorvaldc.compiler.study.replaced_values import PathError, with_replaced_values
+from thorvaldc.compiler.study.study_compilation import fact_values
+from thorvaldc.compiler.study.study_definition import Study
+from thorvaldc.diagnostics import Diagnostic, Report
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model import Robot
+from thorvaldc.model.facts.facts_document import facts_document
+from thorvaldc.model.facts.robot_facts import robot_facts
+from thorvaldc.tools.study.sample_points import Design
+
+STATUSES = ("ok", "constraint", "expectation", "tipped", "diverged", "error")
+_STATUS_OF_CODE = {
+    "simulation-tipped": "tipped",
+    "simulation-diverged": "diverged",
+    "expectation-failed": "expectation",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class StudyInputs:
+    """All that a process needs to evaluate the designs of a study.
+
+    - ``text``: text of the robot file.
+    - ``library``: additional library folders.
+    - ``trust``: whether xacro files are expanded without restrictions.
+    """
+
+    study: Study
+    text: str
+    library: Sequence[Path]
+    trust: bool
+
+
+class DesignEvaluator:
+    """Evaluates designs of a study one after the other.
+
+    Each design is the text of the robot file with replaced values, so that the winning robot file
+    is compiled from the text that was simulated.  The designs share the parsed library, the xacro
+    expansions and the mesh workers.
+
+    ``stack`` : the worker processes end when the stack is closed.
+    """
+
+    def __init__(self, inputs: StudyInputs, stack: ExitStack) -> None:
+        stack.enter_context(shared_mesh_workers())
+        stack.enter_context(remembered_expansions())
+        self.inputs = inputs
+        self.study = inputs.study
+
+    def evaluate(self, design: Design) -> dict[str, Any]:
+        """Returns the result of a design as JSON values.
+
+        The keys are ``status``, ``code``, ``message``, ``facts`` by path, and ``metrics`` by
+        scenario.  A design never raises an exception: a design that cannot be compiled or driven is
+        a result with the first error.
+        """
+        row: dict[str, Any] = {"status": "ok", "code": "", "message": "", "facts": {}}
+        row["metrics"] = {}
+        try:
+            self._evaluate(design, row)
+        except DiagnosticError as error:
+            _set_error(row, error.diagnostic)
+        except PathError as error:
+            row.update(status="error", message=str(error))
+        except Exception as error:
+            # One design among thousands must not end a study of hours, whatever its error is.
+            row.update(status="error", message=f"{type(error).__name__}: {error}")
+        return row
+
+    def _evaluate(self, design: Design, row: dict[str, Any]) -> None:
+        robot_path = self.study.robot
+        text = robot_text(self.inputs, design)
+        with unsaved_texts({os.path.realpath(robot_path): text.encode()}):
+            source = SourceFile(robot_path, robot_path.name, robot_path.parent)
+            compilation = compile_robot(source, self.inputs.library, self.inputs.trust)
+            if not isinstance(compilation.model, Robot):
+                _set_error(row, compilation.report.errors[0])
+                return
+            row["facts"] = self._facts(compilation.model)
+            message = self._broken_constraint(row["facts"])
+            if message:
+                row.update(status="constraint", message=message)
+                return
+            for name, path in self.study.scenarios:
+                if not self._drive(name, path, compilation, row):
+                    return
+
+    def _facts(self, robot: Robot) -> dict[str, float | None]:
+        paths = sorted(set(self.study.facts()))
+        values = dict(fact_values(facts_document(robot_facts(robot)))) if paths else {}
+        return {path: values.get(path) for path in paths}
+
+    def _broken_constraint(self, facts: dict[str, float | None]) -> str:
+        for constraint in self.study.constraints:
+            value = facts[constraint.fact]
+            if value is None:
+                return f"{constraint.name}: the design has no {constraint.fact}"
+            if constraint.at_least is not None and value < constraint.at_least:
+                return f"{constraint.name} is {value:.4g}, less than {constraint.at_least:.4g}"
+            if constraint.at_most is not None and value > constraint.at_most:
+                return f"{constraint.name} is {value:.4g}, more than {constraint.at_most:.4g}"
+        return ""
+
+    def _drive(self, name: str, path: Path, robot: Compilation, row: dict[str, Any]) -> bool:
+        """Runs a scenario, adds its metrics, and returns whether the design passed it."""
+        from thorvaldc.simulation.scenario_run import ScenarioSimulation
+
+        source = SourceFile(path, path.name, path.parent)
+        compilation = compile_scenario(source, lambda part: robot, self.study.robot, ())
+        if compilation.scenario is None:
+            _set_error(row, compilation.report.errors[0])
+            return False
+        report = Report()
+        files = emit(compilation.scenario.fleet, ["mjcf"], report)
+        result = ScenarioSimulation(compilation.scenario, files).play(report)
+        (metrics,) = result.metrics.values()
+        row["metrics"][name] = {
+            metric: value if math.isfinite(value) else None for metric, value in metrics.items()
+        }
+        if result.passed:
+            return True
+        errors = sorted(report.errors, key=lambda error: error.code.name == "expectation-failed")
+        _set_error(row, errors[0])
+        return False
+
+
+def robot_text(inputs: StudyInputs, design: Design) -> str:
+    """Returns the text of the robot file with the values of a design.
+
+    Raises ``PathError`` if a value cannot be replaced.
+    """
+    pairs = zip(inputs.study.variables, design, strict=True)
+    return with_replaced_values(
+        inputs.text, [(path, value) for variable, value in pairs for path in variable.paths]
+    )
+
+
+def _set_error(row: dict[str, Any], diagnostic: Diagnostic) -> None:
+    status = _STATUS_OF_CODE.get(diagnostic.code.name, "error")
+    row.update(status=status, code=diagnostic.code.number, message=diagnostic.message)

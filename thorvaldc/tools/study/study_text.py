@@ -1,0 +1,91 @@
+"""The results of a study as text: the best designs, the front and the counts by status."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+from thorvaldc.diagnostics.text_table import text_table
+from thorvaldc.tools.study.design_evaluation import STATUSES
+from thorvaldc.tools.study.study_table import StudyTable, front
+
+MOST_ROWS = 20
+
+
+def summary(table: StudyTable) -> dict[str, Any]:
+    """Returns the counts by status and the best designs as JSON values.
+
+    The designs with the status ``ok`` are ordered by the objective.  With several objectives, the
+    designs of the front come first, ordered by the first objective.
+    """
+    description = table.description
+    columns, rows = table.query("SELECT * FROM designs ORDER BY sample")
+    designs = [dict(zip(columns, row, strict=True)) for row in rows]
+    counts = Counter(design["status"] for design in designs)
+    goals = description["objectives"]
+    passed = [
+        design
+        for design in designs
+        if design["status"] == "ok" and all(design[name] is not None for name in goals)
+    ]
+    points = [
+        [-design[name] if goal == "maximise" else design[name] for name, goal in goals.items()]
+        for design in passed
+    ]
+    on_front = set(front(points))
+    order = sorted(range(len(passed)), key=lambda i: (i not in on_front, points[i]))
+    best = [{**passed[index], "front": index in on_front} for index in order]
+    return {
+        "study": description["study"],
+        "designs": len(designs),
+        "statuses": {status: counts[status] for status in STATUSES if counts[status]},
+        "objectives": goals,
+        "best": best,
+    }
+
+
+def summary_text(table: StudyTable, width: int | None) -> str:
+    """Returns the counts by status and a table of the best designs.
+
+    ``width``: number of columns of the terminal, or ``None`` for one line per design.
+    """
+    result, description = summary(table), table.description
+    counts = ", ".join(f"{count} {status}" for status, count in result["statuses"].items())
+    lines = [f"{result['study']}: {result['designs']} designs: {counts or 'none'}"]
+    goals = result["objectives"]
+    names = [*description["variables"], *description["constraints"], *goals]
+    is_front = len(goals) > 1
+    titles = [f"{name} ({goals[name]})" if name in goals else name for name in names]
+    shown = result["best"][:MOST_ROWS]
+    if shown:
+        table_rows = [("sample", *titles, *(["front"] if is_front else []))]
+        for design in shown:
+            mark = ["*" if design["front"] else ""] if is_front else []
+            cells = [_cell(design[name]) for name in names]
+            table_rows.append((str(design["sample"]), *cells, *mark))
+        lines += [text_table(table_rows, width), "SI units, angles in rad"]
+        if is_front:
+            count = sum(1 for design in result["best"] if design["front"])
+            lines.append(f"*: {count} designs that no other design surpasses in every objective")
+    else:
+        lines.append("no design meets every constraint and passes every scenario")
+        lines += _reasons(table)
+    return "\n".join(lines)
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _reasons(table: StudyTable) -> list[str]:
+    """Returns the first message of each status and code."""
+    _, rows = table.query(
+        "SELECT status, code, min(sample), arg_min(message, sample) FROM designs"
+        " GROUP BY status, code ORDER BY 3"
+    )
+    return [
+        f"design {sample}: {status}{f' {code}' if code else ''}: {message}"
+        for status, code, sample, message in rows
+    ]
