@@ -336,7 +336,17 @@ def test_targets(thorvaldc: Command) -> None:
 
 @pytest.mark.parametrize(
     "kind",
-    ["robot", "module", "fleet", "calibration", "scenario", "bus_faults", "device_memory", "model"],
+    [
+        "robot",
+        "module",
+        "fleet",
+        "calibration",
+        "scenario",
+        "study",
+        "bus_faults",
+        "device_memory",
+        "model",
+    ],
 )
 def test_schema_is_a_complete_document(thorvaldc: Command, kind: str) -> None:
     import jsonschema

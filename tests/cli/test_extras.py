@@ -26,6 +26,7 @@ HINTS = [
     ("serial", ("can", "scan", "good.yaml", "--bus", "slcan:/dev/null"), "serial"),
     ("msgpack", ("can", "scan", "good.yaml", "--bus", "udp"), "udp"),
     ("pygls", ("lsp",), "lsp"),
+    ("duckdb", ("study", "run", "study.yaml"), "study"),
     ("aiohttp", ("preview", "good.yaml", "--no-browser"), "preview"),
 ]
 # Hints of which other tests show that they appear.

@@ -164,6 +164,18 @@ wheels:
   fl_wheel: {radius: 201.5 mm, steering_offset: 1.0 deg}
   rr_wheel: {radius: 198.4 mm, steering_offset: 0.8 deg}
 """
+STUDY = """\
+thorvaldc: 1
+study: track
+robot: robot.yaml
+variables:
+  track: {paths: [modules.frame.params.width], min: 0.8 m, max: 1.2 m}
+  drive: {paths: [modules.fl.type], values: [assembly/fixed_drive, assembly/steered_drive]}
+constraints: {tip_over: {fact: stability.angles.left, at_least: 25 deg}}
+scenarios: {drive_on: {scenario: scenario.yaml}}
+objectives: {energy: {metric: drive_on.energy, goal: minimise}, light: {fact: mass, goal: minimise}}
+samples: {method: random, number: 4, seed: 1}
+"""
 SCENARIO_COMMANDS = (
     "check scenario.yaml",
     "scenario scenario.yaml --set duration=0.1",
@@ -235,6 +247,18 @@ def _documents() -> list[Kind]:
             YAML,
             schema="scenario",
             weight=2,
+        ),
+        Kind(
+            "study",
+            ("check study.yaml", "study show study.yaml"),
+            [
+                (
+                    "study.yaml",
+                    {**good, "scenario.yaml": SCENARIO.encode(), "study.yaml": STUDY.encode()},
+                )
+            ],
+            YAML,
+            schema="study",
         ),
         Kind(
             "calibration",

@@ -21,6 +21,7 @@ FILES: dict[Kind, list[Path]] = {
     "robot": sorted([*ROOT.glob("templates/robot/*.yaml"), *ROOT.glob("examples/*/robot.yaml")]),
     "fleet": sorted(ROOT.glob("examples/*/fleet.yaml")),
     "scenario": sorted(ROOT.glob("examples/scenarios/*.yaml")),
+    "study": sorted(ROOT.glob("examples/studies/*/study.yaml")),
     "bus_faults": sorted(ROOT.glob("examples/bus_faults/*.yaml")),
     "calibration": [ROOT / "tests/compiler/modules/calibration.yaml"],
     "device_memory": [ROOT / "tests/simulation/bus/device_memory.json"],

@@ -38,9 +38,7 @@ CAN = (
     ),
 )
 STUDY = (
-    CommandEntry(
-        "run", "study_run:run_study", "Evaluate the designs of a study; may be continued."
-    ),
+    CommandEntry("run", "study_run:run_study", "Evaluate the designs of a study, or continue."),
     CommandEntry("show", "study_show:show_study", "Show the best designs, or ask in SQL."),
     CommandEntry("best", "study_best:write_best", "Write the robot file of the best design."),
 )

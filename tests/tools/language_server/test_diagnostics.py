@@ -17,6 +17,7 @@ FLEET = "thorvaldc: 1\nname: two\nrobots:\n  a: {robot: robot.yaml, xyz: [0, 0, 
 EXAMPLES = [
     *(ROOT / "examples" / name for name in ("fleet_of_four/fleet.yaml", "odrive/robot.yaml")),
     *sorted(ROOT.glob("examples/scenarios/*.yaml")),
+    *sorted(ROOT.glob("examples/studies/*/*.yaml")),
     *sorted(ROOT.glob("examples/bus_faults/*.yaml")),
     *sorted(ROOT.glob("examples/calibration/*.yaml")),
     *sorted(ROOT.glob("examples/odrive/modules/*/*/module.yaml")),

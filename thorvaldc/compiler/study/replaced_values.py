@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 
 from thorvaldc.compiler.source.edits import insertion, yaml_text
 from thorvaldc.compiler.source.node import Node, Value
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Report, Span
+
+_QUANTITY = re.compile(
+    r"[-+]?\d+(\.\d+)?(e[-+]?\d+)? [a-zA-Z%][\w/^]*( [a-zA-Z][\w/^]*)*", re.ASCII
+)
 
 
 class PathError(Exception):
@@ -66,20 +71,27 @@ def with_replaced_values(text: str, values: Iterable[tuple[str, Value]]) -> str:
         if keys:
             missing.append((path, value))
         else:
-            edits.append((node.span, yaml_text(value)))
+            edits.append((node.span, value_text(value)))
     text = _edited(text, edits)
     for path, value in missing:
         # Each addition moves the text behind it.
         mapping, keys = find_value(_parsed(text), path)
         if not keys or mapping.span.line == 0:
             raise PathError(f"`{path}` cannot be added")
-        added: object = value
+        added = value_text(value)
         for key in reversed(keys[1:]):
-            added = {key: added}
-        proposal = insertion("", mapping, keys[0], yaml_text(added), is_example=False)
+            added = f"{{{key}: {added}}}"
+        proposal = insertion("", mapping, keys[0], added, is_example=False)
         assert proposal.span is not None
         text = _edited(text, [(proposal.span, proposal.replacements[0])])
     return text
+
+
+def value_text(value: Value) -> str:
+    """Returns a scalar as YAML text."""
+    if isinstance(value, str) and _QUANTITY.fullmatch(value):
+        return value  # ``0.7 m``, which needs no quotes
+    return yaml_text(value)
 
 
 def _parsed(text: str) -> Node:

@@ -21,9 +21,9 @@ from thorvaldc.compiler.pipeline import library_folders_of
 from thorvaldc.compiler.scenario.scenario_reader import METRICS
 from thorvaldc.compiler.scenario.variations import read_range
 from thorvaldc.compiler.scenario_compilation import compile_scenario
-from thorvaldc.compiler.source.input_file import unsaved_texts
+from thorvaldc.compiler.source.input_file import read_bytes, unsaved_texts
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.compiler.source.reader import MAX_BYTES, read_bytes
+from thorvaldc.compiler.source.reader import MAX_BYTES
 from thorvaldc.compiler.source.units import UnitError, parse_any
 from thorvaldc.compiler.study.replaced_values import (
     PathError,
@@ -47,7 +47,7 @@ from thorvaldc.model.facts.facts_document import facts_document
 from thorvaldc.model.facts.robot_facts import robot_facts
 
 MAX_DESIGNS = 100_000
-_WRONG_WITH_ALL_DESIGNS = ("module-type-unknown", "study-path")
+_WRONG_WITH_ALL_DESIGNS = ("module-type-unknown",)
 """Names of errors outside of the codes TV2xx that a value causes whatever the other values are."""
 
 
@@ -134,9 +134,9 @@ class _StudyReader:
             entry.value if samples is not None and (entry := samples.get(key)) is not None else None
             for key in ("method", "number", "seed")
         )
-        name, description = (self.document.get(key) for key in ("study", "description"))
+        title, description = (self.document.get(key) for key in ("study", "description"))
         study = Study(
-            name="" if name is None else str(name.value),
+            name="" if title is None else str(title.value),
             description="" if description is None else str(description.value),
             robot=self.robot_source.path,
             variables=tuple(self._variables()),
@@ -305,10 +305,10 @@ class _StudyReader:
                     SourceFile(path, self.robot_source.name, self.robot_source.folder)
                 )
             self.choice_inputs.append((variable.name, value_key(value), tried.source_sha256))
-            for error in tried.report.errors:
-                number, name = error.code.number, error.code.name
+            for diagnostic in tried.report.errors:
+                number, name = diagnostic.code.number, diagnostic.code.name
                 if number.startswith("TV2") or name in _WRONG_WITH_ALL_DESIGNS:
-                    message = f"`{value}` is no value of `{variable.name}`: {error.message}"
+                    message = f"`{value}` is no value of `{variable.name}`: {diagnostic.message}"
                     self.report.add("study-value", message, place)
                     break
 

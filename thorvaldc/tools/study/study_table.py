@@ -179,14 +179,14 @@ def front(points: Sequence[Sequence[float]]) -> list[int]:
     A point dominates another one if it is smaller in one coordinate and not greater in any.
     """
     order = sorted(range(len(points)), key=lambda index: tuple(points[index]))
-    found: list[int] = []
+    best: list[int] = []
     for index in order:
         point = points[index]
         # In lexicographic order, only an earlier point can dominate.
         if not any(
             points[other] != point
             and all(a <= b for a, b in zip(points[other], point, strict=True))
-            for other in found
+            for other in best
         ):
-            found.append(index)
-    return sorted(found)
+            best.append(index)
+    return sorted(best)

@@ -10,8 +10,8 @@ from typing import Any
 from thorvaldc import __version__
 from thorvaldc.compiler.compilation import Compilation
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.compiler.source.edits import yaml_text
 from thorvaldc.compiler.source.input_file import unsaved_texts
+from thorvaldc.compiler.study.replaced_values import value_text
 from thorvaldc.compiler.study.study_definition import Objective
 from thorvaldc.tools.study.design_evaluation import robot_text
 from thorvaldc.tools.study.sample_points import Design
@@ -65,9 +65,9 @@ def winner_text(run: StudyRun, winner: Winner, by: Objective, study_file: str) -
         f" thorvaldc {__version__}"
     ]
     for variable, value in zip(study.variables, winner.design, strict=True):
-        lines.append(f"#   {variable.name}: {yaml_text(value)}")
-    for constraint in study.constraints:
-        lines.append(f"#   {constraint.name}: {winner.result['facts'][constraint.fact]:.6g}")
+        lines.append(f"#   {variable.name}: {value_text(value)}")
+    facts = winner.result["facts"]
+    lines += [f"#   {c.name}: {facts[c.fact]:.6g}" for c in study.constraints]
     for objective in study.objectives:
         value = objective_value(objective, winner.result)
         goal = "maximise" if objective.maximise else "minimise"
