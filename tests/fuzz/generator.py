@@ -172,9 +172,16 @@ variables:
   track: {paths: [modules.frame.params.width], min: 0.8 m, max: 1.2 m}
   drive: {paths: [modules.fl.type], values: [assembly/fixed_drive, assembly/steered_drive]}
 constraints: {tip_over: {fact: stability.angles.left, at_least: 25 deg}}
-scenarios: {drive_on: {scenario: scenario.yaml}}
+scenarios: {drive_on: {scenario: drive.yaml}}
 objectives: {energy: {metric: drive_on.energy, goal: minimise}, light: {fact: mass, goal: minimise}}
 samples: {method: random, number: 4, seed: 1}
+"""
+STUDY_SCENARIO = """\
+thorvaldc: 1
+scenario: drive
+robots: {good: {robot: robot.yaml}}
+duration: 0.2 s
+script: [{at: 0, vx: 0.5 m/s}]
 """
 SCENARIO_COMMANDS = (
     "check scenario.yaml",
@@ -250,15 +257,20 @@ def _documents() -> list[Kind]:
         ),
         Kind(
             "study",
-            ("check study.yaml", "study show study.yaml"),
+            ("check study.yaml", "study best study.yaml -o best.yaml --by light"),
             [
                 (
                     "study.yaml",
-                    {**good, "scenario.yaml": SCENARIO.encode(), "study.yaml": STUDY.encode()},
+                    {
+                        **good,
+                        "drive.yaml": STUDY_SCENARIO.encode(),
+                        "study.yaml": STUDY.encode(),
+                    },
                 )
             ],
             YAML,
             schema="study",
+            writes=("best.yaml",),
         ),
         Kind(
             "calibration",

@@ -42,7 +42,7 @@ def show_study(
         table = StudyTable.open(folder)
     except (OSError, ValueError):
         raise OutsideError(
-            f"{folder} has no results of a study; `thorvaldc study run` writes them"
+            f"{source}: {folder} has no results of a study; `thorvaldc study run` writes them"
         ) from None
     try:
         if sql:
