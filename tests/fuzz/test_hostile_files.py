@@ -19,7 +19,7 @@ BATCH = 25
 # a terminal, a driver or a bus of another process.
 NOT_RUN = {
     *("new", "targets", "schema", "explain", "call", "demo", "teleop", "bus", "render"),
-    *("modules show", "can monitor", "preview", "lsp", "study run", "study show"),
+    *("modules show", "modules new", "can monitor", "preview", "lsp", "study run", "study show"),
 }
 
 
