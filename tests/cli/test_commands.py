@@ -305,7 +305,7 @@ def test_sim_of_a_bad_file_and_a_bad_twist(thorvaldc: Command) -> None:
     assert (status, out) == (1, "")
     assert "bad.yaml:2:7" in err
     status, out, err = thorvaldc("sim", "good.yaml", "--twist", "fast")
-    assert (status, out) == (1, "")
+    assert (status, out) == (2, "")
     assert "fast" in err
 
 

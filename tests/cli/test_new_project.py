@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import glob
+import json
 import os
 import re
 from pathlib import Path
 
+import jsonschema
 import pytest
 import yaml
 
@@ -49,6 +51,18 @@ def test_existing_files_are_kept(thorvaldc: Command) -> None:
     assert f"farm{os.sep}README.md exists already" in err
     assert [path.name for path in Path("farm").iterdir()] == ["README.md"]
     assert Path("farm/README.md").read_text() == "mine"
+
+
+def test_each_document_names_its_schema_for_editors(thorvaldc: Command) -> None:
+    thorvaldc("new", "farm", "--project")
+    documents = ("robots/farm.yaml", "scenarios/straight.yaml", "modules/top/plate/module.yaml")
+    for document in map(Path("farm").joinpath, documents):
+        modeline, _, text = document.read_text().partition("\n")
+        name = modeline.removeprefix("# yaml-language-server: $schema=")
+        schema = json.loads((document.parent / name).read_text())
+        jsonschema.validate(yaml.safe_load(text), schema)
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate({"thorvaldc": 1, "nmae": "x"}, schema)
 
 
 def test_no_placeholder_is_left() -> None:

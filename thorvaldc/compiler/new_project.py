@@ -7,6 +7,7 @@ from pathlib import Path
 
 from thorvaldc.compiler.new_robot import robot_text
 from thorvaldc.model.data_folder import data_folder
+from thorvaldc.schema.documents import schema_text
 
 # The templates have no leading point, so that packagers and file managers show them.
 _FILES = {
@@ -17,6 +18,7 @@ _FILES = {
     ".gitlab-ci.yml": "gitlab.yml",
     ".pre-commit-config.yaml": "pre-commit.yaml",
 }
+_MODELINE = "# yaml-language-server: $schema=robot.schema.json\n"
 _PLATE = "  plate: {type: top/plate, mount: {parent: frame, xyz: [0, 0, 300 mm]}}\n"
 
 
@@ -32,7 +34,10 @@ def project_files(name: str, preset: str) -> dict[str, str]:
         for path, template in _FILES.items()
     }
     robot = robot_text(name, preset).replace("modules:\n", "library: [../modules]\nmodules:\n", 1)
-    files[f"robots/{name}.yaml"] = robot.rstrip("\n") + "\n" + _PLATE
+    files[f"robots/{name}.yaml"] = _MODELINE + robot.rstrip("\n") + "\n" + _PLATE
+    for directory in ("modules", "robots", "scenarios"):
+        kind = directory.removesuffix("s")
+        files[f"{directory}/{kind}.schema.json"] = schema_text(kind)
     files[".gitignore"] = "build/\n"
     return files
 
