@@ -66,3 +66,9 @@ async def test_hover_reads_own_modules_and_half_typed_documents(editor: Editor) 
     assert "at least `1 mm` (0.001 m)" in await editor.hover("robot.yaml", text)
     text = WITH_POST.replace("  frame:", "  fr|ame:") + "  broken: {type: ["
     assert "`frame/tube_rectangular`" in await editor.hover("robot.yaml", text)
+
+
+async def test_a_parameter_that_the_module_does_not_have(editor: Editor) -> None:
+    text = ROBOT.replace("length: 1.10 m", "le|nght: 1.10 m")
+    assert "|" in text
+    assert await editor.hover("robot.yaml", text) == ""

@@ -47,6 +47,8 @@ def _key_text(view: ModuleView, place: Place, model: Robot | Fleet | None) -> st
     parameter = view.parameter_at(place.path)
     if parameter is not None:
         return parameter_text(parameter)
+    if place.path[:1] == ("modules",) and place.path[-2:-1] == ("params",):
+        return ""  # the module has no such parameter
     if place.path[:1] == ("modules",) and len(place.path) == 2:
         return module_text(view, str(place.path[1]), model)
     text = schema_text(place.path, schema_lookup.schemas_at(view.kind, place.path))
