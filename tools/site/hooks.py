@@ -22,8 +22,9 @@ from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parents[2]
 OUTSIDE_PAGES = ("README.md", "CHANGELOG.md", "modules/README.md", "examples/*/README.md")
-LINK = re.compile(r"(!?\[[^\]]*\]\()([^)#\s]+)([^)]*\))")
-CODE = re.compile(r"(^```.*?^```|`[^`\n]*`)", re.M | re.S)
+LINK = re.compile(r"(!?\[(?:`[^`\n]*`|[^\]`])*\]\()([^)#\s]+)([^)]*\))")
+CODE = re.compile(r"^```.*?^```|`[^`\n]*`", re.M | re.S)
+LINK_OR_CODE = re.compile(f"{LINK.pattern}|{CODE.pattern}", re.M | re.S)
 
 
 def address_on_site(path: PurePosixPath) -> PurePosixPath:
@@ -50,7 +51,7 @@ def target_of(page: PurePosixPath, link: str) -> PurePosixPath | None:
 
 
 def links_of(text: str) -> list[str]:
-    return [match[2] for match in LINK.finditer(CODE.sub("", text))]
+    return [match[2] for match in LINK_OR_CODE.finditer(text) if match[2]]
 
 
 def on_files(files: Files, config: Any) -> Files:
@@ -85,7 +86,10 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
     if not (ROOT / source).is_file():
         return markdown
 
-    def with_address(match: re.Match[str]) -> str:
+    def on_site(match: re.Match[str]) -> str:
+        if not match[2]:
+            # GitHub wants a backslash before a bar in code in a table; here it would be shown.
+            return match[0] if match[0].startswith("```") else match[0].replace("\\|", "|")
         target = target_of(source, match[2])
         if target is None:
             return match[0]
@@ -94,11 +98,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
         start = PurePosixPath(page.file.src_uri).parent
         return match[1] + os.path.relpath(address_on_site(target), start) + match[3]
 
-    parts = CODE.split(markdown)
-    parts[::2] = [LINK.sub(with_address, part) for part in parts[::2]]
-    # GitHub wants a backslash before a bar in code in a table; here it would be shown.
-    parts[1::2] = [part if part[:3] == "```" else part.replace("\\|", "|") for part in parts[1::2]]
-    return "".join(parts)
+    return LINK_OR_CODE.sub(on_site, markdown)
 
 
 EQUATION = re.compile(

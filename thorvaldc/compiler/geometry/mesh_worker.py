@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 IMPORTS = ("numpy", "trimesh", "collada")
 """Modules that a worker process for other formats than STL and OBJ imports at its start."""
 _LARGEST_FLOAT32 = 3.4028234e38
+_SPARE_BYTES = 16 << 20
 
 
 class _MissingFileError(Exception):
@@ -116,10 +117,16 @@ def _triangles(suffix: str, data: bytes, files: _Files) -> list[tuple[Vec3, Vec3
 
 
 def _is_out_of_memory(error: BaseException | None) -> bool:
-    """Whether a MemoryError is a cause of the error.
+    """Whether a MemoryError is a cause of the error, or no memory is left.
 
-    A ``SystemError`` is one, too: C code without memory may not even have an exception.
+    A ``SystemError`` is one, too: C code without memory may not even have an exception.  A reader
+    may also fail with any other error when C code returned ``None``.  The frames of the error still
+    hold their memory here, so an allocation shows whether some was left.
     """
+    try:
+        bytearray(_SPARE_BYTES)
+    except MemoryError:
+        return True
     for _ in range(20):
         if error is None or isinstance(error, (MemoryError, SystemError)):
             break
