@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -163,3 +164,10 @@ def test_tests_start_processes_that_end_with_them() -> None:
         if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("Popen")
     ]
     assert popen == [], "tests use ChildProcess of tests/child_process.py"
+
+
+@pytest.mark.xdist_group("tests of one group run in one process")
+def test_groups_are_respected(request: pytest.FixtureRequest) -> None:
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        pytest.skip("pytest runs in one process")
+    assert request.node.nodeid.endswith("@tests of one group run in one process")
