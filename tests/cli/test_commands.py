@@ -315,6 +315,10 @@ def test_new_creates_a_robot_without_errors(thorvaldc: Command, preset: str) -> 
     assert status == 0
     assert out.startswith("mine/robot.yaml")
     assert thorvaldc("check", "--strict", "mine/robot.yaml").status == 0
+    modeline = Path("mine/robot.yaml").read_text(encoding="utf-8").partition("\n")[0]
+    assert modeline == "# yaml-language-server: $schema=robot.schema.json"
+    schema = Path("mine/robot.schema.json").read_text(encoding="utf-8")
+    assert schema == thorvaldc("schema", "robot").out
     assert preset in thorvaldc("new", "--help").out
     again = thorvaldc("new", "mine", "--preset", preset)
     assert again.status == 2

@@ -22,6 +22,14 @@ _MODELINE = "# yaml-language-server: $schema=robot.schema.json\n"
 _PLATE = "  plate: {type: top/plate, mount: {parent: frame, xyz: [0, 0, 300 mm]}}\n"
 
 
+def robot_files(name: str, preset: str) -> dict[str, str]:
+    """Returns the text of each file of a new folder with one robot, by its relative path."""
+    return {
+        "robot.yaml": _MODELINE + robot_text(name, preset),
+        "robot.schema.json": schema_text("robot"),
+    }
+
+
 def project_files(name: str, preset: str) -> dict[str, str]:
     """Returns the text of each file of a new repository, by its relative path.
 

@@ -9,8 +9,8 @@ import typer
 
 from thorvaldc.cli.completed_values import preset_names
 from thorvaldc.cli.exits import DONE
-from thorvaldc.compiler.new_project import project_files, write_new_files
-from thorvaldc.compiler.new_robot import is_robot_name, presets, robot_text
+from thorvaldc.compiler.new_project import project_files, robot_files, write_new_files
+from thorvaldc.compiler.new_robot import is_robot_name, presets
 
 
 def new(
@@ -41,26 +41,19 @@ def new(
             f"there is no preset {preset!r}; there are {', '.join(presets())}",
             param_hint="'--preset'",
         )
-    if project:
-        return _new_project(name, preset)
-    file = Path(name) / "robot.yaml"
-    if file.exists():
-        raise typer.BadParameter(f"{file} exists already", param_hint="NAME")
-    file.parent.mkdir(exist_ok=True)
-    with file.open("x", encoding="utf-8") as stream:
-        stream.write(robot_text(name, preset))
-    print(f"{file}: a {preset} robot. Next:\n  thorvaldc check {file}\n  thorvaldc build {file}")
-    return DONE
-
-
-def _new_project(name: str, preset: str) -> int:
-    files = project_files(name, preset)
+    files = project_files(name, preset) if project else robot_files(name, preset)
     try:
         write_new_files(Path(name), files)
     except FileExistsError as error:
         raise typer.BadParameter(f"{error} exists already", param_hint="NAME") from None
-    print(
-        f"{name}: a repository with {len(files)} files. Next:\n  cd {name}\n"
-        f"  thorvaldc check --strict robots/*.yaml\n  thorvaldc scenario scenarios/straight.yaml"
-    )
+    if project:
+        print(
+            f"{name}: a repository with {len(files)} files. Next:\n  cd {name}\n"
+            f"  thorvaldc check --strict robots/*.yaml\n  thorvaldc scenario scenarios/straight.yaml"
+        )
+    else:
+        file = Path(name) / "robot.yaml"
+        print(
+            f"{file}: a {preset} robot. Next:\n  thorvaldc check {file}\n  thorvaldc build {file}"
+        )
     return DONE
