@@ -49,7 +49,8 @@ def new(
     if project:
         print(
             f"{name}: a repository with {len(files)} files. Next:\n  cd {name}\n"
-            f"  thorvaldc check --strict robots/*.yaml\n  thorvaldc scenario scenarios/straight.yaml"
+            "  thorvaldc check --strict robots/*.yaml\n"
+            "  thorvaldc scenario scenarios/straight.yaml"
         )
     else:
         file = Path(name) / "robot.yaml"
