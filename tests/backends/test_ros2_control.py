@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 from collections.abc import Mapping
 from dataclasses import replace
@@ -277,6 +278,46 @@ def test_reason_against_a_controller(plans: list[Plan], problem: Any, reason: st
     if len(plans) == 2:
         plans = [*plans, Plan(-0.4, 0.0, "swivel", radius=0.1, trail=-0.05)]
     assert reason in str(problem(build(plans)))
+
+
+@pytest.mark.parametrize(
+    ("name", "problem", "wheel", "values", "reason"),
+    [
+        # 0.8 mm, 0.8 mrad and 1.8 % are tolerances of a calibration; half as much again is not.
+        ("skidding", diff_drive_problem, 0, {"y": 0.5012}, "distances"),
+        ("skidding", diff_drive_problem, 0, {"heading": 0.0012}, "forward"),
+        ("skidding", diff_drive_problem, 0, {"radius": 0.2 / (1 - 0.024)}, "different radii"),
+        ("skidding", diff_drive_problem, 1, {"radius": 0.2 * (1 - 0.024)}, "different radii"),
+        ("rear drive", ackermann_problem, 0, {"x": 0.7012}, "steered wheels are not symm"),
+        ("rear drive", ackermann_problem, 2, {"y": 0.5012}, "driven wheels are not symm"),
+        ("rear drive", ackermann_problem, 1, {"trail": 0.0012}, "beside the steering axes"),
+        ("rear drive", ackermann_problem, 1, {"lateral_offset": -0.0012}, "beside the steering"),
+        ("rear drive", ackermann_problem, 3, {"heading": math.tau - 0.0012}, "forward"),
+        ("rear drive", ackermann_problem, 2, {"radius": 0.2 * (1 - 0.024)}, "different radii"),
+        ("corners", swerve_problem, 3, {"x": -0.6012}, "rectangle"),
+        ("corners", swerve_problem, 3, {"y": -0.4988}, "rectangle"),
+        ("corners", swerve_problem, 2, {"heading": -0.0012}, "forward"),
+        ("corners", swerve_problem, 2, {"trail": -0.0012}, "beside the steering axes"),
+        ("corners", swerve_problem, 2, {"radius": 0.2 * (1 - 0.024)}, "different radii"),
+    ],
+)
+def test_tolerances_of_the_controllers(
+    name: str, problem: Any, wheel: int, values: dict[str, float], reason: str
+) -> None:
+    def with_change(share: float) -> Robot:
+        wheels = list(ROBOTS[name].wheels)
+        before = wheels[wheel]
+        between = {
+            key: (1.0 - share) * math.remainder(getattr(before, key), math.tau)
+            + share * math.remainder(value, math.tau)
+            for key, value in values.items()
+        }
+        wheels[wheel] = replace(before, **between)
+        return replace(ROBOTS[name], wheels=tuple(wheels))
+
+    assert problem(with_change(0.0)) is None
+    assert problem(with_change(0.8 / 1.2)) is None
+    assert reason in str(problem(with_change(1.0)))
 
 
 # -- hardware ---------------------------------------------------------------------------
