@@ -31,3 +31,11 @@ def test_the_runtime_directory_belongs_to_the_user_alone(
     monkeypatch.setattr(os, "getuid", lambda: another_user)
     with pytest.raises(PermissionError, match="belongs to another user"):
         socket_path("robot")
+
+
+def test_a_link_is_no_runtime_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "thorvaldc").symlink_to(tmp_path / "elsewhere")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with pytest.raises(PermissionError, match="is a symbolic link"):
+        runtime_directory()

@@ -80,8 +80,8 @@ def runtime_directory() -> Path:
 
     Creates the directory of the sockets if the directory does not exist.
 
-    Raises ``PermissionError`` if the directory of the sockets belongs to another user.  The owner
-    of the directory is checked, because every user can create a directory in /tmp.
+    Raises ``PermissionError`` if the directory of the sockets belongs to another user or is a
+    symbolic link, because every user can create both in /tmp.
     """
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     if runtime:
@@ -90,7 +90,9 @@ def runtime_directory() -> Path:
         directory = Path(tempfile.gettempdir()) / f"thorvaldc-{os.getuid()}"
     directory.mkdir(mode=0o700, parents=True, exist_ok=True)
     status = directory.lstat()
-    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid():
+    if stat.S_ISLNK(status.st_mode):
+        raise PermissionError(f"{directory} is a symbolic link; a directory is needed")
+    if status.st_uid != os.getuid():
         raise PermissionError(f"{directory} belongs to another user")
     return directory
 
