@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import multiprocessing
 import os
 import re
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +25,10 @@ from tests.cli.conftest import thorvaldc as thorvaldc_command
 from thorvaldc.compiler.study.replaced_values import with_replaced_values
 from thorvaldc.model import Robot
 from thorvaldc.model.facts.robot_facts import robot_facts
+from thorvaldc.tools.study.design_evaluation import StudyInputs
 from thorvaldc.tools.study.sample_points import designs_of
+from thorvaldc.tools.study.study_execution import StudyRun
+from thorvaldc.tools.study.study_journal import StudyJournal
 from thorvaldc.tools.study.study_table import StudyTable, front
 
 ROOT = Path(__file__).parents[3]
@@ -52,6 +57,13 @@ script: [{at: 0, vx: 0.5 m/s}]
 
 def rows(folder: str, columns: str) -> list[tuple[Any, ...]]:
     return StudyTable.open(Path(folder)).query(f"SELECT {columns} FROM designs ORDER BY sample")[1]
+
+
+def study_run() -> StudyRun:
+    study = thorvaldc.compile("study.yaml").study
+    assert study is not None
+    text = study.robot.read_text(encoding="utf-8")
+    return StudyRun(StudyInputs(study, text, (), trust=False))
 
 
 def designs(text: str) -> list[tuple[Any, ...]]:
@@ -166,6 +178,44 @@ def test_a_killed_study_continues_and_repeats_nothing(run: Command) -> None:
     size = journal.stat().st_size
     assert run("study", "run", "study.yaml", "-o", "killed").status == 0
     assert journal.stat().st_size == size
+
+
+def test_a_killed_process_ends_no_study(run: Command) -> None:
+    """The operating system may kill a process, for instance when memory is short."""
+    Path("study.yaml").write_text(STUDY.replace("number: 81", "number: 21"))
+    assert run("study", "run", "study.yaml", "-j", "1", "-o", "whole").status == 0
+    study = study_run()
+    journal = StudyJournal(Path("killed"))
+    for finished in study.results(journal, 2):
+        if finished in (1, 2, 12, 20):
+            processes = multiprocessing.active_children()
+            if processes:
+                processes[finished % len(processes)].kill()
+    assert finished == 21
+    study.write_table(journal, Path("killed"))
+    assert Path("killed/designs.parquet").read_bytes() == Path("whole/designs.parquet").read_bytes()
+
+
+def test_designs_that_cannot_be_evaluated_are_rows(run: Command) -> None:
+    Path("study.yaml").write_text(STUDY.replace("number: 81", "number: 3"))
+    study, journal, end = study_run(), StudyJournal(Path("out")), threading.Event()
+
+    def kill_every_process() -> None:
+        while not end.wait(0.02):
+            for process in multiprocessing.active_children():
+                process.kill()
+
+    thread = threading.Thread(target=kill_every_process)
+    thread.start()
+    try:
+        finished = list(study.results(journal, 2))
+    finally:
+        end.set()
+        thread.join()
+    assert finished == [0, 1, 2, 3]
+    study.write_table(journal, Path("out"))
+    message = "the process that evaluated it was killed 3 times"
+    assert rows("out", "status, message") == [("error", message)] * 3
 
 
 def test_more_designs_repeat_none(run: Command) -> None:

@@ -50,8 +50,6 @@ def run_study(
     try:
         for finished in run.results(journal, process_count):
             bar.show(finished)
-    except RuntimeError as error:  # a process of the study was killed
-        raise OutsideError(f"{error}; run the command again to continue") from None
     finally:
         bar.clear()
         run.write_table(journal, folder)

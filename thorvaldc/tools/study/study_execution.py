@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import json
-import pickle
 from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 from thorvaldc import __version__
 from thorvaldc.compiler.study.study_definition import Study, value_key
 from thorvaldc.tools.study.design_evaluation import DesignEvaluator, StudyInputs
+from thorvaldc.tools.study.design_processes import results_of
 from thorvaldc.tools.study.sample_points import Design, designs_of
 from thorvaldc.tools.study.study_journal import StudyJournal
 from thorvaldc.tools.study.study_table import write_table
-from thorvaldc.tools.worker_processes import ignored_interrupts, worker_pool
-
-WAITING_PER_PROCESS = 2
-"""Number of designs that a process has at once, so that it never waits for the next."""
 
 
 class StudyRun:
@@ -42,7 +34,7 @@ class StudyRun:
         """Evaluates the designs that the journal does not contain.
 
         Yields the number of finished designs after each.  The table of designs does not depend on
-        ``jobs``, the number of processes.  Raises ``BrokenProcessPool`` if a process was killed.
+        ``jobs``, the number of processes.
         """
         pending = {
             key: design
@@ -59,28 +51,10 @@ class StudyRun:
                     count += 1
                     yield count
             return
-        try:
-            with worker_pool(min(jobs, len(pending))) as pool:
-                for key, result in self._parallel(pool, pending, jobs):
-                    journal.append(key, result)
-                    count += 1
-                    yield count
-        except BrokenProcessPool:
-            raise BrokenProcessPool("a process of the study was killed") from None
-
-    def _parallel(
-        self, pool: ProcessPoolExecutor, pending: dict[str, Design], jobs: int
-    ) -> Iterator[tuple[str, dict[str, Any]]]:
-        keys: dict[Future[dict[str, Any]], str] = {}
-        designs, pickled = iter(pending.items()), pickle.dumps(self.inputs)
-        while True:
-            while len(keys) < jobs * WAITING_PER_PROCESS and (item := next(designs, None)):
-                with ignored_interrupts():
-                    keys[pool.submit(_evaluate, pickled, item[1])] = item[0]
-            if not keys:
-                return
-            for future in wait(keys, return_when=FIRST_COMPLETED).done:
-                yield keys.pop(future), future.result()
+        for key, result in results_of(self.inputs, pending.items(), min(jobs, len(pending))):
+            journal.append(key, result)
+            count += 1
+            yield count
 
     def write_table(self, journal: StudyJournal, folder: Path) -> int:
         """Writes the table of the finished designs to a folder, and returns their number."""
@@ -109,17 +83,3 @@ class _Keys:
         ]
         content = json.dumps([self._common, texts, files])
         return hashlib.sha256(content.encode()).hexdigest()
-
-
-_open = ExitStack()
-
-
-@functools.lru_cache(maxsize=1)
-def _evaluator(pickled: bytes) -> DesignEvaluator:
-    _open.close()
-    return DesignEvaluator(pickle.loads(pickled), _open)
-
-
-def _evaluate(pickled: bytes, design: Design) -> dict[str, Any]:
-    """Evaluates a design in a worker process, which keeps its evaluator for the next design."""
-    return _evaluator(pickled).evaluate(design)
