@@ -176,11 +176,18 @@ def emit(
     ['urdf/robot.urdf']
     """
     _check_types(model, targets)
+    return {MODEL_FILE: to_json(model).encode()} | emit_without_model(model, targets, report)
+
+
+def emit_without_model(
+    model: Robot | Fleet, targets: Sequence[str], report: Report | None = None
+) -> dict[str, bytes]:
+    """Returns the files of ``emit`` without ``model.json``, for a simulation in this process."""
     # The imports are here because the command `check` does not need the statics.
     from thorvaldc.backends.statics_backend import StaticsBackend
     from thorvaldc.model.statics.standing_pose import solve_statics
 
-    files = {MODEL_FILE: to_json(model).encode()}
+    files: dict[str, bytes] = {}
     robots = [p.robot for p in model.placements] if isinstance(model, Fleet) else [model]
     emitters = [backends.load(target) for target in dict.fromkeys(targets)]
     needed = any(isinstance(backend, StaticsBackend) for backend in emitters)

@@ -66,7 +66,7 @@ class ScenarioResult:
     * ``metrics``: metrics in SI units, by robot name and metric name.
     * ``checks``: result of each expectation for each robot.
     * ``hash``: SHA-256 of every number of every tick.  Two runs with equal numbers to the last bit
-      have equal hashes.
+      have equal hashes.  Empty if the run was not hashed.
     """
 
     scenario: str

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
-from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.control_loop import ControlLoop
-from thorvaldc.simulation.physics.collision_counter import CollisionCounter
 from thorvaldc.simulation.physics.rolling_radii import RollingRadii
 from thorvaldc.simulation.physics.scenario_base import ScenarioBase
 from thorvaldc.simulation.run_result import RobotResult
@@ -47,13 +45,12 @@ class ScenarioMetrics:
     * ``lateral``, ``trail``: offsets of the contact point from the steering axis (m).
     """
 
-    def __init__(self, loop: ControlLoop, collisions: CollisionCounter) -> None:
+    def __init__(self, loop: ControlLoop) -> None:
         base = loop.base
         if not isinstance(base, ScenarioBase):
             raise TypeError("metrics need the base of a scenario")
         self._loop = loop
         self._base = base
-        self._collisions = collisions
         wheels = BaseGeometry.from_robot(loop.robot).wheels
         self._rolling = [(i, w) for i, w in enumerate(wheels) if w.driven and not w.swivel]
         # (index, lower, upper) of each steered wheel.  The steering joint counts as not at a limit
@@ -67,7 +64,13 @@ class ScenarioMetrics:
             for i, w in enumerate(wheels)
             if w.steered
         ]
-        self._motors = list(base.motors())
+        # Views of the MuJoCo arrays from the first actuator of the robot to the last.  Creating a
+        # view takes longer than reading it.
+        motors, data = base.motors(), base.scene.data
+        first, end = min(motors, default=0), max(motors, default=-1) + 1
+        self._motors = [motor - first for motor in motors]
+        self._forces = data.actuator_force[first:end]
+        self._speeds = data.actuator_velocity[first:end]
         has_treads = any(wheel.treads for wheel in loop.robot.wheels)
         self._radii = RollingRadii(loop.robot, base.scene) if has_treads else None
         self._time = 0.0
@@ -78,19 +81,16 @@ class ScenarioMetrics:
         self._limit_hits = 0
         self._at_limit = [False] * len(wheels)
 
-    def update(self, twist: Twist) -> None:
-        """Updates the metrics with the state of the scene after a tick.
-
-        ``twist`` is the true twist of the robot.
-        """
-        data = self._base.scene.data
+    def update(self) -> None:
+        """Updates the metrics with the state of the scene after a tick."""
         now = self._loop.driver.state.time
         dt, self._time = now - self._time, now
-        forces, speeds = data.actuator_force[self._motors], data.actuator_velocity[self._motors]
-        for power in (forces * speeds).tolist():
+        forces, speeds = self._forces.tolist(), self._speeds.tolist()
+        for motor in self._motors:
+            power = forces[motor] * speeds[motor]
             if power > 0.0:
                 self._energy += power * dt
-        vx, vy, wz = twist
+        vx, vy, wz = self._base.true_twist()
         joints = self._base.true_joints
         radii = self._radii.current() if self._radii is not None else None
         for i, wheel in self._rolling:
@@ -109,7 +109,6 @@ class ScenarioMetrics:
             at_limit = not lower <= joints.angles[i] <= upper
             self._limit_hits += at_limit and not self._at_limit[i]
             self._at_limit[i] = at_limit
-        self._collisions.update()
 
     def values(self, result: RobotResult) -> dict[str, float]:
         """Returns the metrics of the finished run by name, in the order of ``UNITS``."""
@@ -124,7 +123,7 @@ class ScenarioMetrics:
             "slip": math.sqrt(self._slip_squares / max(self._slip_count, 1)),
             "largest_slip": math.sqrt(self._largest_square),
             "steering_limit_hits": float(self._limit_hits),
-            "collisions": float(self._collisions.collisions[result.name]),
+            "collisions": float(result.collisions),
             "energy": self._energy,
         }
         return {name: values[name] for name in UNITS}

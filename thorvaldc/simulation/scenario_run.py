@@ -13,7 +13,6 @@ from thorvaldc.runtime.base_interface import BaseHandle
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.control_loop import ControlLoop, TickCallback
 from thorvaldc.simulation.manoeuvre import Segment
-from thorvaldc.simulation.physics.collision_counter import CollisionCounter
 from thorvaldc.simulation.physics.scenario_base import ScenarioBase
 from thorvaldc.simulation.records.recorder import Recorder, RunHash
 from thorvaldc.simulation.scenario_expectations import ScenarioResult, check_expectation
@@ -53,31 +52,33 @@ class ScenarioSimulation(Simulation):
         report: Report,
         recorders: Sequence[Recorder] = (),
         on_tick: TickCallback | None = None,
+        *,
+        hashed: bool = True,
     ) -> ScenarioResult:
         """Runs the scenario and returns the result.
 
         Problems and failed expectations are added to ``report``.  Each recorder in ``recorders``
-        receives every tick of every robot.  The caller closes the recorders.  Raises
-        ``DiagnosticError`` if the run cannot start.
+        receives every tick of every robot.  The caller closes the recorders.  If ``hashed`` is
+        false, the result has no hash, and the run takes less time.  Raises ``DiagnosticError`` if
+        the run cannot start.
         """
-        scene = self.scene
-        if scene is None:
+        if self.scene is None:
             raise DiagnosticError("simulation-scene", "a scenario needs a scene")
         run_hash = RunHash()
-        all_recorders = (run_hash, *recorders)
-        collisions = CollisionCounter(scene, dict(self.robots))
+        all_recorders = (run_hash, *recorders) if hashed else tuple(recorders)
         metrics: dict[str, ScenarioMetrics] = {}
 
         def measure(loop: ControlLoop) -> None:
             robot_metrics = metrics.get(loop.name)
             if robot_metrics is None:
-                robot_metrics = metrics[loop.name] = ScenarioMetrics(loop, collisions)
-            command = loop.driver.state.command
-            sample, joints = loop.sample(), None if command is None else command.joints
-            robot_metrics.update(sample.true)
+                robot_metrics = metrics[loop.name] = ScenarioMetrics(loop)
+            robot_metrics.update()
+            if all_recorders:
+                command = loop.driver.state.command
+                sample, joints = loop.sample(), None if command is None else command.joints
+                for recorder in all_recorders:
+                    recorder.record(loop.name, sample, joints)
             self._change_parameters(loop)
-            for recorder in all_recorders:
-                recorder.record(loop.name, sample, joints)
             if on_tick is not None:
                 on_tick(loop)
 
@@ -105,7 +106,9 @@ class ScenarioSimulation(Simulation):
                     f"{check.bounds} is expected",
                     check.span,
                 )
-        return ScenarioResult(self.scenario.name, run, values, checks, run_hash.hexdigest())
+        return ScenarioResult(
+            self.scenario.name, run, values, checks, run_hash.hexdigest() if hashed else ""
+        )
 
     def _change_parameters(self, loop: ControlLoop) -> None:
         """Switches the driver to another parameter set at the times of the script.

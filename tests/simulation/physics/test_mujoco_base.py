@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import thorvaldc
 from tests.backend_files import files_of
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.backends.mjcf import Mjcf
@@ -20,6 +22,7 @@ from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 pytest.importorskip("mujoco")
 ROBOT = make_robot(FOUR_STEERED)
+EXAMPLE = Path(__file__).parents[3] / "examples/4wd4ws_slim/robot.yaml"
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +56,27 @@ def test_files_from_memory_and_from_disk_give_equal_runs(
             states = base.read(k * 0.02)
         ends.append((base.true_pose(), list(states.positions or ())))
     assert ends[0] == ends[1]
+
+
+def test_an_example_in_memory_is_the_model_on_disk(tmp_path: Path) -> None:
+    """A scene with meshes and includes, and a fleet whose robots have files of equal names."""
+    robot = thorvaldc.load(EXAMPLE)
+    one, two = (replace(model, namespace=n) for model, n in ((robot, "one"), (ROBOT, "two")))
+    placements = (Placement("one", Pose(), one), Placement("two", Pose((0.0, 3.0, 0.0)), two))
+    fleet = Fleet("pair", "", placements)
+    for name, model in (("robot", robot), ("fleet", fleet)):
+        files = thorvaldc.emit(model, ["mjcf"])
+        pair = [MujocoScene(source).model for source in (files, write(tmp_path / name, files))]
+        assert saved(pair[0]) == saved(pair[1])
+
+
+def saved(model: Any) -> bytes:
+    import mujoco
+    import numpy
+
+    buffer = numpy.zeros(mujoco.mj_sizeModel(model), numpy.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return buffer.tobytes()
 
 
 def test_robot_stands_still_in_its_home_pose(files: dict[str, bytes]) -> None:

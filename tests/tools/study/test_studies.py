@@ -25,6 +25,7 @@ from tests.cli.conftest import thorvaldc as thorvaldc_command
 from thorvaldc.compiler.study.replaced_values import with_replaced_values
 from thorvaldc.model import Robot
 from thorvaldc.model.facts.robot_facts import robot_facts
+from thorvaldc.simulation.scenario_metrics import UNITS
 from thorvaldc.tools.study.design_evaluation import StudyInputs
 from thorvaldc.tools.study.sample_points import designs_of
 from thorvaldc.tools.study.study_execution import StudyRun
@@ -144,6 +145,32 @@ def test_two_processes_give_the_same_table(run: Command) -> None:
     tables = {Path(jobs, "designs.parquet").read_bytes() for jobs in "12"}
     assert len(tables) == 1
     assert all(value > 0 for (value,) in rows("2", "go.energy") if value is not None)
+
+
+def test_the_metrics_of_a_design_are_those_of_its_scenario(run: Command) -> None:
+    """A study leaves out what it does not need; every metric is equal to the last bit."""
+    Path("drive.yaml").write_text(
+        DRIVE.replace("vx: 0.5 m/s", "vx: 0.5 m/s, vy: 0.2 m/s, wz: 0.4 rad/s").replace(
+            "duration: 0.4 s", "duration: 1 s"
+        )
+        + "noise: {seed: 2, wheel_speed: 0.01 rad/s}\n"
+        + "world: {obstacles: {pole: {shape: box, xyz: [1, 0, 0], size: [0.1, 4, 1]}}}\n"
+    )
+    text = STUDY.replace("objectives:", "scenarios: {go: {scenario: drive.yaml}}\nobjectives:")
+    text = text.replace("at_least: 50 deg", "at_least: 35 deg")
+    Path("study.yaml").write_text(text.replace("grid, number: 81", "grid, number: 2"))
+    assert run("study", "run", "study.yaml", "-j", "1", "-o", "out").status == 0
+    robot, metrics = Path("good.yaml").read_text(), [f"go.{name}" for name in UNITS]
+    for track, *values in rows("out", ", ".join(["track", *metrics])):
+        path = "modules.frame.params.width"
+        Path("good.yaml").write_text(with_replaced_values(robot, [(path, f"{track:g} m")]))
+        result = json.loads(run("scenario", "drive.yaml", "--json").out)
+        (expected,) = result["metrics"].values()
+        assert dict(zip(metrics, values, strict=True)) == {
+            f"go.{name}": value for name, value in expected.items()
+        }
+        assert expected["energy"] > 0.0
+        assert expected["collisions"] > 0.0
 
 
 def test_a_killed_study_continues_and_repeats_nothing(run: Command) -> None:

@@ -157,29 +157,59 @@ def _load(folder: Path, scene: str, visuals: bool, prepare: Prepare) -> Any:
             hint="build the robot with --target mjcf first",
         )
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        spec.compiler.discardvisual = not visuals
-        spec.compiler.fusestatic = not visuals
-        if prepare is not None:
-            prepare(spec)
-        return spec.compile()
+        return _compiled(mujoco.MjSpec.from_file(str(path)), visuals, prepare)
     except ValueError as error:
-        text = str(error).replace(f"{folder}/", "").strip().replace("\n", "; ")
-        raise DiagnosticError("simulation-scene", f"MuJoCo cannot read {scene}: {text}") from error
+        text = str(error).replace(f"{folder}/", "")
+        raise _unreadable(scene, text) from error
 
 
 def _load_from_memory(
     files: Mapping[str, bytes], scene: str, visuals: bool, prepare: Prepare
 ) -> Any:
-    # MuJoCo identifies files in memory only by the last part of the file path, and the robots of a
-    # fleet have files with equal last parts.  The function writes the files to a temporary folder,
-    # because MuJoCo identifies files on disk by the whole path.
+    import mujoco
+
+    needed = {
+        PurePosixPath(name): data
+        for name, data in files.items()
+        if not {"mjcf", "meshes"}.isdisjoint(PurePosixPath(name).parts)
+    }
+    others = _by_last_part({path: data for path, data in needed.items() if str(path) != scene})
+    if others is not None and scene in files:
+        includes = {name: data for name, data in others.items() if name.endswith(".xml")}
+        assets = {name: data for name, data in others.items() if name not in includes}
+        try:
+            spec = mujoco.MjSpec.from_string(files[scene].decode(), includes, assets)
+            return _compiled(spec, visuals, prepare)
+        except ValueError as error:
+            raise _unreadable(scene, str(error)) from error
     with tempfile.TemporaryDirectory(prefix="thorvaldc_") as folder:
-        for name, data in files.items():
-            parts = PurePosixPath(name).parts
-            if "mjcf" not in parts and "meshes" not in parts:
-                continue
-            path = Path(folder, *parts)
+        for relative, data in needed.items():
+            path = Path(folder, relative)
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(data)
         return _load(Path(folder), scene, visuals, prepare)
+
+
+def _by_last_part(files: Mapping[PurePosixPath, bytes]) -> dict[str, bytes] | None:
+    """Returns the files by the last part of their path, or ``None`` if two files have the same.
+
+    MuJoCo identifies files in memory only by the last part of the path, and the robots of a fleet
+    have files with equal last parts.  MuJoCo identifies files on disk by the whole path.
+    """
+    by_name = {path.name: data for path, data in files.items()}
+    if any(by_name[path.name] != data for path, data in files.items()):
+        return None
+    return by_name
+
+
+def _compiled(spec: Any, visuals: bool, prepare: Prepare) -> Any:
+    spec.compiler.discardvisual = not visuals
+    spec.compiler.fusestatic = not visuals
+    if prepare is not None:
+        prepare(spec)
+    return spec.compile()
+
+
+def _unreadable(scene: str, message: str) -> DiagnosticError:
+    text = message.strip().replace("\n", "; ")
+    return DiagnosticError("simulation-scene", f"MuJoCo cannot read {scene}: {text}")

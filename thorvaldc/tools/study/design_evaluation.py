@@ -13,7 +13,7 @@ from typing import Any
 from thorvaldc.compiler.compilation import Compilation, SourceFile
 from thorvaldc.compiler.extras.xacro_expand import remembered_expansions
 from thorvaldc.compiler.geometry.meshes import shared_mesh_workers
-from thorvaldc.compiler.pipeline import compile_robot, emit
+from thorvaldc.compiler.pipeline import compile_robot, emit_without_model
 from thorvaldc.compiler.scenario_compilation import compile_scenario
 from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.compiler.study.replaced_values import PathError, with_replaced_values
@@ -129,8 +129,8 @@ class DesignEvaluator:
             _set_error(row, compilation.report.errors[0])
             return False
         report = Report()
-        files = emit(compilation.scenario.fleet, ["mjcf"], report)
-        result = ScenarioSimulation(compilation.scenario, files).play(report)
+        files = emit_without_model(compilation.scenario.fleet, ["mjcf"], report)
+        result = ScenarioSimulation(compilation.scenario, files).play(report, hashed=False)
         (metrics,) = result.metrics.values()
         row["metrics"][name] = {
             metric: value if math.isfinite(value) else None for metric, value in metrics.items()
