@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -54,11 +55,10 @@ class Size:
 
 
 class _Extents:
-    """The extents of shapes, with those of each mesh computed once for each orientation."""
+    """The extents of the shapes of a robot.  ``left_out``: names of the meshes without bytes."""
 
     def __init__(self, robot: Robot) -> None:
         self._data = {mesh.name: mesh.data for mesh in robot.meshes}
-        self._known: dict[tuple[str, Vec3, Quat], tuple[Vec3, Vec3]] = {}
         self.left_out: dict[str, None] = {}
 
     def of(self, shape: Shape, quat: Quat) -> tuple[Vec3, Vec3] | None:
@@ -73,24 +73,32 @@ class _Extents:
         return (-half[0], -half[1], -half[2]), half
 
     def _of_mesh(self, shape: MeshShape, quat: Quat) -> tuple[Vec3, Vec3] | None:
-        # Equal orientations of equal modules differ by rounding.
-        w, x, y, z = (round(value, 12) for value in quat)
-        key = shape.mesh, shape.scale, (w, x, y, z)
-        if key not in self._known:
-            vertices = mesh_vertices(shape.mesh, self._data.get(shape.mesh, b""))
-            if not vertices:
-                self.left_out[shape.mesh] = None
-                return None
-            rows = quat_to_matrix(key[2])
-            sx, sy, sz = shape.scale
-            lower, upper = [], []
-            for a, b, c in rows:
-                a, b, c = a * sx, b * sy, c * sz
-                values = [a * vx + b * vy + c * vz for vx, vy, vz in vertices]
-                lower.append(min(values))
-                upper.append(max(values))
-            self._known[key] = (lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2])
-        return self._known[key]
+        # Equal orientations of equal modules differ by rounding, and by the sign of a zero.
+        w, x, y, z = (round(value, 12) + 0.0 for value in quat)
+        data = self._data.get(shape.mesh, b"")
+        box = _mesh_box(shape.mesh, data, shape.scale, (w, x, y, z))
+        if box is None:
+            self.left_out[shape.mesh] = None
+        return box
+
+
+@functools.lru_cache(maxsize=256)
+def _mesh_box(name: str, data: bytes, scale: Vec3, quat: Quat) -> tuple[Vec3, Vec3] | None:
+    """Return the corners of the box around a mesh, or ``None`` for a mesh without bytes.
+
+    The designs of a study have the same meshes.
+    """
+    vertices = mesh_vertices(name, data)
+    if not vertices:
+        return None
+    sx, sy, sz = scale
+    lower, upper = [], []
+    for a, b, c in quat_to_matrix(quat):
+        a, b, c = a * sx, b * sy, c * sz
+        values = [a * vx + b * vy + c * vz for vx, vy, vz in vertices]
+        lower.append(min(values))
+        upper.append(max(values))
+    return (lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2])
 
 
 def _half_extents(shape: Box | Cylinder | Sphere, quat: Quat) -> Vec3:
