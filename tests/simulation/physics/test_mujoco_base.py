@@ -70,6 +70,17 @@ def test_an_example_in_memory_is_the_model_on_disk(tmp_path: Path) -> None:
         assert saved(pair[0]) == saved(pair[1])
 
 
+def test_meshes_of_equal_names_in_two_folders_stay_apart() -> None:
+    emitted = thorvaldc.emit(thorvaldc.load(EXAMPLE), ["mjcf"])
+    first, second, *_ = (data for name, data in emitted.items() if name.endswith(".stl"))
+    scene = """<mujoco><asset><mesh name="a" file="../a/meshes/m.stl" inertia="shell"/>
+        <mesh name="b" file="../b/meshes/m.stl" inertia="shell"/></asset><worldbody>
+        <geom type="mesh" mesh="a"/><geom type="mesh" mesh="b"/></worldbody></mujoco>"""
+    files = {"a/meshes/m.stl": first, "b/meshes/m.stl": second, "mjcf/scene.xml": scene.encode()}
+    a, b = MujocoScene(files).model.mesh_vertnum
+    assert a != b
+
+
 def saved(model: Any) -> bytes:
     import mujoco
     import numpy
