@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import importlib
+import os
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -52,3 +54,23 @@ def test_the_lines_of_a_mutant_are_those_of_its_statement(
     monkeypatch.setattr(tool, "ROOT", tmp_path)
     lines = {m.line: m.executed for m in tool.mutants_of(Path("example.py"))}
     assert lines == {1: range(0), 4: range(3, 6), 7: range(6, 9), 9: range(9, 10)}
+
+
+def test_pytest_finds_tests_with_any_parameters(tool: ModuleType, tmp_path: Path) -> None:
+    values = ["", "[]", "a::b", "{x: 1}", "a b", "1.5"]
+    file = tmp_path / "test_example.py"
+    file.write_text(
+        "import pytest\n"
+        f"@pytest.mark.parametrize('text', {values})\n"
+        "def test_text(text): pass\n"
+    )
+    tests = [f"{file}::test_text[{value}]" for value in values]
+    arguments = sys.modules["executed_lines"].arguments_of(tests)
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-n0", "-c", os.devnull, *arguments],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "6 passed" in done.stdout

@@ -16,6 +16,7 @@ import hashlib
 import importlib
 import json
 import os
+import re
 import shutil
 import signal
 import sys
@@ -127,7 +128,7 @@ def run_tests(
         def child() -> None:
             recorder = _Recorder(None)
             options = [*OPTIONS, "-x", f"--timeout={test_limit_s:.0f}"]
-            status = pytest.main([*options, *tests], plugins=[recorder])
+            status = pytest.main([*options, *arguments_of(tests)], plugins=[recorder])
             failure = recorder.failed[0] if recorder.failed else ""
             result.write_text(json.dumps([failure, int(status)]))
 
@@ -136,6 +137,16 @@ def run_tests(
         if not result.exists():
             return Outcome("an end of the test process", -1)
         return Outcome(*json.loads(result.read_text()))
+
+
+def arguments_of(tests: Iterable[str]) -> list[str]:
+    """Returns the arguments of pytest for tests.
+
+    pytest does not find a test by parameters such as ``[[]]``; then all tests of its function run.
+    """
+    simple = re.compile(r"[^\[]+(\[[\w .,:/=+-]+\])?")
+    names = [test if simple.fullmatch(test) else test.partition("[")[0] for test in tests]
+    return list(dict.fromkeys(names))
 
 
 def _fork(tree: Path, function: Callable[[], None], limit_s: float, log: Path) -> bool:

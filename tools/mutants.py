@@ -30,6 +30,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+import pytest
 from executed_lines import (
     ROOT,
     ExecutedLines,
@@ -279,8 +280,11 @@ def is_noticed(mutant: Mutant, tree: Path, executed: ExecutedLines) -> str:
                     return failed
                 again = [failed] if failed in tests else tests
                 _write(tree / mutant.path, original)
-                if run_tests(tree, again, 60.0 + 5.0 * sum(seconds)).status == 0:
+                without_mutant = run_tests(tree, again, 60.0 + 5.0 * sum(seconds))
+                if without_mutant.status == 0:
                     return failed
+                if without_mutant.status == pytest.ExitCode.USAGE_ERROR:
+                    raise RuntimeError(f"pytest does not find all of {', '.join(again)}")
                 tests = [test for test in tests if test not in again]
         return ""
     finally:
