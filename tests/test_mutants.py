@@ -60,9 +60,7 @@ def test_pytest_finds_tests_with_any_parameters(tool: ModuleType, tmp_path: Path
     values = ["", "[]", "a::b", "{x: 1}", "a b", "1.5"]
     file = tmp_path / "test_example.py"
     file.write_text(
-        "import pytest\n"
-        f"@pytest.mark.parametrize('text', {values})\n"
-        "def test_text(text): pass\n"
+        f"import pytest\n@pytest.mark.parametrize('text', {values})\ndef test_text(text): pass\n"
     )
     tests = [f"{file}::test_text[{value}]" for value in values]
     arguments = sys.modules["executed_lines"].arguments_of(tests)
