@@ -1,7 +1,7 @@
 """The outputs of the examples, and the rule for golden files.
 
 The text files that people read are golden files: URDF, MJCF, ROS 2 parameters and the files of the
-bus; launch files, the long DCFs and the C header for one example only.  Of all files, also of
+bus; launch files, the long DCFs, the C header and the datasheet for one example only.  Of all files, also of
 meshes, the model and files that repeat others, the SHA-256 is kept, so no byte changes without
 notice.
 """
@@ -13,6 +13,7 @@ from pathlib import Path
 
 from thorvaldc.backends import DEFAULT_TARGETS
 from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.model import Robot
 
 ROOT = Path(__file__).resolve().parents[2]
 GOLDEN = Path(__file__).parent
@@ -38,7 +39,8 @@ def current_files(example: str) -> dict[str, str]:
     compilation = compile_file(EXAMPLES[example])
     if compilation.model is None:
         raise RuntimeError(f"{example}: {[d.message for d in compilation.report.errors]}")
-    files = emit(compilation.model, DEFAULT_TARGETS, compilation.report)
+    datasheet = ["datasheet"] if isinstance(compilation.model, Robot) else []
+    files = emit(compilation.model, [*DEFAULT_TARGETS, *datasheet], compilation.report)
     sums = [f"{sha256(files[path]).hexdigest()}  {path}\n" for path in sorted(files)]
     golden = {path: files[path].decode() for path in sorted(files) if _is_golden(example, path)}
     return {**golden, SUMS: "".join(sums)}
@@ -46,6 +48,7 @@ def current_files(example: str) -> dict[str, str]:
 
 WITH_LAUNCH = "4wd4ws_wide"  # a robot with most parts of a ROS 2 package
 WITH_DCF = "1wd1ws_front"  # a robot with one motor controller
+WITH_DATASHEET = "1wd1ws_front"  # a robot with few parts
 
 
 def _is_golden(example: str, path: str) -> bool:
@@ -53,6 +56,8 @@ def _is_golden(example: str, path: str) -> bool:
         return path.startswith("mjcf/")  # its robots are in other examples
     if path.startswith("can/dcf/") or path.endswith(".h"):
         return example == WITH_DCF
+    if path.startswith("datasheet/"):
+        return example == WITH_DATASHEET
     if path.startswith("ros2/"):
         # The launch files of the examples differ in names only; URDF, MJCF, meshes and the model
         # repeat other files.
