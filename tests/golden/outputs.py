@@ -1,9 +1,9 @@
 """The outputs of the examples, and the rule for golden files.
 
 The text files that people read are golden files: URDF, MJCF, ROS 2 parameters and the files of the
-bus; launch files, the long DCFs, the C header and the datasheet for one example only.  Of all files, also of
-meshes, the model and files that repeat others, the SHA-256 is kept, so no byte changes without
-notice.
+bus; launch files, the long DCFs, the C header and the datasheet for one example only.  Of all
+files, also of meshes, the model and files that repeat others, the SHA-256 is kept, so no byte
+changes without notice.
 """
 
 from __future__ import annotations
