@@ -210,6 +210,12 @@ struct.pack_into("<f", NAN, 84 + 50 + 12 + 20, float("nan"))
         ("a.stl", b"solid x\nfacet\nvertex 1 2\n", "mesh-invalid", "three numbers"),
         (
             "a.stl",
+            b"solid x\nfacet\n" + b"vertex 1 2 3\n" * 4 + b"vertex 1 2 x\n",
+            "mesh-invalid",
+            "three numbers (number 5)",
+        ),
+        (
+            "a.stl",
             b"\0" * 80 + struct.pack("<I", 200001) + bytes(50 * 200001),
             "mesh-large",
             "200001",

@@ -337,6 +337,25 @@ def test_wheels_on_a_line_get_casters(
 
 
 @pytest.mark.parametrize(
+    ("x", "casters"),
+    [
+        (0.14, "(0.74, 0) m and (-0.46, 0) m"),  # in the middle of the frame: before and behind
+        (0.16, "(-0.64, 0.3) m and (-0.64, -0.3) m"),  # near one end: at the other end
+        (-0.16, "(0.64, 0.3) m and (0.64, -0.3) m"),
+        (-0.6, "(0.6, 0.3) m and (0.6, -0.3) m"),
+    ],
+)
+def test_positions_of_casters(tmp_path: Path, x: float, casters: str) -> None:
+    drives = "".join(
+        f"  d{node}: {{node: {node}, x: {x}, y: {y}, type: 0}}\n"
+        for node, y in ((1, 0.3), (2, -0.3))
+    )
+    frame = "pipes: {p: {x1: -1, y1: 0, x2: 1, y2: 0, height: 0.65}}\n"
+    _, report = convert_text(tmp_path, f"motor_drives:\n{drives}{frame}")
+    find(report, "import-assumed", f"are added at {casters}")
+
+
+@pytest.mark.parametrize(
     ("calculator", "drive_type", "expected", "assumed"),
     [
         ("pltf_clc_std::PltfClcStd", 0, "general", False),
