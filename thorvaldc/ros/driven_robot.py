@@ -31,8 +31,11 @@ from thorvaldc.runtime.time_gap import Gap, gap_text
 
 OWNER = "ROS"
 """Name of all ROS programs as owners of twist sources and stops: ROS does not tell who sends."""
-SETTLING = 0.1
-"""Real time (s) after a gap in which messages do not count, as they may have waited."""
+SETTLING = 0.5
+"""Real time (s) after a gap in which messages do not count, as they may have waited.
+
+The ROS middleware delivers what has waited in a thread of its own, later on a busy computer.
+"""
 LONGEST_STOP = 10.0
 """Longest simulated time (s) in which a simulated robot comes to rest before it is removed."""
 
