@@ -243,6 +243,9 @@ def test_designs_that_cannot_be_evaluated_are_rows(run: Command) -> None:
     study.write_table(journal, Path("out"))
     message = "the process that evaluated it was killed 3 times"
     assert rows("out", "status, message") == [("error", message)] * 3
+    journal.close()
+    assert run("study", "run", "study.yaml", "-j", "2", "-o", "out").status == 0  # tries again
+    assert {status for (status,) in rows("out", "status")} <= {"ok", "constraint"}
 
 
 def test_more_designs_repeat_none(run: Command) -> None:

@@ -21,7 +21,7 @@ ATTEMPTS = 3
 """Number of processes that a design may end before it counts as failed."""
 
 _Item = tuple[str, Design]
-_Result = tuple[str, dict[str, Any]]
+_Result = tuple[str, dict[str, Any] | None]
 
 
 def results_of(inputs: StudyInputs, designs: Iterable[_Item], jobs: int) -> Iterator[_Result]:
@@ -32,7 +32,7 @@ def results_of(inputs: StudyInputs, designs: Iterable[_Item], jobs: int) -> Iter
 
     If a process is killed, for example because the computer has no memory left, the designs of all
     processes are evaluated again, one after the other.  A design whose process is then killed
-    ``ATTEMPTS`` times has the status ``error``.
+    ``ATTEMPTS`` times has the result ``None``.
     """
     pickled, remaining = pickle.dumps(inputs), iter(designs)
     while lost := (yield from _in_pool(pickled, remaining, jobs, jobs * WAITING_PER_PROCESS)):
@@ -49,9 +49,7 @@ def _one_by_one(pickled: bytes, designs: list[_Item]) -> Iterator[_Result]:
             attempts[key] += 1
             if attempts[key] == ATTEMPTS:
                 designs = designs[1:]
-                message = f"the process that evaluated it was killed {ATTEMPTS} times"
-                row = {"status": "error", "code": "", "message": message}
-                yield key, {**row, "facts": {}, "metrics": {}}
+                yield key, None
 
 
 def _in_pool(

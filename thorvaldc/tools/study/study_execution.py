@@ -11,10 +11,19 @@ from pathlib import Path
 from thorvaldc import __version__
 from thorvaldc.compiler.study.study_definition import Study, value_key
 from thorvaldc.tools.study.design_evaluation import DesignEvaluator, StudyInputs
-from thorvaldc.tools.study.design_processes import results_of
+from thorvaldc.tools.study.design_processes import ATTEMPTS, results_of
 from thorvaldc.tools.study.sample_points import Design, designs_of
 from thorvaldc.tools.study.study_journal import StudyJournal
 from thorvaldc.tools.study.study_table import write_table
+
+_KILLED = {
+    "status": "error",
+    "code": "",
+    "message": f"the process that evaluated it was killed {ATTEMPTS} times",
+    "facts": {},
+    "metrics": {},
+}
+"""Result of a design that has no other result, because its processes were killed."""
 
 
 class StudyRun:
@@ -52,7 +61,11 @@ class StudyRun:
                     yield count
             return
         for key, result in results_of(self.inputs, pending.items(), min(jobs, len(pending))):
-            journal.append(key, result)
+            if result is None:
+                # Not on the disk: the same command tries again, perhaps with more memory.
+                journal.results[key] = _KILLED
+            else:
+                journal.append(key, result)
             count += 1
             yield count
 
