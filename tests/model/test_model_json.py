@@ -343,6 +343,18 @@ def test_the_message_names_the_path(path: str, value: Any, message: str) -> None
     assert str(caught.value) == message
 
 
+@pytest.mark.parametrize(
+    ("field", "value", "limits"), [("length", 2**70, "0 to 8"), ("cob_id", 2**32, "0 to 2047")]
+)
+def test_numbers_that_no_can_frame_has(field: str, value: int, limits: str) -> None:
+    document = json.loads(to_json(everything()))
+    document["model"]["buses"][0]["frames"][0][field] = value
+    with pytest.raises(ModelFormatError) as caught:
+        from_json(json.dumps(document))
+    expected = f"expected a number from {limits}, found {value}"
+    assert str(caught.value) == f"robot.buses[0].frames[0].{field}: {expected}"
+
+
 def test_a_path_in_a_fleet() -> None:
     head = json.loads(to_json(Fleet("f", "", (Placement("a", POSE, make_robot(FOUR_STEERED)),))))
     del head["model"]["placements"][0]["robot"]["wheels"][1]["radius"]

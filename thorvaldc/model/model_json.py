@@ -21,7 +21,14 @@ from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.bounded_file import read_bounded
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model.bus import OBJECT_TYPES, FrameDefinition, ObjectValue
+from thorvaldc.model.bus import (
+    OBJECT_TYPES,
+    Bus,
+    FrameDefinition,
+    Node,
+    ObjectValue,
+    Signal,
+)
 from thorvaldc.model.element import values_getter
 from thorvaldc.model.fleet import Fleet
 from thorvaldc.model.once_per_model import once_per_model
@@ -135,6 +142,22 @@ _WORDS: dict[tuple[type, str], tuple[str, ...]] = {
 }
 """Fields whose text, or last text of each item, must be one of some words."""
 
+_UINT32 = 2**32 - 1
+_RANGES: dict[tuple[type, str], tuple[int, int]] = {
+    (Actuator, "encoder_ppr"): (1, _UINT32),
+    (Bus, "bitrate"): (1, 1_000_000),
+    (Bus, "master_id"): (1, 127),
+    (FrameDefinition, "cob_id"): (0, 0x7FF),
+    (FrameDefinition, "length"): (0, 8),
+    (FrameDefinition, "pdo"): (1, 512),
+    (Node, "id"): (0, 0x7FF),
+    (ObjectValue, "index"): (0, 0xFFFF),
+    (ObjectValue, "subindex"): (0, 0xFF),
+    (Signal, "start"): (0, 63),
+    (Signal, "length"): (1, 64),
+}
+"""Least and greatest value of whole numbers that a CAN bus limits."""
+
 _Decoder = Callable[[Any, str], Any]
 """A decoder converts a JSON value at a path to a value of the model.
 
@@ -171,6 +194,9 @@ def _object_decoder(cls: type) -> _Decoder:
     for (owner, name), words in _WORDS.items():
         if owner is cls:
             decoders[name] = _word_decoder(decoders[name], words)
+    for (owner, name), limits in _RANGES.items():
+        if owner is cls:
+            decoders[name] = _range_decoder(decoders[name], *limits)
 
     def decode(value: Any, path: str) -> Any:
         _require(value, dict, path)
@@ -193,6 +219,17 @@ def _word_decoder(decode: _Decoder, words: tuple[str, ...]) -> _Decoder:
         return decoded
 
     return decode_word
+
+
+def _range_decoder(decode: _Decoder, least: int, most: int) -> _Decoder:
+    def decode_number(value: Any, path: str) -> Any:
+        number = decode(value, path)
+        if number is not None and not least <= number <= most:
+            reason = f"expected a number from {least} to {most}, found {_text(value)}"
+            raise ModelFormatError(reason, path)
+        return number
+
+    return decode_number
 
 
 def _report_fields(value: dict[str, Any], fields: list[str], path: str) -> None:

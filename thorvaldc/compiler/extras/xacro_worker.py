@@ -30,7 +30,7 @@ from thorvaldc.compiler.extras.ros_packages import find_in_sources, find_package
 
 Position = tuple[int, int, int]  # index of the file, line, column
 
-MEMORY_BYTES = 1 << 30
+MEMORY_BYTES = 450_000_000
 MAX_SOURCE_BYTES = 8 << 20
 MAX_ELEMENTS = 100_000
 _KEY = "position"
@@ -471,7 +471,7 @@ class Expansion:
             kind, text = expansion_error.kind, str(expansion_error)
             position = expansion_error.position or position
         elif _find_cause(error, MemoryError) is not None:
-            kind, text = "limit", f"it needs more than {MEMORY_BYTES >> 30} GB of memory"
+            kind, text = "limit", f"it needs more than {MEMORY_BYTES / 1e6:.0f} MB of memory"
         elif _find_cause(error, RecursionError) is not None:
             text = "it calls itself without end (a macro, a property or an include)"
         else:
