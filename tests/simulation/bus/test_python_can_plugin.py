@@ -299,6 +299,21 @@ def test_a_message_takes_the_time_of_its_bits_in_real_time(channel: str) -> None
     assert 0.40 < took < 1.5
 
 
+def test_own_frames_over_the_socket(wire: Wire, channel: str) -> None:
+    with (
+        serving(wire.timeline, {channel: wire}),
+        closing(SimulatedBusClient(channel, "a", receive_own=True)) as a,
+        closing(SimulatedBusClient(channel, "b")) as b,
+    ):
+        frame = interface.CanFrame(0x100, b"\x01")
+        assert a.send(frame)
+        echo, received = a.receive(2.0), b.receive(2.0)
+    assert echo is not None
+    assert received is not None
+    assert (echo.frame, echo.own) == (received.frame, True) == (frame, True)
+    assert not received.own
+
+
 def test_the_error_state_is_sent_over_the_socket(wire: Wire, channel: str) -> None:
     with (
         serving(wire.timeline, {channel: wire}),

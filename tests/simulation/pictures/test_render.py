@@ -20,7 +20,9 @@ from thorvaldc.simulation.pictures.render import (
     fit_camera,
     parse_size,
     parse_view,
+    visible_points,
 )
+from thorvaldc.simulation.physics.mujoco_scene import SCENE, MujocoScene
 from thorvaldc.simulation.pictures.video import VideoRecorder, encoder
 
 
@@ -42,6 +44,25 @@ def test_all_points_are_in_the_picture(view: View, aspect: float) -> None:
     assert max(map(abs, reach)) == pytest.approx(1 / 1.06, abs=0.01)  # the points fill the picture
     assert abs(across.min() + across.max()) < 0.02
     assert abs(along.min() + along.max()) < 0.02
+
+
+def test_visible_points_of_boxes_and_meshes() -> None:
+    xml = b"""<mujoco>
+      <asset><mesh name="m" vertex="0 0 0  1 0 0  0 1 0  0 0 1"/></asset>
+      <worldbody>
+        <geom type="plane" size="9 9 1"/>
+        <body pos="5 0 0"><freejoint/>
+          <geom type="box" size="0.5 0.25 2" mass="1"/>
+          <geom type="mesh" mesh="m" pos="-6 0 0" mass="1"/>
+          <geom type="sphere" size="9" group="3" mass="1"/>
+        </body>
+      </worldbody>
+    </mujoco>"""
+    scene = MujocoScene({SCENE: xml}, visuals=True)
+    points = visible_points(scene)
+    assert points.min(axis=0) == pytest.approx([-1.0, -0.25, -2.0], abs=1e-6)
+    assert points.max(axis=0) == pytest.approx([5.5, 1.0, 2.0], abs=1e-6)
+    assert len(points) == 8 + 4  # the corners of the box and of the mesh
 
 
 def test_views_and_sizes_as_text() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -56,6 +57,14 @@ def test_the_page_has_parts_joints_ids_and_surfaces() -> None:
     assert ids == [(b.name, n.name, n.id) for b in robot.buses for n in b.nodes]
     assert ids
     assert {j["name"] for j in design["joints"]} == {j.name for j in robot.joints}
+    limits = {j.name: (j.lower, j.upper) for j in robot.joints if j.type == "prismatic"}
+    assert limits
+    for joint in design["joints"]:
+        expected = limits.get(joint["name"])
+        if expected is not None:
+            assert (joint["lower"], joint["upper"]) == pytest.approx(expected, abs=1e-6)
+        elif joint["type"] == "continuous":
+            assert (joint["lower"], joint["upper"]) == pytest.approx((-math.pi, math.pi), abs=1e-6)
     known = {robot.links[0].name}
     for joint in design["joints"]:  # the page computes the poses in this order
         assert joint["parent"] in known

@@ -78,6 +78,7 @@ def test_joints_without_a_motor_are_ignored(path: Path) -> None:
     [
         ("", "joint-log-header", 1, 1),
         ("time\n0\n", "joint-log-joint", 1, 1),
+        ("time,other.position\n0,0\n", "joint-log-joint", 1, 6),
         (HEADER.replace("w1", "w0").replace("velocity", "position"), "joint-log-header", 1, 23),
         (HEADER + "0,0,1\n0.02,inf,1\n", "joint-log-value", 3, 6),
         (HEADER + "0,0,1\n0.02,1e999,1\n", "joint-log-value", 3, 6),

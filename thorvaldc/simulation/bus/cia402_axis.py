@@ -65,7 +65,7 @@ class AxisSettings:
     velocity_units: float
     max_velocity: float
     max_acceleration: float
-    max_torque: float = 0.0
+    max_torque: float
     lower: float | None = None
     upper: float | None = None
     brake: bool = False

@@ -30,7 +30,7 @@ DEVICE_TYPE = 0x00020192
 """Value of object 0x1000 for a servo drive with the device profile 402."""
 MOTION_ERROR = 0x20
 """Bit of the error register (object 0x1001) for a motion error."""
-_UNUSED_CHANNEL = AxisSettings(1.0, 1024, 652.0, 652.0, 1.0, 1.0)
+_UNUSED_CHANNEL = AxisSettings(1.0, 1024, 652.0, 652.0, 1.0, 1.0, 0.0)
 
 
 class Cia402Drive(CanopenDevice):
