@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.outside_tools import without
+from thorvaldc.simulation.physics.mujoco_scene import SCENE, MujocoScene
 from thorvaldc.simulation.pictures import PictureError, opengl_backend
 from thorvaldc.simulation.pictures.render import (
     FIELD_OF_VIEW,
@@ -22,7 +23,6 @@ from thorvaldc.simulation.pictures.render import (
     parse_view,
     visible_points,
 )
-from thorvaldc.simulation.physics.mujoco_scene import SCENE, MujocoScene
 from thorvaldc.simulation.pictures.video import VideoRecorder, encoder
 
 
