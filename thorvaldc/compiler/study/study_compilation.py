@@ -24,7 +24,7 @@ from thorvaldc.compiler.scenario_compilation import compile_scenario
 from thorvaldc.compiler.source.input_file import read_bytes, unsaved_texts
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import MAX_BYTES
-from thorvaldc.compiler.source.units import UnitError, parse_any
+from thorvaldc.compiler.source.units import UnitError, parse_any, parse_quantity
 from thorvaldc.compiler.study.replaced_values import (
     PathError,
     find_value,
@@ -43,6 +43,7 @@ from thorvaldc.compiler.study.study_definition import (
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
+from thorvaldc.model.facts.fact_quantities import fact_quantity
 from thorvaldc.model.facts.facts_document import facts_document
 from thorvaldc.model.facts.robot_facts import robot_facts
 
@@ -323,7 +324,8 @@ class _StudyReader:
     def _constraints(self) -> Iterator[Constraint]:
         for name, node in entries(self.document.get("constraints")).items():
             fact = self._fact(node.get("fact"))
-            least, most = (self._bound(node.get(key)) for key in ("at_least", "at_most"))
+            quantity = fact_quantity(fact) if fact else ""
+            least, most = (self._bound(node.get(key), quantity) for key in ("at_least", "at_most"))
             if node.get("at_least") is None and node.get("at_most") is None:
                 self.report.add(
                     "study-value",
@@ -337,13 +339,18 @@ class _StudyReader:
             if fact:
                 yield Constraint(name, fact, least, most)
 
-    def _bound(self, node: Node | None) -> float | None:
+    def _bound(self, node: Node | None, quantity: str) -> float | None:
+        """Returns a bound in SI units.
+
+        ``quantity``: kind of quantity of the fact, or empty if the fact is unknown.
+        """
         if node is None or node.value is None:
             return None
         if isinstance(node.value, int | float):
             return float(node.value)
         try:
-            return parse_any(str(node.value))
+            text = str(node.value)
+            return parse_quantity(text, quantity) if quantity else parse_any(text)
         except UnitError as error:
             self.report.add(error.code, error.message, node.span, hint=error.hint)
             return None
