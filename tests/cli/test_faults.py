@@ -73,7 +73,7 @@ def test_a_robot_that_does_not_start_is_an_error(
     monkeypatch.setattr(rehearsal, "LONGEST_START", 0.5)
     status, out, err = thorvaldc("faults", "pair.yaml", "--only", "EMCY")
     assert (status, out) == (1, "")
-    assert err.startswith("error: the robot does not become ready")
+    assert err.startswith("error: pair.yaml: the robot does not become ready")
     assert len(err.splitlines()) == 1
 
 

@@ -64,7 +64,7 @@ def faults(
     except DiagnosticError as error:
         return loaded.show(report_of(error))
     except RehearsalError as error:
-        message(f"error: {error}")
+        message(f"error: {file}: {error}")
         return INPUT
     if json:
         print_json(matrix_json(matrix, rows, file))
