@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 
+from thorvaldc.can import cia402
 from thorvaldc.can.cia402 import DriveState
 
 TABLE = {
@@ -25,3 +26,11 @@ def test_every_status_word_has_the_state_of_the_table() -> None:
         states.update({int("".join(bits), 2): state for bits in itertools.product(*choices)})
     for word in range(256):
         assert DriveState.of(word | 0x1600) is states.get(word), f"{word:08b}"
+
+
+def test_the_other_bits_of_status_words_are_those_of_the_table() -> None:
+    assert cia402.VOLTAGE_ENABLED == 0x0010
+    assert cia402.REMOTE == 0x0200
+    assert cia402.TARGET_REACHED == 0x0400
+    assert cia402.HOMING_ATTAINED == 0x1000
+    assert cia402.HOMING_ERROR == 0x2000

@@ -68,6 +68,7 @@ def test_a_missing_package_is_named(bus: Bus, monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr(can.interfaces.slcan, "serial", None)
     message, hint = refusal("slcan:COM3", bus)
+    assert message.startswith("cannot use the bus `slcan:COM3`: ")
     assert "serial module is not installed" in message
     assert "thorvaldc[serial]" in hint
     monkeypatch.setitem(sys.modules, "can.interfaces.udp_multicast", None)
@@ -129,7 +130,10 @@ def test_a_driver_that_refuses(bus: Bus) -> None:
     strange = replace(bus, bitrate=123_456)
     ours, theirs = pty.openpty()
     try:
-        assert "bitrate" in refusal(f"slcan:{os.ttyname(theirs)}", strange)[0]
+        spec = f"slcan:{os.ttyname(theirs)}"
+        message = refusal(spec, strange)[0]
+        assert message.startswith(f"cannot use the bus `{spec}`: ")
+        assert "bitrate" in message
     finally:
         os.close(ours)
         os.close(theirs)

@@ -428,6 +428,14 @@ def test_after_a_restart_there_is_room_again(wire: Wire, channel: str) -> None:
         assert client.send(interface.CanFrame(1), timeout=2.0)
 
 
+def test_a_closed_client_receives_nothing(wire: Wire, channel: str) -> None:
+    with serving(wire.timeline, {channel: wire}):
+        client = SimulatedBusClient(channel)
+        client.close()
+        with pytest.raises(ConnectionError):
+            client.receive(0.1)
+
+
 def test_clients_are_served_while_the_simulation_lags(wire: Wire, channel: str) -> None:
     def slow() -> None:
         time.sleep(0.02)
