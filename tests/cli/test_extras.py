@@ -27,6 +27,7 @@ HINTS = [
     ("msgpack", ("can", "scan", "good.yaml", "--bus", "udp"), "udp"),
     ("pygls", ("lsp",), "lsp"),
     ("duckdb", ("study", "run", "study.yaml"), "study"),
+    ("plotly", ("study", "report", "study.yaml"), "study"),
     ("aiohttp", ("preview", "good.yaml", "--no-browser"), "preview"),
 ]
 # Hints of which other tests show that they appear.

@@ -40,6 +40,7 @@ CAN = (
 STUDY = (
     CommandEntry("run", "study_run:run_study", "Evaluate the designs of a study, or continue."),
     CommandEntry("show", "study_show:show_study", "Show the best designs, or ask in SQL."),
+    CommandEntry("report", "study_report:write_report", "Write the results as a web page."),
     CommandEntry("best", "study_best:write_best", "Write the robot file of the best design."),
 )
 # The command `sim` also accepts the options of the commands `scenario`, `batch` and `replay`, which

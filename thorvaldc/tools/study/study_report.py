@@ -1,0 +1,163 @@
+"""The report of a study: one HTML file that shows its designs without a network."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from thorvaldc import __version__
+from thorvaldc.compiler.study.replaced_values import value_text
+from thorvaldc.compiler.study.study_definition import Constraint, Objective, Variable
+from thorvaldc.model.data_folder import data_folder
+from thorvaldc.tools.study.report_content import Column, ReportContent, fact_unit
+from thorvaldc.tools.study.report_robots import ReportRobot
+from thorvaldc.tools.study.sample_points import MissingPackageError
+
+
+@dataclass(frozen=True, slots=True)
+class Sensitivity:
+    """The table of the influence of each variable on each objective, as the report shows it.
+
+    - ``columns``: titles; the first column has the names of the variables.
+    - ``influences``: influence of each variable on the first objective, to choose the first plot.
+    - ``notes``: sentences below the table.
+    """
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    influences: dict[str, float]
+    notes: tuple[str, ...] = ()
+
+
+def load_plotly_script() -> str:
+    """Returns plotly.js.  Raises ``MissingPackageError`` if plotly is not installed."""
+    try:
+        from plotly.offline import get_plotlyjs
+    except ImportError:
+        raise MissingPackageError("plotly") from None
+    script: str = get_plotlyjs()
+    return script
+
+
+def study_report(
+    content: ReportContent,
+    robots: Sequence[ReportRobot],
+    *,
+    picture_fault: str = "",
+    sensitivity: Sensitivity | None = None,
+) -> str:
+    """Returns the HTML document of a report.
+
+    - ``robots``: the start robot and the robots of the designs that the report shows.
+    - ``picture_fault``: why the robots have no pictures.
+
+    Equal arguments give equal texts.  The policy of the document lets it ask no server, and runs
+    no script but its own.  Raises ``MissingPackageError`` if plotly is not installed.
+    """
+    from jinja2 import Environment, StrictUndefined
+
+    folder = data_folder("templates") / "study"
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    template = environment.from_string((folder / "report.html").read_text(encoding="utf-8"))
+    plotly = load_plotly_script()
+    script = (folder / "report.js").read_text(encoding="utf-8")
+    study, start, *designs = content.study, *robots
+    return template.render(
+        study=study,
+        version=__version__,
+        content=content,
+        variables=[(v.name, _range_text(v), v.paths) for v in study.variables],
+        constraints=[(c.name, _bound_text(c), c.fact) for c in study.constraints],
+        objectives=[(o.name, _goal_text(o), o.fact or o.metric) for o in study.objectives],
+        start=start,
+        robots=designs,
+        by_number={design["sample"]: design for design in content.designs},
+        value=value_with_unit,
+        picture_fault=picture_fault,
+        sensitivity=sensitivity,
+        data=_script_json(_data(content, sensitivity)),
+        scripts=(plotly, script),
+        hashes=[_hash(text) for text in (plotly, script)],
+    )
+
+
+def _data(content: ReportContent, sensitivity: Sensitivity | None) -> dict[str, Any]:
+    """Returns what the script of the report draws: the table of designs, column by column."""
+    designs = content.designs
+    on_front = set(content.front)
+    messages = list(dict.fromkeys(design["message"] for design in designs))
+    places = {message: place for place, message in enumerate(messages)}
+    x, y = content.axes(sensitivity.influences if sensitivity else {})
+    return {
+        "samples": [design["sample"] for design in designs],
+        "statuses": [design["status"] for design in designs],
+        "messages": messages,
+        "messageOf": [places[design["message"]] for design in designs],
+        "front": [design["sample"] in on_front for design in designs],
+        "columns": [
+            {**asdict(column), "values": [_rounded(design[column.name]) for design in designs]}
+            for column in content.columns
+        ],
+        "axes": [x, y],
+        "chosen": content.chosen,
+    }
+
+
+def _rounded(value: Any) -> Any:
+    if not isinstance(value, float):
+        return value
+    return float(f"{value:.6g}") if math.isfinite(value) else None
+
+
+def _script_json(value: Any) -> Any:
+    """Returns JSON for a script element, in which no text can end the element."""
+    from markupsafe import Markup
+
+    text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    return Markup(text.replace("<", "\\u003c"))
+
+
+def _hash(script: str) -> str:
+    """Returns the hash of a script for the Content-Security-Policy of the document."""
+    digest = hashlib.sha256(script.encode()).digest()
+    return f"sha256-{base64.b64encode(digest).decode('ascii')}"
+
+
+def value_with_unit(value: Any, column: Column) -> str:
+    """Returns a value of a column as text, angles also in degrees."""
+    return _quantity(value, column.unit)
+
+
+def _quantity(value: Any, unit: str) -> str:
+    if value is None:
+        return "-"
+    if not isinstance(value, float):
+        return str(value)
+    text = f"{value:.4g}{f' {unit}' if unit else ''}"
+    return f"{text} ({value * 57.29577951308232:.1f}°)" if unit == "rad" else text
+
+
+def _range_text(variable: Variable) -> str:
+    no_break = "\N{NO-BREAK SPACE}"  # between a number and its unit
+    values = [value_text(value).replace(" ", no_break) for value in variable.tested_values()]
+    return ", ".join(values) if variable.choices else " to ".join(values)
+
+
+def _bound_text(constraint: Constraint) -> str:
+    unit, bounds = fact_unit(constraint.fact), []
+    if constraint.at_least is not None:
+        bounds.append(f"at least {_quantity(float(constraint.at_least), unit)}")
+    if constraint.at_most is not None:
+        bounds.append(f"at most {_quantity(float(constraint.at_most), unit)}")
+    return ", ".join(bounds)
+
+
+def _goal_text(objective: Objective) -> str:
+    return "maximise" if objective.maximise else "minimise"
