@@ -363,6 +363,7 @@ _TABLE: tuple[Code, ...] = (
     _warning("TV964", "audit-key-twice", "a parameter file contains a key twice"),
     _warning("TV965", "audit-section-unused", "no controller reads a section of parameters"),
     _error("TV966", "audit-node-id", "the CANopen node ids of two files or devices contradict"),
+    _error("TV967", "price-invalid", "a price is no amount with a currency, or of an assembly"),
     _error("TV970", "git-unavailable", "there is no git, or no git repository"),
     _error("TV971", "git-revision-unknown", "a repository does not have a revision"),
     _error("TV972", "git-file-missing", "a revision does not have a file"),

@@ -22,6 +22,25 @@ class SourcedMass(Element):
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Purchase(Element):
+    """What a module costs and how long its delivery takes, as far as the files state it.
+
+    - ``price``: price of one module in ``currency``, or ``None``.
+    - ``currency``: code of ISO 4217, such as ``EUR``; empty without a price.
+    - ``supplier``: name of the supplier, or empty.
+    - ``lead_time``: time from order to delivery in s, or ``None``.
+    """
+
+    price: float | None
+    currency: str
+    supplier: str
+    lead_time: float | None
+
+
+NOT_STATED = Purchase(None, "", "", None)
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Module(Element):
     """A module of the robot: one use of a module type that is not an assembly.
 
@@ -32,6 +51,7 @@ class Module(Element):
     - ``mounted``: true if the module is a body of the robot. A module that is only wired, such as a
       motor controller without a mount, has no links and no mass.
     - ``masses``: mass by source, in the order of the module file.
+    - ``purchase``: price, supplier and lead time.
     """
 
     name: str
@@ -40,3 +60,4 @@ class Module(Element):
     mounted: bool
     masses: tuple[SourcedMass, ...]
     span: Span
+    purchase: Purchase = NOT_STATED

@@ -28,6 +28,7 @@ from thorvaldc.compiler.modules.extras_attachment import add_extras
 from thorvaldc.compiler.modules.hardware import hardware_of
 from thorvaldc.compiler.modules.hardware_parts import Hardware
 from thorvaldc.compiler.modules.instance import Instance, used_by
+from thorvaldc.compiler.modules.purchase_reader import read_purchases
 from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.modules.robot_parts import RobotParts, modules_of
 from thorvaldc.compiler.modules.ros_settings import check_ros_names, read_ros_settings
@@ -232,6 +233,9 @@ class _Elaborator:
         twist_locks = twist_inputs.locks(twist_sources)
         buses = self._wiring(parts, self.report).buses(robot, 1.0 / driver.rate, watchdog)
         ros = read_ros_settings(self.document, self.scope, self.report)
+        purchases = read_purchases(
+            self.document, robot, self.resolver.library, self.scope, self.report
+        )
         if not geometry_is_valid:
             return None
         model = Robot(
@@ -256,7 +260,7 @@ class _Elaborator:
             twist_locks=twist_locks,
             joint_servos=tuple(parts.joint_servos),
             ros=ros,
-            modules=modules_of(robot, hardware),
+            modules=modules_of(robot, hardware, purchases),
         )
         check_ros_names(model, self.document, self.report)
         check_stopping_distance(model, stated, self.report)

@@ -19,6 +19,7 @@ from thorvaldc.compiler.modules.hardware_parts import (
 from thorvaldc.compiler.modules.joint_reader import read_joints, read_motors
 from thorvaldc.compiler.modules.link_shapes import LinkShapeReader
 from thorvaldc.compiler.modules.module_values import ModuleValues
+from thorvaldc.compiler.modules.purchase_reader import read_purchase
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.modules.value_reader import INVALID, entries, items
 from thorvaldc.compiler.source.node import Node
@@ -108,6 +109,7 @@ class _HardwareReader:
             self.scope.pose(mount) if mount is not None else Pose(),
             tuple(self.shapes.meshes.values()),
             self.scope.quantity(height, "length") if is_stated else None,
+            read_purchase(document.get("purchase"), self.scope, self.report),
         )
 
     def _check_mount_link(self, mount: Node | None) -> None:

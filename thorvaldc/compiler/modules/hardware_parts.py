@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from thorvaldc.diagnostics import Span
+from thorvaldc.model.module import NOT_STATED, Purchase
 from thorvaldc.model.robot import Collision, Mesh, Scalar, SourcedMass, Tread, Visual
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
@@ -121,3 +122,4 @@ class Hardware(NamedTuple):
     mount_pose: Pose
     meshes: tuple[Mesh, ...]
     height_above_ground: float | None
+    purchase: Purchase = NOT_STATED

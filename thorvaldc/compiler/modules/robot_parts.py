@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 from thorvaldc.compiler.geometry.wheel_geometry import PlacedWheel
 from thorvaldc.compiler.modules.hardware_parts import Hardware
 from thorvaldc.compiler.modules.instance import Instance, name_prefix
+from thorvaldc.compiler.modules.purchase_reader import purchase_of
 from thorvaldc.diagnostics import Label, Report
+from thorvaldc.model.module import Purchase
 from thorvaldc.model.robot import (
     Actuator,
     Battery,
@@ -194,8 +197,15 @@ class RobotParts:
                 )
 
 
-def modules_of(robot: Instance, hardware: Mapping[str, Hardware]) -> tuple[Module, ...]:
-    """Returns the modules of the robot that are not assemblies, in the order of the file."""
+def modules_of(
+    robot: Instance,
+    hardware: Mapping[str, Hardware],
+    purchases: Mapping[str, Purchase] = MappingProxyType({}),
+) -> tuple[Module, ...]:
+    """Returns the modules of the robot that are not assemblies, in the order of the file.
+
+    ``purchases``: purchase data in the robot document, by module type or path of a module.
+    """
     modules = []
     for leaf in robot.leaves():
         if leaf.type is None:
@@ -209,6 +219,7 @@ def modules_of(robot: Instance, hardware: Mapping[str, Hardware]) -> tuple[Modul
                 mounted,
                 mass_by_source(hardware[leaf.path]) if mounted else (),
                 leaf.span,
+                purchase_of(leaf, hardware, purchases),
             )
         )
     return tuple(modules)

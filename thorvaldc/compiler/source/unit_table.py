@@ -106,6 +106,8 @@ UNITS: dict[str, Unit] = _aliases(
     ("s sec second seconds", Unit(_TIME)),
     ("min minute minutes", Unit(_TIME, 60)),
     ("h hr hour hours", Unit(_TIME, 3600)),
+    ("d day days", Unit(_TIME, 86400)),
+    ("week weeks", Unit(_TIME, 604800)),
     ("rad radian radians", Unit(_ANGLE)),
     ("deg degree degrees °", Unit(_ANGLE, 1, 180, 1)),
     ("rev turn turns", Unit(_ANGLE, 2, 1, 1)),

@@ -16,6 +16,7 @@ from typing import Any
 from thorvaldc.compiler.compilation import Compilation, Compile, SourceFile
 from thorvaldc.compiler.fleet_compilation import open_named_file
 from thorvaldc.compiler.library import Library
+from thorvaldc.compiler.modules.purchase_reader import MoneyError, parse_money
 from thorvaldc.compiler.modules.value_reader import entries, items
 from thorvaldc.compiler.pipeline import library_folders_of
 from thorvaldc.compiler.scenario.scenario_reader import METRICS
@@ -43,7 +44,7 @@ from thorvaldc.compiler.study.study_definition import (
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
-from thorvaldc.model.facts.fact_quantities import fact_quantity
+from thorvaldc.model.facts.fact_quantities import MONEY, fact_quantity
 from thorvaldc.model.facts.facts_document import facts_document
 from thorvaldc.model.facts.robot_facts import robot_facts
 
@@ -120,7 +121,9 @@ class _StudyReader:
         self.compile_robot = compile_robot
         self.report = report
         assert isinstance(robot.model, Robot)
-        self.facts = dict(fact_values(facts_document(robot_facts(robot.model))))
+        self.facts_document = facts_document(robot_facts(robot.model))
+        self.facts = dict(fact_values(self.facts_document))
+        self.currency: str = self.facts_document["purchase"]["currency"]
         self.choice_inputs: list[tuple[str, str, str]] = []
 
     def read(self, parts: dict[str, Compilation]) -> Study:
@@ -144,6 +147,7 @@ class _StudyReader:
             constraints=tuple(self._constraints()),
             scenarios=scenarios,
             objectives=tuple(self._objectives()),
+            currency=self.currency,
             samples=Samples(
                 str(method),
                 number if isinstance(number, int) else 1,
@@ -346,14 +350,31 @@ class _StudyReader:
         """
         if node is None or node.value is None:
             return None
+        text = str(node.value)
+        if quantity == MONEY:
+            return self._money(text, node)
         if isinstance(node.value, int | float):
             return float(node.value)
         try:
-            text = str(node.value)
             return parse_quantity(text, quantity) if quantity else parse_any(text)
         except UnitError as error:
             self.report.add(error.code, error.message, node.span, hint=error.hint)
             return None
+
+    def _money(self, text: str, node: Node) -> float | None:
+        """Returns a bound for a price in the currency of the robot."""
+        try:
+            money = parse_money(text)
+        except MoneyError as error:
+            self.report.add("price-invalid", str(error), node.span, hint=error.hint)
+            return None
+        if money.currency != self.currency:
+            message = (
+                f"the bound is in {money.currency}, and the robot has prices in {self.currency}"
+            )
+            hint = f"write the bound in {self.currency}; no currency is converted"
+            self.report.add("price-invalid", message, node.span, hint=hint)
+        return money.amount
 
     def _objectives(self) -> Iterator[Objective]:
         scenarios = entries(self.document.get("scenarios"))
@@ -387,12 +408,17 @@ class _StudyReader:
         path = str(node.value)
         if path in self.facts:
             return path
-        self.report.add(
-            "study-name",
-            f"the robot has no fact `{path}` that is a number",
-            node.span,
-            hint=did_you_mean(path, self.facts, "`thorvaldc info --json` shows the facts"),
-        )
+        message = f"the robot has no fact `{path}` that is a number"
+        hint = did_you_mean(path, self.facts, "`thorvaldc info --json` shows the facts")
+        if _is_null(self.facts_document, path):
+            message = f"the fact `{path}` of the robot has no value"
+            hint = "the robot of the study needs one; `thorvaldc info` says what is missing"
+            purchase = self.facts_document["purchase"]
+            reasons = {"purchase.price": "no_price", "purchase.lead_time": "no_lead_time"}
+            if path in reasons:
+                message += f": {purchase[reasons[path]]}"
+                hint = "add it in the section `purchase` of the robot file or of the module file"
+        self.report.add("study-name", message, node.span, hint=hint)
         return ""
 
     def _check_size(self, study: Study) -> None:
@@ -407,6 +433,18 @@ class _StudyReader:
                 f"the grid has {size} designs; there must be at most {MAX_DESIGNS}",
                 (node or self.document).where,
             )
+
+
+def _is_null(document: Any, path: str) -> bool:
+    """Returns whether a path leads to a fact without a value."""
+    for key in path.split("."):
+        if isinstance(document, list) and key.isdecimal() and int(key) < len(document):
+            document = document[int(key)]
+        elif isinstance(document, dict) and key in document:
+            document = document[key]
+        else:
+            return False
+    return document is None
 
 
 def _keys(node: Node) -> Iterator[str]:

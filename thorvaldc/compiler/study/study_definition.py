@@ -109,6 +109,7 @@ class Study:
     robot : path of the robot file.
     scenarios : name and path of each scenario file.
     inputs : SHA-256 of the files of the robot and the scenarios.
+    currency : currency of the prices of the robot (ISO 4217), or empty.
     choice_inputs : SHA-256 of the files of the robot with one listed value, by the name of the
         variable and the JSON text of the value.  A module type has files of its own.
     """
@@ -122,6 +123,7 @@ class Study:
     objectives: tuple[Objective, ...]
     samples: Samples
     inputs: str = ""
+    currency: str = ""
     choice_inputs: tuple[tuple[str, str, str], ...] = ()
 
     def facts(self) -> Iterator[str]:

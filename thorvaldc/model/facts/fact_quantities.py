@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fnmatch import fnmatchcase
 
-NUMBER = "number"
+NUMBER, MONEY = "number", "money"
 PATTERNS: dict[str, tuple[str, ...]] = {
     "length": (
         "size.*",
@@ -18,6 +18,7 @@ PATTERNS: dict[str, tuple[str, ...]] = {
         "energy.range_bound",
     ),
     "mass": ("mass", "*.mass", "bill.*.total"),
+    MONEY: ("purchase.price", "purchase.items.*.price", "purchase.items.*.total"),
     "angle": ("stability.angles.*", "stability.least.*", "stability.polar.*", "slopes.*wards.*"),
     "velocity": ("driving.forwards", "driving.sideways"),
     "acceleration": ("driving.acceleration",),
@@ -28,7 +29,12 @@ PATTERNS: dict[str, tuple[str, ...]] = {
     "power": ("energy.power",),
     "voltage": ("energy.batteries.*.voltage",),
     "charge": ("energy.batteries.*.capacity",),
-    "time": ("energy.standby", "buses.*.period"),
+    "time": (
+        "energy.standby",
+        "buses.*.period",
+        "purchase.lead_time",
+        "purchase.items.*.lead_time",
+    ),
     "bitrate": ("buses.*.bitrate",),
     NUMBER: (
         "*.count",

@@ -10,6 +10,7 @@ from thorvaldc.model.facts.driving import Driving
 from thorvaldc.model.facts.electrics import BusFacts, Wire
 from thorvaldc.model.facts.energy import Energy
 from thorvaldc.model.facts.masses import NO_SOURCE, BillRow, ModuleMass, source_kind
+from thorvaldc.model.facts.purchase import PurchaseFacts
 from thorvaldc.model.facts.robot_facts import RobotFacts
 from thorvaldc.model.facts.size import Size
 from thorvaldc.model.facts.slopes import SlopeLimits, Slopes
@@ -51,6 +52,7 @@ def fact_tables(facts: RobotFacts) -> tuple[FactTable, ...]:
         _wiring(facts.wiring, has_battery=bool(facts.energy.batteries)),
         _modules(facts.modules),
         _bill(facts.bill),
+        _purchase(facts.purchase),
         _sources(facts.bill),
     )
     return tuple(table for table in tables if table.rows)
@@ -381,6 +383,47 @@ def _bill(bill: Iterable[BillRow]) -> FactTable:
         len(set(types)) < len(types)
     )
     return FactTable("bill", "Bill of modules", columns, rows, numeric=(1, 2, 3), notes=notes)
+
+
+def _purchase(purchase: PurchaseFacts) -> FactTable:
+    """Return the prices by module type, without rows if no module states any purchase data."""
+    columns = ("type", "count", "price", "total", "supplier", "lead time")
+    title = "Purchase"
+    stated = (
+        item.currency or item.supplier or item.lead_time is not None for item in purchase.items
+    )
+    if not any(stated):
+        return FactTable("purchase", title, columns, ())
+    rows = [
+        (
+            item.type,
+            f"{item.count}",
+            _money(item.price, item.currency),
+            _money(item.total, item.currency),
+            item.supplier or "-",
+            _days(item.lead_time),
+        )
+        for item in purchase.items
+    ]
+    total = _money(purchase.price, purchase.currency)
+    count = sum(item.count for item in purchase.items)
+    rows.append(("robot", f"{count}", "", total, "", _days(purchase.lead_time)))
+    notes = []
+    if purchase.no_price:
+        notes.append(f"There is no total: {purchase.no_price}.")
+    if purchase.no_lead_time:
+        notes.append(f"There is no longest lead time: {purchase.no_lead_time}.")
+    return FactTable(
+        "purchase", title, columns, tuple(rows), numeric=(1, 2, 3, 5), notes=tuple(notes)
+    )
+
+
+def _money(amount: float | None, currency: str) -> str:
+    return "-" if amount is None else f"{amount:.2f} {currency}"
+
+
+def _days(time: float | None) -> str:
+    return "-" if time is None else f"{time / 86400.0:.4g} d"
 
 
 def _kinds(sources: Iterable[SourcedMass]) -> str:

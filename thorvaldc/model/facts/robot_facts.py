@@ -15,6 +15,7 @@ from thorvaldc.model.facts.masses import (
     mass_by_source,
     masses_of,
 )
+from thorvaldc.model.facts.purchase import PurchaseFacts, purchase_of
 from thorvaldc.model.facts.size import Size, size_of
 from thorvaldc.model.facts.slopes import Slopes, slopes_of
 from thorvaldc.model.facts.stability import Stability, WheelLoad, stability_of, wheel_loads_of
@@ -49,6 +50,7 @@ class RobotFacts:
     buses: tuple[BusFacts, ...]
     wiring: tuple[Wire, ...]
     bill: tuple[BillRow, ...]
+    purchase: PurchaseFacts
 
 
 @once_per_model
@@ -71,4 +73,5 @@ def robot_facts(robot: Robot) -> RobotFacts:
         buses=buses_of(robot),
         wiring=wiring_of(robot),
         bill=bill_of(modules),
+        purchase=purchase_of(robot),
     )

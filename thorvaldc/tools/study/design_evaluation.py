@@ -22,8 +22,10 @@ from thorvaldc.compiler.study.study_definition import Study
 from thorvaldc.diagnostics import Diagnostic, Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
+from thorvaldc.model.facts.fact_quantities import MONEY, fact_quantity
 from thorvaldc.model.facts.facts_document import facts_document
-from thorvaldc.model.facts.robot_facts import robot_facts
+from thorvaldc.model.facts.purchase import PurchaseFacts
+from thorvaldc.model.facts.robot_facts import RobotFacts, robot_facts
 from thorvaldc.tools.study.sample_points import Design
 
 STATUSES = ("ok", "constraint", "expectation", "tipped", "diverged", "error")
@@ -94,8 +96,9 @@ class DesignEvaluator:
             if not isinstance(compilation.model, Robot):
                 _set_error(row, compilation.report.errors[0])
                 return
-            row["facts"] = self._facts(compilation.model)
-            message = self._broken_constraint(row["facts"])
+            facts = robot_facts(compilation.model)
+            row["facts"] = self._facts(facts)
+            message = self._broken_constraint(row["facts"], facts.purchase)
             if message:
                 row.update(status="constraint", message=message)
                 return
@@ -103,16 +106,25 @@ class DesignEvaluator:
                 if not self._drive(name, path, compilation, row):
                     return
 
-    def _facts(self, robot: Robot) -> dict[str, float | None]:
+    def _facts(self, facts: RobotFacts) -> dict[str, float | None]:
+        """Returns the facts that the study needs.  A price in another currency than that of the
+        study's robot is ``None``, because nobody can compare it."""
         paths = sorted(set(self.study.facts()))
-        values = dict(fact_values(facts_document(robot_facts(robot)))) if paths else {}
+        values = dict(fact_values(facts_document(facts))) if paths else {}
+        if facts.purchase.currency != self.study.currency:
+            values = {path: v for path, v in values.items() if fact_quantity(path) != MONEY}
         return {path: values.get(path) for path in paths}
 
-    def _broken_constraint(self, facts: dict[str, float | None]) -> str:
+    def _broken_constraint(self, facts: dict[str, float | None], purchase: PurchaseFacts) -> str:
         for constraint in self.study.constraints:
             value = facts[constraint.fact]
             if value is None:
-                return f"{constraint.name}: the design has no {constraint.fact}"
+                reason = ""
+                if fact_quantity(constraint.fact) == MONEY:
+                    reason = purchase.no_price or f"its prices are in {purchase.currency}"
+                return f"{constraint.name}: the design has no {constraint.fact}" + (
+                    f": {reason}" if reason else ""
+                )
             if constraint.at_least is not None and value < constraint.at_least:
                 return f"{constraint.name} is {value:.4g}, less than {constraint.at_least:.4g}"
             if constraint.at_most is not None and value > constraint.at_most:
