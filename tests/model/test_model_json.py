@@ -32,6 +32,7 @@ from thorvaldc.model import (
     ParameterSet,
     Placement,
     Pose,
+    Purchase,
     Robot,
     Sensor,
     Signal,
@@ -131,6 +132,7 @@ def everything() -> Robot:
                 True,
                 (SourcedMass(1.5, "measured: scale"),),
                 SPAN,
+                Purchase(1250.0, "EUR", "Example Motors", 86400.0),
             ),
         ),
         parameter_sets=(
@@ -334,7 +336,7 @@ def test_other_texts_are_errors(text: str) -> None:
         ("kind", ..., "the field `kind` is missing"),
         ("date", "today", "there is no field `date`"),
         ("format", "urdf", "not a thorvaldc-model file"),
-        ("version", "3", 'version "3"; this program reads 7'),
+        ("version", "3", 'version "3"; this program reads 8'),
     ],
 )
 def test_the_message_names_the_path(path: str, value: Any, message: str) -> None:
@@ -364,5 +366,5 @@ def test_a_path_in_a_fleet() -> None:
 
 
 def test_the_message_of_another_version_names_both() -> None:
-    with pytest.raises(ModelFormatError, match=r"version 1; this program reads 7"):
+    with pytest.raises(ModelFormatError, match=r"version 1; this program reads 8"):
         from_json(changed("version", 1))

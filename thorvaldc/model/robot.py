@@ -24,7 +24,7 @@ from thorvaldc.model.drive_settings import (
     TwistInput,
 )
 from thorvaldc.model.element import Element
-from thorvaldc.model.module import Module, SourcedMass
+from thorvaldc.model.module import Module, Purchase, SourcedMass
 from thorvaldc.model.ros import DEFAULT_SETTINGS, RosSettings
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
@@ -56,6 +56,7 @@ __all__ = [
     "Node",
     "ObjectValue",
     "ParameterSet",
+    "Purchase",
     "Robot",
     "RosSettings",
     "Scalar",

@@ -406,7 +406,7 @@ def _purchase(purchase: PurchaseFacts) -> FactTable:
         for item in purchase.items
     ]
     total = _money(purchase.price, purchase.currency)
-    count = sum(item.count for item in purchase.items)
+    count = len([module for item in purchase.items for module in item.modules])
     rows.append(("robot", f"{count}", "", total, "", _days(purchase.lead_time)))
     notes = []
     if purchase.no_price:
