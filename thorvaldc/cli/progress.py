@@ -33,12 +33,18 @@ class Progress:
         percent = int(100 * min(value / self.total, 1.0)) if self.active else self._shown_percent
         if percent != self._shown_percent:
             self._shown_percent = percent
-            bar = f"[{'#' * (percent * BAR_WIDTH // 100):<{BAR_WIDTH}}]"
-            number = f"{value:.1f}" if self.unit == "s" else f"{value:.0f}"
-            line = f"{self.label}{bar} {percent:3d} %  {number} of {self.total:g} {self.unit}"
-            # The progress bar is cut at the width of the terminal, because a wrapped line cannot be
-            # erased.
-            print(f"\r{line[: width_of(sys.stderr) - 1]}", end="", file=sys.stderr, flush=True)
+            print(f"\r{self.line(value)}", end="", file=sys.stderr, flush=True)
+
+    def line(self, value: float) -> str:
+        """Returns the progress bar for ``value`` of the total as text.
+
+        The text is cut at the width of the terminal, because a wrapped line cannot be erased.
+        """
+        percent = int(100 * min(value / self.total, 1.0))
+        bar = f"[{'#' * (percent * BAR_WIDTH // 100):<{BAR_WIDTH}}]"
+        number = f"{value:.1f}" if self.unit == "s" else f"{value:.0f}"
+        line = f"{self.label}{bar} {percent:3d} %  {number} of {self.total:g} {self.unit}"
+        return line[: width_of(sys.stderr) - 1]
 
     def watch(self, loop: ControlLoop) -> None:
         """Shows the simulated time of a run in the progress bar."""

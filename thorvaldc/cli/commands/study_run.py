@@ -10,7 +10,7 @@ import typer
 from thorvaldc.cli.diagnostic_output import count, message, table_width
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.options import Jobs, Library, StudyFile, Trust, parse_count
-from thorvaldc.cli.progress import Progress
+from thorvaldc.cli.study_progress import StudyProgress
 from thorvaldc.cli.study_runs import plan_study, results_folder
 from thorvaldc.tools.scenario_batch import processors
 from thorvaldc.tools.study.sample_points import MissingPackageError
@@ -46,12 +46,12 @@ def run_study(
     except StudyBusyError as error:
         raise OutsideError(str(error)) from None
     total = len(set(run.keys))
-    bar, finished = Progress(total, "designs"), 0
+    progress, finished = StudyProgress(run.inputs.study, run.keys), 0
     try:
         for finished in run.results(journal, process_count):
-            bar.show(finished)
+            progress.show(finished, journal.results)
     finally:
-        bar.clear()
+        progress.clear()
         run.write_table(journal, folder)
         journal.close()
         if finished < total:

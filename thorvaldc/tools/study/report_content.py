@@ -41,6 +41,11 @@ class Column:
     unit: str
     goal: str = ""
 
+    @property
+    def title(self) -> str:
+        """The name with the unit, such as ``energy (J)``."""
+        return f"{self.name} ({self.unit})" if self.unit else self.name
+
 
 @dataclass(frozen=True, slots=True)
 class StatusCount:
@@ -149,6 +154,12 @@ def _chosen(objectives: Sequence[Objective], designs: Sequence[TableDesign]) -> 
 def _columns(study: Study) -> list[Column]:
     columns = [Column(v.name, "variable", variable_unit(v)) for v in study.variables]
     columns += [Column(c.name, "constraint", fact_unit(c.fact)) for c in study.constraints]
+    return columns + objective_columns(study)
+
+
+def objective_columns(study: Study) -> list[Column]:
+    """Returns the columns of the objectives of a study."""
+    columns = []
     for objective in study.objectives:
         metric = objective.metric.rpartition(".")[2]
         unit = fact_unit(objective.fact) if objective.fact else UNITS.get(metric, "")
