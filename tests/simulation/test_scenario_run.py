@@ -62,7 +62,15 @@ def test_without_faults_the_robot_follows_the_script(tmp_path: Path) -> None:
     assert metrics["end_error"] < 0.01  # the tyres slip a little while it accelerates
     assert metrics["length_ratio"] == pytest.approx(1.0, abs=3e-3)
     assert metrics["slip"] < 0.01
+    assert metrics["energy_per_metre"] == metrics["energy"] / metrics["path"] > 0.0
     assert metrics["collisions"] == metrics["steering_limit_hits"] == 0
+
+
+def test_a_robot_that_stands_has_no_energy_per_metre(tmp_path: Path) -> None:
+    text = HEAD.replace("vx: 0.8 m/s", "vx: 0")
+    result, errors = play(tmp_path, text + "expect: {energy_per_metre: {max: 900 J/m}}\n")
+    assert result.metrics["cart"]["energy_per_metre"] == math.inf
+    assert errors == ["expectation-failed"]
 
 
 def test_runs_are_equal_to_the_last_bit(tmp_path: Path) -> None:

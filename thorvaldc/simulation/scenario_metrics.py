@@ -21,12 +21,13 @@ UNITS = {
     "steering_limit_hits": "",
     "collisions": "",
     "energy": "J",
+    "energy_per_metre": "J/m",
 }
 """Names and units of all metrics, in the order of the output."""
 _LIMIT_TOLERANCE = math.radians(0.2)
 """Distance (rad) from a steering limit within which the joint counts as at the limit."""
 _LEAST_PATH = 1e-3
-"""Path length (m) below which the ratio of two lengths has no meaning."""
+"""Path length (m) below which a ratio with it has no meaning."""
 
 
 class ScenarioMetrics:
@@ -125,5 +126,6 @@ class ScenarioMetrics:
             "steering_limit_hits": float(self._limit_hits),
             "collisions": float(result.collisions),
             "energy": self._energy,
+            "energy_per_metre": self._energy / path if path > _LEAST_PATH else math.inf,
         }
         return {name: values[name] for name in UNITS}

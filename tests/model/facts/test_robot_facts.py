@@ -133,3 +133,20 @@ def test_a_robot_on_casters_only() -> None:
     assert facts.driving.forwards == 0.0
     assert facts.driving.turn is None
     assert facts.stability.stands
+
+
+def test_load_on_the_soil() -> None:
+    """The nominal ground pressure is the load over radius times width."""
+    robot = make_robot(STEERED)
+    first, *others = robot.wheels
+    robot = replace(robot, wheels=(replace(first, load=800.0, radius=0.4, width=0.1), *others))
+    soil = robot_facts(robot).soil
+    assert soil is not None
+    assert soil.wheel_load == 800.0
+    assert soil.pressure == pytest.approx(
+        max(20_000.0, *(wheel.load / (wheel.radius * wheel.width) for wheel in others))
+    )
+    narrow = robot_facts(replace(robot, wheels=(replace(first, width=0.0), *others))).soil
+    assert narrow is not None
+    assert narrow.pressure is None
+    assert robot_facts(replace(robot, wheels=())).soil is None

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +23,14 @@ import thorvaldc
 from tests.child_process import ChildProcess
 from tests.cli.conftest import GOOD, Command
 from tests.cli.conftest import thorvaldc as thorvaldc_command
+from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.compiler.study.replaced_values import with_replaced_values
 from thorvaldc.model import Robot
 from thorvaldc.model.facts.robot_facts import robot_facts
+from thorvaldc.model.statics.gravity import GRAVITY
+from thorvaldc.model.statics.slope import SlopeStatics
 from thorvaldc.simulation.scenario_metrics import UNITS
-from thorvaldc.tools.study.design_evaluation import StudyInputs
+from thorvaldc.tools.study.design_evaluation import DesignEvaluator, StudyInputs, robot_text
 from thorvaldc.tools.study.sample_points import designs_of
 from thorvaldc.tools.study.study_execution import StudyRun
 from thorvaldc.tools.study.study_journal import StudyJournal
@@ -364,3 +368,38 @@ def test_the_page_shows_the_example() -> None:
     study = thorvaldc.compile(example).study
     assert study is not None
     assert len(designs_of(study)) == 32
+
+
+@pytest.mark.parametrize(
+    ("rear", "hopper", "status"),
+    [
+        ("caster/fixed", "-0.3 m", "expectation"),
+        ("caster/fixed", "0.15 m", "ok"),
+        ("assembly/steered_drive", "0.0 m", "ok"),
+    ],
+)
+def test_a_robot_climbs_in_mud_if_its_grip_suffices(rear: str, hopper: str, status: str) -> None:
+    """The margins of the example's page: grip over weight downhill and rolling resistance."""
+    study = thorvaldc.compile(ROOT / "examples/studies/driven_wheels_in_mud/study.yaml").study
+    assert study is not None
+    inputs = StudyInputs(study, study.robot.read_text("utf-8"), (), trust=False)
+    design = ("none", rear, hopper)
+    with unsaved_texts({str(study.robot.resolve()): robot_text(inputs, design).encode()}):
+        robot = thorvaldc.load(study.robot)
+    assert isinstance(robot, Robot)
+    angle = math.radians(6)
+    loads = list(zip(robot.wheels, SlopeStatics(robot).loads(angle), strict=True))
+    downhill = robot.inertial.mass * GRAVITY * math.sin(angle)
+    margins = [
+        friction
+        * math.fsum(load for wheel, load in loads if wheel.driven)
+        / (downhill + resistance * math.fsum(load for wheel, load in loads if not wheel.driven))
+        for friction, resistance in ((0.45, 0.2), (0.4, 0.25))
+    ]
+    with ExitStack() as stack:
+        row = DesignEvaluator(inputs, stack).evaluate(design)
+    assert row["status"] == status, row["message"]
+    assert (min(margins) > 1.0) == (status == "ok")
+    assert row["facts"]["purchase.price"] == (19200.0 if "steered" in rear else 11800.0)
+    energy = row["metrics"]["mud"]["energy_per_metre"]
+    assert energy == row["metrics"]["mud"]["energy"] / row["metrics"]["mud"]["path"]

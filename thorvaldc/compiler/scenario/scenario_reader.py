@@ -45,6 +45,7 @@ METRICS = {
     "steering_limit_hits": "number",
     "collisions": "number",
     "energy": "energy",
+    "energy_per_metre": "force",
 }
 
 

@@ -23,7 +23,7 @@ PATTERNS: dict[str, tuple[str, ...]] = {
     "velocity": ("driving.forwards", "driving.sideways"),
     "acceleration": ("driving.acceleration",),
     "angular_velocity": ("driving.turn.yaw_rate",),
-    "force": ("wheels.*.load", "energy.rolling_force"),
+    "force": ("wheels.*.load", "soil.wheel_load", "energy.rolling_force"),
     "torque": ("wiring.*.max_torque",),
     "energy": ("energy.energy", "energy.batteries.*.energy"),
     "power": ("energy.power",),
@@ -35,6 +35,7 @@ PATTERNS: dict[str, tuple[str, ...]] = {
         "purchase.lead_time",
         "purchase.items.*.lead_time",
     ),
+    "pressure": ("soil.pressure",),
     "bitrate": ("buses.*.bitrate",),
     NUMBER: (
         "*.count",

@@ -14,6 +14,7 @@ from thorvaldc.model.facts.purchase import PurchaseFacts
 from thorvaldc.model.facts.robot_facts import RobotFacts
 from thorvaldc.model.facts.size import Size
 from thorvaldc.model.facts.slopes import SlopeLimits, Slopes
+from thorvaldc.model.facts.soil import SoilLoad
 from thorvaldc.model.facts.stability import DIRECTIONS, Stability, WheelLoad
 from thorvaldc.model.module import SourcedMass
 
@@ -43,7 +44,7 @@ def fact_tables(facts: RobotFacts) -> tuple[FactTable, ...]:
     tables = (
         _size(facts.size),
         _mass(facts),
-        _wheels(facts.wheels),
+        _wheels(facts.wheels, facts.soil),
         _stability(facts.stability, facts.center_of_mass[2]),
         _driving(facts.driving),
         _energy(facts.energy),
@@ -113,7 +114,7 @@ def _mass(facts: RobotFacts) -> FactTable:
     return FactTable("mass", "Mass", (), tuple(rows), notes=notes)
 
 
-def _wheels(wheels: Iterable[WheelLoad]) -> FactTable:
+def _wheels(wheels: Iterable[WheelLoad], soil: SoilLoad | None) -> FactTable:
     rows = tuple(
         (
             wheel.name,
@@ -132,7 +133,13 @@ def _wheels(wheels: Iterable[WheelLoad]) -> FactTable:
         for wheel in wheels
     )
     columns = ("wheel", "x [m]", "y [m]", "radius [m]", "load [N]", "share", "kind")
-    return FactTable("wheels", "Wheel loads", columns, rows, numeric=(1, 2, 3, 4, 5))
+    notes: tuple[str, ...] = ()
+    if soil is not None and soil.pressure is not None:
+        notes = (
+            f"Largest nominal ground pressure, load over radius times width:"
+            f" {soil.pressure / 1000.0:.1f} kPa.",
+        )
+    return FactTable("wheels", "Wheel loads", columns, rows, numeric=(1, 2, 3, 4, 5), notes=notes)
 
 
 def _stability(stability: Stability, height: float) -> FactTable:

@@ -18,6 +18,7 @@ from thorvaldc.model.facts.masses import (
 from thorvaldc.model.facts.purchase import PurchaseFacts, purchase_of
 from thorvaldc.model.facts.size import Size, size_of
 from thorvaldc.model.facts.slopes import Slopes, slopes_of
+from thorvaldc.model.facts.soil import SoilLoad, soil_load_of
 from thorvaldc.model.facts.stability import Stability, WheelLoad, stability_of, wheel_loads_of
 from thorvaldc.model.once_per_model import once_per_model
 from thorvaldc.model.robot import Robot
@@ -32,6 +33,7 @@ class RobotFacts:
     - ``modules``: mass by module.
     - ``mass_sources``: mass by kind of source.
     - ``center_of_mass``: position in ``base_link`` in m.
+    - ``soil``: ``None`` for a robot without wheels.
     - ``slopes``: ``None`` for a robot without driven wheels or one that does not stand.
     """
 
@@ -43,6 +45,7 @@ class RobotFacts:
     mass_sources: tuple[MassShare, ...]
     center_of_mass: Vec3
     wheels: tuple[WheelLoad, ...]
+    soil: SoilLoad | None
     stability: Stability
     driving: Driving
     slopes: Slopes | None
@@ -66,6 +69,7 @@ def robot_facts(robot: Robot) -> RobotFacts:
         mass_sources=mass_by_source(modules),
         center_of_mass=robot.inertial.com,
         wheels=wheel_loads_of(robot),
+        soil=soil_load_of(robot),
         stability=stability_of(robot),
         driving=driving_of(robot),
         slopes=slopes_of(robot),
