@@ -129,12 +129,15 @@
     .filter((i) => passed[i] && data.columns.every((column) => column.values[i] !== null))
     .sort((a, b) => data.front[a] - data.front[b] || a - b);
 
+  // Ticks of parallel coordinates are plain texts.  The end of the name of a module type says most.
+  const shortened = (word) => (word.length > 18 ? `…${word.slice(-17)}` : word);
+
   function dimension(column) {
     const label = plain(title(column));
     if (!isText(column)) return { label, values: lines.map((i) => column.values[i]) };
     const words = [...new Set(column.values)];
     return { label, values: lines.map((i) => words.indexOf(column.values[i])),
-      tickvals: words.map((_, i) => i), ticktext: words.map(plain) };
+      tickvals: words.map((_, i) => i), ticktext: words.map(shortened) };
   }
 
   function drawParallel() {
@@ -152,9 +155,9 @@
       labelfont: { size: 12, color: color("ink") }, tickfont: { size: 11, color: color("ink") },
       rangefont: { size: 11, color: color("soft") },
     }], {
-      margin: { l: 60, r: 60, t: 50, b: 30 }, paper_bgcolor: "transparent", plot_bgcolor: "transparent",
+      margin: { l: isText(data.columns[0]) ? 130 : 60, r: 60, t: 50, b: 30 }, paper_bgcolor: "transparent", plot_bgcolor: "transparent",
       font: { family: getComputedStyle(document.body).fontFamily, color: color("ink") },
-    }, config);
+    }, { ...config, displayModeBar: false });
   }
 
   function readRanges() {

@@ -8,12 +8,14 @@ import json
 import re
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, Locator, Page, sync_playwright
 
+from tests.accessibility import axe_script, violations
 from tests.cli.conftest import GOOD, Command
 from tests.cli.conftest import thorvaldc as thorvaldc_command
 from tests.outside_tools import path_of
@@ -91,7 +93,7 @@ def test_the_report_has_the_question_the_designs_and_the_differences(run: Comman
     assert robots == [0, *(n for n, on_front in enumerate(found["front"], 1) if on_front)]
     assert found["chosen"] in robots
     assert "length 1.1 m" not in text  # equal in all robots
-    assert re.search(r"width 0\.9 m -> 1\.2 m", text)
+    assert re.search(r"width 0\.9 m → 1\.2 m", text)
     assert "the report has no pictures: MuJoCo cannot draw".lower() in text.lower()
 
 
@@ -100,7 +102,7 @@ def test_equal_tables_give_equal_bytes_and_load_nothing(run: Command) -> None:
     page = report(run, STUDY)
     assert report(run, STUDY, "-o", "other.html") == page
     assert "default-src 'none'; script-src 'sha256-" in page
-    plain = re.sub(r"<script>.*?</script>|&lt;.*?&gt;", "", page, flags=re.S)
+    plain = re.sub(r"<script>.*?</script>", "", page, flags=re.S)
     assert not re.findall(
         r"<(?:link|iframe|object|script) |<img [^>]*src|@import|url\(",
         re.sub(r'<script type="application/json".*?</script>', "", plain, flags=re.S),
@@ -165,14 +167,20 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture
 def page(browser: Browser, run: Command) -> Iterator[Page]:
-    """The report of a study in the browser, with pictures where the computer draws."""
-    study = STUDY.replace("number: 5", "number: 2")
-    report(run, study, "-o", "report.html")
-    page = browser.new_page(viewport={"width": 1000, "height": 800})
+    """A report with pictures in the browser."""
+    report(run, STUDY.replace("number: 5", "number: 2"), "-o", "report.html")
+    with opened(browser, "report.html") as page:
+        yield page
+
+
+@contextmanager
+def opened(browser: Browser, file: str, **options: Any) -> Iterator[Page]:
+    """Opens a file in the browser; the page must have no error and ask no server."""
+    page = browser.new_page(viewport={"width": 1000, "height": 800}, **options)
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.on("request", lambda request: errors.append(request.url[:100]))
-    page.goto(Path("report.html").resolve().as_uri())
+    page.goto(Path(file).resolve().as_uri())
     page.wait_for_selector("html[data-ready]", timeout=WAIT)
     yield page
     page.close()
@@ -193,7 +201,7 @@ def test_a_click_shows_the_robot(page: Page) -> None:
     assert page.is_visible("#no-robot")
     click(page, on_front)
     page.wait_for_function("document.querySelector('#title').textContent == 'Design 2: front'")
-    assert page.is_visible("#robot-2 >> text=width 0.9 m -> 1.2 m")
+    assert page.is_visible("#robot-2 >> text=width 0.9 m → 1.2 m")
     assert page.is_visible("#picture")
     assert "1.2 m" in page.inner_text("#values")
     assert page.locator("[aria-pressed=true]").get_attribute("data-design") == "2"
@@ -209,3 +217,30 @@ def click(page: Page, point: Locator) -> None:
     page.mouse.move(*place)
     page.wait_for_selector("#plot .hovertext")
     page.mouse.click(*place)
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_ranges_of_parallel_coordinates_dim_the_other_designs(
+    browser: Browser, run: Command, tmp_path: Path
+) -> None:
+    report(run, STUDY.replace("50 deg", "30 deg"), "-o", "report.html")
+    axe = axe_script(tmp_path)
+    with opened(browser, "report.html", bypass_csp=True) as page:
+        page.locator("#parallel").scroll_into_view_if_needed()
+        axis = page.locator("#parallel .axis-brush").first
+        axis.wait_for(timeout=WAIT)
+        box = axis.bounding_box()
+        assert box is not None
+        x, y, height = box["x"] + box["width"] / 2, box["y"], box["height"]
+        page.mouse.move(x, y + 0.05 * height)
+        page.mouse.down()
+        page.mouse.move(x, y + 0.35 * height, steps=2)
+        page.mouse.up()
+        page.wait_for_function("document.querySelector('#brushed').textContent")
+        shown = re.fullmatch(r"(\d) of 5 designs .*", page.inner_text("#brushed"))
+        assert shown is not None
+        assert 1 <= int(shown[1]) <= 3
+        points = page.locator("#plot .scatterlayer .point").all()
+        dimmed = [p for p in points if float(p.evaluate("p => getComputedStyle(p).opacity")) < 0.5]
+        assert len(dimmed) == 5 - int(shown[1])
+        assert violations(page, axe, "report") == []

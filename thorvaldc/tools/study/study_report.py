@@ -146,8 +146,10 @@ def _quantity(value: Any, unit: str) -> str:
 
 def _range_text(variable: Variable) -> str:
     no_break = "\N{NO-BREAK SPACE}"  # between a number and its unit
-    values = [value_text(value).replace(" ", no_break) for value in variable.tested_values()]
-    return ", ".join(values) if variable.choices else " to ".join(values)
+    values = [value_text(value) for value in variable.tested_values()]
+    if variable.choices:
+        return ", ".join(values)
+    return " to ".join(value.replace(" ", no_break) for value in values)
 
 
 def _bound_text(constraint: Constraint) -> str:
