@@ -24,8 +24,12 @@ ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / ".matrix"
 OLDEST = (3, 11)
 UV = [sys.executable, "-m", "uv", "--quiet"]
-# Every output of the compiler, and the table of commands.
-TESTS = ["tests/golden", "tests/test_api.py", "tests/cli/test_command_table.py"]
+# Every output of the compiler, the table of commands, and what reads files and buses by other
+# packages.
+TESTS = [
+    *("tests/golden", "tests/test_api.py", "tests/cli/test_command_table.py"),
+    *("tests/can", "tests/model", "tests/compiler/geometry", "tests/compiler/source"),
+]
 
 
 class Combination(NamedTuple):

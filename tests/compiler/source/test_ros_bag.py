@@ -31,7 +31,9 @@ def test_a_chunk_that_expands_to_gigabytes(tmp_path: Path, compression: str, sta
     data = mcap_with_chunk(compression, zeros(compression), stated)
     assert len(data) < 10_000_000
     (tmp_path / "log.mcap").write_bytes(data)
-    assert error_of(tmp_path, "log.mcap").endswith("it needs too much memory to read")
+    message = error_of(tmp_path, "log.mcap")
+    # rosbags 0.11.0 reads only the stated size of a chunk, and finds that more follows.
+    assert message.endswith(("it needs too much memory to read", "did not decompress full frame"))
 
 
 def test_a_small_bag_with_very_many_messages(
