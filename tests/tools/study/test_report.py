@@ -20,7 +20,8 @@ from tests.cli.conftest import GOOD, Command
 from tests.cli.conftest import thorvaldc as thorvaldc_command
 from tests.outside_tools import path_of
 from tests.simulation.pictures.test_web_page import OPTIONS
-from thorvaldc.tools.study.report_content import thinned
+from thorvaldc.model.facts.fact_quantities import PATTERNS
+from thorvaldc.tools.study.report_content import fact_unit, thinned
 
 WAIT = 30_000  # ms
 run = pytest.fixture(name="run")(thorvaldc_command.__wrapped__)  # type: ignore[attr-defined]
@@ -142,6 +143,13 @@ def test_a_study_without_a_good_design_or_without_results(run: Command) -> None:
     assert (changed.status, "study run" in changed.err) == (3, True)
     missing = run("study", "report", "study.yaml", "--results", "nothing")
     assert (missing.status, "study run" in missing.err) == (3, True)
+
+
+def test_every_kind_of_fact_has_a_unit_or_none() -> None:
+    units = {quantity: fact_unit(patterns[0]) for quantity, patterns in PATTERNS.items()}
+    assert units["mass"] == "kg"
+    assert units["angle"] == "rad"
+    assert units["number"] == units["money"] == ""
 
 
 def test_a_large_front_is_thinned_evenly() -> None:

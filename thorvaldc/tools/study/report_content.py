@@ -13,7 +13,7 @@ from typing import Any
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_unit
 from thorvaldc.compiler.study.study_definition import Objective, Study, Variable
-from thorvaldc.model.facts.fact_quantities import fact_quantity
+from thorvaldc.model.facts.fact_quantities import MONEY, fact_quantity
 from thorvaldc.simulation.scenario_metrics import UNITS
 from thorvaldc.tools.study.design_evaluation import STATUSES
 from thorvaldc.tools.study.study_table import StudyTable
@@ -169,8 +169,12 @@ def objective_columns(study: Study) -> list[Column]:
 
 
 def fact_unit(fact: str) -> str:
-    """Returns the SI unit of a fact with a dotted path, or an empty text."""
-    return _shown(QUANTITIES[fact_quantity(fact)].unit)
+    """Returns the SI unit of a fact with a dotted path, or an empty text.
+
+    The currency of a price is in the facts of the robots.
+    """
+    quantity = fact_quantity(fact)
+    return "" if quantity == MONEY else _shown(QUANTITIES[quantity].unit)
 
 
 def variable_unit(variable: Variable) -> str:
