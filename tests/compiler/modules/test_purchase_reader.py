@@ -99,7 +99,11 @@ def test_no_currency_is_converted(tmp_path: Path) -> None:
         ("purchase: {a: {lead_time: -1 d}}\n", PURCHASE, "out-of-range"),
         ("purchase: {a: {price: -1 NOK}}\n", PURCHASE, "price-invalid"),
         ("purchase: {a: {price: 1 NOK, currency: EUR}}\n", PURCHASE, "price-invalid"),
+        ("purchase: {a: {price: 1, currency: NKO}}\n", PURCHASE, "price-invalid"),
+        ("purchase: {a: {price: -1, currency: NOK}}\n", PURCHASE, "price-invalid"),
         ("", 'purchase: {price: "${20 * kilograms}"}\n', "price-invalid"),
+        ("", 'purchase: {price: "${kilograms > 2}", currency: NOK}\n', "price-invalid"),
+        ("", 'purchase: {price: "${[1, 2]}", currency: NOK}\n', "price-invalid"),
         ("", 'purchase: {price: "${20 * kilo}", currency: NOK}\n', "expression-name"),
     ],
 )
@@ -124,7 +128,7 @@ def test_an_assembly_states_no_price(tmp_path: Path) -> None:
     ("text", "hint"),
     [
         ("1250", "1250 EUR"),
-        ("1250 eur", "write `EUR`"),
+        ("1250 eur", "did you mean `EUR`?"),
         ("1250 EURO", "did you mean `EUR`?"),
         ("1250€", "write `1250 EUR`"),
         ("$ 9.90", "write `9.90 USD`"),

@@ -14,7 +14,13 @@ from typing import NamedTuple
 from thorvaldc.compiler.library import Library, ModuleType
 from thorvaldc.compiler.modules.hardware_parts import Hardware
 from thorvaldc.compiler.modules.instance import Instance
-from thorvaldc.compiler.modules.value_reader import INVALID, ValueReader, entries
+from thorvaldc.compiler.modules.value_reader import (
+    INVALID,
+    ValueReader,
+    describe_node,
+    entries,
+)
+from thorvaldc.compiler.source.edits import insertion
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.diagnostics.suggest import did_you_mean
@@ -67,15 +73,18 @@ def parse_money(text: str) -> Money:
         raise MoneyError(f"`{text}` is no amount with a currency", hint)
     amount, currency = float(match[1]), match[2]
     if currency not in CURRENCIES:
-        near = did_you_mean(
-            currency.upper(), CURRENCIES, "write the code of ISO 4217, such as `EUR` or `USD`"
+        near = _currency_hint(currency)
+        raise MoneyError(
+            f"`{currency}` is no currency of ISO 4217",
+            near.within(text) if isinstance(near, Proposal) else near,
         )
-        if currency.upper() in CURRENCIES:
-            near = f"write `{currency.upper()}`"
-        raise MoneyError(f"`{currency}` is no currency of ISO 4217", str(near))
     if amount > MAX_AMOUNT:
         raise MoneyError(f"`{text}` is more than {MAX_AMOUNT:g}", "write a smaller amount")
     return Money(amount, currency)
+
+
+def _currency_hint(currency: str) -> str:
+    return did_you_mean(currency, CURRENCIES) or "write the code of ISO 4217, such as `EUR`"
 
 
 def read_purchase(section: Node | None, reader: ValueReader, report: Report) -> Purchase:
@@ -94,30 +103,44 @@ def read_purchase(section: Node | None, reader: ValueReader, report: Report) -> 
 
 def _money(section: Node, reader: ValueReader, report: Report) -> Money | None:
     price, currency_node = section.get("price"), section.get("currency")
-    currency = reader.text(currency_node) if currency_node is not None else ""
-    if price is None:
+    value = reader.evaluate(price) if price is not None else None
+    if price is None or value is None:
         return None
-    value = reader.evaluate(price)
-    if value is None:
+    currency = reader.text(currency_node)
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return _amount(value, currency, section, report)
+    if not isinstance(value, str):
+        message = f"{describe_node(price)} is no amount with a currency"
+        report.add("price-invalid", message, price.span, hint="write it as in: 1250 EUR")
         return None
-    text = f"{value}"
-    if not isinstance(value, str) and not isinstance(value, bool):
-        if not currency:
-            hint = f"write `price: {value:g} EUR`, or add `currency: EUR`"
-            report.add("price-invalid", "the price has no currency", price.span, hint=hint)
-            return None
-        text = f"{value:.12f} {currency}"
     try:
-        money = parse_money(text)
+        money = parse_money(value)
     except MoneyError as error:
         report.add("price-invalid", str(error), price.span, hint=error.hint)
         return None
-    if currency and money.currency != currency:
-        assert currency_node is not None
+    if currency_node is not None and money.currency != currency:
         message = f"the price is in {money.currency}, and `currency` is {currency}"
         report.add("price-invalid", message, currency_node.span, hint="remove `currency`")
         return None
     return money
+
+
+def _amount(amount: float, currency: str, section: Node, report: Report) -> Money | None:
+    """Returns a price that is a number, with its currency beside it."""
+    node = section.get("currency")
+    place = node if node is not None else section.get("price") or section
+    hint: str | None = None
+    if node is None:
+        message = "the price has no currency"
+        hint = insertion("add the currency", section, "currency", "EUR", is_example=True)
+    elif currency not in CURRENCIES:
+        message, hint = f"`{currency}` is no currency of ISO 4217", _currency_hint(currency)
+    elif not 0.0 <= amount <= MAX_AMOUNT:
+        message = f"the price is {amount:g}; it must be from 0 to {MAX_AMOUNT:g}"
+    else:
+        return Money(float(amount), currency)
+    report.add("price-invalid", message, place.span, hint=hint)
+    return None
 
 
 def _lead_time(node: Node, reader: ValueReader, report: Report) -> float | None:

@@ -417,7 +417,7 @@ class _StudyReader:
             reasons = {"purchase.price": "no_price", "purchase.lead_time": "no_lead_time"}
             if path in reasons:
                 message += f": {purchase[reasons[path]]}"
-                hint = "add it in the section `purchase` of the robot file or of the module file"
+                hint = "the section `purchase` of the robot file or of a module file states it"
         self.report.add("study-name", message, node.span, hint=hint)
         return ""
 
