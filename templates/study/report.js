@@ -24,7 +24,9 @@
   function valueText(value, unit) {
     if (value === null) return "-";
     if (typeof value === "string") return value;
-    const text = `${Number(value.toPrecision(4))}${unit ? ` ${unit}` : ""}`;
+    const size = Math.abs(value);
+    const digits = size < 1e4 || size >= 1e7 ? String(Number(value.toPrecision(4))) : value.toFixed(0);
+    const text = `${digits}${unit ? ` ${unit}` : ""}`;
     return unit === "rad" ? `${text} (${((value * 180) / Math.PI).toFixed(1)}°)` : text;
   }
 

@@ -17,6 +17,7 @@ from thorvaldc.model.data_folder import data_folder
 from thorvaldc.tools.study.report_content import Column, ReportContent, fact_unit
 from thorvaldc.tools.study.report_robots import ReportRobot
 from thorvaldc.tools.study.sample_points import MissingPackageError
+from thorvaldc.tools.study.study_text import cell_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,12 +137,11 @@ def value_with_unit(value: Any, column: Column) -> str:
 
 
 def _quantity(value: Any, unit: str) -> str:
-    if value is None:
-        return "-"
-    if not isinstance(value, float):
-        return str(value)
-    text = f"{value:.4g}{f' {unit}' if unit else ''}"
-    return f"{text} ({value * 57.29577951308232:.1f}°)" if unit == "rad" else text
+    text = cell_text(value)
+    if not isinstance(value, float) or not unit:
+        return text
+    degrees = f" ({math.degrees(value):.1f}°)" if unit == "rad" else ""
+    return f"{text} {unit}{degrees}"
 
 
 def _range_text(variable: Variable) -> str:

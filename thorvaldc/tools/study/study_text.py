@@ -61,7 +61,7 @@ def summary_text(table: StudyTable, width: int | None) -> str:
         table_rows = [("sample", *titles, *(["front"] if is_front else []))]
         for design in shown:
             mark = ["*" if design["front"] else ""] if is_front else []
-            cells = [_cell(design[name]) for name in names]
+            cells = [cell_text(design[name]) for name in names]
             table_rows.append((str(design["sample"]), *cells, *mark))
         lines += [text_table(table_rows, width), "SI units, angles in rad"]
         if is_front:
@@ -73,7 +73,8 @@ def summary_text(table: StudyTable, width: int | None) -> str:
     return "\n".join(lines)
 
 
-def _cell(value: Any) -> str:
+def cell_text(value: Any) -> str:
+    """Returns a value of the table for people: numbers with 4 digits, whole from 10,000 on."""
     if value is None:
         return "-"
     if not isinstance(value, float):
