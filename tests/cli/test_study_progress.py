@@ -80,8 +80,13 @@ def test_a_pipe_has_neither_bar_nor_plot(
     assert "\x1b" not in result.out
 
 
-def test_without_uniplot_there_is_the_bar(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (folder / "uniplot.py").write_text("raise ImportError\n")
+@pytest.mark.parametrize(
+    "module", ["raise ImportError", "def plot_to_string(*a, **k): raise OverflowError"]
+)
+def test_without_a_plot_there_is_the_bar(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, module: str
+) -> None:
+    (folder / "uniplot.py").write_text(f"{module}\n")
     monkeypatch.setattr(sys, "path", [str(folder), *sys.path])
     output = run(folder)
     assert TITLE not in output

@@ -94,12 +94,19 @@ class StudyProgress:
 
     def _plot(self) -> str:
         """Returns the plot as text with a newline at its end, or an empty text without one."""
-        import uniplot
-
         columns, lines = shutil.get_terminal_size()
         fits = columns >= LEAST_SIZE[0] and lines >= LEAST_SIZE[1]
         if len(self._points) < 2 or not fits:
             return ""
+        try:
+            return self._plot_text(columns, lines)
+        except Exception:
+            # A plot must not end a study of hours, for example with values that overflow.
+            return ""
+
+    def _plot_text(self, columns: int, lines: int) -> str:
+        import uniplot
+
         x, y = self._columns[:2]
         text: str = uniplot.plot_to_string(
             [[point[1] for point in points] for points in (self._points, self._front)],

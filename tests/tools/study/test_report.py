@@ -15,13 +15,17 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, Locator, Page, sync_playwright
 
+import thorvaldc
 from tests.accessibility import axe_script, violations
 from tests.cli.conftest import GOOD, Command
 from tests.cli.conftest import thorvaldc as thorvaldc_command
 from tests.outside_tools import path_of
 from tests.simulation.pictures.test_web_page import OPTIONS
 from thorvaldc.model.facts.fact_quantities import PATTERNS
-from thorvaldc.tools.study.report_content import fact_unit, thinned
+from thorvaldc.tools.study.report_content import ReportContent, fact_unit, thinned
+from thorvaldc.tools.study.report_robots import ReportRobot
+from thorvaldc.tools.study.study_report import Sensitivity, study_report
+from thorvaldc.tools.study.study_table import StudyTable
 
 WAIT = 30_000  # ms
 run = pytest.fixture(name="run")(thorvaldc_command.__wrapped__)  # type: ignore[attr-defined]
@@ -143,6 +147,21 @@ def test_a_study_without_a_good_design_or_without_results(run: Command) -> None:
     assert (changed.status, "study run" in changed.err) == (3, True)
     missing = run("study", "report", "study.yaml", "--results", "nothing")
     assert (missing.status, "study run" in missing.err) == (3, True)
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_the_sensitivity_is_a_table_and_chooses_the_variable(run: Command) -> None:
+    report(run, re.sub(r"  stable: .*\n", "", STUDY))
+    study = thorvaldc.compile("study.yaml").study
+    assert study is not None
+    content = ReportContent(study, StudyTable.open(Path("study/track")))
+    rows = (("track", "0.2"), ("words", "0.7 <b>"))
+    table = Sensitivity(("variable", "light"), rows, {"track": 0.2, "words": 0.7}, ("a note",))
+    page = study_report(content, [ReportRobot(0)], sensitivity=table)
+    assert data(page)["axes"] == ["words", "light"]
+    assert "0.7 &lt;b&gt;" in page
+    assert "Sensitivity" in body(page)
+    assert "Sensitivity" not in body(study_report(content, [ReportRobot(0)]))
 
 
 def test_every_kind_of_fact_has_a_unit_or_none() -> None:
