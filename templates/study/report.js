@@ -126,20 +126,28 @@
 
   // -- parallel coordinates -------------------------------------------------------------------
 
+  const MOST_LINES = 2000; // besides the front; more of them are an area, and slow without a graphics card
+  const complete = data.samples.map((_, i) => i)
+    .filter((i) => passed[i] && data.columns.every((column) => column.values[i] !== null));
+  const others = complete.filter((i) => !data.front[i]);
+  const step = Math.max(others.length / MOST_LINES, 1);
   // The lines of the front are drawn last, above the others.
-  const lines = data.samples.map((_, i) => i)
-    .filter((i) => passed[i] && data.columns.every((column) => column.values[i] !== null))
-    .sort((a, b) => data.front[a] - data.front[b] || a - b);
+  const lines = [...others.filter((_, k) => Math.floor(k / step) !== Math.floor((k - 1) / step)), ...complete.filter((i) => data.front[i])];
 
   // Ticks of parallel coordinates are plain texts.  The end of the name of a module type says most.
   const shortened = (word) => (word.length > 18 ? `…${word.slice(-17)}` : word);
 
+  // Values as numbers on the axis of a column: texts by their places in the order of appearance.
+  function numbers(column, rows) {
+    if (!isText(column)) return rows.map((i) => column.values[i]);
+    const places = new Map([...new Set(column.values)].map((word, k) => [word, k]));
+    return rows.map((i) => places.get(column.values[i]));
+  }
+
   function dimension(column) {
-    const label = plain(title(column));
-    if (!isText(column)) return { label, values: lines.map((i) => column.values[i]) };
-    const words = [...new Set(column.values)];
-    return { label, values: lines.map((i) => words.indexOf(column.values[i])),
-      tickvals: words.map((_, i) => i), ticktext: words.map(shortened) };
+    const words = isText(column) ? [...new Set(column.values)] : null;
+    return { name: column.name, label: plain(title(column)), values: numbers(column, lines),
+      ...(words && { tickvals: words.map((_, k) => k), ticktext: words.map(shortened) }) };
   }
 
   function drawParallel() {
@@ -148,12 +156,14 @@
       element("parallel").style.height = "auto";
       return;
     }
+    if (lines.length < complete.length)
+      element("thinned").textContent = `The lines are the front and ${lines.length - complete.length + others.length} of the other ${others.length} designs.`;
     element("parallel").style.minWidth = `${Math.max(data.columns.length * 105, 300)}px`;
     Plotly.react("parallel", [{
       type: "parcoords", dimensions: data.columns.map(dimension), labelangle: 0,
       line: { color: lines.map((i) => Number(data.front[i])), cmin: 0, cmax: 1, showscale: false,
         colorscale: [[0, color("line")], [1, color("front")]] },
-      unselected: { line: { color: color("out"), opacity: 0.15 } },
+      unselected: { line: { color: color("rule"), opacity: 0.3 } },
       labelfont: { size: 12, color: color("ink") }, tickfont: { size: 11, color: color("ink") },
       rangefont: { size: 11, color: color("soft") },
     }], {
@@ -163,13 +173,14 @@
   }
 
   function readRanges() {
-    const ranges = element("parallel").data[0].dimensions
-      .filter((each) => each.constraintrange)
-      .map((each) => [each.values, Array.isArray(each.constraintrange[0]) ? each.constraintrange : [each.constraintrange]]);
-    const inside = lines.filter((_, k) =>
+    const ranges = element("parallel").data[0].dimensions.filter((each) => each.constraintrange).map((each) => [
+      numbers(data.columns.find((column) => column.name === each.name), complete),
+      Array.isArray(each.constraintrange[0]) ? each.constraintrange : [each.constraintrange],
+    ]);
+    const inside = complete.filter((_, k) =>
       ranges.every(([values, parts]) => parts.some(([least, most]) => values[k] >= least && values[k] <= most)));
     brushed = ranges.length ? new Set(inside.map((i) => data.samples[i])) : null;
-    element("brushed").textContent = brushed === null ? "" : `${inside.length} of ${lines.length} designs are in the selected ranges.`;
+    element("brushed").textContent = brushed === null ? "" : `${inside.length} of ${complete.length} designs are in the selected ranges.`;
     drawPlot();
   }
 
