@@ -158,6 +158,9 @@ def test_the_sensitivity_is_a_table_and_chooses_the_variable(run: Command) -> No
     rows = (("track", "0.2"), ("words", "0.7 <b>"))
     table = Sensitivity(("variable", "light"), rows, {"track": 0.2, "words": 0.7}, ("a note",))
     page = study_report(content, [ReportRobot(0)], sensitivity=table)
+    assert "not finished" not in page
+    unfinished = ReportContent(study, StudyTable.open(Path("study/track")), 8)
+    assert "3 of 8 designs have no result" in study_report(unfinished, [ReportRobot(0)])
     assert data(page)["axes"] == ["words", "light"]
     assert "0.7 &lt;b&gt;" in page
     assert "Sensitivity" in body(page)

@@ -57,7 +57,7 @@ def write_report(
     designs = dict(zip(run.keys, run.designs, strict=True))
     missing = f"the designs have no results in {folder}; `thorvaldc study run {study}` evaluates"
     try:
-        content = ReportContent(run.inputs.study, StudyTable.open(folder))
+        content = ReportContent(run.inputs.study, StudyTable.open(folder), len(run.keys))
     except MissingPackageError as error:
         raise OutsideError(str(error)) from None
     except (OSError, ValueError, KeyError):

@@ -63,6 +63,7 @@ class ReportContent:
 
     Attributes
     ----------
+    planned : number of designs of the study, also those without a result.
     columns : variables, constraints and objectives, in the order of the study file.
     designs : rows of the table, by number of the design.
     front : numbers of the designs that no other design surpasses in every objective.
@@ -73,8 +74,9 @@ class ReportContent:
         smallest.  0 if no design has the status ``ok``.
     """
 
-    def __init__(self, study: Study, table: StudyTable) -> None:
+    def __init__(self, study: Study, table: StudyTable, planned: int = 0) -> None:
         self.study = study
+        self.planned = planned
         self.columns = list(_columns(study))
         names, rows = table.query("SELECT * FROM designs ORDER BY sample")
         self.designs: list[TableDesign] = [dict(zip(names, row, strict=True)) for row in rows]
@@ -92,7 +94,10 @@ class ReportContent:
         first: dict[tuple[str, str], TableDesign] = {}
         for design in self.designs:
             first.setdefault((design["status"], design["code"]), design)
-        order = sorted(counts, key=lambda key: (STATUSES.index(key[0]), -counts[key], key[1]))
+        places = {status: place for place, status in enumerate(STATUSES)}
+        order = sorted(
+            counts, key=lambda key: (places.get(key[0], len(places)), -counts[key], key[1])
+        )
         return [
             StatusCount(*key, counts[key], first[key]["sample"], first[key]["message"])
             for key in order
