@@ -6,13 +6,13 @@ import itertools
 import shutil
 import sys
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from thorvaldc.cli.diagnostic_output import has_color
 from thorvaldc.cli.progress import Progress
-from thorvaldc.compiler.study.study_definition import Study
 from thorvaldc.tools.study.report_content import objective_columns
+from thorvaldc.tools.study.study_execution import StudyRun
 from thorvaldc.tools.study.study_table import front, objective_value
 
 if TYPE_CHECKING:
@@ -35,13 +35,12 @@ class StudyProgress:
     A study with several objectives has a plot of the first two, from two designs with the status
     ``ok`` on.  Without the package uniplot, on a small terminal, or if the terminal has no Unicode,
     there is only the bar.
-
-    - ``keys``: keys of the designs of the study.
     """
 
-    def __init__(self, study: Study, keys: Iterable[str]) -> None:
-        self._keys = set(keys)
-        self._bar = Progress(len(self._keys), "designs")
+    def __init__(self, run: StudyRun) -> None:
+        study = run.inputs.study
+        self._run = run
+        self._bar = Progress(run.number, "designs")
         self._objectives = study.objectives
         self._columns = objective_columns(study)
         self._results_read = 0
@@ -78,9 +77,9 @@ class StudyProgress:
 
     def _read(self, results: Mapping[str, Mapping[str, Any]]) -> None:
         """Adds the results that are new since the last call, so that a plot of many is quick."""
-        points = []
+        points, keys = [], set(self._run.keys)
         for key, result in itertools.islice(results.items(), self._results_read, None):
-            if key in self._keys and result["status"] == "ok":
+            if key in keys and result["status"] == "ok":
                 values = [objective_value(each, dict(result)) for each in self._objectives]
                 points.append(tuple(value for value in values if value is not None))
         self._results_read = len(results)

@@ -44,11 +44,11 @@ def write_best(
         known = read_results(folder)
     except FileNotFoundError:
         known = {}
+    run.replay(known)
     finished = sum(1 for key in run.keys if key in known)
-    if finished < len(run.keys):
-        missing = (
-            f"{len(run.keys) - finished} of {len(run.keys)} designs have no result in {folder}"
-        )
+    total = max(run.number, len(run.keys))
+    if finished < total:
+        missing = f"{total - finished} of {total} designs have no result in {folder}"
         if not finished:
             raise OutsideError(f"{missing}; `thorvaldc study run {study}` evaluates them")
         message(f"warning: {missing}")

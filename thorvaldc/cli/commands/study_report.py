@@ -16,7 +16,8 @@ from thorvaldc.cli.study_runs import plan_study, results_folder
 from thorvaldc.tools.study.report_content import ReportContent
 from thorvaldc.tools.study.report_robots import RobotCompiler, picture_fault
 from thorvaldc.tools.study.sample_points import MissingPackageError
-from thorvaldc.tools.study.study_report import load_plotly_script, study_report
+from thorvaldc.tools.study.study_journal import read_results
+from thorvaldc.tools.study.study_report import Sensitivity, load_plotly_script, study_report
 from thorvaldc.tools.study.study_table import TABLE, StudyTable
 
 REPORT = "report.html"
@@ -54,14 +55,17 @@ def write_report(
     if run is None:
         return INPUT
     folder = results_folder(run.inputs.study.name, results)
-    designs = dict(zip(run.keys, run.designs, strict=True))
     missing = f"the designs have no results in {folder}; `thorvaldc study run {study}` evaluates"
     try:
-        content = ReportContent(run.inputs.study, StudyTable.open(folder), len(run.keys))
+        table = StudyTable.open(folder)
+        content = ReportContent(run.inputs.study, table, run.number)
+        sensitivity = Sensitivity.of(table)
+        run.replay(read_results(folder))
     except MissingPackageError as error:
         raise OutsideError(str(error)) from None
     except (OSError, ValueError, KeyError):
         raise OutsideError(f"{missing} them") from None
+    designs = dict(zip(run.keys, run.designs, strict=True))
     keys = {design["sample"]: design["key"] for design in content.designs}
     if not keys.keys() or not all(key in designs for key in keys.values()):
         raise OutsideError(f"{missing} them: the table {folder / TABLE} is of another version")
@@ -75,7 +79,7 @@ def write_report(
     finally:
         progress.clear()
     path = Path(output) if output else folder / REPORT
-    page = study_report(content, robots, picture_fault=fault)
+    page = study_report(content, robots, picture_fault=fault, sensitivity=sensitivity)
     path.write_text(page, encoding="utf-8", newline="\n")
     print(path)
     return DONE

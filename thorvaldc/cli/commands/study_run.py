@@ -45,8 +45,8 @@ def run_study(
         journal = StudyJournal(folder)
     except StudyBusyError as error:
         raise OutsideError(str(error)) from None
-    total = len(set(run.keys))
-    progress, finished = StudyProgress(run.inputs.study, run.keys), 0
+    total = run.number
+    progress, finished = StudyProgress(run), 0
     try:
         for finished in run.results(journal, process_count):
             progress.show(finished, journal.results)

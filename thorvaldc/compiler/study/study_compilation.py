@@ -8,6 +8,7 @@ limit of a range alone.
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 from collections.abc import Iterator
 from dataclasses import replace
@@ -33,6 +34,7 @@ from thorvaldc.compiler.study.replaced_values import (
     with_replaced_values,
 )
 from thorvaldc.compiler.study.study_definition import (
+    DEFAULT_BATCH,
     STATUS_COLUMNS,
     Constraint,
     Objective,
@@ -42,6 +44,7 @@ from thorvaldc.compiler.study.study_definition import (
     value_key,
 )
 from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.report import Proposal
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model.facts.fact_quantities import MONEY, fact_quantity
@@ -49,6 +52,8 @@ from thorvaldc.model.facts.facts_document import facts_document
 from thorvaldc.model.facts.robot_facts import robot_facts
 
 MAX_DESIGNS = 100_000
+MAX_SEARCHED = 5_000
+"""Greatest number of designs of a search: the time for a proposal grows with the number."""
 _WRONG_WITH_ALL_DESIGNS = ("module-type-unknown",)
 """Names of errors outside of the codes TV2xx that a value causes whatever the other values are."""
 
@@ -134,9 +139,9 @@ class _StudyReader:
         for name in sorted(parts):
             digest.update(f"{name}\0{parts[name].source_sha256}\0".encode())
         samples = self.document.get("samples")
-        method, number, seed = (
+        method, number, seed, batch = (
             entry.value if samples is not None and (entry := samples.get(key)) is not None else None
-            for key in ("method", "number", "seed")
+            for key in ("method", "number", "seed", "batch")
         )
         title, description = (self.document.get(key) for key in ("study", "description"))
         study = Study(
@@ -152,6 +157,7 @@ class _StudyReader:
                 str(method),
                 number if isinstance(number, int) else 1,
                 seed if isinstance(seed, int) else 0,
+                batch if isinstance(batch, int) else DEFAULT_BATCH,
             ),
         )
         self._check_size(study)
@@ -422,16 +428,26 @@ class _StudyReader:
         return ""
 
     def _check_size(self, study: Study) -> None:
-        """Checks the number of designs of a grid."""
-        size = 1
-        for variable in study.variables:
-            size *= len(variable.choices) or study.samples.number
-        if study.samples.method == "grid" and size > MAX_DESIGNS:
-            node = self.document.get("samples")
+        """Checks the number of designs."""
+        method, number = study.samples.method, study.samples.number
+        size, most = number, MAX_DESIGNS
+        if method == "grid":
+            size = math.prod(len(variable.choices) or number for variable in study.variables)
+        elif method == "saltelli":
+            size = number * (len(study.variables) + 2)
+        elif method == "search":
+            most = MAX_SEARCHED
+        node = (self.document.get("samples") or self.document).get("number") or self.document
+        if size > most:
+            message = f"the study has {size} designs; with `{method}` it may have {most}"
+            self.report.add("out-of-range", message, node.where)
+        elif method == "saltelli" and number & (number - 1):
+            above = 1 << number.bit_length()
             self.report.add(
                 "out-of-range",
-                f"the grid has {size} designs; there must be at most {MAX_DESIGNS}",
-                (node or self.document).where,
+                f"`saltelli` needs a power of two, not {number}",
+                node.where,
+                hint=Proposal(f"write `{above}`", f"{above}"),
             )
 
 

@@ -14,6 +14,9 @@ from thorvaldc.diagnostics import Span
 STATUS_COLUMNS = ("sample", "key", "status", "code", "message")
 """Columns of the table of designs that do not depend on the study."""
 
+DEFAULT_BATCH = 16
+"""Number of designs that the method ``search`` proposes at once, if the study does not state it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Variable:
@@ -92,12 +95,15 @@ class Objective:
 class Samples:
     """Selection of the designs.
 
-    ``number``: number of designs, or of the values of each range for the method ``grid``.
+    - ``number``: number of designs, of the values of each range for the method ``grid``, or of the
+      base samples for ``saltelli``.
+    - ``batch``: number of designs that the method ``search`` proposes at once.
     """
 
     method: str
     number: int
     seed: int
+    batch: int = DEFAULT_BATCH
 
 
 @dataclass(frozen=True, slots=True)

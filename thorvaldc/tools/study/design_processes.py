@@ -9,6 +9,7 @@ from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
+from types import TracebackType
 from typing import Any
 
 from thorvaldc.tools.study.design_evaluation import DesignEvaluator, StudyInputs
@@ -21,61 +22,96 @@ ATTEMPTS = 3
 """Number of processes that a design may end before it counts as failed."""
 
 _Item = tuple[str, Design]
-_Result = tuple[str, dict[str, Any] | None]
+Result = tuple[str, dict[str, Any] | None]
+"""Key of a design, and its result or ``None``."""
 
 
-def results_of(inputs: StudyInputs, designs: Iterable[_Item], jobs: int) -> Iterator[_Result]:
-    """Yields the key and the result of each design, in the order in which they finish.
+class DesignProcesses:
+    """Processes that evaluate designs of a study, for several batches of designs.
 
-    - ``designs``: key and values of each design.
-    - ``jobs``: number of processes.
+    - ``jobs``: number of processes.  The first designs start them.
 
-    If a process is killed, for example because the computer has no memory left, the designs of all
-    processes are evaluated again, one after the other.  A design whose process is then killed
-    ``ATTEMPTS`` times has the result ``None``.
+    To be used in a ``with`` block, which ends the processes.
     """
-    pickled, remaining = pickle.dumps(inputs), iter(designs)
-    while lost := (yield from _in_pool(pickled, remaining, jobs, jobs * WAITING_PER_PROCESS)):
-        yield from _one_by_one(pickled, lost)
 
+    def __init__(self, inputs: StudyInputs, jobs: int) -> None:
+        self._pickled = pickle.dumps(inputs)
+        self._jobs = jobs
+        self._stack = ExitStack()
+        self._pool: ProcessPoolExecutor | None = None
+        self._processes = 0
 
-def _one_by_one(pickled: bytes, designs: list[_Item]) -> Iterator[_Result]:
-    attempts: Counter[str] = Counter()
-    while designs:
+    def __enter__(self) -> DesignProcesses:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    def results(self, designs: Iterable[_Item]) -> Iterator[Result]:
+        """Yields the key and the result of each design, in the order in which they finish.
+
+        - ``designs``: key and values of each design.
+
+        If a process is killed, for example because the computer has no memory left, the designs of
+        all processes are evaluated again, one after the other.  A design whose process is then
+        killed ``ATTEMPTS`` times has the result ``None``.
+        """
         remaining = iter(designs)
-        lost = yield from _in_pool(pickled, remaining, 1, 1)
-        designs = [*lost, *remaining]
-        for key, _ in lost:  # one design at most
-            attempts[key] += 1
-            if attempts[key] == ATTEMPTS:
-                designs = designs[1:]
-                yield key, None
+        while lost := (yield from self._evaluated(remaining, self._jobs)):
+            yield from self._one_by_one(lost)
 
+    def _one_by_one(self, designs: list[_Item]) -> Iterator[Result]:
+        attempts: Counter[str] = Counter()
+        while designs:
+            remaining = iter(designs)
+            lost = yield from self._evaluated(remaining, 1)
+            designs = [*lost, *remaining]
+            for key, _ in lost:  # one design at most
+                attempts[key] += 1
+                if attempts[key] == ATTEMPTS:
+                    designs = designs[1:]
+                    yield key, None
 
-def _in_pool(
-    pickled: bytes, designs: Iterator[_Item], jobs: int, most: int
-) -> Generator[_Result, None, list[_Item]]:
-    """Yields results until all designs are evaluated or a process is killed.
+    def _evaluated(
+        self, designs: Iterator[_Item], processes: int
+    ) -> Generator[Result, None, list[_Item]]:
+        """Yields results until all designs are evaluated or a process is killed.
 
-    - ``most``: number of designs that the processes have at once.
-
-    Returns the designs that were taken from ``designs`` and have no result.
-    """
-    running: dict[Future[dict[str, Any]], _Item] = {}
-    item: _Item | None = None
-    try:
-        with worker_pool(jobs) as pool:
+        Returns the designs that were taken from ``designs`` and have no result.
+        """
+        most = 1 if processes == 1 else processes * WAITING_PER_PROCESS
+        running: dict[Future[dict[str, Any]], _Item] = {}
+        item: _Item | None = None
+        try:
+            pool = self._open_pool(processes)
             while True:
                 while len(running) < most and (item := next(designs, None)):
-                    running[_submitted(pool, pickled, item[1])] = item
+                    running[_submitted(pool, self._pickled, item[1])] = item
                     item = None
                 if not running:
                     return []
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     result = future.result()
                     yield running.pop(future)[0], result
-    except BrokenProcessPool:
-        return [*running.values(), *([item] if item else [])]
+        except BrokenProcessPool:
+            self._close_pool()
+            return [*running.values(), *([item] if item else [])]
+
+    def _open_pool(self, processes: int) -> ProcessPoolExecutor:
+        if self._pool is None or self._processes != processes:
+            self._close_pool()
+            self._pool = self._stack.enter_context(worker_pool(processes))
+            self._processes = processes
+        return self._pool
+
+    def _close_pool(self) -> None:
+        self._pool = None
+        self._stack.close()
 
 
 def _submitted(pool: ProcessPoolExecutor, pickled: bytes, design: Design) -> Future[dict[str, Any]]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import itertools
 import random
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
 
 from thorvaldc.compiler.source.node import Value
 from thorvaldc.compiler.study.study_definition import Study, Variable
@@ -26,14 +27,18 @@ class MissingPackageError(Exception):
 def designs_of(study: Study) -> list[Design]:
     """Returns the designs of a study in the order of their numbers.
 
-    With the methods ``random`` and ``sobol``, a design does not depend on the number of designs.
+    With the methods ``random``, ``sobol`` and ``saltelli``, a design does not depend on the number
+    of designs.
 
     Raises ``MissingPackageError`` if the method needs scipy and it is not installed.
     """
     method = study.samples.method
     if method == "grid":
         return list(itertools.product(*(_grid_values(study, v) for v in study.variables)))
-    rows = _random_rows(study) if method == "random" else _scipy_rows(study)
+    if method == "random":
+        rows: Iterable[Sequence[float]] = _random_rows(study)
+    else:
+        rows = _saltelli_rows(study) if method == "saltelli" else _scipy_rows(study)
     return [
         tuple(
             variable.at(fraction) for variable, fraction in zip(study.variables, row, strict=True)
@@ -65,11 +70,33 @@ def _random_rows(study: Study) -> Iterator[list[float]]:
         yield row
 
 
-def _scipy_rows(study: Study) -> list[list[float]]:
+def _saltelli_rows(study: Study) -> Iterator[list[float]]:
+    """Yields the points of each base sample: A, B, and A with one coordinate of B for each variable
+    (Saltelli et al., "Variance based sensitivity analysis of model output", 2010)."""
+    count, number = len(study.variables), study.samples.number
+    sequence = load_qmc().Sobol(2 * count, rng=study.samples.seed)
+    for row in sequence.random_base2((number - 1).bit_length())[:number].tolist():
+        a, b = row[:count], row[count:]
+        yield a
+        yield b
+        for index in range(count):
+            yield [*a[:index], b[index], *a[index + 1 :]]
+
+
+def load_qmc() -> Any:
+    """Returns the module ``scipy.stats.qmc``.
+
+    Raises ``MissingPackageError`` if scipy is not installed.
+    """
     try:
         from scipy.stats import qmc
     except ImportError:
         raise MissingPackageError("scipy") from None
+    return qmc
+
+
+def _scipy_rows(study: Study) -> list[list[float]]:
+    qmc = load_qmc()
     samples, count = study.samples, len(study.variables)
     if samples.method == "sobol":
         # The sequence is balanced for powers of two; the first numbers of a longer one are equal.

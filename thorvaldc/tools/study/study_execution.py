@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 from thorvaldc import __version__
 from thorvaldc.compiler.study.study_definition import Study, value_key
 from thorvaldc.tools.study.design_evaluation import DesignEvaluator, StudyInputs
-from thorvaldc.tools.study.design_processes import ATTEMPTS, results_of
+from thorvaldc.tools.study.design_processes import ATTEMPTS, DesignProcesses, Result
+from thorvaldc.tools.study.design_search import DesignSearch
 from thorvaldc.tools.study.sample_points import Design, designs_of
 from thorvaldc.tools.study.study_journal import StudyJournal
 from thorvaldc.tools.study.study_table import write_table
+
+Pending = Mapping[str, Design]
+"""Designs without a result, by their keys."""
 
 _KILLED = {
     "status": "error",
@@ -31,13 +36,33 @@ class StudyRun:
 
     The key of a design is a SHA-256 of all that its result depends on: the version of thorvaldc,
     the files, the values, the constraints, the scenarios and the objectives.
+
+    Attributes
+    ----------
+    designs, keys : the designs in the order of their numbers, and their keys.  Of a search, the
+        designs of the batches whose earlier batches have results.
     """
 
     def __init__(self, inputs: StudyInputs) -> None:
+        """Raises ``MissingPackageError`` if the method of the study needs a missing package."""
+        study = inputs.study
         self.inputs = inputs
-        self.designs = designs_of(inputs.study)
-        keys = _Keys(inputs.study)
-        self.keys = [keys.key(design) for design in self.designs]
+        self._key_of = _Keys(study).key
+        self._search = DesignSearch(study) if study.samples.method == "search" else None
+        self._batch_start = 0
+        self.designs: list[Design] = []
+        self.keys: list[str] = []
+        self._add(designs_of(study) if self._search is None else self._proposed())
+
+    @property
+    def number(self) -> int:
+        """Number of the different designs; of a search the number of all that it may propose."""
+        return len(set(self.keys)) if self._search is None else self.inputs.study.samples.number
+
+    def replay(self, results: Mapping[str, dict[str, Any]]) -> None:
+        """Adds the designs that a search proposes from results, by the keys of designs."""
+        while self._continue(results):
+            pass
 
     def results(self, journal: StudyJournal, jobs: int) -> Iterator[int]:
         """Evaluates the designs that the journal does not contain.
@@ -45,29 +70,70 @@ class StudyRun:
         Yields the number of finished designs after each.  The table of designs does not depend on
         ``jobs``, the number of processes.
         """
-        pending = {
-            key: design
-            for key, design in zip(self.keys, self.designs, strict=True)
-            if key not in journal.results
-        }
-        count = len(set(self.keys)) - len(pending)
-        yield count
-        if jobs <= 1 or len(pending) <= 1:
-            with ExitStack() as stack:
-                evaluator = DesignEvaluator(self.inputs, stack)
-                for key, design in pending.items():
-                    journal.append(key, evaluator.evaluate(design))
-                    count += 1
-                    yield count
-            return
-        for key, result in results_of(self.inputs, pending.items(), min(jobs, len(pending))):
-            if result is None:
-                # Not on the disk: the same command tries again, perhaps with more memory.
-                journal.results[key] = _KILLED
-            else:
-                journal.append(key, result)
-            count += 1
-            yield count
+        with ExitStack() as stack:
+            evaluate: Callable[[Pending], Iterator[Result]] | None = None
+            self.replay(journal.results)
+            while True:
+                pending = {
+                    key: design
+                    for key, design in zip(self.keys, self.designs, strict=True)
+                    if key not in journal.results
+                }
+                count = self._finished(pending)
+                yield count
+                if pending:
+                    evaluate = evaluate or self._evaluation(stack, jobs, len(pending))
+                    for key, result in evaluate(pending):
+                        if result is None:
+                            # Not on the disk: the same command tries again, with more memory.
+                            journal.results[key] = _KILLED
+                        else:
+                            journal.append(key, result)
+                        count += 1
+                        yield count
+                if not self._continue(journal.results):
+                    return
+
+    def _finished(self, pending: Pending) -> int:
+        if self._search is None:
+            return len(set(self.keys)) - len(pending)
+        return sum(1 for key in self.keys if key not in pending)
+
+    def _evaluation(
+        self, stack: ExitStack, jobs: int, designs: int
+    ) -> Callable[[Pending], Iterator[Result]]:
+        """Returns the function that evaluates designs; ``stack`` ends its processes."""
+        jobs = min(jobs, designs)
+        if jobs <= 1:
+            evaluator = DesignEvaluator(self.inputs, stack)
+            return lambda pending: (
+                (key, evaluator.evaluate(design)) for key, design in pending.items()
+            )
+        processes = stack.enter_context(DesignProcesses(self.inputs, jobs))
+        return lambda pending: processes.results(pending.items())
+
+    def _continue(self, results: Mapping[str, dict[str, Any]]) -> bool:
+        """Adds the next batch of a search if the last batch has results.
+
+        Returns whether there is a new batch.
+        """
+        last = self.keys[self._batch_start :]
+        is_complete = len(self.designs) >= self.inputs.study.samples.number
+        if self._search is None or is_complete or not all(key in results for key in last):
+            return False
+        self._search.learn([results[key] for key in last])
+        self._batch_start = len(self.designs)
+        self._add(self._proposed())
+        return True
+
+    def _proposed(self) -> list[Design]:
+        assert self._search is not None
+        samples = self.inputs.study.samples
+        return self._search.propose(min(samples.batch, samples.number - len(self.designs)))
+
+    def _add(self, designs: Sequence[Design]) -> None:
+        self.designs += designs
+        self.keys += [self._key_of(design) for design in designs]
 
     def write_table(self, journal: StudyJournal, folder: Path) -> int:
         """Writes the table of the finished designs to a folder, and returns their number."""

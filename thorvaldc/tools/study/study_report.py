@@ -17,14 +17,16 @@ from thorvaldc.model.data_folder import data_folder
 from thorvaldc.tools.study.report_content import Column, ReportContent, fact_unit
 from thorvaldc.tools.study.report_robots import ReportRobot
 from thorvaldc.tools.study.sample_points import MissingPackageError
-from thorvaldc.tools.study.study_text import cell_text
+from thorvaldc.tools.study.sensitivity import sensitivities, sensitivity_notes
+from thorvaldc.tools.study.study_table import StudyTable
+from thorvaldc.tools.study.study_text import cell_text, sensitivity_rows
 
 
 @dataclass(frozen=True, slots=True)
 class Sensitivity:
     """The table of the influence of each variable on each objective, as the report shows it.
 
-    - ``columns``: titles; the first column has the names of the variables.
+    - ``columns``: titles of the columns.
     - ``influences``: influence of each variable on the first objective, to choose the first plot.
     - ``notes``: sentences below the table.
     """
@@ -33,6 +35,18 @@ class Sensitivity:
     rows: tuple[tuple[str, ...], ...]
     influences: dict[str, float]
     notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, table: StudyTable) -> Sensitivity | None:
+        """Returns the indices of a table, or ``None`` if its study has another method."""
+        shares = sensitivities(table)
+        if not shares:
+            return None
+        columns, *rows = sensitivity_rows(shares)
+        meaning = "Shares of the variance of the objective, with intervals of 95 % confidence."
+        notes = [note for each in shares for note in sensitivity_notes(each)]
+        influences = {index.variable: index.total for index in shares[0].indices}
+        return cls(columns, tuple(rows), influences, ((meaning, *notes) if rows else tuple(notes)))
 
 
 def load_plotly_script() -> str:

@@ -122,6 +122,7 @@ def _description(study: Study) -> dict[str, Any]:
     return {
         "study": study.name,
         "description": study.description,
+        "method": study.samples.method,
         "variables": [variable.name for variable in study.variables],
         "constraints": [constraint.name for constraint in study.constraints],
         "scenarios": [name for name, _ in study.scenarios],

@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import asdict
 from typing import Any
 
 from thorvaldc.diagnostics.text_table import text_table
 from thorvaldc.tools.study.design_evaluation import STATUSES
+from thorvaldc.tools.study.sensitivity import (
+    Interval,
+    ObjectiveSensitivity,
+    sensitivities,
+    sensitivity_notes,
+)
 from thorvaldc.tools.study.study_table import StudyTable, front
 
 MOST_ROWS = 20
@@ -35,13 +42,15 @@ def summary(table: StudyTable) -> dict[str, Any]:
     on_front = set(front(points))
     order = sorted(range(len(passed)), key=lambda i: (i not in on_front, points[i]))
     best = [{**passed[index], "front": index in on_front} for index in order]
-    return {
+    result = {
         "study": description["study"],
         "designs": len(designs),
         "statuses": {status: counts[status] for status in STATUSES if counts[status]},
         "objectives": goals,
         "best": best,
     }
+    shares = sensitivities(table)
+    return {**result, "sensitivity": [asdict(each) for each in shares]} if shares else result
 
 
 def summary_text(table: StudyTable, width: int | None) -> str:
@@ -52,6 +61,7 @@ def summary_text(table: StudyTable, width: int | None) -> str:
     result, description = summary(table), table.description
     counts = ", ".join(f"{count} {status}" for status, count in result["statuses"].items())
     lines = [f"{result['study']}: {result['designs']} designs: {counts or 'none'}"]
+    lines += _reasons(table, "status = 'error'" if result["best"] else "true")
     goals = result["objectives"]
     names = [*description["variables"], *description["constraints"], *goals]
     is_front = len(goals) > 1
@@ -69,8 +79,34 @@ def summary_text(table: StudyTable, width: int | None) -> str:
             lines.append(f"*: {count} designs that no other design surpasses in every objective")
     else:
         lines.append("no design meets every constraint and passes every scenario")
-        lines += _reasons(table)
-    return "\n".join(lines)
+    return "\n".join(lines + _sensitivity_lines(sensitivities(table), width))
+
+
+def _sensitivity_lines(shares: list[ObjectiveSensitivity], width: int | None) -> list[str]:
+    lines = []
+    if any(each.indices for each in shares):
+        lines += ["", *text_table(sensitivity_rows(shares), width).splitlines()]
+        lines.append("shares of the variance of the objective, with intervals of 95 % confidence")
+    return lines + [note for each in shares for note in sensitivity_notes(each)]
+
+
+def sensitivity_rows(shares: list[ObjectiveSensitivity]) -> list[tuple[str, ...]]:
+    """Returns the table of indices: titles, then a row for each objective and variable.
+
+    The variables of an objective are ordered by their total index.
+    """
+    table_rows: list[tuple[str, ...]] = [("objective", "variable", "alone", "with others")]
+    for each in shares:
+        for index in sorted(each.indices, key=lambda index: -index.total):
+            first = _share(index.first_order, index.first_order_interval)
+            total = _share(index.total, index.total_interval)
+            table_rows.append((each.objective, index.variable, first, total))
+    return table_rows
+
+
+def _share(value: float, interval: Interval) -> str:
+    low, high = interval
+    return f"{value:.2f} ({low:.2f} to {high:.2f})"
 
 
 def cell_text(value: Any) -> str:
@@ -82,13 +118,14 @@ def cell_text(value: Any) -> str:
     return f"{value:.4g}" if abs(value) < 1e4 or abs(value) >= 1e7 else f"{value:.0f}"
 
 
-def _reasons(table: StudyTable) -> list[str]:
-    """Returns the first message of each status and code."""
+def _reasons(table: StudyTable, condition: str) -> list[str]:
+    """Returns the first message of each status and code of the designs with a condition in SQL."""
     _, rows = table.query(
-        "SELECT status, code, min(sample), arg_min(message, sample) FROM designs"
-        " GROUP BY status, code ORDER BY 3"
+        "SELECT status, code, min(sample), arg_min(message, sample), count(*) FROM designs"
+        f" WHERE {condition} GROUP BY status, code ORDER BY 3"
     )
     return [
         f"design {sample}: {status}{f' {code}' if code else ''}: {message}"
-        for status, code, sample, message in rows
+        + (f" (and {number - 1} more)" if number > 1 else "")
+        for status, code, sample, message, number in rows
     ]
