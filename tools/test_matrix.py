@@ -29,6 +29,7 @@ UV = [sys.executable, "-m", "uv", "--quiet"]
 TESTS = [
     *("tests/golden", "tests/test_api.py", "tests/cli/test_command_table.py"),
     *("tests/can", "tests/model", "tests/compiler/geometry", "tests/compiler/source"),
+    *("tests/diagnostics", "tests/tools/calibration"),
 ]
 
 
