@@ -27,6 +27,11 @@ HINTS = [
     ("msgpack", ("can", "scan", "good.yaml", "--bus", "udp"), "udp"),
     ("pygls", ("lsp",), "lsp"),
     ("duckdb", ("study", "run", "study.yaml"), "study"),
+    (
+        "distributed",
+        ("study", "run", "study.yaml", "--scheduler", "tcp://127.0.0.1:9"),
+        "cluster",
+    ),
     ("plotly", ("study", "report", "study.yaml"), "study"),
     ("aiohttp", ("preview", "good.yaml", "--no-browser"), "preview"),
 ]

@@ -51,6 +51,7 @@ WRONG_VALUES = {
     "VX,VY,WZ": ("a", "1,2", "nan,0,0", "1,2,3,4"),
     "LENGTH": ("x", "-1", "nan"),
     "BASE": ("x",),
+    "ADDRESS": ("x", "tcp://", "tcp://host", "tcp://host:x", "http://host:1"),
     "PERCENT": ("x", "-1", "101"),
     "PORT": ("x", "-1", "70000"),
     "WxH": ("x", "0x0", "1000"),

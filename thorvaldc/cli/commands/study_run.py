@@ -11,7 +11,7 @@ from thorvaldc.cli.diagnostic_output import count, message, table_width
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.options import Jobs, Library, StudyFile, Trust, parse_count
 from thorvaldc.cli.study_progress import StudyProgress
-from thorvaldc.cli.study_runs import plan_study, results_folder
+from thorvaldc.cli.study_runs import open_cluster, parse_scheduler, plan_study, results_folder
 from thorvaldc.tools.scenario_batch import processors
 from thorvaldc.tools.study.sample_points import MissingPackageError
 from thorvaldc.tools.study.study_journal import StudyBusyError, StudyJournal
@@ -30,8 +30,17 @@ def run_study(
     jobs: Jobs = "",
     library: Library = [],  # noqa: B006
     trust: Trust = False,
+    scheduler: Annotated[
+        str,
+        typer.Option(
+            "--scheduler",
+            metavar="ADDRESS",
+            help="Evaluate on the workers of this Dask scheduler: tcp://HOST:PORT.",
+        ),
+    ] = "",
 ) -> int:
     process_count = parse_count(jobs, "--jobs", 1) or processors()
+    address = parse_scheduler(scheduler)
     gc.enable()
     try:
         load_duckdb()
@@ -48,8 +57,9 @@ def run_study(
     total = run.number
     progress, finished = StudyProgress(run), 0
     try:
-        for finished in run.results(journal, process_count):
-            progress.show(finished, journal.results)
+        with open_cluster(address, run) as cluster:
+            for finished in run.results(journal, process_count, cluster):
+                progress.show(finished, journal.results)
     finally:
         progress.clear()
         run.write_table(journal, folder)

@@ -12,6 +12,7 @@ import math
 import os
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from thorvaldc.compiler.compilation import Compilation, Compile, SourceFile
@@ -66,6 +67,7 @@ def compile_study(source: SourceFile, compile_robot: Compile) -> Compilation:
     """
     compilation, report = Compilation.of(source), Report()
     parts: dict[str, Compilation] = {}
+    tried_files: dict[str, Path] = {}
     if source.document is not None:
         document = source.check_shape(source.document)
         robot = _compile_robot(document, source, compile_robot, report)
@@ -75,8 +77,11 @@ def compile_study(source: SourceFile, compile_robot: Compile) -> Compilation:
             if isinstance(part.model, Robot):
                 reader = _StudyReader(source, document, robot_source, part, compile_robot, report)
                 compilation.study = reader.read(parts)
+                tried_files = reader.tried_files
                 compilation.model = part.model
-    return compilation.complete(source, report, parts)
+    compilation.complete(source, report, parts)
+    compilation.files.update(tried_files)  # of module types that a variable can have
+    return compilation
 
 
 def _compile_robot(
@@ -130,6 +135,7 @@ class _StudyReader:
         self.facts = dict(fact_values(self.facts_document))
         self.currency: str = self.facts_document["purchase"]["currency"]
         self.choice_inputs: list[tuple[str, str, str]] = []
+        self.tried_files: dict[str, Path] = {}
 
     def read(self, parts: dict[str, Compilation]) -> Study:
         """Returns the study, and adds the compilations of the scenarios to ``parts``."""
@@ -315,6 +321,7 @@ class _StudyReader:
                 tried = self.compile_robot(
                     SourceFile(path, self.robot_source.name, self.robot_source.folder)
                 )
+            self.tried_files.update(tried.files)
             self.choice_inputs.append((variable.name, value_key(value), tried.source_sha256))
             for diagnostic in tried.report.errors:
                 number, name = diagnostic.code.number, diagnostic.code.name

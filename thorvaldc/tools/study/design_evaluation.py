@@ -43,12 +43,14 @@ class StudyInputs:
     - ``text``: text of the robot file.
     - ``library``: additional library folders.
     - ``trust``: whether xacro files are expanded without restrictions.
+    - ``files``: all files of the study.
     """
 
     study: Study
     text: str
     library: Sequence[Path]
     trust: bool
+    files: tuple[Path, ...] = ()
 
 
 class DesignEvaluator:

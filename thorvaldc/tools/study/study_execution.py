@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from thorvaldc import __version__
 from thorvaldc.compiler.study.study_definition import Study, value_key
@@ -17,6 +17,9 @@ from thorvaldc.tools.study.design_search import DesignSearch
 from thorvaldc.tools.study.sample_points import Design, designs_of
 from thorvaldc.tools.study.study_journal import StudyJournal
 from thorvaldc.tools.study.study_table import write_table
+
+if TYPE_CHECKING:
+    from thorvaldc.tools.study.dask_cluster import DaskCluster
 
 Pending = Mapping[str, Design]
 """Designs without a result, by their keys."""
@@ -64,14 +67,18 @@ class StudyRun:
         while self._continue(results):
             pass
 
-    def results(self, journal: StudyJournal, jobs: int) -> Iterator[int]:
+    def results(
+        self, journal: StudyJournal, jobs: int, cluster: DaskCluster | None = None
+    ) -> Iterator[int]:
         """Evaluates the designs that the journal does not contain.
 
         Yields the number of finished designs after each.  The table of designs does not depend on
-        ``jobs``, the number of processes.
+        ``jobs``, the number of processes, and not on ``cluster``, which replaces them.
         """
         with ExitStack() as stack:
             evaluate: Callable[[Pending], Iterator[Result]] | None = None
+            if cluster is not None:
+                evaluate = _on_cluster(cluster, self.inputs)
             self.replay(journal.results)
             while True:
                 pending = {
@@ -144,6 +151,10 @@ class StudyRun:
         ]
         write_table(self.inputs.study, rows, folder)
         return len(rows)
+
+
+def _on_cluster(cluster: DaskCluster, inputs: StudyInputs) -> Callable[[Pending], Iterator[Result]]:
+    return lambda pending: cluster.results_of(inputs, pending.items())
 
 
 class _Keys:

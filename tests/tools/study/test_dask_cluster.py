@@ -1,0 +1,159 @@
+"""Studies on a Dask cluster: the same bytes as on this computer, and one line for each fault."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.child_process import ChildProcess
+from tests.cli.conftest import Command
+from tests.cli.conftest import thorvaldc as thorvaldc_command
+from tests.tools.study.dask_processes import ROOT, DaskProcesses
+from tests.tools.study.test_studies import DRIVE, STUDY, rows
+from thorvaldc.tools.study import dask_cluster
+from thorvaldc.tools.study.cluster_worker import Surroundings
+
+pytestmark = [
+    pytest.mark.xdist_group("dask"),
+    # Warnings of Dask and of the event loop that it leaves to the garbage collection.
+    pytest.mark.filterwarnings("ignore"),
+]
+run = pytest.fixture(name="run")(thorvaldc_command.__wrapped__)  # type: ignore[attr-defined]
+
+
+@pytest.fixture
+def dask(run: Command) -> Iterator[DaskProcesses]:
+    processes = DaskProcesses()
+    try:
+        yield processes
+    finally:
+        processes.close()
+
+
+def study_with_scenario(number: int) -> None:
+    Path("drive.yaml").write_text(DRIVE)
+    text = STUDY.replace("objectives:", "scenarios: {go: {scenario: drive.yaml}}\nobjectives:")
+    text = text.replace("light: {fact: mass", "energy: {metric: go.energy")
+    Path("study.yaml").write_text(
+        text.replace("grid, number: 81", f"random, number: {number}, seed: 3")
+    )
+
+
+def table(folder: str) -> bytes:
+    return Path(folder, "designs.parquet").read_bytes()
+
+
+def test_a_cluster_gives_the_same_table(run: Command, dask: DaskProcesses) -> None:
+    """Also a worker with several threads, although a design needs its process for itself."""
+    study_with_scenario(8)
+    dask.start_worker(threads=4)
+    dask.start_worker()
+    result = run("study", "run", "study.yaml", "--scheduler", dask.address, "-o", "dask")
+    assert result.status == 0, result.err
+    assert run("study", "run", "study.yaml", "-j", "1", "-o", "one").status == 0
+    assert table("dask") == table("one")
+
+
+def test_workers_die_and_join(run: Command, dask: DaskProcesses) -> None:
+    Path("study.yaml").write_text(STUDY.replace("number: 81", "number: 120"))
+    assert run("study", "run", "study.yaml", "-j", "1", "-o", "one").status == 0
+    command = [sys.executable, "-m", "thorvaldc", "study", "run", "study.yaml", "-o", "dask"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with ChildProcess([*command, "--scheduler", dask.address], env=environment) as study:
+        first = dask.start_worker()
+        journal = Path("dask/journal.jsonl")
+        end = time.monotonic() + 60
+        while time.monotonic() < end:
+            if journal.exists() and journal.read_bytes().count(b"\n") >= 1:
+                break
+            time.sleep(0.01)
+        first.send_signal(signal.SIGKILL)
+        dask.start_worker()
+        assert study.wait(60) == 0
+    assert table("dask") == table("one")
+
+
+def test_a_scheduler_that_is_not_there(run: Command) -> None:
+    Path("study.yaml").write_text(STUDY)
+    start = time.monotonic()
+    result = run("study", "run", "study.yaml", "--scheduler", "tcp://127.0.0.1:9")
+    assert time.monotonic() - start < 15
+    assert result.status == 3
+    assert "there is no Dask scheduler at tcp://127.0.0.1:9" in result.err
+    assert "dask worker tcp://127.0.0.1:9" in result.err
+
+
+def test_a_scheduler_that_goes_away(
+    run: Command, dask: DaskProcesses, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The study waits for it, then says that the same command continues."""
+    monkeypatch.setattr(dask_cluster, "RECONNECT", 1.0)
+    Path("study.yaml").write_text(STUDY)
+
+    def no_worker(self: dask_cluster.DaskCluster) -> int:
+        os.killpg(dask.scheduler.pid, signal.SIGKILL)
+        return 0
+
+    monkeypatch.setattr(dask_cluster.DaskCluster, "_worker_count", no_worker)
+    result = run("study", "run", "study.yaml", "--scheduler", dask.address)
+    assert result.status == 3
+    assert "lost the scheduler" in result.err
+    assert "the same command continues" in result.err
+
+
+def test_a_worker_with_another_version(run: Command, dask: DaskProcesses) -> None:
+    """A worker that differs is named with what differs, also if it joins later."""
+    Path("study.yaml").write_text(STUDY)
+    Path("sitecustomize.py").write_text("import thorvaldc\nthorvaldc.__version__ = '0.0.7'\n")
+    dask.start_worker(PYTHONPATH=f".{os.pathsep}{ROOT}")
+    result = run("study", "run", "study.yaml", "--scheduler", dask.address)
+    assert result.status == 3
+    assert "worker tcp://127.0.0.1:" in result.err
+    assert "has thorvaldc 0.0.7 (" in result.err
+    assert "the same command continues" in result.err
+
+
+def test_a_difference_of_the_files_is_named(tmp_path: Path) -> None:
+    same, other = tmp_path / "same.yaml", tmp_path / "other.xacro"
+    for path in (same, other):
+        path.write_text("a")
+    surroundings = Surroundings.of([str(other), str(same)])
+    assert surroundings.difference_here() == ""
+    other.write_text("b")
+    assert surroundings.difference_here() == f"has another file {other}"
+    other.unlink()
+    assert surroundings.difference_here() == f"has no file {other}"
+
+
+KILLER = """\
+import os
+from thorvaldc.tools.study.design_evaluation import DesignEvaluator
+evaluate = DesignEvaluator.evaluate
+def killing(self, design):
+    if design[0] == "0.9 m":
+        os._exit(1)
+    return evaluate(self, design)
+DesignEvaluator.evaluate = killing
+"""
+
+
+def test_a_design_that_kills_workers_is_an_error(run: Command, dask: DaskProcesses) -> None:
+    """It is tried again alone; all other designs have their results."""
+    Path("study.yaml").write_text(STUDY.replace("grid, number: 81", "grid, number: 9"))
+    Path("sitecustomize.py").write_text(KILLER)
+    dask.close()
+    failures = "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES"
+    dask.start_scheduler(**{failures: "0"})
+    for _ in range(6):
+        dask.start_worker(PYTHONPATH=f".{os.pathsep}{ROOT}")
+    result = run("study", "run", "study.yaml", "--scheduler", dask.address, "-o", "out")
+    assert result.status == 0, result.err
+    found = rows("out", "track, message")
+    assert [track for track, message in found if "killed 3 times" in message] == [0.9]
+    assert len(found) == 9
