@@ -49,12 +49,12 @@ class Surroundings:
     def difference_here(self) -> str:
         """Returns what differs on this computer, or an empty text."""
         here = Surroundings.of([path for path, _ in self.files])
-        for (name, wanted), (_, found) in zip(self.programs, here.programs, strict=True):
-            if wanted != found:
-                return f"has {name} {found}; the study has {name} {wanted}"
-        for (path, wanted), (_, found) in zip(self.files, here.files, strict=True):
-            if wanted != found:
-                return f"has another file {path}" if found else f"has no file {path}"
+        for (name, expected), (_, present) in zip(self.programs, here.programs, strict=True):
+            if expected != present:
+                return f"has {name} {present}; the study has {name} {expected}"
+        for (path, expected), (_, present) in zip(self.files, here.files, strict=True):
+            if expected != present:
+                return f"has another file {path}" if present else f"has no file {path}"
         return ""
 
 

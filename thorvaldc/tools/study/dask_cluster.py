@@ -214,9 +214,9 @@ class DaskCluster:
         with self._lost_connection(ConnectionError):
             self._check_versions(self._client.get_versions())
             here = replace(self._surroundings, files=())
-            found = {"scheduler": self._on_scheduler(here)}
-            found |= self._client.run(difference, self._surroundings, on_error="return")
-        for name, answer in found.items():
+            answers = {"scheduler": self._on_scheduler(here)}
+            answers |= self._client.run(difference, self._surroundings, on_error="return")
+        for name, answer in answers.items():
             computer = f"the scheduler {self.address}" if name == "scheduler" else f"worker {name}"
             if isinstance(answer, OSError):  # it went away during the check
                 continue
@@ -239,11 +239,15 @@ class DaskCluster:
             if not isinstance(part, dict):
                 continue
             for package in ("python", "dask", "distributed"):
-                ours, found = (str(p["packages"].get(package)) for p in (versions["client"], part))
+                expected, present = (
+                    str(p["packages"].get(package)) for p in (versions["client"], part)
+                )
                 if package == "python":
-                    ours, found = (".".join(text.split(".")[:2]) for text in (ours, found))
-                if ours != found:
-                    text = f"has {package} {found}; the study has {package} {ours}"
+                    expected, present = (
+                        ".".join(text.split(".")[:2]) for text in (expected, present)
+                    )
+                if expected != present:
+                    text = f"has {package} {present}; the study has {package} {expected}"
                     raise ClusterError(_differs(computer, text))
 
     def _reconnect(self) -> None:
