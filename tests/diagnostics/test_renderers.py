@@ -69,6 +69,13 @@ def test_labels_on_one_line_share_it_and_lines_between_are_omitted() -> None:
     ]
 
 
+def test_one_omitted_line_is_shown_as_omitted() -> None:
+    shown = text("a: 1\nb: 2\nc: 3\n", at(1, 4, 1, 5), at(3, 4, 3, 5))
+    assert "..." in shown.splitlines()
+    beside = text("a: 1\nb: 2\n", at(1, 4, 1, 5), at(2, 4, 2, 5))
+    assert "..." not in beside
+
+
 def test_a_label_in_another_file_names_it() -> None:
     shown = text("a: 1\n", at(1, 1, 1, 2), at(7, 3, 7, 4, "other.yaml"))
     assert "  --> other.yaml:7:3: here too\n" in shown

@@ -150,3 +150,14 @@ def test_load_on_the_soil() -> None:
     assert narrow is not None
     assert narrow.pressure is None
     assert robot_facts(replace(robot, wheels=())).soil is None
+
+
+def test_the_motors_limit_the_turn_of_steered_wheels() -> None:
+    places = [(0.5, 0.4), (0.5, -0.4), (-0.6, 0.4), (-0.6, -0.4)]
+    robot = make_robot([(x, y, "steered") for x, y in places])
+    driver = replace(robot.driver, max_angular_velocity=1e3, max_linear_velocity=1e3)
+    turn = robot_facts(replace(robot, driver=driver)).driving.turn
+    assert turn is not None
+    lever = max(math.dist((turn.x, turn.y), place) for place in places)
+    speed = min(a.max_velocity for a in robot.actuators if a.role == "propulsion")
+    assert turn.yaw_rate == pytest.approx(speed * 0.2 / lever)
