@@ -327,7 +327,10 @@ class _StudyReader:
                 number, name = diagnostic.code.number, diagnostic.code.name
                 if number.startswith("TV2") or name in _WRONG_WITH_ALL_DESIGNS:
                     message = f"`{value}` is no value of `{variable.name}`: {diagnostic.message}"
-                    self.report.add("study-value", message, place)
+                    hint = diagnostic.hint if listed else None
+                    if isinstance(hint, Proposal):  # without its span in the robot file
+                        hint = Proposal(str(hint), *hint.replacements, is_example=hint.is_example)
+                    self.report.add("study-value", message, place, hint=hint)
                     break
 
     def _robot_text(self) -> str:
@@ -422,7 +425,13 @@ class _StudyReader:
         if path in self.facts:
             return path
         message = f"the robot has no fact `{path}` that is a number"
-        hint = did_you_mean(path, self.facts, "`thorvaldc info --json` shows the facts")
+        parent, inner = path.rpartition(".")[0], [f for f in self.facts if f.startswith(f"{path}.")]
+        if parent in self.facts:
+            hint: str | None = Proposal(f"did you mean `{parent}`?", parent)
+        elif inner:
+            hint = Proposal(f"it has {', '.join(inner[:6])}", *inner[:6], is_example=True)
+        else:
+            hint = did_you_mean(path, self.facts, "`thorvaldc info --json` shows the facts")
         if _is_null(self.facts_document, path):
             message = f"the fact `{path}` of the robot has no value"
             hint = "the robot of the study needs one; `thorvaldc info` says what is missing"
