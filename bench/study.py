@@ -38,7 +38,7 @@ DEMANDED_MEMORY = 1500.0
 def figures() -> Iterator[Figure]:
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         folder = Path(name)
-        study = _example(folder, DESIGNS)
+        study = example_study(folder, DESIGNS)
         inputs = StudyInputs(study, study.robot.read_text(encoding="utf-8"), (), trust=False)
         run = StudyRun(inputs)
         evaluator = DesignEvaluator(inputs, stack)
@@ -104,7 +104,7 @@ class _Times:
         return result
 
 
-def _example(folder: Path, designs: int) -> Study:
+def example_study(folder: Path, designs: int) -> Study:
     """Returns the example of the documentation with scenarios of 10 s."""
     robot, name = "4wd4ws_slim", "track_on_a_slope"
     shutil.copytree(EXAMPLES / robot, folder / robot)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 import signal
 import sys
 import time
@@ -15,6 +16,7 @@ from tests.child_process import ChildProcess
 from tests.cli.conftest import Command
 from tests.cli.conftest import thorvaldc as thorvaldc_command
 from tests.tools.study.dask_processes import ROOT, DaskProcesses
+from tests.tools.study.kills import VICTIMS, KilledStudy
 from tests.tools.study.test_studies import DRIVE, STUDY, rows
 from thorvaldc.tools.study import dask_cluster
 from thorvaldc.tools.study.cluster_worker import Surroundings
@@ -157,3 +159,9 @@ def test_a_design_that_kills_workers_is_an_error(run: Command, dask: DaskProcess
     found = rows("out", "track, message")
     assert [track for track, message in found if "killed 3 times" in message] == [0.9]
     assert len(found) == 9
+
+
+@pytest.mark.parametrize("victim", VICTIMS[2:])
+def test_a_kill_changes_no_byte(run: Command, victim: str) -> None:
+    """One instant of each kind; ``python -m tests.tools.study.kills 30`` kills more often."""
+    assert KilledStudy(random.Random(victim), designs=12).has_same_bytes_after(victim, "out")[0]

@@ -156,7 +156,7 @@ def test_listed_values_and_failing_designs(run: Command) -> None:
     [
         ("method: search, number: 5001", "with `search` it may have 5000"),
         ("method: saltelli, number: 12", "`saltelli` needs a power of two"),
-        ("method: saltelli, number: 65536", "with `saltelli` it may have 100000"),
+        ("method: saltelli, number: 524288", "with `saltelli` it may have 1000000"),
         ("method: search, number: 8, batch: 0", "batch"),
     ],
 )

@@ -52,7 +52,7 @@ from thorvaldc.model.facts.fact_quantities import MONEY, fact_quantity
 from thorvaldc.model.facts.facts_document import facts_document
 from thorvaldc.model.facts.robot_facts import robot_facts
 
-MAX_DESIGNS = 100_000
+MAX_DESIGNS = 1_000_000
 MAX_SEARCHED = 5_000
 """Greatest number of designs of a search: the time for a proposal grows with the number."""
 _WRONG_WITH_ALL_DESIGNS = ("module-type-unknown",)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import atexit
 import functools
 import hashlib
 import os
 import pickle
 import platform
+import threading
 import time
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from contextvars import copy_context
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -94,14 +96,17 @@ def evaluate(pickled: bytes, designs: Sequence[Design]) -> ChunkResults:
     from distributed import get_worker
 
     address = get_worker().address
-    return _thread.submit(_evaluate, address, pickled, designs).result()
+    with _lock:
+        return _context.run(_evaluate, address, pickled, designs)
 
 
 # An evaluator keeps its mesh workers and xacro expansions in variables of the context, and Dask
-# runs each task in a context of its own.  All tasks of a process therefore run in one thread of
+# runs each task in a context of its own.  All tasks of a process therefore run in one context of
 # ours, one after the other, also if the worker has several threads.
-_thread = ThreadPoolExecutor(1)
+_context = copy_context()
+_lock = threading.Lock()
 _open = ExitStack()
+atexit.register(_context.run, _open.close)
 
 
 def _evaluate(address: str, pickled: bytes, designs: Sequence[Design]) -> ChunkResults:

@@ -54,6 +54,7 @@ def write_table(study: Study, rows: Sequence[Row], folder: Path) -> None:
                 file.write(json.dumps(_record(study, row, variables), ensure_ascii=False) + "\n")
         with load_duckdb().connect() as connection:
             connection.execute("SET threads = 1")
+            connection.execute("SET enable_progress_bar = false")
             types = ", ".join(f'"{name}" {kind}' for name, kind in columns.items())
             connection.execute(f"CREATE TABLE designs ({types})")
             fields = ", ".join(f"'{name}': '{kind}'" for name, kind in columns.items())
@@ -162,6 +163,7 @@ class StudyTable:
         duckdb = load_duckdb()
         with duckdb.connect() as connection:
             try:
+                connection.execute("SET enable_progress_bar = false")  # it would go to stdout
                 connection.execute(
                     f"CREATE TABLE designs AS SELECT * FROM read_parquet({_text(self.path)})"
                 )
