@@ -161,7 +161,7 @@ def test_a_design_that_kills_workers_is_an_error(run: Command, dask: DaskProcess
     assert len(found) == 9
 
 
-@pytest.mark.parametrize("victim", VICTIMS[2:])
+@pytest.mark.parametrize("victim", VICTIMS[3:])
 def test_a_kill_changes_no_byte(run: Command, victim: str) -> None:
     """One instant of each kind; ``python -m tests.tools.study.kills 30`` kills more often."""
     assert KilledStudy(random.Random(victim), designs=12).has_same_bytes_after(victim, "out")[0]
