@@ -111,6 +111,17 @@ class ScenarioMetrics:
             self._limit_hits += at_limit and not self._at_limit[i]
             self._at_limit[i] = at_limit
 
+    def least_values(self) -> dict[str, float]:
+        """Returns the metrics that never fall during a run, by name: their final values are not
+        smaller."""
+        return {
+            "path": self._loop.path_true,
+            "tilt": math.acos(max(self._loop.uprightness, -1.0)),
+            "largest_slip": math.sqrt(self._largest_square),
+            "steering_limit_hits": float(self._limit_hits),
+            "energy": self._energy,
+        }
+
     def values(self, result: RobotResult) -> dict[str, float]:
         """Returns the metrics of the finished run by name, in the order of ``UNITS``."""
         path, estimated_path = result.path_true, result.path_odometry

@@ -8,7 +8,7 @@ from pathlib import Path
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
-from thorvaldc.model.scenario import Scenario
+from thorvaldc.model.scenario import Expectation, Scenario
 from thorvaldc.runtime.base_interface import BaseHandle
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.control_loop import ControlLoop, TickCallback
@@ -54,25 +54,31 @@ class ScenarioSimulation(Simulation):
         on_tick: TickCallback | None = None,
         *,
         hashed: bool = True,
+        ends_early: bool = False,
     ) -> ScenarioResult:
         """Runs the scenario and returns the result.
 
         Problems and failed expectations are added to ``report``.  Each recorder in ``recorders``
         receives every tick of every robot.  The caller closes the recorders.  If ``hashed`` is
-        false, the result has no hash, and the run takes less time.  Raises ``DiagnosticError`` if
-        the run cannot start.
+        false, the result has no hash, and the run takes less time.
+
+        Raises ``DiagnosticError`` if the run cannot start, and, if ``ends_early`` is true, as soon
+        as the run can no longer meet an expectation because the metric never falls.
         """
         if self.scene is None:
             raise DiagnosticError("simulation-scene", "a scenario needs a scene")
         run_hash = RunHash()
         all_recorders = (run_hash, *recorders) if hashed else tuple(recorders)
         metrics: dict[str, ScenarioMetrics] = {}
+        limited = [e for e in self.scenario.expectations if ends_early and e.most is not None]
 
         def measure(loop: ControlLoop) -> None:
             robot_metrics = metrics.get(loop.name)
             if robot_metrics is None:
                 robot_metrics = metrics[loop.name] = ScenarioMetrics(loop)
             robot_metrics.update()
+            if limited:
+                _check_least_values(loop, robot_metrics.least_values(), limited)
             if all_recorders:
                 command = loop.driver.state.command
                 sample, joints = loop.sample(), None if command is None else command.joints
@@ -136,3 +142,19 @@ class ScenarioSimulation(Simulation):
         )
         self._bases.append(base)
         return base
+
+
+def _check_least_values(
+    loop: ControlLoop, least_values: Mapping[str, float], limited: Sequence[Expectation]
+) -> None:
+    """Raises ``DiagnosticError`` if a metric that never falls is above an upper bound."""
+    for expectation in limited:
+        value = least_values.get(expectation.metric)
+        if value is not None and expectation.most is not None and value > expectation.most:
+            check = check_expectation(loop.name, least_values, expectation)
+            raise DiagnosticError(
+                "expectation-failed",
+                f"`{check.metric}` of {check.robot} is {check.value_text} after"
+                f" {loop.driver.state.time:.2f} s; {check.bounds} is expected",
+                span=check.span,
+            )

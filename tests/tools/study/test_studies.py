@@ -403,3 +403,20 @@ def test_a_robot_climbs_in_mud_if_its_grip_suffices(rear: str, hopper: str, stat
     assert row["facts"]["purchase.price"] == (19200.0 if "steered" in rear else 11800.0)
     energy = row["metrics"]["mud"]["energy_per_metre"]
     assert energy == row["metrics"]["mud"]["energy"] / row["metrics"]["mud"]["path"]
+
+
+def test_a_hopeless_run_ends_early(run: Command) -> None:
+    drive = DRIVE.replace("0.4 s", "20 s")
+    Path("drive.yaml").write_text(f"{drive}expect: {{path: {{max: 0.3 m}}}}\n")
+    scenario = "scenarios: {trip: {scenario: drive.yaml}}\n"
+    Path("study.yaml").write_text(
+        STUDY.replace("objectives:", f"{scenario}objectives:").replace("81", "2")
+    )
+    assert run("study", "run", "study.yaml", "-j", "1", "-o", "out").status == 0
+    found = rows("out", "status, message")
+    assert [status for status, _ in found if status != "constraint"] == ["expectation"]
+    message = next(message for status, message in found if status == "expectation")
+    pattern = r"`path` of good is 0.3\d* m after (\d\.\d\d) s; at most 0.3 m is expected"
+    match = re.fullmatch(pattern, message)
+    assert match is not None, message
+    assert float(match[1]) < 2.0

@@ -144,7 +144,9 @@ class DesignEvaluator:
             return False
         report = Report()
         files = emit_without_model(compilation.scenario.fleet, ["mjcf"], report)
-        result = ScenarioSimulation(compilation.scenario, files).play(report, hashed=False)
+        result = ScenarioSimulation(compilation.scenario, files).play(
+            report, hashed=False, ends_early=True
+        )
         (metrics,) = result.metrics.values()
         row["metrics"][name] = {
             metric: value if math.isfinite(value) else None for metric, value in metrics.items()
