@@ -208,6 +208,11 @@ def test_echoes_are_dropped() -> None:
     assert [f.frame.data for f in received if f is not None] == [b"\x05", b"\x7f"]
 
 
+UDP = pytest.mark.xdist_group("udp")
+"""Two tests at the same time would receive each other's datagrams."""
+
+
+@UDP
 def test_frames_over_udp_between_two_programs(bus: Bus) -> None:
     """Each program receives the frame of the other one, and no echo of its own."""
     try:
@@ -231,6 +236,7 @@ def test_frames_over_udp_between_two_programs(bus: Bus) -> None:
         second.close()
 
 
+@UDP
 def test_groups_of_udp_are_apart(bus: Bus) -> None:
     try:
         sender, receiver = (
@@ -268,6 +274,7 @@ NO_FRAMES = [
 ]
 
 
+@UDP
 @pytest.mark.parametrize("spec", ["udp", "udp:239.74.163.78"])
 def test_datagrams_of_anyone_are_counted_and_dropped(spec: str, bus: Bus) -> None:
     try:
@@ -294,6 +301,7 @@ def test_datagrams_of_anyone_are_counted_and_dropped(spec: str, bus: Bus) -> Non
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems cannot bind a socket to lo")
+@UDP
 def test_udp_without_a_group_stays_on_this_computer(bus: Bus) -> None:
     """The frames of a program in the network's group do not arrive, and ours do not leave."""
     try:

@@ -110,7 +110,8 @@ class StudyRun:
         self, stack: ExitStack, jobs: int, designs: int
     ) -> Callable[[Pending], Iterator[Result]]:
         """Returns the function that evaluates designs; ``stack`` ends its processes."""
-        jobs = min(jobs, designs)
+        # The first batch of a search that continues may lack few results.
+        jobs = min(jobs, designs if self._search is None else self.inputs.study.samples.batch)
         if jobs <= 1:
             evaluator = DesignEvaluator(self.inputs, stack)
             return lambda pending: (
