@@ -29,6 +29,10 @@ ModelFiles = Annotated[
 ]
 ScenarioFile = Annotated[str, typer.Argument(metavar="SCENARIO", help="A scenario file.")]
 StudyFile = Annotated[str, typer.Argument(metavar="STUDY", help="A study file.")]
+StudyResults = Annotated[
+    str,
+    typer.Option("--results", metavar="DIR", help="Folder of the results (default: study/NAME)."),
+]
 ScenarioRobot = Annotated[
     str,
     typer.Option("--robot", metavar="FILE", help="Use this robot instead of the scenario's."),

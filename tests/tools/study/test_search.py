@@ -135,6 +135,16 @@ def test_more_designs_continue_a_search(run: Command) -> None:
     assert len(rows("out", "key")) == 52
 
 
+def test_without_a_scheduler_the_table_stays_whole(run: Command) -> None:
+    write_study(SEARCH, ("number: 64", "number: 20"))
+    assert run("study", "run", "study.yaml", "-j", "1", "-o", "out").status == 0
+    expected = Path("out/designs.parquet").read_bytes()
+    result = run("study", "run", "study.yaml", "-o", "out", "--scheduler", "tcp://127.0.0.1:9")
+    assert result.status == 3
+    assert "finished; the same command continues" not in result.err
+    assert Path("out/designs.parquet").read_bytes() == expected
+
+
 def test_listed_values_and_failing_designs(run: Command) -> None:
     types = "values: [assembly/steered_drive, assembly/fixed_drive]"
     write_study(

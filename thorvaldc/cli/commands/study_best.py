@@ -9,7 +9,7 @@ import typer
 
 from thorvaldc.cli.diagnostic_output import message, show_report
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
-from thorvaldc.cli.options import Library, StudyFile, Trust
+from thorvaldc.cli.options import Library, StudyFile, StudyResults, Trust
 from thorvaldc.cli.study_runs import plan_study, results_folder
 from thorvaldc.compiler.study.study_definition import Objective
 from thorvaldc.diagnostics.suggest import did_you_mean
@@ -26,12 +26,7 @@ def write_best(
         str,
         typer.Option("--by", metavar="OBJECTIVE", help="The objective, if the study has several."),
     ] = "",
-    results: Annotated[
-        str,
-        typer.Option(
-            "--results", metavar="DIR", help="Folder of the results (default: study/NAME)."
-        ),
-    ] = "",
+    results: StudyResults = "",
     library: Library = [],  # noqa: B006
     trust: Trust = False,
 ) -> int:

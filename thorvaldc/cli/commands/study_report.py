@@ -9,7 +9,7 @@ import typer
 
 from thorvaldc.cli.diagnostic_output import message
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
-from thorvaldc.cli.options import Library, StudyFile, Trust
+from thorvaldc.cli.options import Library, StudyFile, StudyResults, Trust
 from thorvaldc.cli.progress import Progress
 from thorvaldc.cli.run_pictures import check_output
 from thorvaldc.cli.study_runs import plan_study, results_folder
@@ -35,12 +35,7 @@ def write_report(
             show_default=f"{REPORT} in the folder of the results",
         ),
     ] = "",
-    results: Annotated[
-        str,
-        typer.Option(
-            "--results", metavar="DIR", help="Folder of the results (default: study/NAME)."
-        ),
-    ] = "",
+    results: StudyResults = "",
     library: Library = [],  # noqa: B006
     trust: Trust = False,
 ) -> int:

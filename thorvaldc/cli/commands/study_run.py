@@ -54,8 +54,9 @@ def run_study(
         journal = StudyJournal(folder)
     except StudyBusyError as error:
         raise OutsideError(str(error)) from None
-    total = run.number
-    progress, finished = StudyProgress(run), 0
+    run.replay(journal.results)  # the table is whole, also if there is no cluster
+    total, finished = run.number, run.finished(journal.results)
+    progress = StudyProgress(run)
     try:
         with open_cluster(address, run) as cluster:
             for finished in run.results(journal, process_count, cluster):

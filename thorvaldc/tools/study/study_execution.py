@@ -86,7 +86,7 @@ class StudyRun:
                     for key, design in zip(self.keys, self.designs, strict=True)
                     if key not in journal.results
                 }
-                count = self._finished(pending)
+                count = self.finished(journal.results)
                 yield count
                 if pending:
                     evaluate = evaluate or self._evaluation(stack, jobs, len(pending))
@@ -101,10 +101,10 @@ class StudyRun:
                 if not self._continue(journal.results):
                     return
 
-    def _finished(self, pending: Pending) -> int:
-        if self._search is None:
-            return len(set(self.keys)) - len(pending)
-        return sum(1 for key in self.keys if key not in pending)
+    def finished(self, results: Mapping[str, dict[str, Any]]) -> int:
+        """Returns how many of the designs have results, by the keys of designs."""
+        keys = set(self.keys) if self._search is None else self.keys
+        return sum(1 for key in keys if key in results)
 
     def _evaluation(
         self, stack: ExitStack, jobs: int, designs: int
