@@ -8,6 +8,7 @@ import signal
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, ClassVar
 
 
@@ -51,3 +52,16 @@ def ended_processes() -> Iterator[None]:
     finally:
         for process in [p for p in ChildProcess.running if p not in before]:
             process.end()
+
+
+def is_running(pid: int | str) -> bool:
+    """Checks whether a process runs, by ``/proc``.
+
+    A process that has ended stays in ``/proc`` until its parent collects its status; the parent of
+    an orphan is process 1, which takes its time on a loaded machine.
+    """
+    try:
+        status = Path(f"/proc/{pid}/stat").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return status.rpartition(")")[2].split()[0] not in "ZX"

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.child_process import ChildProcess
+from tests.child_process import ChildProcess, is_running
 from tests.compiler.extras.xacro_files import (
     HEAD,
     STL,
@@ -115,6 +115,6 @@ def test_an_interrupt_ends_the_worker(tmp_path: Path) -> None:
     time.sleep(0.3)  # the worker is expanding now, or starts soon
     process.send_signal(signal.SIGINT)
     assert process.wait(timeout=10.0) != 0
-    while Path(f"/proc/{worker}").exists() and time.monotonic() < deadline:
+    while is_running(worker) and time.monotonic() < deadline:
         time.sleep(0.02)
-    assert not Path(f"/proc/{worker}").exists()
+    assert not is_running(worker)
