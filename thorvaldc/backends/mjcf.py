@@ -47,20 +47,36 @@ class Mjcf(StaticsBackend):
 
     def emit_fleet_with_statics(self, fleet: Fleet, statics: Sequence[Statics]) -> dict[str, bytes]:
         files = super().emit_fleet_with_statics(fleet, statics)
-        robots = [placement.robot for placement in fleet.placements]
-        poses = [placement.pose for placement in fleet.placements]
-        folders = [f"../{placement.name}/meshes" for placement in fleet.placements]
-        sections = ModelSections(fleet.name, robots, folders)
-        trees = [JointTree(robot.links, robot.joints) for robot in robots]
-        for i, robot in enumerate(robots):
-            RobotWriter(sections, robot, trees[i], i, statics[i]).write(poses[i])
-        scene = sections.root()
-        add_surroundings(scene, robots, poses, fleet.world)
-        if fleet.world is not None:
-            files.update(add_world(scene, fleet.world, poses))
-        add_home(scene, robots, trees, statics, poses)
-        files["mjcf/scene.xml"] = to_bytes(scene)
-        return files
+        return files | _fleet_scene(fleet, statics)
+
+
+def simulation_files(fleet: Fleet) -> dict[str, bytes]:
+    """Return the scene of a fleet and its meshes by path, without files that no simulation reads.
+
+    A study, or a batch of scenarios, simulates thousands of fleets without writing them.
+    """
+    meshes = {
+        f"{placement.name}/{path}": data
+        for placement in fleet.placements
+        for path, data in mesh_files(placement.robot).items()
+    }
+    statics = [solve_statics(placement.robot) for placement in fleet.placements]
+    return meshes | _fleet_scene(fleet, statics)
+
+
+def _fleet_scene(fleet: Fleet, statics: Sequence[Statics]) -> dict[str, bytes]:
+    robots = [placement.robot for placement in fleet.placements]
+    poses = [placement.pose for placement in fleet.placements]
+    folders = [f"../{placement.name}/meshes" for placement in fleet.placements]
+    sections = ModelSections(fleet.name, robots, folders)
+    trees = [JointTree(robot.links, robot.joints) for robot in robots]
+    for i, robot in enumerate(robots):
+        RobotWriter(sections, robot, trees[i], i, statics[i]).write(poses[i])
+    scene = sections.root()
+    add_surroundings(scene, robots, poses, fleet.world)
+    files = {} if fleet.world is None else add_world(scene, fleet.world, poses)
+    add_home(scene, robots, trees, statics, poses)
+    return files | {"mjcf/scene.xml": to_bytes(scene)}
 
 
 def ros2_control_files(robot: Robot) -> dict[str, bytes]:

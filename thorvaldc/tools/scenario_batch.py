@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from thorvaldc.backends.mjcf import simulation_files
 from thorvaldc.compiler.compilation import Compilation
-from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.scenario.variations import (
     Change,
     Variations,
@@ -197,7 +198,7 @@ class _Job:
         result = None
         if compilation.scenario is not None:
             try:
-                files = emit(compilation.scenario.fleet, ["mjcf"], report)
+                files = simulation_files(compilation.scenario.fleet)
                 simulation = ScenarioSimulation(compilation.scenario, files)
                 result = simulation.play(report).as_json()
                 result["run"].pop("real_time_factor")

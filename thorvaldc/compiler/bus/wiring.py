@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from typing import NamedTuple
+from collections.abc import Hashable, Iterator
+from contextvars import ContextVar
+from typing import Any, NamedTuple
 
 from thorvaldc.compiler.bus.assemble_buses import BusSpec, Device, Wire, build_buses
 from thorvaldc.compiler.bus.lock_file import Lock
@@ -16,6 +19,26 @@ from thorvaldc.model.robot import Actuator, Bus, Joint
 
 DEFAULT_BITRATE = 500_000  # bit/s
 DEFAULT_BUS = "main"
+
+
+MAX_REMEMBERED = 256
+"""Largest number of robots whose buses ``remembered_buses`` keeps."""
+
+_remembered: ContextVar[dict[Any, tuple[Bus, ...]] | None] = ContextVar("buses", default=None)
+
+
+@contextlib.contextmanager
+def remembered_buses() -> Iterator[None]:
+    """Within this context, the buses of equal devices are built once.
+
+    The context is for many compilations of one robot, in which other values than those of its
+    devices change.  Buses with diagnostics are built each time.
+    """
+    token = _remembered.set({})
+    try:
+        yield
+    finally:
+        _remembered.reset(token)
 
 
 class Wiring(NamedTuple):
@@ -49,17 +72,30 @@ class Wiring(NamedTuple):
             can = leaf.type.document.get("can") if leaf.type is not None else None
             if can is not None:
                 devices.append(self._device(leaf, can))
-        actuators = list(self.actuators.values())
-        return build_buses(
+        specs, actuators = self._specs(), list(self.actuators.values())
+        foreign = self.document.get("foreign_devices")
+        remembered, key = _remembered.get(), None
+        if remembered is not None and foreign is None:
+            inputs = tuple(map(_inputs, devices))
+            key = (inputs, *specs, *actuators, *self.lock.items(), period, watchdog)
+            if key in remembered:
+                return remembered[key]
+        number = len(self.report)
+        buses = build_buses(
             devices,
-            self._specs(),
+            specs,
             actuators,
             period,
             self.report,
-            foreign=self.document.get("foreign_devices"),
+            foreign=foreign,
             lock=self.lock,
             watchdog=watchdog,
         )
+        if remembered is not None and key is not None and len(self.report) == number:
+            if len(remembered) >= MAX_REMEMBERED:
+                remembered.clear()
+            remembered[key] = buses
+        return buses
 
     def _specs(self) -> list[BusSpec]:
         node = self.document.get("buses")
@@ -107,3 +143,14 @@ class Wiring(NamedTuple):
             return None
         joint = self.joints[actuator.joint]
         return Wire(channel, actuator, joint.lower, joint.upper, node.where)
+
+
+def _inputs(device: Device) -> Hashable:
+    """Returns all of a device that its nodes and frames depend on.
+
+    The expressions in the section `can` use only the parameters of the module, and values that the
+    module document computes from them.
+    """
+    values = tuple(tuple(v) if isinstance(v, list) else v for v in device.scope.parameter_values())
+    address = None if device.address is None else repr(device.address)
+    return device.path, device.scope.module, values, device.wires, address, device.span

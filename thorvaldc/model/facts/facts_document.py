@@ -15,17 +15,18 @@ def facts_document(facts: Any) -> dict[str, Any]:
     All values are in SI units and angles in rad, rounded to 12 significant digits.
     """
     return {
-        field.name: _json_value(getattr(facts, field.name)) for field in dataclasses.fields(facts)
+        field.name: json_value(getattr(facts, field.name)) for field in dataclasses.fields(facts)
     }
 
 
-def _json_value(value: Any) -> Any:
+def json_value(value: Any) -> Any:
+    """Return one fact, or a part of a ``RobotFacts``, as a JSON value, as ``facts_document``."""
     if dataclasses.is_dataclass(value):
         return facts_document(value)
     if isinstance(value, tuple):
         if value and all(_is_pair(item) for item in value):
-            return {key: _json_value(item) for key, item in value}
-        return [_json_value(item) for item in value]
+            return {key: json_value(item) for key, item in value}
+        return [json_value(item) for item in value]
     return clean(value) if isinstance(value, float) else value
 
 

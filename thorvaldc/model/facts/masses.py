@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from thorvaldc.model.module import SourcedMass
+from thorvaldc.model.once_per_model import once_per_model
 from thorvaldc.model.robot import Robot
 from thorvaldc.model.spatial import clean
 
@@ -69,6 +70,7 @@ def source_kind(source: str) -> str:
     return source.partition(":")[0].strip() or NO_SOURCE
 
 
+@once_per_model
 def masses_of(robot: Robot) -> tuple[ModuleMass, ...]:
     """Return the mass of each module in the order of the model, and of each extra after them."""
     masses: dict[str, float] = {}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 from thorvaldc.model.facts.driving import Driving, driving_of
 from thorvaldc.model.facts.electrics import BusFacts, Wire, buses_of, wiring_of
@@ -56,26 +58,36 @@ class RobotFacts:
     purchase: PurchaseFacts
 
 
+_SECTIONS: dict[str, Callable[[Robot], Any]] = {
+    "name": lambda robot: robot.name,
+    "description": lambda robot: robot.description,
+    "size": size_of,
+    "mass": lambda robot: robot.inertial.mass,
+    "modules": masses_of,
+    "mass_sources": lambda robot: mass_by_source(masses_of(robot)),
+    "center_of_mass": lambda robot: robot.inertial.com,
+    "wheels": wheel_loads_of,
+    "soil": soil_load_of,
+    "stability": stability_of,
+    "driving": driving_of,
+    "slopes": slopes_of,
+    "energy": energy_of,
+    "buses": buses_of,
+    "wiring": wiring_of,
+    "bill": lambda robot: bill_of(masses_of(robot)),
+    "purchase": purchase_of,
+}
+
+
 @once_per_model
 def robot_facts(robot: Robot) -> RobotFacts:
     """Return the facts about a robot."""
-    modules = masses_of(robot)
-    return RobotFacts(
-        name=robot.name,
-        description=robot.description,
-        size=size_of(robot),
-        mass=robot.inertial.mass,
-        modules=modules,
-        mass_sources=mass_by_source(modules),
-        center_of_mass=robot.inertial.com,
-        wheels=wheel_loads_of(robot),
-        soil=soil_load_of(robot),
-        stability=stability_of(robot),
-        driving=driving_of(robot),
-        slopes=slopes_of(robot),
-        energy=energy_of(robot),
-        buses=buses_of(robot),
-        wiring=wiring_of(robot),
-        bill=bill_of(modules),
-        purchase=purchase_of(robot),
-    )
+    return RobotFacts(**fact_sections(robot, _SECTIONS))
+
+
+def fact_sections(robot: Robot, names: Iterable[str]) -> dict[str, Any]:
+    """Return some attributes of ``RobotFacts`` by name, and compute only these.
+
+    Raises ``KeyError`` if ``RobotFacts`` has no such attribute.
+    """
+    return {name: _SECTIONS[name](robot) for name in names}

@@ -10,10 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from thorvaldc.backends.mjcf import simulation_files
+from thorvaldc.compiler.bus.wiring import remembered_buses
 from thorvaldc.compiler.compilation import Compilation, SourceFile
 from thorvaldc.compiler.extras.xacro_expand import remembered_expansions
 from thorvaldc.compiler.geometry.meshes import shared_mesh_workers
-from thorvaldc.compiler.pipeline import compile_robot, emit_without_model
+from thorvaldc.compiler.pipeline import compile_robot
 from thorvaldc.compiler.scenario_compilation import compile_scenario
 from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.compiler.study.replaced_values import PathError, with_replaced_values
@@ -23,9 +25,9 @@ from thorvaldc.diagnostics import Diagnostic, Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.model.facts.fact_quantities import MONEY, fact_quantity
-from thorvaldc.model.facts.facts_document import facts_document
-from thorvaldc.model.facts.purchase import PurchaseFacts
-from thorvaldc.model.facts.robot_facts import RobotFacts, robot_facts
+from thorvaldc.model.facts.facts_document import json_value
+from thorvaldc.model.facts.purchase import PurchaseFacts, purchase_of
+from thorvaldc.model.facts.robot_facts import fact_sections
 from thorvaldc.tools.study.sample_points import Design
 
 STATUSES = ("ok", "constraint", "expectation", "tipped", "diverged", "error")
@@ -58,7 +60,7 @@ class DesignEvaluator:
 
     Each design is the text of the robot file with replaced values, so that the winning robot file
     is compiled from the text that was simulated.  The designs share the parsed library, the xacro
-    expansions and the mesh workers.
+    expansions, the buses of equal devices and the mesh workers.
 
     ``stack`` : the worker processes end when the stack is closed.
     """
@@ -66,6 +68,7 @@ class DesignEvaluator:
     def __init__(self, inputs: StudyInputs, stack: ExitStack) -> None:
         stack.enter_context(shared_mesh_workers())
         stack.enter_context(remembered_expansions())
+        stack.enter_context(remembered_buses())
         self.inputs = inputs
         self.study = inputs.study
 
@@ -98,9 +101,9 @@ class DesignEvaluator:
             if not isinstance(compilation.model, Robot):
                 _set_error(row, compilation.report.errors[0])
                 return
-            facts = robot_facts(compilation.model)
-            row["facts"] = self._facts(facts)
-            message = self._broken_constraint(row["facts"], facts.purchase)
+            purchase = purchase_of(compilation.model)
+            row["facts"] = self._facts(compilation.model, purchase)
+            message = self._broken_constraint(row["facts"], purchase)
             if message:
                 row.update(status="constraint", message=message)
                 return
@@ -108,12 +111,13 @@ class DesignEvaluator:
                 if not self._drive(name, path, compilation, row):
                     return
 
-    def _facts(self, facts: RobotFacts) -> dict[str, float | None]:
+    def _facts(self, robot: Robot, purchase: PurchaseFacts) -> dict[str, float | None]:
         """Returns the facts that the study needs.  A price in another currency than that of the
         study's robot is ``None``, because nobody can compare it."""
         paths = sorted(set(self.study.facts()))
-        values = dict(fact_values(facts_document(facts))) if paths else {}
-        if facts.purchase.currency != self.study.currency:
+        sections = fact_sections(robot, {path.partition(".")[0] for path in paths})
+        values = dict(fact_values({name: json_value(part) for name, part in sections.items()}))
+        if purchase.currency != self.study.currency:
             values = {path: v for path, v in values.items() if fact_quantity(path) != MONEY}
         return {path: values.get(path) for path in paths}
 
@@ -143,7 +147,7 @@ class DesignEvaluator:
             _set_error(row, compilation.report.errors[0])
             return False
         report = Report()
-        files = emit_without_model(compilation.scenario.fleet, ["mjcf"], report)
+        files = simulation_files(compilation.scenario.fleet)
         result = ScenarioSimulation(compilation.scenario, files).play(
             report, hashed=False, ends_early=True
         )
