@@ -9,7 +9,7 @@ from typing import NamedTuple
 from thorvaldc.model import Box, Collision, Cylinder, MeshShape, Robot, Shape, Sphere, Visual
 from thorvaldc.model.spatial import Quat, Vec3, cross, dot, rotate
 from thorvaldc.model.statics.convex_hull import Point, convex_hull
-from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.mesh_vertices import mesh_vertices
 
 _SIDES = 24
@@ -61,7 +61,7 @@ class OutlineProjector:
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
-        self._pose = JointTree(robot.links, robot.joints).pose
+        self._pose = tree_of(robot).pose
         self._data = {mesh.name: mesh.data for mesh in robot.meshes}
         self._known: dict[tuple[Shape, Quat, View], tuple[list[Point], float]] = {}
 

@@ -26,7 +26,8 @@ from thorvaldc.backends.urdf_only import urdf_only_elements
 from thorvaldc.backends.xml_writer import Element, to_bytes
 from thorvaldc.diagnostics import Diagnostic
 from thorvaldc.model import Fleet, Pose, Robot
-from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.robot import MeshShape
+from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.standing_pose import Statics, solve_statics
 
 
@@ -51,27 +52,34 @@ class Mjcf(StaticsBackend):
 
 
 def simulation_files(fleet: Fleet) -> dict[str, bytes]:
-    """Return the scene of a fleet and its meshes by path, without files that no simulation reads.
+    """Return the scene of a fleet without visual shapes, and the meshes of its collision shapes,
+    by path.
 
-    A study, or a batch of scenarios, simulates thousands of fleets without writing them.
+    The physics is that of the target `mjcf`. A study or a batch of scenarios simulates thousands of
+    fleets that nobody looks at, and MuJoCo would read all meshes before it discards them.
     """
-    meshes = {
-        f"{placement.name}/{path}": data
-        for placement in fleet.placements
-        for path, data in mesh_files(placement.robot).items()
-    }
     statics = [solve_statics(placement.robot) for placement in fleet.placements]
-    return meshes | _fleet_scene(fleet, statics)
+    files = _fleet_scene(fleet, statics, visuals=False)
+    for placement in fleet.placements:
+        robot = placement.robot
+        shapes = [collision.shape for link in robot.links for collision in link.collisions]
+        used = {f"meshes/{shape.mesh}" for shape in shapes if isinstance(shape, MeshShape)}
+        for path, data in mesh_files(robot).items():
+            if path in used:
+                files[f"{placement.name}/{path}"] = data
+    return files
 
 
-def _fleet_scene(fleet: Fleet, statics: Sequence[Statics]) -> dict[str, bytes]:
+def _fleet_scene(
+    fleet: Fleet, statics: Sequence[Statics], *, visuals: bool = True
+) -> dict[str, bytes]:
     robots = [placement.robot for placement in fleet.placements]
     poses = [placement.pose for placement in fleet.placements]
     folders = [f"../{placement.name}/meshes" for placement in fleet.placements]
     sections = ModelSections(fleet.name, robots, folders)
-    trees = [JointTree(robot.links, robot.joints) for robot in robots]
+    trees = [tree_of(robot) for robot in robots]
     for i, robot in enumerate(robots):
-        RobotWriter(sections, robot, trees[i], i, statics[i]).write(poses[i])
+        RobotWriter(sections, robot, trees[i], i, statics[i], visuals=visuals).write(poses[i])
     scene = sections.root()
     add_surroundings(scene, robots, poses, fleet.world)
     files = {} if fleet.world is None else add_world(scene, fleet.world, poses)
@@ -91,7 +99,7 @@ def ros2_control_files(robot: Robot) -> dict[str, bytes]:
 def _robot_and_scene(
     robot: Robot, statics: Statics, *, velocity_servos: bool = False
 ) -> dict[str, bytes]:
-    tree = JointTree(robot.links, robot.joints)
+    tree = tree_of(robot)
     sections = ModelSections(robot.name, [robot], ["../meshes"])
     writer = RobotWriter(sections, robot, tree, 0, statics, velocity_servos=velocity_servos)
     writer.write(None)

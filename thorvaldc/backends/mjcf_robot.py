@@ -92,10 +92,13 @@ class RobotWriter:
         statics: Statics,
         *,
         velocity_servos: bool = False,
+        visuals: bool = True,
     ) -> None:
         """Prepare to write a robot. With ``velocity_servos``, servos that are commanded a speed are
-        ``velocity`` instead of ``intvelocity``."""
+        ``velocity`` instead of ``intvelocity``. Without ``visuals``, the visual shapes are left
+        out; the physics is the same."""
         self.velocity_servos = velocity_servos
+        self.visuals = visuals
         self.sections = sections
         self.robot = robot
         self.number = number
@@ -182,7 +185,7 @@ class RobotWriter:
                 mass=link.inertial.mass,
                 fullinertia=link.inertial.inertia,
             )
-        for visual in link.visuals:
+        for visual in link.visuals if self.visuals else ():
             geom = body.add("geom", class_="visual")
             self._shape(geom, visual.shape, visual.pose)
             geom.set(material=self.sections.palette.name(visual.color))

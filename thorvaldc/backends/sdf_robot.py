@@ -24,7 +24,7 @@ from thorvaldc.model import (
     Robot,
 )
 from thorvaldc.model.spatial import clean, combine
-from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.tyre_shapes import rigid_contact_shapes
 
 GZ_ROS2_CONTROL = ("gz_ros2_control-system", "gz_ros2_control::GazeboSimROS2ControlPlugin")
@@ -62,7 +62,7 @@ class _RobotWriter:
         self.meshes = meshes
         self.share = share
         self.prefix = robot.prefix
-        self.tree = JointTree(robot.links, robot.joints)
+        self.tree = tree_of(robot)
         self.wheels = {wheel.link: wheel for wheel in robot.wheels}
         self.group_of: dict[str, str] = {}
         self.groups: dict[str, list[Link]] = {}

@@ -11,7 +11,7 @@ from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.robot import Robot, Wheel
 from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.gravity import GRAVITY
-from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.slope import SlopeStatics
 from thorvaldc.model.statics.tip_over import support_of
 
@@ -45,7 +45,7 @@ def check_size(robot: Robot, report: Report) -> None:
     The size is the largest extent of the centres of mass and the wheels along an axis of
     ``base_link``.  Most often one length lacks its unit.
     """
-    pose = JointTree(robot.links, robot.joints).pose
+    pose = tree_of(robot).pose
     points = [
         pose[link.name].apply(link.inertial.com)
         for link in robot.links
@@ -148,7 +148,7 @@ def check_parts_above_ground(robot: Robot, report: Report) -> None:
     A link with a centre of mass below the ground is mounted upside down or too low.  Other points
     of a link may be below the ground, for example the tip of a tool in the soil.
     """
-    pose = JointTree(robot.links, robot.joints).pose
+    pose = tree_of(robot).pose
     for link in robot.links:
         if link.inertial is None or link.inertial.mass <= 0.0 or link.name not in pose:
             continue

@@ -17,7 +17,7 @@ from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.model import Block, Box, Cylinder, Fleet, Placement, Pose, Shape, Sphere
 from thorvaldc.model.spatial import Vec3
 from thorvaldc.model.statics.convex_hull import Point, convex_hull, overlap
-from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.joint_tree import tree_of
 
 _CORNERS = 16  # of the polygon that stands for a circle
 _TOLERANCE = 0.01  # Overlap (m) that is not reported: the outline of a circle is not exact.
@@ -120,7 +120,7 @@ def _node(block: Block, world: Node) -> Node | None:
 def _parts(placement: Placement) -> Iterator[_Solid]:
     """Yields the collision shapes of a placed robot in the world, with all joints at zero."""
     robot = placement.robot
-    poses = JointTree(robot.links, robot.joints).pose
+    poses = tree_of(robot).pose
     for link in robot.links:
         for collision in link.collisions:
             if link.name in poses:

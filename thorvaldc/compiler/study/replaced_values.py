@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Iterable, Sequence
 
@@ -94,7 +95,9 @@ def value_text(value: Value) -> str:
     return yaml_text(value)
 
 
+@functools.lru_cache(maxsize=4)
 def _parsed(text: str) -> Node:
+    """Returns the document of a text; the designs of a study replace values in the same text."""
     document = read_text(text.encode(), "", Report())
     if document is None:
         raise PathError("the robot file is not a YAML document")

@@ -20,7 +20,7 @@ from thorvaldc.model.robot import (
     Wheel,
 )
 from thorvaldc.model.spatial import Quat, Vec3, add, quat_to_matrix, rotate
-from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.joint_tree import JointTree, tree_of
 from thorvaldc.model.statics.mesh_vertices import mesh_vertices
 
 _SMALLEST_DISTANCE = 1e-3
@@ -125,7 +125,7 @@ def _half_extents(shape: Box | Cylinder | Sphere, quat: Quat) -> Vec3:
 
 def size_of(robot: Robot) -> Size:
     """Return the size of a robot. The shapes are the visible ones and those for collisions."""
-    tree = JointTree(robot.links, robot.joints)
+    tree = tree_of(robot)
     extents = _Extents(robot)
     boxes: list[tuple[str, Vec3, Vec3]] = []
     for link in robot.links:

@@ -9,7 +9,7 @@ from thorvaldc.model.once_per_model import once_per_model
 from thorvaldc.model.robot import Box, Cylinder, MeshShape, Robot, Shape, Sphere
 from thorvaldc.model.spatial import Vec3
 from thorvaldc.model.statics.convex_hull import Point, convex_hull
-from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.mesh_vertices import mesh_vertices
 
 _SIDES = 16
@@ -25,7 +25,7 @@ def footprint(robot: Robot) -> list[Point]:
     position 0, and of the circles that the wheels cover when they steer or swivel. Coordinates are
     rounded away from the origin to millimetres.
     """
-    tree = JointTree(robot.links, robot.joints)
+    tree = tree_of(robot)
     meshes = {mesh.name: mesh.data for mesh in robot.meshes}
     points: list[Point] = []
     for link in robot.links:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from thorvaldc.model.robot import Joint, Link
+from thorvaldc.model.once_per_model import once_per_model
+from thorvaldc.model.robot import Joint, Link, Robot
 from thorvaldc.model.spatial import Inertial, Pose, add, combine, quat_from_axis_angle
 
 
@@ -97,6 +98,12 @@ class JointTree:
                 raised = Pose(add(pose.xyz, (0.0, 0.0, lift)), pose.quat)
                 bodies.append(inertial.transformed(raised))
         return combine(bodies)
+
+
+@once_per_model
+def tree_of(robot: Robot) -> JointTree:
+    """Return the joint tree of a robot with all joints at position 0. Do not change it."""
+    return JointTree(robot.links, robot.joints)
 
 
 def _joint_motion(joint: Joint, position: float) -> Pose:

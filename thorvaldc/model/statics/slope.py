@@ -23,7 +23,7 @@ from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.robot import Robot
 from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.gravity import GRAVITY
-from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.static_loads import Pivot, free_pivots, static_loads
 from thorvaldc.model.stopping import driven_wheels
 
@@ -48,9 +48,7 @@ class SlopeStatics:
         self._robot = robot
         self._points = [contact_point(wheel) for wheel in robot.wheels]
         actuated = {actuator.joint for actuator in robot.actuators}
-        self._pivots: list[Pivot] = free_pivots(
-            JointTree(robot.links, robot.joints), robot.wheels, actuated
-        )
+        self._pivots: list[Pivot] = free_pivots(tree_of(robot), robot.wheels, actuated)
         driven = driven_wheels(robot.wheels, robot.actuators)
         self._motors = float_sum(motor.max_torque / wheel.radius for wheel, motor in driven)
 

@@ -48,7 +48,7 @@ from thorvaldc.model.spatial import (
     sub,
 )
 from thorvaldc.model.statics.gravity import GRAVITY
-from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.joint_tree import JointTree, tree_of
 from thorvaldc.model.statics.mass_matrix import BranchSparse, inverse_weights
 from thorvaldc.model.statics.wheel_contact import (
     SOLREF,
@@ -327,7 +327,7 @@ def _joint_home(joint: Joint, initial: float = 0.0) -> float:
 @once_per_model
 def solve_statics(robot: Robot) -> Statics:
     """Return the statics of a robot that stands on level ground under its own weight."""
-    tree = JointTree(robot.links, robot.joints)
+    tree = tree_of(robot)
     weights, inertias = inverse_weights(
         tree, robot.inertial.com, [wheel.link for wheel in robot.wheels]
     )

@@ -17,7 +17,7 @@ from thorvaldc.compiler.modules.mounting_ports import MountingPort
 from thorvaldc.model import Fleet, MeshShape, Robot
 from thorvaldc.model.robot import Joint, Shape
 from thorvaldc.model.spatial import Pose
-from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.simulation.pictures.surfaces import is_closed, surface
 
 PLACEHOLDER = "/*DATA*/"
@@ -131,7 +131,7 @@ def _design(robot: Robot, shapes: _Shapes, ports: Sequence[MountingPort]) -> dic
     """Returns the data of a robot that do not depend on the pose of the robot."""
     driven = sum(1 for wheel in robot.wheels if wheel.driven)
     steered = sum(1 for wheel in robot.wheels if wheel.steered)
-    tree = JointTree(robot.links, robot.joints)
+    tree = tree_of(robot)
     links = tree.links_below(robot.links[0].name)  # parents first: the page computes poses so
     return {
         "facts": f"{robot.inertial.mass:.1f} kg, {len(robot.wheels)} wheels"
