@@ -10,9 +10,24 @@ import numpy as np
 import pytest
 
 from tests.backend_files import files_of
-from tests.backends.plans import ROBOTS, grafted, stl
-from thorvaldc.backends.mjcf import Mjcf
-from thorvaldc.model import Fleet, Inertial, Mesh, MeshShape, Placement, Pose, Robot, Visual
+from tests.backends.plans import ROBOTS, grafted, mesh, stl
+from tests.examples import example_robot
+from thorvaldc.backends.mjcf import Mjcf, simulation_files
+from thorvaldc.model import (
+    Block,
+    Fleet,
+    Ground,
+    Inertial,
+    Mesh,
+    MeshShape,
+    Placement,
+    Pose,
+    Robot,
+    Visual,
+    World,
+)
+from thorvaldc.model.robot import Box, Collision
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 Written = Callable[[Robot], Path]
 WrittenFleet = Callable[[Fleet], Path]
@@ -183,3 +198,32 @@ def test_inertias_of_flat_plates_are_accepted(seed: int, written: Written) -> No
     folder = written(replace(robot, links=tuple(links)))
     m = mujoco.MjModel.from_xml_path(str(folder / "mjcf" / "scene.xml"))
     assert sum(m.body("w0_leg").inertia) == pytest.approx(2 * (a + b), rel=1e-8)
+
+
+@pytest.mark.parametrize("names", [("4wd4ws_wide",), ("6wd6ws", "2wd0ws_greenhouse")])
+def test_a_scene_without_visual_shapes_has_the_same_physics(names: tuple[str, ...]) -> None:
+    placements = [
+        Placement(name, Pose((0.0, 3.0 * i, 0.0)), replace(example_robot(name), namespace=name))
+        for i, name in enumerate(names)
+    ]
+    world = World(Ground(angle=0.1), (Block("obstacle", "box", Box((0.4, 0.4, 0.4)), Pose()),))
+    placements[0] = replace(placements[0], robot=_with_hull(placements[0].robot))
+    whole = Fleet("whole", "", tuple(placements), world)
+    scenes = [MujocoScene(files_of(Mjcf, whole)), MujocoScene(simulation_files(whole))]
+    files = simulation_files(whole)
+    assert len(files) == 2, "the scene and the mesh of the hull"
+    assert len(files["mjcf/scene.xml"]) < 0.8 * len(files_of(Mjcf, whole)["mjcf/scene.xml"])
+    for scene in scenes:
+        scene.data.ctrl[:2] = 3.0
+        scene.advance(1.0)
+    with_visuals, without = (scene.data.qpos.copy() for scene in scenes)
+    assert scenes[0].data.ncon > 0
+    assert np.array_equal(with_visuals, without)
+
+
+def _with_hull(robot: Robot) -> Robot:
+    """A robot whose base has a collision shape from a mesh."""
+    hull = mesh("hull.stl", 0.1)
+    collision = Collision(MeshShape(hull.name), Pose((0.0, 0.0, 1.0)))
+    base = replace(robot.links[0], collisions=(collision,))
+    return replace(robot, links=(base, *robot.links[1:]), meshes=(*robot.meshes, hull))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from dataclasses import replace
@@ -11,6 +12,7 @@ import pytest
 from tests.examples import ROBOTS, example_robot
 from tests.robots import make_robot
 from thorvaldc.model.facts import facts_document, robot_facts
+from thorvaldc.model.facts.robot_facts import fact_sections
 from thorvaldc.model.statics.gravity import GRAVITY
 
 SQUARE = [(0.5, 0.4), (0.5, -0.4), (-0.5, 0.4), (-0.5, -0.4)]
@@ -161,3 +163,11 @@ def test_the_motors_limit_the_turn_of_steered_wheels() -> None:
     lever = max(math.dist((turn.x, turn.y), place) for place in places)
     speed = min(a.max_velocity for a in robot.actuators if a.role == "propulsion")
     assert turn.yaw_rate == pytest.approx(speed * 0.2 / lever)
+
+
+def test_sections_of_the_facts_are_parts_of_all_facts() -> None:
+    robot = example_robot("4wd4ws_wide")
+    facts = robot_facts(robot)
+    names = [field.name for field in dataclasses.fields(facts)]
+    assert fact_sections(robot, names) == {n: getattr(facts, n) for n in names}
+    assert list(fact_sections(robot, ["mass"])) == ["mass"]
