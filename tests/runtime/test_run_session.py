@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from tests.simulation.bus.robots import CIA402, compiled
@@ -10,7 +12,7 @@ from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.driver import DriverState
 from thorvaldc.runtime.run_session import RunSession
-from thorvaldc.runtime.runner import BaseRunner
+from thorvaldc.runtime.runner import BaseRunner, RequestRefused
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
@@ -82,6 +84,19 @@ def test_a_session_without_a_twist_leaves_the_robot_disarmed(
     lines: list[str] = []
     assert session.run(lambda runner, state: lines.append(session.status_line())) is None
     assert any("ready" in line and "disarmed" in line for line in lines)
+
+
+def test_the_status_line_counts_what_was_late_and_what_was_not_relayed(
+    robot: Robot, interfaces: dict[str, CanInterface]
+) -> None:
+    session = RunSession(robot, interfaces, duration=0.5, threaded=False)
+    assert session.run() is None
+    assert not re.search("overruns|relayed", session.status_line())
+    session.runner.timing.overruns = 2
+    for cob_id in (0x201, 0x601, 0x601):
+        with pytest.raises(RequestRefused):
+            session.runner.send_to_device(cob_id, b"")
+    assert session.status_line().endswith("  2 overruns  3 frames not relayed")
 
 
 def test_a_robot_that_cannot_be_armed_ends_with_every_reason(
