@@ -81,7 +81,7 @@ def test_decreasing_time_is_a_gap() -> None:
 
 
 @pytest.mark.parametrize("lost", [3, 40])
-@pytest.mark.parametrize("how", ["missing", "stale", "nan", "short"])
+@pytest.mark.parametrize("how", ["missing", "stale", "nan", "nan at the same time", "short"])
 def test_covariance_grows_while_joint_states_are_missing(how: str, lost: int) -> None:
     odometry = make_odometry()
     twist = Twist(0.5, 0.0, 0.1)
@@ -96,6 +96,10 @@ def test_covariance_grows_while_joint_states_are_missing(how: str, lost: int) ->
             odometry.mark_missing(now)
         elif how == "stale":
             odometry.update(last, now)
+        elif how == "nan at the same time":
+            with pytest.raises(NotFiniteError, match="steering angle of wheel w2"):
+                odometry.update(replace(last, angles=[0.0, 0.0, math.nan, 0.0]), now)
+            odometry.mark_missing(now)
         elif how == "nan":
             with pytest.raises(NotFiniteError, match="speed of wheel w1"):
                 odometry.update(replace(last, time=now, speeds=[0.0, math.nan, 0.0, 0.0]), now)

@@ -174,6 +174,25 @@ def test_motion_keeps_rate_and_rate_change_without_overshoot(start: float, goal:
     assert ticks * dt <= abs(goal - start) / 4.0 + 4.0 / 20.0 + 4 * dt
 
 
+@pytest.mark.parametrize("side", [0.0, -0.0])
+def test_of_two_equal_turns_the_positive_one_is_chosen(side: float) -> None:
+    """Half a turn to either side takes less time than reversing a fast wheel."""
+    joint = steering((-4.0, 4.0), hysteresis=0.0)
+    joint.acceleration = 0.1
+    joint.reset(0.0)
+    joint.choose(1.0, 0.0, 0.0, 0.0, 1.0)
+    joint.choose(-1.0, side, 0.0, 0.0, 1.0)
+    assert (joint.target, joint.direction) == (math.pi, 1.0)
+
+
+def test_a_joint_that_cannot_stop_before_its_limit_rests_there() -> None:
+    joint = SteeringJoint([wheel("w", 0.0, 0.0, "steered", limits=(-0.7, 0.7))], (0,), 0.02)
+    joint.reset(0.69)
+    joint.rate = 3.0
+    joint.advance(0.02, 1.0)
+    assert (joint.angle, joint.rate) == (0.7, 0.0)
+
+
 def test_a_reset_forgets_an_unreachable_motion_and_resume_keeps_it() -> None:
     limits = (-0.7, 0.7)
     joint = turned(steering(limits), 0.1)

@@ -257,10 +257,10 @@ class SteeringJoint:
         """Checks whether a steering angle is better than the best one so far, at equal cost.
 
         Of two steering angles with equal cost, the angle that keeps the rolling direction is
-        better, then the smaller absolute angle, then rolling forwards, then the positive angle.
+        better, then the smaller absolute angle, then the positive angle.
         """
-        candidate = (direction != self.direction, abs(angle), -direction, -angle)
-        best = (best_direction != self.direction, abs(best_angle), -best_direction, -best_angle)
+        candidate = (direction != self.direction, abs(angle), -angle)
+        best = (best_direction != self.direction, abs(best_angle), -best_angle)
         return candidate < best
 
     def time_to_target(self) -> float:
