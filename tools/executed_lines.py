@@ -35,6 +35,8 @@ ROOT = Path(__file__).resolve().parents[1]
 CACHE = ROOT / ".mutants"
 COPIED = ("thorvaldc", "tests", "modules", "templates", "examples", "docs", "tools", "bench")
 COPIED_FILES = ("pyproject.toml", "README.md", "CHANGELOG.md", "Makefile", "LICENSE", ".gitignore")
+ENVIRONMENTS = (".venv", ".venv-ros")
+"""Environments of other programs that tests start."""
 LEFT_OUT = ("tests/chaos/", "tests/packaging/", "tests/test_house_rules.py", "tests/docs/")
 """Tests of other things than the behaviour of the package, and long studies."""
 DEPENDENCIES = (
@@ -115,6 +117,9 @@ def copy_of_the_tree(folder: Path) -> Path:
         shutil.copytree(ROOT / name, folder / name, ignore=ignored, dirs_exist_ok=True)
     for name in COPIED_FILES:
         shutil.copy(ROOT / name, folder / name)
+    for name in ENVIRONMENTS:
+        if (ROOT / name).exists():
+            (folder / name).symlink_to(ROOT / name)
     return folder
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -71,3 +72,22 @@ def test_commands_and_odometry_agree(angle: float) -> None:
         joints = command.joints
         states = JointStates(0.0, list(joints.speeds), list(joints.angles), [0.0] * 3)
         assert calculator.odometry(states).twist == pytest.approx(twist)
+
+
+def test_the_motion_of_a_command_is_that_of_its_joints_while_the_wheel_turns() -> None:
+    """The contact point is ahead of and beside the steering axis, and moves as the axis turns."""
+    first, *others = wheels()
+    slow = replace(first, max_rate=1.0, max_rate_change=20.0)
+    calculator = OneWheel(BaseGeometry.from_wheels([slow, *others]))
+    states = JointStates(0.0, [0.0] * 3, [0.0] * 3, [0.0] * 3)
+    calculator.reset(states)
+    turned = 0
+    for _ in range(60):
+        command = calculator.command(Twist(0.1, 0.18, 0.3), states, 0.02)
+        speeds, angles = list(command.joints.speeds), list(command.joints.angles)
+        rate = (angles[0] - states.angles[0]) / 0.02
+        turned += abs(rate) > 0.5
+        motion = JointStates(0.0, speeds, list(states.angles), [rate, 0.0, 0.0])
+        assert command.twist == pytest.approx(calculator.odometry(motion).twist, abs=1e-9)
+        states = JointStates(0.0, speeds, angles, [rate, 0.0, 0.0])
+    assert turned > 10

@@ -61,6 +61,7 @@ class MujocoScene:
 
         self._mujoco = mujoco
         self.data = mujoco.MjData(self.model)
+        self._speeds = self.data.qvel
         self.timestep = float(self.model.opt.timestep)
         # By default, MuJoCo resets a diverged simulation to the start without an error.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -104,7 +105,7 @@ class MujocoScene:
             finally:
                 mujoco.set_mju_user_warning(user_warning)
             self.steps += steps
-            speeds = self.data.qvel
+            speeds = self._speeds
             # A joint speed that becomes nan stays nan, so that a test after the last simulation
             # step is enough.  A comparison with nan is false, so that `not <` also detects nan.
             self.diverged = not speeds.dot(speeds) < _DIVERGED_SPEED**2
