@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import random
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import distributed
 import pytest
 
 from tests.child_process import ChildProcess
@@ -81,6 +83,39 @@ def test_workers_die_and_join(run: Command, dask: DaskProcesses) -> None:
     assert table("dask") == table("one")
 
 
+def test_an_interrupt_leaves_no_tasks_and_the_study_continues(
+    run: Command, dask: DaskProcesses
+) -> None:
+    Path("study.yaml").write_text(STUDY.replace("number: 81", "number: 400"))
+    dask.start_worker()
+    command = [sys.executable, "-m", "thorvaldc", "study", "run", "study.yaml", "-o", "dask"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with ChildProcess(
+        [*command, "--scheduler", dask.address], env=environment, stderr=subprocess.PIPE, text=True
+    ) as study:
+        journal = Path("dask/journal.jsonl")
+        end = time.monotonic() + 60
+        while time.monotonic() < end:
+            if journal.exists() and journal.read_bytes().count(b"\n") >= 1:
+                break
+            time.sleep(0.01)
+        study.send_signal(signal.SIGINT)
+        _, error = study.communicate(timeout=60)
+    assert study.returncode == 130
+    assert "continue" in error
+    assert "Traceback" not in error
+    tasks = -1
+    with distributed.Client(dask.address, set_as_default=False) as client:
+        while tasks != 0 and time.monotonic() < end:
+            tasks = client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks))
+    assert tasks == 0
+    assert journal.read_bytes().count(b"\n") < 400
+    continued = run("study", "run", "study.yaml", "--scheduler", dask.address, "-o", "dask")
+    assert continued.status == 0, continued.err
+    assert run("study", "run", "study.yaml", "-j", "1", "-o", "one").status == 0
+    assert table("dask") == table("one")
+
+
 def test_a_scheduler_that_is_not_there(run: Command) -> None:
     Path("study.yaml").write_text(STUDY)
     start = time.monotonic()
@@ -109,15 +144,29 @@ def test_a_scheduler_that_goes_away(
     assert "the same command continues" in result.err
 
 
-def test_a_worker_with_another_version(run: Command, dask: DaskProcesses) -> None:
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("import thorvaldc as t; t.__version__ = '0.0.7'", "has thorvaldc 0.0.7 ("),
+        ("import platform as p; p.python_version_tuple = lambda: '299'", "has Python 2.9; the"),
+        (
+            "import importlib.metadata as m; v = m.version\n"
+            "m.version = lambda name: '0.0.7' if name == 'mujoco' else v(name)",
+            "has mujoco 0.0.7; the study has mujoco ",
+        ),
+    ],
+)
+def test_a_worker_with_another_version(
+    run: Command, dask: DaskProcesses, change: str, message: str
+) -> None:
     """A worker that differs is named with what differs, also if it joins later."""
     Path("study.yaml").write_text(STUDY)
-    Path("sitecustomize.py").write_text("import thorvaldc\nthorvaldc.__version__ = '0.0.7'\n")
+    Path("sitecustomize.py").write_text(change)
     dask.start_worker(PYTHONPATH=f".{os.pathsep}{ROOT}")
     result = run("study", "run", "study.yaml", "--scheduler", dask.address)
     assert result.status == 3
     assert "worker tcp://127.0.0.1:" in result.err
-    assert "has thorvaldc 0.0.7 (" in result.err
+    assert message in result.err, result.err
     assert "the same command continues" in result.err
 
 
