@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.cli.conftest import GOOD
 from tests.workshop import CART, TETRAHEDRON, Workshop
+from thorvaldc.compiler.modules import hardware
+from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Box, Cylinder, Inertial, MeshShape, Robot, Sphere
 
 SOURCE = 'source: "chosen: for a test"'
@@ -322,3 +326,24 @@ def test_error_in_the_built_in_library_points_at_the_users_line(workshop: Worksh
     assert diagnostic.span is not None
     assert (diagnostic.span.file, diagnostic.span.line) == (str(workshop.folder / "robot.yaml"), 5)
     assert diagnostic.labels[0].span.file.startswith("<library>/")
+
+
+# -- many robots ------------------------------------------------------------------------
+
+
+def test_the_hardware_of_many_designs_is_not_kept_for_ever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A study compiles thousands of frames with other parameters in one process."""
+    monkeypatch.setattr(hardware, "MAX_CACHED", 4)
+    path = tmp_path / "robot.yaml"
+    widths = []
+    for width in (0.8, 0.81, 0.82, 0.83, 0.84, 0.85, 0.8, 0.85):
+        path.write_text(GOOD.replace("width: 0.9", f"width: {width}"))
+        compilation = compile_file(path)
+        assert isinstance(compilation.model, Robot)
+        wheels = compilation.model.wheels
+        widths.append(round(wheels[0].y - wheels[1].y, 9))
+        types = {leaf.type for leaf in compilation.instances["robot.yaml"].leaves()}
+        assert max(len(module.elaborated) for module in types if module is not None) <= 4
+    assert widths == pytest.approx([0.8, 0.81, 0.82, 0.83, 0.84, 0.85, 0.8, 0.85])

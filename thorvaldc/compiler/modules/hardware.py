@@ -27,6 +27,9 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model.robot import Collision, SourcedMass, Tread, Visual
 from thorvaldc.model.spatial import Inertial, Pose, clean, combine
 
+MAX_CACHED = 256
+"""Largest number of parameter values of a module type whose hardware is cached: a study compiles
+designs without end."""
 MAX_REPETITIONS = 1000  # Largest number of copies of a link part with the key `for`.
 
 
@@ -42,6 +45,8 @@ def hardware_of(module: ModuleType, scope: Scope, report: Report) -> Hardware | 
         return None
     key = (*scope.library.palette().items(), *key)
     if key not in module.elaborated:
+        if len(module.elaborated) >= MAX_CACHED:
+            module.elaborated.clear()
         # The diagnostics of a module type are cached, because each use of the module type must
         # report the diagnostics.
         module_report = Report()
