@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 
 import pytest
 
 from tests.examples import ROBOTS, example_robot
+from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.ros.clock_watch import ClockWatch
-from thorvaldc.ros.driven_robot import SimulatedRobotInProcess
+from thorvaldc.ros.driven_robot import DrivenRobot, RobotOnBuses, SimulatedRobotInProcess
 from thorvaldc.ros.parameters import PARAMETERS
 from thorvaldc.runtime.control.service_table import ServiceError
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.physics.sim_base import SimBase
 
 FORWARD = Twist(0.3, 0.0, 0.0)
@@ -75,8 +78,11 @@ class Machine:
 
     def __init__(self) -> None:
         self.time = 0.0
+        self.robot = self.make(lambda: self.time)
+
+    def make(self, clock: Callable[[], float]) -> DrivenRobot:
         robot = example_robot("2wd0ws_greenhouse")
-        self.robot = SimulatedRobotInProcess(robot, SimBase(robot), clock=lambda: self.time)
+        return SimulatedRobotInProcess(robot, SimBase(robot), clock=clock)
 
     def run(self, seconds: float, twist: Twist | None = None) -> float:
         """Runs the cycles that are due and returns the speed of the robot, m/s."""
@@ -89,6 +95,24 @@ class Machine:
                 self.robot.cycle()
             self.time += 0.01
         return self.robot.driver.state.odometry.twist.vx
+
+
+class MachineOnBuses(Machine):
+    """A robot on simulated buses, whose virtual time follows a clock that the test moves.
+
+    ``factor``: speed of the buses relative to the clock, 0 for as fast as possible.
+    """
+
+    def __init__(self, factor: float) -> None:
+        self.factor = factor
+        super().__init__()
+
+    def make(self, clock: Callable[[], float]) -> DrivenRobot:
+        robot = cia402_robot()
+        simulated = SimulatedRobot(robot)
+        simulated.power_on()
+        interfaces = {bus.name: simulated.interface(bus.name) for bus in robot.buses}
+        return RobotOnBuses(robot, interfaces, self.factor, clock=clock)
 
 
 def test_a_simulated_robot_moves_only_after_arming() -> None:
@@ -115,6 +139,24 @@ def test_after_a_gap_in_real_time_a_zero_twist_comes_first() -> None:
     assert machine.run(1.0, FORWARD) == 0.0
     machine.run(0.05, ZERO_TWIST)
     assert machine.run(1.0, FORWARD) == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(("factor", "stops"), [(1.0, True), (0.0, False)])
+def test_a_frozen_process_is_a_gap_of_buses_that_keep_to_real_time(
+    factor: float, stops: bool
+) -> None:
+    """Buses that run as fast as possible have no relation to the real time."""
+    machine = MachineOnBuses(factor)
+    machine.run(1.0)
+    while machine.robot.driver.base.hold_reason:
+        machine.run(1.0)
+    machine.robot.call("arm")
+    assert machine.run(1.0, FORWARD) == pytest.approx(0.3, abs=0.05)
+    machine.time += 2.0
+    assert ("no control cycle for 2" in machine.robot.void_reason()) == stops
+    speed = machine.run(1.5, FORWARD)
+    assert abs(speed) < 0.01 if stops else speed == pytest.approx(0.3, abs=0.05)
+    machine.robot.stop()
 
 
 def test_a_pause_voids_the_commands() -> None:
