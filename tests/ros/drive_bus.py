@@ -27,7 +27,10 @@ def main() -> None:
     client.arm()
     client.drive(0.2)
     assert client.values("timing")["cycles"]
-    assert client.values("driver")["supervisor"] in ("ready", "active")
+    values = client.values("driver")
+    assert values["supervisor"] in ("ready", "active")
+    assert not {"cycles", "overruns"} & set(values)  # in the status `timing`
+    assert not [key for key in values if key.startswith(("batteries", "outputs"))]
     assert client.switch("safety_stop") == (True, "")
     client.wait("stop", lambda: abs(client.speed()) < 0.01, lambda: client.send(0.2))
     client.wait("stopped", lambda: "stop" in client.status())

@@ -78,6 +78,10 @@ def end(process: ChildProcess) -> str:
     return str(err)
 
 
+def test_battery_messages(distro: str, tmp_path: Path) -> None:
+    run_client(distro, "battery_messages", tmp_path)
+
+
 def test_node_with_ideal_joints(distro: str, build: Path, tmp_path: Path) -> None:
     options = {"base": "ideal", "autostart": False, "stamped": False}
     with node(distro, build, tmp_path, **options) as process:
