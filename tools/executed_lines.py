@@ -147,9 +147,10 @@ def run_tests(
 def arguments_of(tests: Iterable[str]) -> list[str]:
     """Returns the arguments of pytest for tests.
 
-    pytest does not find a test by parameters such as ``[[]]``; then all tests of its function run.
+    pytest does not find a test by parameters such as ``[[]]``, nor by a path, which is another one
+    in each copy of the tree; then all tests of its function run.
     """
-    simple = re.compile(r"[^\[]+(\[[\w .,:/=+-]+\])?")
+    simple = re.compile(r"[^\[]+(\[[\w .,:=+-]+\])?")
     names = [test if simple.fullmatch(test) else test.partition("[")[0] for test in tests]
     return list(dict.fromkeys(names))
 
