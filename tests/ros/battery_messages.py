@@ -20,9 +20,7 @@ STATUSES = {
 
 def main() -> None:
     for current, status in STATUSES.items():
-        battery = ReportedBattery(
-            2.0, 48.0, current, temperatures=[20.0, 31.0]
-        )
+        battery = ReportedBattery(2.0, 48.0, current, temperatures=[20.0, 31.0])
         message = battery_message("front", battery, Time(sec=3), "base")
         assert message.power_supply_status == status, current
         assert math.isnan(current) or abs(message.current + current) < 1e-6
