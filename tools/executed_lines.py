@@ -33,8 +33,14 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 CACHE = ROOT / ".mutants"
-COPIED = ("thorvaldc", "tests", "modules", "templates", "examples", "docs", "tools", "bench")
-COPIED_FILES = ("pyproject.toml", "README.md", "CHANGELOG.md", "Makefile", "LICENSE", ".gitignore")
+COPIED = (
+    *("thorvaldc", "tests", "modules", "templates", "examples", "docs", "tools", "bench"),
+    *("editors", "viewer"),
+)
+COPIED_FILES = (
+    *("pyproject.toml", "README.md", "CHANGELOG.md", "Makefile", "LICENSE", ".gitignore"),
+    *(".gitattributes", ".pre-commit-hooks.yaml", "action.yml", "mkdocs.yml"),
+)
 ENVIRONMENTS = (".venv", ".venv-ros")
 """Environments of other programs that tests start."""
 LEFT_OUT = ("tests/chaos/", "tests/packaging/", "tests/test_house_rules.py", "tests/docs/")
@@ -112,7 +118,7 @@ def import_dependencies() -> None:
 
 
 def copy_of_the_tree(folder: Path) -> Path:
-    ignored = shutil.ignore_patterns("__pycache__")
+    ignored = shutil.ignore_patterns("__pycache__", "node_modules")
     for name in COPIED:
         shutil.copytree(ROOT / name, folder / name, ignore=ignored, dirs_exist_ok=True)
     for name in COPIED_FILES:

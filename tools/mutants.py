@@ -276,7 +276,8 @@ def is_noticed(mutant: Mutant, tree: Path, executed: ExecutedLines) -> str:
                 if outcome.status == 0:
                     break
                 failed = outcome.failure or f"exit status {outcome.status}"
-                if executed.seconds.get(failed, 0.0) < SLOW and outcome.status == 1:
+                is_test = "::" in failed  # and no file that cannot be imported
+                if executed.seconds.get(failed, 0.0) < SLOW and outcome.status == 1 and is_test:
                     return failed
                 again = [failed] if failed in tests else tests
                 _write(tree / mutant.path, original)
