@@ -87,3 +87,13 @@ def test_demo_shows_its_progress_on_a_terminal_only(folder: Path) -> None:
     assert "1 of 1" not in process.stderr
     assert process.stdout.splitlines()[1].startswith("good ")
     assert "1 file built to build/ and 1 robot driven" in process.stderr
+
+
+def test_a_scan_shows_its_progress_and_removes_it(folder: Path) -> None:
+    status, output = on_terminal(folder, "can", "scan", "good.yaml", "--bus", "virtual")
+    assert status == 0
+    progress, _, table = output.partition("\r\x1b[K")
+    assert "listening [" in progress
+    assert "100 %" in progress
+    assert "listening" not in table
+    assert table.startswith("verdict ")

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import pytest
 
@@ -13,6 +15,7 @@ from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.ros.clock_watch import ClockWatch
 from thorvaldc.ros.driven_robot import DrivenRobot, RobotOnBuses, SimulatedRobotInProcess
 from thorvaldc.ros.parameters import PARAMETERS
+from thorvaldc.ros.topic_twists import TwistInputs
 from thorvaldc.runtime.control.service_table import ServiceError
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
@@ -137,6 +140,8 @@ def test_after_a_gap_in_real_time_a_zero_twist_comes_first() -> None:
     with pytest.raises(ServiceError, match="no control cycle for 20"):
         machine.robot.call("reset_odometry")
     assert machine.run(1.0, FORWARD) == 0.0
+    reason = machine.robot.driver.state.hold_reason
+    assert reason.endswith(" ms; command zero first"), reason
     machine.run(0.05, ZERO_TWIST)
     assert machine.run(1.0, FORWARD) == pytest.approx(0.3)
 
@@ -156,7 +161,32 @@ def test_a_frozen_process_is_a_gap_of_buses_that_keep_to_real_time(
     assert ("no control cycle for 2" in machine.robot.void_reason()) == stops
     speed = machine.run(1.5, FORWARD)
     assert abs(speed) < 0.01 if stops else speed == pytest.approx(0.3, abs=0.05)
+    reason = "no control cycle for 2000 ms; command zero first" if stops else ""
+    assert machine.robot.driver.state.hold_reason == reason
     machine.robot.stop()
+
+
+def test_refused_twists_are_counted_with_the_newest_reason() -> None:
+    machine = Machine()
+    inputs = TwistInputs(machine.robot.driver.robot, {"max_command_age": 0.5})
+
+    def publish(robot: DrivenRobot | None, vx: float, age: float = 0.0) -> None:
+        vector = SimpleNamespace(x=vx, y=0.0, z=0.0)
+        message = SimpleNamespace(linear=vector, angular=SimpleNamespace(x=0.0, y=0.0, z=0.0))
+        inputs.publish(robot, SOURCE, message, "", age)
+
+    assert inputs.summary()[SOURCE] == {"received": 0, "refused": 0, "reason": ""}
+    for robot, vx, age, count, reason in (
+        (None, 0.3, 0.0, 1, "the node is inactive"),
+        (machine.robot, math.nan, 0.0, 2, "the twist is not finite"),
+        (machine.robot, 0.3, 0.6, 3, "the twist is 0.600 s old; max_command_age is 0.5 s"),
+        (machine.robot, 0.3, -0.1, 4, "the stamp of the twist is 0.100 s in the future"),
+        (machine.robot, 0.0, 0.4, 4, "the stamp of the twist is 0.100 s in the future"),
+    ):
+        publish(robot, vx, age)
+        summary = inputs.summary()[SOURCE]
+        assert (summary["refused"], summary["reason"]) == (count, reason)
+    assert inputs.summary()[SOURCE]["received"] == 5
 
 
 def test_a_pause_voids_the_commands() -> None:
