@@ -94,6 +94,6 @@ def test_a_scan_shows_its_progress_and_removes_it(folder: Path) -> None:
     assert status == 0
     progress, _, table = output.partition("\r\x1b[K")
     assert "listening [" in progress
-    assert "100 %" in progress
+    assert progress.endswith(" 100 %  1 of 1 ")
     assert "listening" not in table
     assert table.startswith("verdict ")
