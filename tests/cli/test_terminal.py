@@ -13,6 +13,7 @@ import pytest
 
 from tests.child_process import ChildProcess
 from tests.cli.conftest import BAD, GOOD
+from thorvaldc.cli.commands.view import has_display
 
 
 def on_terminal(folder: Path, *arguments: str, **environment: str) -> tuple[int, str]:
@@ -97,3 +98,32 @@ def test_a_scan_shows_its_progress_and_removes_it(folder: Path) -> None:
     assert progress.endswith(" 100 %  1 of 1 ")
     assert "listening" not in table
     assert table.startswith("verdict ")
+
+
+def test_a_run_erases_its_status_line_once_before_other_lines(folder: Path) -> None:
+    options = ("--bus", "virtual", "--twist", "0.2,0,0", "--duration", "0.1 s")
+    status, output = on_terminal(folder, "run", "good.yaml", *options)
+    assert status == 0
+    assert "init    \x1b[K\r\x1b[K" in output
+    assert "\n\r\x1b[K" not in output
+
+
+@pytest.mark.parametrize(
+    ("system", "variables", "expected"),
+    [
+        ("linux", {}, False),
+        ("linux", {"DISPLAY": ":0"}, True),
+        ("linux", {"WAYLAND_DISPLAY": "wayland-0"}, True),
+        ("darwin", {}, True),
+        ("win32", {}, True),
+    ],
+)
+def test_a_window_needs_a_display(
+    monkeypatch: pytest.MonkeyPatch, system: str, variables: dict[str, str], expected: bool
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr("sys.platform", system)
+    assert has_display() == expected
