@@ -79,6 +79,21 @@ def test_the_default_of_a_module_that_another_module_chooses(thorvaldc: Command)
     assert max(map(len, lines)) <= 80
 
 
+def test_the_lines_of_outputs_that_get_more_lines(thorvaldc: Command) -> None:
+    """A changed colour is one more material, and every line after it has another number."""
+    value = "0.7059"
+    document = explained(thorvaldc, "links.frame_body.visuals.0.color.0")
+    outputs = document["outputs"]
+    assert isinstance(outputs, list)
+    lines_of = {output["file"]: output["lines"] for output in outputs}
+    assert thorvaldc("build", "good.yaml", "-o", "out").status == 0
+    text = Path("out/mjcf/robot.xml").read_text(encoding="utf-8").splitlines()
+    (material,) = [line.split('"')[1] for line in text if f'rgba="{value} ' in line]
+    expected = [n for n, line in enumerate(text, 1) if f'"{material}"' in line]
+    assert len(lines_of["mjcf/robot.xml"]) >= 3
+    assert set(lines_of["mjcf/robot.xml"]) <= set(expected)
+
+
 def test_effects_of_the_sources_of_a_sum(thorvaldc: Command) -> None:
     effects = sources(explained(thorvaldc, "mass"))
     assert effects["modules.frame.params.width"] == pytest.approx(0.035, abs=0.02)

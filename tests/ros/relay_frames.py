@@ -44,6 +44,7 @@ def main() -> None:
     (transform,) = client.last["tf"].transforms
     assert (transform.header.frame_id, transform.child_frame_id) == ("odom", "base_link")
     assert transform.transform.rotation.w == 1.0
+    assert client.switch("board_set_relay_0") == (True, "")
 
 
 if __name__ == "__main__":

@@ -146,6 +146,14 @@ def test_after_a_gap_in_real_time_a_zero_twist_comes_first() -> None:
     assert machine.run(1.0, FORWARD) == pytest.approx(0.3)
 
 
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_buses_run_faster_or_slower_than_real_time(factor: float) -> None:
+    machine = MachineOnBuses(factor)
+    machine.run(1.0)
+    assert machine.robot.now == pytest.approx(factor, abs=0.05)
+    machine.robot.stop()
+
+
 @pytest.mark.parametrize(("factor", "stops"), [(1.0, True), (0.0, False)])
 def test_a_frozen_process_is_a_gap_of_buses_that_keep_to_real_time(
     factor: float, stops: bool

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.backends.plans import stl
 from tests.cli.conftest import Command, thorvaldc
 from thorvaldc.backends import TARGETS
 from thorvaldc.compiler.pipeline import compile_file, emit
@@ -71,6 +72,15 @@ def test_the_place_of_a_wheel_that_is_a_mesh_is_unknown(cart: Path) -> None:
     mesh = '<mesh filename="package://cart/meshes/lidar.stl" scale="0.001 0.001 0.001"/>'
     change(cart / "urdf/wheel.xacro", '<cylinder radius="${wheel_radius}" length="0.05"/>', mesh)
     assert findings("cart") == []
+
+
+def test_a_flat_mesh_has_a_size(cart: Path) -> None:
+    """A panel of 60 mm across the x axis, whose mesh is in millimetres, without a scale."""
+    corners = [(0.0, 0.0, 0.0), (0.0, 60.0, 0.0), (0.0, 60.0, 60.0), (0.0, 0.0, 60.0)]
+    triangles = [(corners[0], corners[i], corners[i + 1]) for i in (1, 2)]
+    (cart / "meshes/lidar.stl").write_bytes(stl(*triangles))
+    change(cart / "urdf/cart.urdf.xacro", ' scale="0.001 0.001 0.001"', "")
+    assert ("audit-length-unit", "cart/urdf/cart.urdf.xacro", 17) in findings("cart")
 
 
 def test_a_launch_argument_decides_on_stamps(cart: Path) -> None:
