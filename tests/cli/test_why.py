@@ -186,6 +186,10 @@ def test_a_value_in_an_output(thorvaldc: Command, path: str, value: float | None
     assert value is None or document["value"] == value
     assert key in sources(document)
     assert document["model_values"]
+    listed = document["sources"]
+    assert isinstance(listed, list)
+    # An expression has no effect of its own: it passes on that of its names.
+    assert {s["effect"] for s in listed if s["is_expression"]} <= {None}
 
 
 @pytest.mark.parametrize(

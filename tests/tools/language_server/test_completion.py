@@ -11,6 +11,8 @@ from tests.tools.language_server.texts import POST, ROBOT, WITH_POST, edited
 pytestmark = pytest.mark.asyncio(loop_scope="package")
 
 LINE = "  new: {type: assembly/steered_drive, mount: frame.rear_center, can: 7}\n"
+UNFINISHED = "thorvaldc: 1\nmodules:\n  new: {type: assembly/steered_drive, mount: |\n"
+FRAME = "{type: frame/tube_rectangular, params: {length: 1 m, width: 0.8 m}}"
 CASES = [  # file, text, proposals at the start, words that are not proposed
     ("robot.yaml", ROBOT + "|", ["defaults", "design", "extras"], ["modules", "name"]),
     ("robot.yaml", ROBOT + "ext|", ["extras"], ["modules"]),
@@ -25,6 +27,7 @@ CASES = [  # file, text, proposals at the start, words that are not proposed
         ["frame.rear_center"],
         ["fl.flange"],
     ),
+    ("robot.yaml", f"{UNFINISHED}  frame: {FRAME}\n", ["frame.rear_left"], []),
     ("robot.yaml", ROBOT + LINE.replace("7", "|"), ["5", "6", "auto"], ["1", "2", "3", "4"]),
     ("robot.yaml", ROBOT + LINE.replace("can: 7", "params: {|}"), ["gear_ratio"], ["mount"]),
     ("robot.yaml", ROBOT + LINE.replace("can: 7", "params: {leg_side: |}"), ["left", "right"], []),
