@@ -14,6 +14,16 @@ from thorvaldc.tools.language_server.open_document import uri_of
 pytestmark = pytest.mark.asyncio(loop_scope="package")
 
 STEERED_DRIVE = "modules/assembly/steered_drive/module.yaml"
+ASSEMBLY = """\
+thorvaldc: 1
+description: A drive that steers.
+category: drive
+modules:
+  steering: {type: steering/standard}
+  drive: {type: drive/standard, mount: steering.flange}
+motors: {turning: steering.steering}
+ports: {below: steering.flange}
+"""
 DEFINITIONS = [  # name, text, place, file, text that starts at the definition
     ("robot.yaml", ROBOT, "mount: fr|ame.front_left", "", "frame:\n"),
     (
@@ -26,6 +36,20 @@ DEFINITIONS = [  # name, text, place, file, text that starts at the definition
     ("robot.yaml", ROBOT, "type: assem|bly/steered_drive", STEERED_DRIVE, "thorvaldc: 1"),
     ("robot.yaml", ROBOT, "  f|l: {", STEERED_DRIVE, "thorvaldc: 1"),
     ("robot.yaml", ROBOT, "le|ngth: 1.10", "modules/frame/tube_rectangular/module.yaml", "length:"),
+    (
+        "module.yaml",
+        ASSEMBLY,
+        "turning: steering.stee|ring",
+        "modules/steering/standard/module.yaml",
+        "steering:",
+    ),
+    (
+        "module.yaml",
+        ASSEMBLY,
+        "below: steering.fla|nge",
+        "modules/steering/standard/module.yaml",
+        "flange: {kind",
+    ),
     ("module.yaml", POST, "${si|ze / 2}", "", "size: {quantity"),
     ("module.yaml", POST, "${ha|lf}", "", 'half: "'),
     (

@@ -140,6 +140,17 @@ def test_one_or_three_objectives(run: Command, count: int) -> None:
 
 
 @pytest.mark.usefixtures("no_pictures")
+def test_of_one_objective_the_five_best_designs_are_shown(run: Command) -> None:
+    text = re.sub(r"  stable: .*\n", "", STUDY).replace("number: 5", "number: 12")
+    report(run, text.replace("50 deg", "30 deg"))
+    study = thorvaldc.compile("study.yaml").study
+    assert study is not None
+    content = ReportContent(study, StudyTable.open(Path("study/track")))
+    best = sorted(content.designs, key=lambda design: design["light"])[:5]
+    assert content.shown == [design["sample"] for design in best]
+
+
+@pytest.mark.usefixtures("no_pictures")
 def test_a_study_without_a_good_design_or_without_results(run: Command) -> None:
     page = report(run, STUDY.replace("at_least: 50 deg", "at_least: 85 deg"))
     assert "No design meets every constraint" in body(page)
