@@ -27,6 +27,10 @@ def main() -> None:
     client.arm()
     client.drive(0.2)
     assert client.values("timing")["cycles"]
+    changes = client.values("timing")["changes"].split("; ")
+    assert len(changes) == 5, changes
+    assert changes[-1].endswith("active")
+    assert client.values("timing")["events"].split("; ")[-1].endswith("armed")
     values = client.values("driver")
     assert values["supervisor"] in ("ready", "active")
     assert not {"cycles", "overruns"} & set(values)  # in the status `timing`
