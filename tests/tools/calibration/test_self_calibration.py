@@ -364,6 +364,11 @@ def test_table_and_json(log: JointLog) -> None:
         *("wheel", "steering", "offset", *errors, "radius", "ratio", *errors, "radius")
     ]
     assert "+1.000 +- 0.0" in lines[1]
+    # Numbers end below the ends of their headings.
+    end = lines[0].index("systematic") + len("systematic")
+    wheels = lines[1 : 1 + len(result.wheels)]
+    assert all(line[:end].endswith(" deg") and line[end] == " " for line in wheels)
+    assert len({len(line) for line in wheels}) == 1
     value = json.loads(json.dumps(as_json(result), allow_nan=False))
     assert value["wheels"][1]["steering_offset"]["value"] == pytest.approx(math.radians(-0.5))
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.tools.teleoperation.joystick import HELP as JOYSTICK_HELP
 from thorvaldc.tools.teleoperation.keyboard import HELP as KEYBOARD_HELP
@@ -29,6 +31,21 @@ def test_the_lines_fit_80_columns_and_a_fault_has_lines_of_its_own() -> None:
     message = next(i for i, line in enumerate(lines) if line.startswith("       a message"))
     assert "busy" in " ".join(lines[fault:message])
     assert lines[2].endswith("limited by max_angular_velocity 1.541 rad/s")
+
+
+@pytest.mark.parametrize(
+    ("state", "expected"),
+    [
+        ({"supervisor": "active", "held": ""}, "active  drives: nobody"),
+        ({"supervisor": "homing", "held": "homing"}, "homing  drives: nobody"),
+        ({"supervisor": "ready", "held": "disarmed"}, "ready  drives: nobody  disarmed: press g"),
+        ({"supervisor": "ready", "held": "paused"}, "ready  drives: nobody  held: paused"),
+        ({"mode": "fault", "held": "paused", "fault": "late"}, "fault  drives: nobody"),
+    ],
+)
+def test_why_the_robot_is_held_is_said_once(state: dict[str, str], expected: str) -> None:
+    shown = {**STATE, "source": "", "locks": [], "fault": "", "limited_by": "", **state}
+    assert status_lines(shown, None, 1.0, "")[3].strip() == expected
 
 
 def test_the_help_fits_80_columns() -> None:
