@@ -49,6 +49,17 @@ def study_with_scenario(number: int) -> None:
     )
 
 
+def journal_with_a_result() -> Path:
+    """Waits for the first finished design."""
+    journal = Path("dask/journal.jsonl")
+    end = time.monotonic() + 60
+    while time.monotonic() < end:
+        if journal.exists() and journal.read_bytes().count(b"\n") >= 1:
+            break
+        time.sleep(0.01)
+    return journal
+
+
 def table(folder: str) -> bytes:
     return Path(folder, "designs.parquet").read_bytes()
 
@@ -71,12 +82,7 @@ def test_workers_die_and_join(run: Command, dask: DaskProcesses) -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with ChildProcess([*command, "--scheduler", dask.address], env=environment) as study:
         first = dask.start_worker()
-        journal = Path("dask/journal.jsonl")
-        end = time.monotonic() + 60
-        while time.monotonic() < end:
-            if journal.exists() and journal.read_bytes().count(b"\n") >= 1:
-                break
-            time.sleep(0.01)
+        journal_with_a_result()
         first.send_signal(signal.SIGKILL)
         dask.start_worker()
         assert study.wait(60) == 0
@@ -93,18 +99,13 @@ def test_an_interrupt_leaves_no_tasks_and_the_study_continues(
     with ChildProcess(
         [*command, "--scheduler", dask.address], env=environment, stderr=subprocess.PIPE, text=True
     ) as study:
-        journal = Path("dask/journal.jsonl")
-        end = time.monotonic() + 60
-        while time.monotonic() < end:
-            if journal.exists() and journal.read_bytes().count(b"\n") >= 1:
-                break
-            time.sleep(0.01)
+        journal = journal_with_a_result()
         study.send_signal(signal.SIGINT)
         _, error = study.communicate(timeout=60)
     assert study.returncode == 130
     assert "continue" in error
     assert "Traceback" not in error
-    tasks = -1
+    tasks, end = -1, time.monotonic() + 60
     with distributed.Client(dask.address, set_as_default=False) as client:
         while tasks != 0 and time.monotonic() < end:
             tasks = client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks))
