@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import random
+import threading
+import time
+from pathlib import Path
 
 import pytest
 from lsprotocol import types
@@ -10,6 +14,8 @@ from lsprotocol import types
 from tests.tools.language_server.conftest import Editor
 from tests.tools.language_server.texts import POST, ROBOT
 from thorvaldc.compiler.new_robot import robot_text
+from thorvaldc.tools.language_server.diagnostic_publisher import DiagnosticPublisher
+from thorvaldc.tools.language_server.open_document import OpenDocument, uri_of
 
 pytestmark = pytest.mark.asyncio(loop_scope="package")
 
@@ -118,3 +124,22 @@ async def test_only_the_last_of_many_changes_is_published(editor: Editor) -> Non
         editor.change(uri, ROBOT.replace("can: 3", "can: 2" if number % 2 else "can: 1"))
     assert await editor.codes_of(uri) == ["TV501"]
     assert len(editor.diagnostics[uri]) - before < 10
+
+
+async def test_a_closed_publisher_leaves_no_thread(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    document = OpenDocument(uri_of(path), path, str(path), 1, SMALL)
+    published: list[types.PublishDiagnosticsParams] = []
+    before = set(threading.enumerate())
+    publisher = DiagnosticPublisher({document.uri: document}, published.append, pytest.fail)
+    publisher.document_changed(document)
+    end = time.monotonic() + 20.0
+    while not published and time.monotonic() < end:
+        await asyncio.sleep(0.01)
+    assert published
+    threads = set(threading.enumerate()) - before
+    assert threads
+    publisher.close()
+    while any(thread.is_alive() for thread in threads) and time.monotonic() < end:
+        await asyncio.sleep(0.01)
+    assert not [thread for thread in threads if thread.is_alive()]
