@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import re
 from dataclasses import replace
 
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from tests.examples import ROBOTS, example_robot
 from tests.robots import make_robot
 from thorvaldc.model.facts import facts_document, robot_facts
+from thorvaldc.model.facts.fact_tables import fact_tables
 from thorvaldc.model.facts.robot_facts import fact_sections
 from thorvaldc.model.statics.gravity import GRAVITY
 
@@ -171,3 +173,12 @@ def test_sections_of_the_facts_are_parts_of_all_facts() -> None:
     names = [field.name for field in dataclasses.fields(facts)]
     assert fact_sections(robot, names) == {n: getattr(facts, n) for n in names}
     assert list(fact_sections(robot, ["mass"])) == ["mass"]
+
+
+@pytest.mark.parametrize("name", ["4wd4ws_wide", "9wd9ws"])
+def test_columns_of_numbers_are_marked_in_the_tables(name: str) -> None:
+    number = re.compile(r"(over )?[-+]?\d[\d.]*(:1)?( ?(%|deg|[A-Z]{3}|d))?|-")
+    for table in fact_tables(robot_facts(example_robot(name))):
+        for column, cells in enumerate(zip(*table.rows, strict=True)):
+            has_numbers = all(map(number.fullmatch, cells)) and set(cells) != {"-"}
+            assert (column in table.numeric) == has_numbers, (table.key, column, cells[:3])

@@ -108,3 +108,11 @@ async def test_types_of_own_library_folders(editor: Editor) -> None:
     editor.write("my modules/my/post/module.yaml", POST)
     items = await editor.complete("robot.yaml", WITH_POST + "  b: {type: |")
     assert items["my/post"].detail == "A post."
+
+
+async def test_required_keys_come_first(editor: Editor) -> None:
+    items = await editor.complete("robot.yaml", "thorvaldc: 1\nbase_calculator: general\n|")
+    keys = sorted(items, key=lambda label: items[label].sort_text or "")
+    required = [key for key in keys if items[key].detail == "required"]
+    assert required == ["name", "modules"]
+    assert keys[:2] == required
