@@ -20,6 +20,7 @@ from thorvaldc.model import Robot
 from thorvaldc.simulation.records.joint_csv import JointLog, read_log
 from thorvaldc.tools.calibration.calibration_text import as_json, table
 from thorvaldc.tools.calibration.self_calibration import CalibrationResult, calibrate
+from thorvaldc.tools.calibration.settling_log import PlannedMotion, plan_text
 
 FOUR = make_robot(FOUR_STEERED)
 CAR = make_robot([*FOUR_STEERED[:2], (-0.55, 0.45, "fixed"), (-0.55, -0.45, "fixed")])
@@ -153,3 +154,10 @@ def test_coarse_value_replaces_only_a_present_value_that_it_contradicts() -> Non
     assert "to +-0." in text
     kept = [line for line in table(result).splitlines() if "as before" in line]
     assert len(kept) == sum(not offset.determined for offset in coarse)
+
+
+def test_motions_are_listed_as_a_person_says_them() -> None:
+    motions = [PlannedMotion(text, 10.0 * n) for n, text in enumerate(("on", "back", "round"), 1)]
+    assert plan_text(motions[:1]) == "10 s on"
+    assert plan_text(motions[:2]) == "10 s on and 20 s back"
+    assert plan_text(motions) == "10 s on, 20 s back and 30 s round"
