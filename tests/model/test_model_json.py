@@ -316,6 +316,11 @@ def test_other_texts_are_errors(text: str) -> None:
             'robot.links[0].span[3]: expected a whole number, found "two"',
         ),
         (
+            "model.links.1.visuals.0.shape",
+            5,
+            "robot.links[1].visuals[0].shape: expected an object, found 5",
+        ),
+        (
             "model.links.1.visuals.0.shape.kind",
             "Cone",
             "robot.links[1].visuals[0].shape.kind: "
