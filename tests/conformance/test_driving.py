@@ -96,8 +96,12 @@ ROCKER = """
 """
 
 
-def test_wheels_on_rockers_carry_the_loads_of_the_model(workshop: Workshop, tmp_path: Path) -> None:
-    workshop.module("t/rocker", ROCKER)
+@pytest.mark.parametrize("drop", [0.0, 0.0005])
+def test_wheels_on_rockers_carry_the_loads_of_the_model(
+    workshop: Workshop, tmp_path: Path, drop: float
+) -> None:
+    """Also if the rear ports are ``drop`` m lower: the rockers turn until all wheels carry."""
+    workshop.module("t/rocker", ROCKER.replace("[-0.3, 0, 0]", f"[-0.3, 0, {-drop}]"))
     robot = workshop.robot(
         """
         body: {type: t/plate}

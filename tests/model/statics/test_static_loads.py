@@ -59,6 +59,16 @@ def test_wheels_of_a_rocker_balance_about_its_pivot() -> None:
     assert loads == pytest.approx([0.35 * 981, 0.15 * 981, 981 / 3, 981 / 6])
 
 
+def test_wheels_on_a_line_through_the_origin_with_a_pivot() -> None:
+    """All x are 0, so that the balance about y is 0 = 0."""
+    points = [(0.0, 0.6), (0.0, -0.2), (0.0, -0.6)]
+    rocker = Pivot((0.0, 0.2, -0.2), 0.0)  # of the second and the third wheel
+    loads = static_loads(points, body(0.0, 0.1), [rocker])
+    assert loads[1] == pytest.approx(loads[2])
+    assert sum(loads) == pytest.approx(981)
+    assert 0.6 * loads[0] - 0.2 * loads[1] - 0.6 * loads[2] == pytest.approx(98.1)
+
+
 def test_pivot_of_balanced_wheels_changes_no_load() -> None:
     points = [(1.0, 0.5), (1.0, -0.5), (-1.0, 0.5), (-1.0, -0.5)]
     tractor = Pivot((0.5, -0.5, 0.0, 0.0), 0.0)  # a front axle that rolls about x
