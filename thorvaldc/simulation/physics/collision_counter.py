@@ -47,7 +47,6 @@ class CollisionCounter:
             self._is_wheel.append(body in wheel_bodies)
             self._is_drivable.append(body == 0 and name.split("/")[0] in DRIVABLE)
         self._contacts: frozenset[tuple[int, int]] = frozenset()
-        self._touching = b""
         self._step = -1
 
     def update(self) -> None:
@@ -55,14 +54,9 @@ class CollisionCounter:
         if self._scene.steps == self._step:
             return
         self._step = self._scene.steps
-        geoms = self._scene.data.contact.geom
-        touching = geoms.tobytes()
-        if touching == self._touching:
-            return
-        self._touching = touching
         contacts = frozenset(
             (a, b)
-            for a, b in geoms.tolist()
+            for a, b in self._scene.data.contact.geom.tolist()
             if not (
                 (self._is_wheel[a] and self._is_drivable[b])
                 or (self._is_wheel[b] and self._is_drivable[a])

@@ -101,8 +101,6 @@ class MujocoBase(GroundTruthBase):
         self._qpos = data.qpos[base : base + last_q + 1]
         self._qvel = data.qvel[base_velocity : base_velocity + last_v + 1]
         self._base_qpos = data.qpos[base : base + 7]
-        self._base_qvel = data.qvel[base_velocity : base_velocity + 6]
-        self._ctrl = data.ctrl
         self._voltages: list[tuple[int, int, float]] = []
         if open_loop:
             self._open_speed_loops()
@@ -147,7 +145,7 @@ class MujocoBase(GroundTruthBase):
         0.1 s and the steering lags by 0.02 s.  While a robot turns into a curve, the wheel speeds
         would then be later than the steering angles.
         """
-        ctrl = self._ctrl
+        ctrl = self.scene.data.ctrl
         speeds, angles, ratios, offsets = (
             commands.speeds,
             commands.angles,
@@ -220,7 +218,7 @@ class MujocoBase(GroundTruthBase):
         self.scene.forward()
 
     def true_twist(self) -> Twist:
-        v = self._base_qvel.tolist()
+        v = self.scene.data.qvel[self._base_velocity : self._base_velocity + 6].tolist()
         yaw = self.true_pose().yaw
         c, s = math.cos(yaw), math.sin(yaw)
         return Twist(c * v[0] + s * v[1], c * v[1] - s * v[0], v[5])

@@ -61,7 +61,6 @@ class MujocoScene:
 
         self._mujoco = mujoco
         self.data = mujoco.MjData(self.model)
-        self._speeds = self.data.qvel
         self.timestep = float(self.model.opt.timestep)
         # By default, MuJoCo resets a diverged simulation to the start without an error.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -105,7 +104,7 @@ class MujocoScene:
             finally:
                 mujoco.set_mju_user_warning(user_warning)
             self.steps += steps
-            speeds = self._speeds
+            speeds = self.data.qvel
             # A joint speed that becomes nan stays nan, so that a test after the last simulation
             # step is enough.  A comparison with nan is false, so that `not <` also detects nan.
             self.diverged = not speeds.dot(speeds) < _DIVERGED_SPEED**2
