@@ -29,7 +29,7 @@ from thorvaldc.tools.study.study_journal import StudyJournal
 Result = TypeVar("Result")
 EXAMPLES = ROOT / "examples"
 SECONDS = 10.0
-DESIGNS = 64
+DESIGNS = 256
 PROCESSES = 2
 DEMANDED_RATIO = 5.0
 DEMANDED_MEMORY = 1500.0

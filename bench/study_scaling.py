@@ -23,7 +23,7 @@ from thorvaldc.tools.study.design_evaluation import StudyInputs
 from thorvaldc.tools.study.study_execution import StudyRun
 from thorvaldc.tools.study.study_journal import StudyJournal
 
-DESIGNS = 128
+DESIGNS = 512
 DEMANDED = 1.8
 
 

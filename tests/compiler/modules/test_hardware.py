@@ -258,6 +258,19 @@ def test_motor_limits_the_speed_of_its_joint(
     assert robot.joint("part_j").velocity == motor.max_velocity
 
 
+@pytest.mark.parametrize(("stated", "pulses"), [('"${4096 / 4}"', 1024), ('"${2 * 600}"', 1200)])
+def test_pulses_of_an_encoder_may_be_computed(workshop: Workshop, stated: str, pulses: int) -> None:
+    motor = (MOTOR % (30, "")).replace("encoder_ppr: 500", f"encoder_ppr: {stated}")
+    robot = workshop.part(two_links("type: continuous", motor))
+    assert [a.encoder_ppr for a in robot.actuators if a.module == "part"] == [pulses]
+
+
+@pytest.mark.parametrize("stated", ['"${0.3}"', '"${1000 / 3}"'])
+def test_pulses_of_an_encoder_are_a_whole_number(workshop: Workshop, stated: str) -> None:
+    motor = (MOTOR % (30, "")).replace("encoder_ppr: 500", f"encoder_ppr: {stated}")
+    assert workshop.part_codes(two_links("type: continuous", motor)) == ["wrong-type"]
+
+
 @pytest.mark.parametrize(("effort", "at_the_joint"), [("", 30.0), (", effort: 20", 20.0)])
 def test_effort_is_the_lower_of_motor_and_joint(
     workshop: Workshop, effort: str, at_the_joint: float

@@ -174,6 +174,18 @@ def _check_tree(joints: tuple[JointPart, ...], values: ModuleValues) -> None:
             )
 
 
+def _whole_number(values: ModuleValues, node: Node, key: str, default: int) -> int:
+    """Returns a positive whole number, which an expression may compute."""
+    value = values.positive(node, key, "ratio", default)
+    entry = node.get(key)
+    if value.is_integer() or entry is None:
+        return int(value)
+    values.report.add(
+        "wrong-type", f"`{key}` is {value:.6g}; it must be a whole number", entry.span
+    )
+    return default
+
+
 def _read_motor(
     values: ModuleValues, name: str, node: Node, joints: tuple[JointPart, ...]
 ) -> MotorPart:
@@ -192,14 +204,14 @@ def _read_motor(
     gear_ratio = values.positive(node, "gear_ratio", "ratio", 1.0)
     motor_max_speed = values.positive(node, "motor_max_speed", "angular_velocity", 1.0)
     rotor_inertia = scope.quantity(node.get("rotor_inertia"), "inertia")
-    encoder_ppr = values.positive(node, "encoder_ppr", "ratio", 1024.0)
+    encoder_ppr = _whole_number(values, node, "encoder_ppr", 1024)
     stated_velocity = scope.quantity(node.get("max_velocity"), "angular_velocity", math.inf)
     return MotorPart(
         name,
         joint,
         scope.text(node.get("role")),
         gear_ratio,
-        round(encoder_ppr),
+        encoder_ppr,
         motor_max_speed,
         min(stated_velocity, motor_max_speed / gear_ratio),
         values.positive(node, "max_acceleration", "angular_acceleration", 1.0),
