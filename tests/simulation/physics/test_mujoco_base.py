@@ -143,17 +143,19 @@ def test_divergence_is_detected_and_leaves_no_log_file(
     assert not list(tmp_path.iterdir())
 
 
+def pair() -> Fleet:
+    one, two = (replace(ROBOT, name=n, namespace=n) for n in ("one", "two"))
+    places = (
+        Placement("one", Pose((0.0, 3.0, 0.0)), one),
+        Placement("two", Pose((0.0, -3.0, 0.0)), two),
+    )
+    return Fleet("pair", "", places)
+
+
 def test_two_robots_of_a_scene_move_independently() -> None:
     """Two robots with equal joint names in two name spaces; one drives, the other stands."""
-    one, two = (replace(ROBOT, name=n, namespace=n) for n in ("one", "two"))
-    fleet = Fleet(
-        "pair",
-        "",
-        (
-            Placement("one", Pose((0.0, 3.0, 0.0)), one),
-            Placement("two", Pose((0.0, -3.0, 0.0)), two),
-        ),
-    )
+    fleet = pair()
+    one, two = (placement.robot for placement in fleet.placements)
     scene = MujocoScene(files_of(Mjcf, fleet))
     a, b = MujocoBase(one, scene), MujocoBase(two, scene)
     for k in range(100):
@@ -163,3 +165,20 @@ def test_two_robots_of_a_scene_move_independently() -> None:
     assert scene.steps == 396
     assert a.true_pose() == pytest.approx((1.1, 3.0, 0.0), abs=0.2)
     assert b.true_pose() == pytest.approx((0.0, -3.0, 0.0), abs=1e-5)
+
+
+def test_the_motion_is_that_with_a_search_for_islands(files: dict[str, bytes]) -> None:
+    import mujoco
+
+    island = int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
+    states = []
+    for searched in (False, True):
+        scene = MujocoScene(files)
+        assert scene.model.opt.disableflags & island
+        if searched:
+            scene.model.opt.disableflags &= ~island
+        scene.data.ctrl[:4] = 3.0, 3.0, 2.0, -1.0
+        scene.advance(3.0)
+        states.append(scene.data.qpos.tolist())
+    assert states[0] == states[1]
+    assert not MujocoScene(files_of(Mjcf, pair())).model.opt.disableflags & island

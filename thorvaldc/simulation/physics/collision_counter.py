@@ -46,6 +46,7 @@ class CollisionCounter:
             self._owner.append(owners.get(int(model.body_rootid[body]), ""))
             self._is_wheel.append(body in wheel_bodies)
             self._is_drivable.append(body == 0 and name.split("/")[0] in DRIVABLE)
+        self._pairs: list[list[int]] = []
         self._contacts: frozenset[tuple[int, int]] = frozenset()
         self._step = -1
 
@@ -54,9 +55,13 @@ class CollisionCounter:
         if self._scene.steps == self._step:
             return
         self._step = self._scene.steps
+        pairs = self._scene.data.contact.geom.tolist()
+        if pairs == self._pairs:
+            return
+        self._pairs = pairs
         contacts = frozenset(
             (a, b)
-            for a, b in self._scene.data.contact.geom.tolist()
+            for a, b in pairs
             if not (
                 (self._is_wheel[a] and self._is_drivable[b])
                 or (self._is_wheel[b] and self._is_drivable[a])
