@@ -1,7 +1,5 @@
 """Compiles scenario files.
 
-Compiles scenario files.
-
 A scenario contains robots, a world, a script of commands, injected faults and expectations.
 """
 
