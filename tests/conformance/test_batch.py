@@ -142,6 +142,29 @@ def test_estimates_are_those_of_the_estimator(
 
 
 @SETTINGS
+@given(
+    wheels=st.one_of(any_wheels(), axle_wheels(), tricycle_wheels()),
+    seed=st.integers(0, 10**6),
+    polish=st.integers(0, 1),
+)
+def test_exact_estimates_are_those_of_the_estimator_to_the_last_bit(
+    wheels: list[WheelGeometry], seed: int, polish: int
+) -> None:
+    calculator = make("general", wheels)
+    estimator = TwistEstimator(calculator.geometry, None, EstimatorOptions(polish=polish))
+    calculator.estimator = estimator
+    joints = random_joints(seed, wheels, calculator)
+    speeds, angles, rates = joints
+    twists = np.empty((3, N))
+    batch = CalculatorBatch(calculator, as_scalar=True)
+    dropped = batch.estimate(speeds, angles, twists, rates=rates)
+    for k in range(N):
+        scalar = estimator.estimate(state(joints, k))
+        assert tuple(twists[:, k].tolist()) == scalar.twist
+        assert dropped.get(k, ()) == scalar.dropped
+
+
+@SETTINGS
 @given(wheels=st.one_of(any_wheels(), axle_wheels(), tricycle_wheels()), seed=st.integers(0, 10**6))
 def test_least_squares_are_those_of_the_estimator(wheels: list[WheelGeometry], seed: int) -> None:
     calculator = make("general", wheels)

@@ -79,7 +79,7 @@ class Odometry:
             self.store(joints, now, estimate, self.pose, covariance)
             return
         self.calculator.estimator.check(joints)
-        estimate = self.calculator.odometry(_mean_states(previous, joints, elapsed))
+        estimate = self.calculator.odometry(mean_states(previous, joints, elapsed))
         correlation = _LOW_RANK_CORRELATION if estimate.rank < 3 else 0.0
         motion, covariance = se2.integrate(
             self.covariance_at_joints, estimate.twist, estimate.covariance, elapsed, correlation
@@ -128,7 +128,7 @@ class Odometry:
         return ((a + way, b, c), (b, d + way, e), (c, e, f + turn))
 
 
-def _mean_states(start: JointStates, end: JointStates, dt: float) -> CheckedJointStates:
+def mean_states(start: JointStates, end: JointStates, dt: float) -> CheckedJointStates:
     """Returns the mean of two checked joint states at the start and the end of an interval.
 
     If the base measures positions, the wheel speeds are computed from the differences of the

@@ -19,6 +19,9 @@ from thorvaldc.simulation.scenario_expectations import ScenarioResult, check_exp
 from thorvaldc.simulation.scenario_metrics import ScenarioMetrics
 from thorvaldc.simulation.simulation_run import Simulation
 
+_TICKS_PER_CHECK = 25
+"""Number of ticks between two checks whether a run can still meet its expectations."""
+
 
 class ScenarioSimulation(Simulation):
     """A simulation of the robots and the world of a scenario."""
@@ -62,8 +65,9 @@ class ScenarioSimulation(Simulation):
         receives every tick of every robot.  The caller closes the recorders.  If ``hashed`` is
         false, the result has no hash, and the run takes less time.
 
-        Raises ``DiagnosticError`` if the run cannot start, and, if ``ends_early`` is true, as soon
-        as the run can no longer meet an expectation because the metric never falls.
+        Raises ``DiagnosticError`` if the run cannot start, and, if ``ends_early`` is true,
+        within ``_TICKS_PER_CHECK`` ticks after the run can no longer meet an expectation because
+        the metric never falls.
         """
         if self.scene is None:
             raise DiagnosticError("simulation-scene", "a scenario needs a scene")
@@ -77,8 +81,8 @@ class ScenarioSimulation(Simulation):
             if robot_metrics is None:
                 robot_metrics = metrics[loop.name] = ScenarioMetrics(loop)
             robot_metrics.update()
-            if limited:
-                _check_least_values(loop, robot_metrics.least_values(), limited)
+            if limited and loop.ticks % _TICKS_PER_CHECK == 0:
+                _check_least_values(loop, robot_metrics, limited)
             if all_recorders:
                 command = loop.driver.state.command
                 sample, joints = loop.sample(), None if command is None else command.joints
@@ -94,7 +98,8 @@ class ScenarioSimulation(Simulation):
         }
         self._bases: list[ScenarioBase] = []
         try:
-            run = self.run(self.scenario.duration, manoeuvres, report, measure)
+            sampled = bool(all_recorders) or on_tick is not None
+            run = self.run(self.scenario.duration, manoeuvres, report, measure, sampled=sampled)
         finally:
             for base in self._bases:
                 base.close()
@@ -145,13 +150,13 @@ class ScenarioSimulation(Simulation):
 
 
 def _check_least_values(
-    loop: ControlLoop, least_values: Mapping[str, float], limited: Sequence[Expectation]
+    loop: ControlLoop, metrics: ScenarioMetrics, limited: Sequence[Expectation]
 ) -> None:
     """Raises ``DiagnosticError`` if a metric that never falls is above an upper bound."""
     for expectation in limited:
-        value = least_values.get(expectation.metric)
+        value = metrics.least_value(expectation.metric)
         if value is not None and expectation.most is not None and value > expectation.most:
-            check = check_expectation(loop.name, least_values, expectation)
+            check = check_expectation(loop.name, {expectation.metric: value}, expectation)
             raise DiagnosticError(
                 "expectation-failed",
                 f"`{check.metric}` of {check.robot} is {check.value_text} after"

@@ -27,7 +27,7 @@ from thorvaldc.simulation.physics.sim_base import SimBase
 from thorvaldc.simulation.physics.wheel_errors import WheelErrors
 from thorvaldc.simulation.run_diagnostics import report_run
 from thorvaldc.simulation.run_result import SimulationResult
-from thorvaldc.simulation.vectorised.robot_groups import RobotGroups
+from thorvaldc.simulation.vectorised.robot_groups import MIN_GROUP_SIZE, RobotGroups
 
 
 class Simulation:
@@ -97,6 +97,8 @@ class Simulation:
         motion: Twist | Manoeuvre | Mapping[str, Manoeuvre],
         report: Report | None = None,
         on_tick: TickCallback | None = None,
+        *,
+        sampled: bool = True,
     ) -> SimulationResult:
         """Simulates a run of ``duration`` s from rest and returns the result of the run.
 
@@ -105,7 +107,9 @@ class Simulation:
         a divergence and a commanded twist that a robot cannot drive are added to ``report``.
 
         After each tick of a robot, ``on_tick`` is called with the control loop of the robot.
-        ``ControlLoop.sample`` then returns the measurements of the tick.
+        ``ControlLoop.sample`` then returns the measurements of the tick.  If ``on_tick`` reads
+        neither samples nor the odometry of the driver, ``sampled`` may be false: the result is the
+        same, and the run takes less time.
 
         Raises ``DiagnosticError`` if the run cannot start.
         """
@@ -113,9 +117,16 @@ class Simulation:
             raise DiagnosticError("twist-invalid", f"a run of {duration:g} s; it must be positive")
         if self.scene is not None:
             self.scene.reset()
+        # The odometry of a large group of robots is computed as a batch in each tick.
+        sampled = (sampled and on_tick is not None) or len(self.robots) >= MIN_GROUP_SIZE
         loops = [
             ControlLoop(
-                name, robot, self._base(name, robot), _manoeuvre(motion, name), self.parameters
+                name,
+                robot,
+                self._base(name, robot),
+                _manoeuvre(motion, name),
+                self.parameters,
+                sampled=sampled,
             )
             for name, robot in self.robots
         ]

@@ -35,7 +35,15 @@ class MujocoBase(GroundTruthBase):
 
     If two wheels work against each other, the torque of the drive motors lets both wheels follow
     the motion of the robot.
+
+    - ``is_noisy``: whether the joint readings have sensor noise.
+    - ``positions``, ``velocities``: views of the MuJoCo arrays ``qpos`` and ``qvel`` from the free
+      joint of the robot to the last joint of a wheel.
+    - ``spin_joints``, ``steering_joints``: (wheel, index in ``positions``, index in
+      ``velocities``) of each joint.
     """
+
+    is_noisy = False
 
     def __init__(
         self,
@@ -70,17 +78,15 @@ class MujocoBase(GroundTruthBase):
             )
         self._base = int(model.jnt_qposadr[free])
         self._base_velocity = int(model.jnt_dofadr[free])
-        # A joint is (wheel, index in qpos, index in qvel).  Both indices count from the free joint
-        # of the base, because the free joint is the first joint of the robot.  Each motor is a
-        # tuple of the wheel index and the actuator index.
-        self._spin: list[tuple[int, int, int]] = []
-        self._steering: list[tuple[int, int, int]] = []
+        # Each motor is a tuple of the wheel index and the actuator index.
+        self.spin_joints: list[tuple[int, int, int]] = []
+        self.steering_joints: list[tuple[int, int, int]] = []
         self._drive_motors: list[tuple[int, int]] = []
         self._steering_motors: list[tuple[int, int]] = []
         for i, wheel in enumerate(robot.wheels):
             for name, joints, motors in (
-                (wheel.spin_joint, self._spin, self._drive_motors),
-                (wheel.steering_joint, self._steering, self._steering_motors),
+                (wheel.spin_joint, self.spin_joints, self._drive_motors),
+                (wheel.steering_joint, self.steering_joints, self._steering_motors),
             ):
                 if name is None:
                     continue
@@ -91,15 +97,15 @@ class MujocoBase(GroundTruthBase):
                 if actuator is not None:
                     index = scene.index("actuator", prefix + actuator.name, robot)
                     motors.append((i, index))
-        all_joints = self._spin + self._steering
+        all_joints = self.spin_joints + self.steering_joints
         last_q = max((q for _, q, _ in all_joints), default=6)
         last_v = max((v for _, _, v in all_joints), default=5)
         # Views of the MuJoCo arrays of the scene.  Creating a view of a MuJoCo array takes four
         # times as long as copying the values of the view.  MuJoCo never moves the arrays of a
         # scene.
         data, base, base_velocity = scene.data, self._base, self._base_velocity
-        self._qpos = data.qpos[base : base + last_q + 1]
-        self._qvel = data.qvel[base_velocity : base_velocity + last_v + 1]
+        self.positions = data.qpos[base : base + last_q + 1]
+        self.velocities = data.qvel[base_velocity : base_velocity + last_v + 1]
         self._base_qpos = data.qpos[base : base + 7]
         self._voltages: list[tuple[int, int, float]] = []
         if open_loop:
@@ -116,13 +122,13 @@ class MujocoBase(GroundTruthBase):
         self.servos.limit()
         ratios, offsets = self._ratios, self._offsets
         # Reading a single number from a list is several times faster than from a numpy array.
-        qpos, qvel = self._qpos.tolist(), self._qvel.tolist()
+        qpos, qvel = self.positions.tolist(), self.velocities.tolist()
         speeds, positions = [0.0] * self._n, [0.0] * self._n
         angles, rates = [0.0] * self._n, [0.0] * self._n
-        for i, q, v in self._spin:
+        for i, q, v in self.spin_joints:
             positions[i] = qpos[q] / ratios[i]
             speeds[i] = qvel[v] / ratios[i]
-        for i, q, v in self._steering:
+        for i, q, v in self.steering_joints:
             angles[i] = qpos[q] - offsets[i]
             rates[i] = qvel[v]
         return JointStates(self.scene.time, speeds, angles, rates, positions)
@@ -183,7 +189,7 @@ class MujocoBase(GroundTruthBase):
         torque k u of the commanded speed u.
         """
         model = self.scene.model
-        joints = {i: v for i, _, v in self._spin}
+        joints = {i: v for i, _, v in self.spin_joints}
         for i, motor in self._drive_motors:
             actuator = self.robot.actuator_of(self.robot.wheels[i].spin_joint)
             if actuator is None:

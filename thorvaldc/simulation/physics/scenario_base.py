@@ -34,7 +34,6 @@ class ScenarioBase(MujocoBase):
     """A MuJoCo base with the injected faults and the sensor noise of a scenario.
 
     The method ``read`` returns joint states with sensor noise and with the active injected
-    faults.  ``true_joints`` are the joint states without sensor noise and without injected
     faults.  An injected fault with a wrong wheel radius or a wrong steering offset uses the
     ``WheelErrors`` of ``MujocoBase`` while the fault is active.  A failed motor and a wheel on ice
     are changes of the MuJoCo model.  The method ``close`` restores the MuJoCo model.
@@ -53,6 +52,7 @@ class ScenarioBase(MujocoBase):
         super().__init__(robot, scene, open_loop=open_loop)
         self._faults = faults
         self._noise = noise if noise is not None and _is_noisy(noise) else None
+        self.is_noisy = self._noise is not None
         self._has_gyro = any(sensor.type == "imu" for sensor in robot.sensors)
         self._encoders = _encoders(robot) if noise is not None and noise.encoder_counts else ()
         self._wheel_index = {wheel.name: i for i, wheel in enumerate(robot.wheels)}
@@ -67,14 +67,13 @@ class ScenarioBase(MujocoBase):
         self._saved: dict[int, list[tuple[Any, Any, Any]]] = {}
         self._frozen: dict[int, float] = {}
         self._no_errors = (self._ratios, self._offsets)
-        self.true_joints = JointStates(0.0, [], [], [])
 
     def read(self, now: float) -> JointStates:
         for number, fault in enumerate(self._faults):
             self._switch(number, fault, fault.start <= now < fault.end)
         self._ground.update(now)
         self._ratios, self._offsets = self._no_errors
-        joints = self.true_joints = super().read(now)
+        joints = super().read(now)
         errors = self._active_wheel_errors(now)
         if errors is None and self._noise is None and not self._faults:
             return joints
@@ -186,7 +185,7 @@ class ScenarioBase(MujocoBase):
         set point, the wheel would catch up with the set point when the motor works again.
         """
         model, data = self.scene.model, self.scene.data
-        addresses = {i: self._base + q for i, q, _ in self._spin}
+        addresses = {i: self._base + q for i, q, _ in self.spin_joints}
         for i, actuator in self._drive_motors:
             if i == wheel and int(model.actuator_actadr[actuator]) >= 0:
                 data.act[int(model.actuator_actadr[actuator])] = data.qpos[addresses[i]]

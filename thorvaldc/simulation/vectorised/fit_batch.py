@@ -1,16 +1,19 @@
 """Fits the twists of many states by weighted least squares, and tests the wheels.
 
-The module ``thorvaldc.runtime.calculators.twist_fit`` derives the equations.
+The module ``thorvaldc.runtime.calculators.twist_fit`` derives the equations.  The twists have the
+same order of operations as there.  With the same cosines and sines they are equal to the last bit.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from thorvaldc.runtime.calculators.linear_algebra import solve3
 from thorvaldc.runtime.calculators.twist_estimator import RANK_TOLERANCE, TwistEstimator
 from thorvaldc.runtime.calculators.twist_fit import (
     ROLL_AND_SIDE,
@@ -21,6 +24,7 @@ from thorvaldc.runtime.calculators.twist_fit import (
     USE_SIDE,
     WheelConstants,
 )
+from thorvaldc.simulation.vectorised.exact_functions import exact
 
 Array = NDArray[np.float64]
 Value = Array | float
@@ -75,13 +79,20 @@ class FitBatch(NamedTuple):
 
 
 def measure(
-    estimator: TwistEstimator, speeds: Array, angles: Array, rates: Array | None
+    estimator: TwistEstimator,
+    speeds: Array,
+    angles: Array,
+    rates: Array | None,
+    *,
+    as_scalar: bool = False,
 ) -> list[MeasurementBatch]:
     """Converts arrays of joint states, shape (wheels, n), to wheel measurements.
 
     - ``speeds``: wheel speeds, rad/s.
     - ``angles``: steering angles, rad.
     - ``rates``: steering rates in rad/s, or ``None`` if all steering rates are 0.
+    - ``as_scalar``: whether the cosines and sines have the same bits as in the scalar estimator,
+      which takes longer.
     """
     measurements = []
     for wheel in estimator.wheels:
@@ -91,21 +102,14 @@ def measure(
         x: Value = wheel.x
         y: Value = wheel.y
         if wheel.steered:
-            # The cosine c and the sine s are computed from a single tangent, which is faster: with
-            # t = tan(direction / 2), c = 2 / (1 + t^2) - 1 and s = t (1 + c).
-            t = angles[wheel.number] * (wheel.sign / 2.0)
-            if wheel.heading:
-                t += wheel.heading / 2.0
-            np.tan(t, out=t)
-            q = t * t
-            q += 1.0
-            np.divide(2.0, q, out=q)
-            t *= q
-            q -= 1.0
-            c, s = q, t
+            if as_scalar:
+                direction = wheel.heading + wheel.sign * angles[wheel.number]
+                c, s = exact(math.cos, direction), exact(math.sin, direction)
+            else:
+                c, s = _cosine_and_sine(wheel, angles[wheel.number])
             if wheel.trail or wheel.lateral:
-                x = wheel.x + (c - wheel.cos) * wheel.trail - (s - wheel.sin) * wheel.lateral
-                y = wheel.y + (s - wheel.sin) * wheel.trail + (c - wheel.cos) * wheel.lateral
+                x = wheel.x + ((c - wheel.cos) * wheel.trail - (s - wheel.sin) * wheel.lateral)
+                y = wheel.y + ((s - wheel.sin) * wheel.trail + (c - wheel.cos) * wheel.lateral)
                 if rates is not None:
                     turning = rates[wheel.number] * wheel.sign
                     z_l += turning * wheel.lateral
@@ -113,6 +117,24 @@ def measure(
                         z_t = turning * -wheel.trail
         measurements.append(MeasurementBatch(wheel, c, s, x, y, z_l, z_t))
     return measurements
+
+
+def _cosine_and_sine(wheel: WheelConstants, angles: Array) -> tuple[Array, Array]:
+    """Returns the rolling direction of a steered wheel.
+
+    Both numbers are computed from a single tangent, which is five times as fast as a cosine and a
+    sine: with t = tan(direction / 2), c = 2 / (1 + t^2) - 1 and s = t (1 + c).
+    """
+    t = angles * (wheel.sign / 2.0)
+    if wheel.heading:
+        t += wheel.heading / 2.0
+    np.tan(t, out=t)
+    q = t * t
+    q += 1.0
+    np.divide(2.0, q, out=q)
+    t *= q
+    q -= 1.0
+    return q, t
 
 
 def unweighted_fit(
@@ -138,8 +160,8 @@ def unweighted_fit(
             b2 += zy
             zy *= m.x
             zx *= m.y
+            zy -= zx
             b3 += zy
-            b3 -= zx
         (q11, q12, q13, q22, q23, q33), _ = estimator.inverse
         return _times(q11, q12, q13, q22, q23, q33, b1, b2, b3), None
     a11, a12, a13, a22, a23, a33 = (np.zeros(n) for _ in range(6))
@@ -169,10 +191,17 @@ def unweighted_fit(
     if yaw_rates is not None:
         a33 += k
         b3 += k * yaw_rates
-    inverse, det = _inverse(a11, a12, a13, a22, a23, a33)
+    det = (
+        a11 * (a22 * a33 - a23 * a23)
+        - a12 * (a12 * a33 - a13 * a23)
+        + a13 * (a12 * a23 - a13 * a22)
+    )
     mean = (a11 + a22 + a33 / k) / 3.0
     low = det <= RANK_TOLERANCE * k * mean * mean * mean
-    return _times(*inverse, b1, b2, b3), low if low.any() else None
+    with np.errstate(divide="ignore", invalid="ignore"):  # singular matrices
+        equations: list[Any] = [a11, a12, a13, a22, a23, a33, b1, b2, b3]
+        twist: Any = solve3(*equations)
+    return twist, low if low.any() else None
 
 
 def fit_twists(
@@ -212,10 +241,11 @@ def fit_twists(
             near = t2 < 0.25 * a2 - STILL
             k = np.sqrt(a2)
             np.copysign(k, c * ux + s * uy, out=k)
-            np.divide(1.0, k, out=k, where=near)
-            c, s = np.where(near, ux * k, c), np.where(near, uy * k, s)
+            c, s = np.array(c), np.array(s)
+            np.divide(ux, k, out=c, where=near)
+            np.divide(uy, k, out=s, where=near)
+            a2 *= 6.0
             np.divide(t2, a2, out=t2, where=near)
-            t2 *= 1.0 / 6.0
             t2 += 1.0
             t2 *= across
             t2 *= near
@@ -224,7 +254,8 @@ def fit_twists(
             v_l = np.zeros_like(vx)
             for m in skidding:
                 v_l += (m.c * (vx - wz * m.y) + m.s * (vy + wz * m.x)) ** 2
-            v_l *= skid2 / len(skidding)
+            v_l /= len(skidding)
+            v_l *= skid2
             v_l += floor2
             v_t = v_l
         if wheel.steered:
@@ -245,9 +276,9 @@ def fit_twists(
         a22 += w22
         a23 += ty
         ty *= x
-        a33 += ty
         tx *= y
-        a33 -= tx
+        ty -= tx
+        a33 += ty
         tx, ty = w11 * mx + w12 * my, w12 * mx + w22 * my
         b1 += tx
         b2 += ty

@@ -203,9 +203,9 @@ class _Joints(MujocoBase):
         twists = np.stack([c * vx + s * vy, c * vy - s * vx, states[:, :, moving + 5]], axis=2)
         shape = (*states.shape[:2], self._n)
         speeds, angles = np.zeros(shape), np.zeros(shape)
-        for wheel, _, v in self._spin:
+        for wheel, _, v in self.spin_joints:
             speeds[:, :, wheel] = states[:, :, moving + v]
-        for wheel, q, _ in self._steering:
+        for wheel, q, _ in self.steering_joints:
             angles[:, :, wheel] = states[:, :, base + q]
         upright = 1.0 - 2.0 * (i * i + j * j)
         poses = np.stack([x, y, yaw], axis=2)
