@@ -69,9 +69,9 @@ class ControlLoop:
     """Runs the driver of one robot along a manoeuvre and measures how the robot moves.
 
     ``path_commanded``, ``path_true`` and ``path_estimated`` are the path lengths (m) since the
-    start of the run.  ``yaw_true`` is the true yaw angle (rad) since the start of the run and is
-    not wrapped.  ``uprightness`` is the smallest cosine of the tilt angle since the start of the
-    run.
+    start of the run.  Without samples, ``path_estimated`` is known only after ``result``.
+    ``yaw_true`` is the true yaw angle (rad) since the start of the run and is not wrapped.
+    ``uprightness`` is the smallest cosine of the tilt angle since the start of the run.
     """
 
     def __init__(

@@ -9,8 +9,8 @@ from typing import Any
 
 from thorvaldc.diagnostics import Span
 from thorvaldc.model.scenario import Expectation
+from thorvaldc.simulation.metric_units import UNITS
 from thorvaldc.simulation.run_result import SimulationResult
-from thorvaldc.simulation.scenario_metrics import UNITS
 
 
 @dataclass(frozen=True, slots=True)

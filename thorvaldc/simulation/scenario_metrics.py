@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, WheelGeometry
 from thorvaldc.simulation.control_loop import ControlLoop
+from thorvaldc.simulation.metric_units import UNITS
 from thorvaldc.simulation.physics.rolling_radii import RollingRadii
 from thorvaldc.simulation.physics.scenario_base import ScenarioBase
 from thorvaldc.simulation.run_result import RobotResult
@@ -17,20 +18,6 @@ from thorvaldc.simulation.vectorised.exact_functions import exact
 
 Array = NDArray[np.float64]
 
-UNITS = {
-    "end_error": "m",
-    "yaw_error": "rad",
-    "path": "m",
-    "length_ratio": "",
-    "tilt": "rad",
-    "slip": "m/s",
-    "largest_slip": "m/s",
-    "steering_limit_hits": "",
-    "collisions": "",
-    "energy": "J",
-    "energy_per_metre": "J/m",
-}
-"""Names and units of all metrics, in the order of the output."""
 _LIMIT_TOLERANCE = math.radians(0.2)
 """Distance (rad) from a steering limit within which the joint counts as at the limit."""
 _LEAST_PATH = 1e-3

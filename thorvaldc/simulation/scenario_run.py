@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
@@ -16,8 +17,10 @@ from thorvaldc.simulation.manoeuvre import Segment
 from thorvaldc.simulation.physics.scenario_base import ScenarioBase
 from thorvaldc.simulation.records.recorder import Recorder, RunHash
 from thorvaldc.simulation.scenario_expectations import ScenarioResult, check_expectation
-from thorvaldc.simulation.scenario_metrics import ScenarioMetrics
 from thorvaldc.simulation.simulation_run import Simulation
+
+if TYPE_CHECKING:
+    from thorvaldc.simulation.scenario_metrics import ScenarioMetrics
 
 _TICKS_PER_CHECK = 25
 """Number of ticks between two checks whether a run can still meet its expectations."""
@@ -71,6 +74,9 @@ class ScenarioSimulation(Simulation):
         """
         if self.scene is None:
             raise DiagnosticError("simulation-scene", "a scenario needs a scene")
+        # The module imports numpy, which the help of a command does not need.
+        from thorvaldc.simulation.scenario_metrics import ScenarioMetrics
+
         run_hash = RunHash()
         all_recorders = (run_hash, *recorders) if hashed else tuple(recorders)
         metrics: dict[str, ScenarioMetrics] = {}

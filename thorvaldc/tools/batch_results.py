@@ -12,7 +12,7 @@ from typing import Any, TextIO
 
 from thorvaldc.diagnostics.text_table import text_table
 from thorvaldc.model.finite_json import finite
-from thorvaldc.simulation.scenario_metrics import UNITS
+from thorvaldc.simulation.metric_units import UNITS
 from thorvaldc.tools.scenario_batch import Run
 
 SUFFIXES = (".csv", ".json")

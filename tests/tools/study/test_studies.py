@@ -29,7 +29,7 @@ from thorvaldc.model import Robot
 from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.slope import SlopeStatics
-from thorvaldc.simulation.scenario_metrics import UNITS
+from thorvaldc.simulation.metric_units import UNITS
 from thorvaldc.tools.study.design_evaluation import DesignEvaluator, StudyInputs, robot_text
 from thorvaldc.tools.study.sample_points import designs_of
 from thorvaldc.tools.study.study_execution import StudyRun

@@ -16,12 +16,10 @@ import numpy as np
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseCalculator
-from thorvaldc.runtime.odometry import Odometry, mean_states
+from thorvaldc.runtime.odometry import LONGEST_INTERVAL, Odometry, mean_states
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.vectorised.calculator_batch import CalculatorBatch
 
-_LONGEST_PERIOD = 0.25
-"""Longest time (s) between two ticks: half of the longest interval of the odometry."""
 _MOST_INTERVALS = 4096
 """Number of stored intervals after which the pose is integrated, to bound the memory."""
 
@@ -63,11 +61,11 @@ class DeferredOdometry(Odometry):
         """Returns whether the odometry of a run can be deferred.
 
         - ``period``: time (s) between two ticks.  Each interval must have new joint states, and
-          must not be too long for the odometry.
+          must be well within the longest interval of the odometry.
         - ``timestep``: time (s) between two joint states of the simulation.
         """
         own_odometry = type(calculator).odometry is not BaseCalculator.odometry
-        return not own_odometry and 2.0 * timestep <= period <= _LONGEST_PERIOD
+        return not own_odometry and 2.0 * timestep <= period <= LONGEST_INTERVAL / 2.0
 
     def update(self, joints: JointStates, now: float) -> None:
         """Stores the joint states of a tick at ``now`` (s).
