@@ -22,8 +22,9 @@ from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
+from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import BaseDriver, DriveMode, DriverState
-from thorvaldc.runtime.runner import BaseRunner, Timing
+from thorvaldc.runtime.pace import Timing
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 SECONDS = float(os.environ.get("CAN_CYCLE_SECONDS", "60"))
@@ -37,15 +38,15 @@ def figures() -> Iterator[Figure]:
     if not isinstance(robot, Robot):
         raise SystemExit(f"{path} does not compile")
     with tempfile.TemporaryDirectory() as folder, _bus(str(path), folder) as channel:
-        runner, work, faults = _run(robot, channel)
-    timing = runner.timing
+        driven, work, faults = _run(robot, channel)
+    base, timing = driven.base, driven.timing
     # The pause between two drives is not a cycle.
     gaps = [gap for a, b in pairwise(timing.starts) if (gap := b - a) < 1.0]
     spread = statistics.pstdev(gaps)
-    off = sorted(abs(gap - runner.period) for gap in gaps)
-    connection = runner.base.connections[0]
+    off = sorted(abs(gap - driven.period) for gap in gaps)
+    connection = base.connections[0]
     said = (
-        f"9WD9WS at {1.0 / runner.period:g} Hz for {SECONDS:g} s of driving,"
+        f"9WD9WS at {1.0 / driven.period:g} Hz for {SECONDS:g} s of driving,"
         f" {timing.cycles} cycles,"
         f" {connection.receiver.received / timing.starts[-1]:.0f} frames/s received;"
         f" bus and driver share {os.cpu_count()} cores"
@@ -67,7 +68,7 @@ def figures() -> Iterator[Figure]:
         None,
         "lower",
         f"of {timing.cycles} cycles, {timing.skipped} of them skipped; started late by"
-        f" {1e3 * timing.latest:.2f} ms at the most; {runner.base.incomplete} not sent whole,"
+        f" {1e3 * timing.latest:.2f} ms at the most; {base.incomplete} not sent whole,"
         f" {connection.receiver.dropped} events dropped;"
         f" {len(faults)} times stopped and reset{': ' + faults[0] if faults else ''}",
     )
@@ -83,48 +84,48 @@ def figures() -> Iterator[Figure]:
     )
 
 
-def _run(robot: Robot, channel: str) -> tuple[BaseRunner, list[float], list[str]]:
-    """Drives for ``SECONDS``; returns runner, cycle times, and reset faults."""
+def _run(robot: Robot, channel: str) -> tuple[DrivenRobot, list[float], list[str]]:
+    """Drives for ``SECONDS``; returns driven, cycle times, and reset faults."""
     interfaces = open_interfaces(f"sim:{channel}", robot)
     clock = next(iter(interfaces.values()))
     robot = replace(robot, driver=replace(robot.driver, arming="automatic"))
     base = CanBase(robot, interfaces)
-    runner = BaseRunner(robot, base, clock, keep_starts=True)
+    driven = DrivenRobot(robot, base, clock, keep_starts=True)
     work: list[float] = []
 
     def feed(driver: BaseDriver, now: float) -> None:
         # The robot is armed automatically after zero, and after a gap in time it needs zero too.
-        if runner.ready:
-            waiting = not base.armed or driver.state.mode is DriveMode.WAITING
+        if driven.ready:
+            waiting = not driven.armed or driver.state.mode is DriveMode.WAITING
             driver.command(ZERO_TWIST if waiting else TWIST, now)
 
-    def watch(_: BaseRunner, state: DriverState) -> None:
+    def watch(_: DrivenRobot, state: DriverState) -> None:
         work.append(clock.now - state.time)
 
-    runner.feed = feed
+    driven.feed = feed
     gc.collect()
     gc.freeze()
     remaining, faults = SECONDS, []
-    starting, driving = Timing(), runner.timing
+    starting, driving = Timing(), driven.timing
     while remaining > 0.0:
-        runner.timing = starting
-        runner.run(clock.now + 30.0, stop=lambda: runner.ready or runner.state is BaseState.FAULT)
-        if runner.state is BaseState.FAULT and len(faults) < MOST_FAULTS:
+        driven.pace.timing = starting
+        driven.run(clock.now + 30.0, stop=lambda: driven.ready or base.state is BaseState.FAULT)
+        if base.state is BaseState.FAULT and len(faults) < MOST_FAULTS:
             faults.append(base.state_machine.reason)
-            runner.reset()
+            driven.reset()
             continue
-        if not runner.ready:
-            raise SystemExit(f"the robot is {runner.state.value}: {base.state_machine.reason}")
-        runner.timing, start = driving, clock.now
-        runner.run(start + remaining, watch=watch, stop=lambda: not runner.ready)
+        if not driven.ready:
+            raise SystemExit(f"the robot is {base.state.value}: {base.state_machine.reason}")
+        driven.pace.timing, start = driving, clock.now
+        driven.run(start + remaining, watch=watch, stop=lambda: not driven.ready)
         remaining -= clock.now - start
-        if not runner.ready:
+        if not driven.ready:
             # On a busy machine the bus or the driver may wait too long.
-            runner.timing = starting
-            runner.run(clock.now + 1.0)
-    runner.shutdown()
+            driven.pace.timing = starting
+            driven.run(clock.now + 1.0)
+    driven.shutdown()
     gc.unfreeze()
-    return runner, work, faults
+    return driven, work, faults
 
 
 @contextlib.contextmanager

@@ -237,7 +237,7 @@ def make_robot(
         (),
         (),
         CalculatorChoice(calculator),
-        DriverSettings(50.0, 0.5, 1.5, 1.5, 1.5, 1.5),
+        DriverSettings(50.0, 0.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5),
         total,
         SPAN,
         twist_sources=(

@@ -130,7 +130,7 @@ def build(
         (),
         (),
         CalculatorChoice("general"),
-        DriverSettings(50.0, 0.5, 1.5, 1.5, 1.5, 1.5),
+        DriverSettings(50.0, 0.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5),
         total,
         SPAN,
     )

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from thorvaldc.runtime.control.control_server import ControlServer
-from thorvaldc.runtime.control.service_table import Services
+from thorvaldc.runtime.service_table import Services
 
 BUFFER = 200_000
 """Bytes that a stream in memory keeps in each direction, about as many as a local socket."""

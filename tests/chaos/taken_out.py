@@ -12,7 +12,7 @@ from thorvaldc.runtime.can_base.battery_supervision import BatteryLevel, Battery
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.control.control_server import ControlServer
-from thorvaldc.runtime.control.service_table import Caller
+from thorvaldc.runtime.service_table import Caller
 from thorvaldc.runtime.multiplexer import Multiplexer, _Source
 from thorvaldc.runtime.owned_stop import OwnedStop
 from thorvaldc.runtime.runner import BaseRunner

@@ -20,7 +20,7 @@ from thorvaldc.cli.app import COMMANDS
 from thorvaldc.cli.command import CommandEntry, GroupEntry, load_command
 from thorvaldc.cli.completion import joined_words
 from thorvaldc.runtime.control.control_server import ControlServer
-from thorvaldc.runtime.control.service_table import Services
+from thorvaldc.runtime.service_table import Services
 
 PROGRAM = f"""\
 #!{sys.executable}

@@ -24,7 +24,7 @@ from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.frame_receiver import FrameReceiver
-from thorvaldc.runtime.runner import RequestRefused
+from thorvaldc.runtime.errors import RequestRefused
 from thorvaldc.runtime.se2 import ZERO_TWIST
 from thorvaldc.simulation.bus.battery_and_io_devices import BATTERY_FRAMES
 from thorvaldc.simulation.bus.roboteq_device import RoboteqController
@@ -57,10 +57,10 @@ def test_all_frames_of_a_battery_are_the_batterys() -> None:
     rig.simulated.wire().observers.append(lambda _, frame, __: sent.add(frame.id))
     rig.ready()
     assert {first + 1 for first in BATTERY_FRAMES} <= sent
-    battery = rig.runner.batteries()["battery"]
+    battery = rig.base.batteries()["battery"]
     for value in (battery.voltage, battery.current, battery.charge, *battery.temperatures):
         assert math.isfinite(value)
-    assert {found.cob_id for found in rig.runner.from_devices()} <= {STATE}
+    assert {found.cob_id for found in rig.base.nodes.from_devices()} <= {STATE}
 
 
 @pytest.mark.parametrize(
@@ -141,14 +141,14 @@ def test_a_hundred_frames_for_a_device_are_not_all_lost() -> None:
     refused = 0
     for number in range(100):
         try:
-            rig.runner.send_to_device(COMMAND, bytes([number]))
+            rig.base.nodes.send_to_device(COMMAND, bytes([number]), rig.now)
         except RequestRefused:
             refused += 1
     rig.run(0.5)
     passed = [frame for _, frame in rig.frames[at:] if frame.id == COMMAND]
     assert passed
     assert len(passed) + refused == 100
-    assert sum(rig.runner.relay_drops().values()) == refused
+    assert sum(rig.base.nodes.relay_drops().values()) == refused
 
 
 @pytest.mark.parametrize("cob_id", [0x000, 0x080, 0x201, 0x601, 0x77F])
@@ -157,7 +157,7 @@ def test_the_relay_passes_allowed_identifiers_only(cob_id: int) -> None:
     rig = Rig(cia402_robot())
     rig.ready()
     with pytest.raises(RequestRefused, match="not allowed"):
-        rig.runner.send_to_device(cob_id, b"\xaa\xbb")
+        rig.base.nodes.send_to_device(cob_id, b"\xaa\xbb", rig.now)
     rig.run(0.2)
     assert all(frame.data != b"\xaa\xbb" for _, frame in rig.frames)
 
@@ -184,12 +184,12 @@ def test_the_safety_stop_does_more_than_command_zero() -> None:
     for robot in (example_robot("4wd4ws_wide"), cia402_robot()):
         rig = Rig(robot)
         rig.drive()
-        rig.runner.safety_stop()
+        rig.driven.safety_stop()
         rig.run(2.0)  # motion is still commanded
         assert rig.state is BaseState.ESTOP
         assert rig.speed() == 0.0
         assert all(c.is_off for connection in rig.base.connections for c in connection.controllers)
-        rig.runner.safety_stop(False)
+        rig.driven.safety_stop(False)
         rig.run(1.0)
         assert rig.state is BaseState.ESTOP, "a release alone does not start motion"
         assert rig.speed() == 0.0
@@ -259,10 +259,10 @@ def test_nothing_jumps_when_the_driver_continues_after_a_fault() -> None:
     device.power_on()
     rig.until(lambda: rig.speed() == 0.0, 3.0)
     with pytest.raises(RequestRefused, match="command zero first"):
-        rig.runner.reset()
+        rig.driven.reset()
     rig.twist = ZERO_TWIST
     rig.run(0.5)
-    rig.runner.reset()
+    rig.driven.reset()
     rig.ready()
     rig.run(1.0)
     assert rig.speed() == 0.0

@@ -13,11 +13,12 @@ import pytest
 from tests.examples import ROBOTS, example_robot
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.ros.clock_watch import ClockWatch
-from thorvaldc.ros.driven_robot import DrivenRobot, RobotOnBuses, SimulatedRobotInProcess
 from thorvaldc.ros.parameters import PARAMETERS
 from thorvaldc.ros.topic_twists import TwistInputs
-from thorvaldc.runtime.control.service_table import ServiceError
+from thorvaldc.runtime.can_base.can_base import CanBase
+from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.runtime.service_table import ServiceError
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.physics.sim_base import SimBase
 
@@ -85,7 +86,7 @@ class Machine:
 
     def make(self, clock: Callable[[], float]) -> DrivenRobot:
         robot = example_robot("2wd0ws_greenhouse")
-        return SimulatedRobotInProcess(robot, SimBase(robot), clock=clock)
+        return DrivenRobot(robot, SimBase(robot), real_time=clock)
 
     def run(self, seconds: float, twist: Twist | None = None) -> float:
         """Runs the cycles that are due and returns the speed of the robot, m/s."""
@@ -95,7 +96,7 @@ class Machine:
                 robot = self.robot
                 robot.multiplexer.publish(SOURCE, twist, robot.input_time, "ROS")
             if self.robot.wait() <= 0.0:
-                self.robot.cycle()
+                self.robot.run_due_cycle()
             self.time += 0.01
         return self.robot.driver.state.odometry.twist.vx
 
@@ -115,7 +116,9 @@ class MachineOnBuses(Machine):
         simulated = SimulatedRobot(robot)
         simulated.power_on()
         interfaces = {bus.name: simulated.interface(bus.name) for bus in robot.buses}
-        return RobotOnBuses(robot, interfaces, self.factor, clock=clock)
+        base = CanBase(robot, interfaces, threaded=False)
+        bus = interfaces[robot.buses[0].name]
+        return DrivenRobot(robot, base, bus, factor=self.factor, real_time=clock)
 
 
 def test_a_simulated_robot_moves_only_after_arming() -> None:
@@ -151,7 +154,7 @@ def test_buses_run_faster_or_slower_than_real_time(factor: float) -> None:
     machine = MachineOnBuses(factor)
     machine.run(1.0)
     assert machine.robot.now == pytest.approx(factor, abs=0.05)
-    machine.robot.stop()
+    machine.robot.shutdown()
 
 
 @pytest.mark.parametrize(("factor", "stops"), [(1.0, True), (0.0, False)])
@@ -171,7 +174,7 @@ def test_a_frozen_process_is_a_gap_of_buses_that_keep_to_real_time(
     assert abs(speed) < 0.01 if stops else speed == pytest.approx(0.3, abs=0.05)
     reason = "no control cycle for 2000 ms; command zero first" if stops else ""
     assert machine.robot.driver.state.hold_reason == reason
-    machine.robot.stop()
+    machine.robot.shutdown()
 
 
 def test_refused_twists_are_counted_with_the_newest_reason() -> None:
@@ -215,5 +218,5 @@ def test_stop_brings_the_robot_to_rest() -> None:
     machine.run(0.1)
     machine.robot.call("arm")
     machine.run(1.0, FORWARD)
-    machine.robot.stop()
+    machine.robot.shutdown()
     assert abs(machine.robot.driver.state.odometry.twist.vx) < 1e-3

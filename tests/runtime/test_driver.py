@@ -303,7 +303,7 @@ def test_ideal_joints_ramp_and_slew() -> None:
 
 
 def test_default_settings_are_those_of_the_robot() -> None:
-    settings = DriverSettings(50.0, 0.2, 0.3, 1.0, 1.0, 1.0)
+    settings = DriverSettings(50.0, 0.2, 0.3, 1.0, 1.0, 1.0, 1.0, 1.0)
     driver = BaseDriver(replace(ROBOT, driver=settings), SimBase(ROBOT))
     assert run(driver, Twist(1.0, 0.0, 0.0), 0.0, 2.0)[-1].ramped.vx == pytest.approx(0.3)
     states = run(driver, None, 2.0, 2.4)

@@ -10,9 +10,10 @@ from tests.simulation.bus.robots import CIA402, compiled
 from thorvaldc.can.interface import CanInterface
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import DriverState
+from thorvaldc.runtime.errors import RequestRefused
 from thorvaldc.runtime.run_session import RunSession
-from thorvaldc.runtime.runner import BaseRunner, RequestRefused
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
@@ -51,8 +52,8 @@ def test_a_twist_is_driven_for_the_duration(
 def test_a_request_stops_the_robot(robot: Robot, interfaces: dict[str, CanInterface]) -> None:
     session = RunSession(robot, interfaces, twist=Twist(0.5, 0.0, 0.0), threaded=False)
 
-    def stop_when_it_drives(runner: BaseRunner, state: DriverState) -> None:
-        if runner.state is BaseState.ACTIVE:
+    def stop_when_it_drives(runner: DrivenRobot, state: DriverState) -> None:
+        if session.base.state is BaseState.ACTIVE:
             session.request_stop()
 
     assert session.run(stop_when_it_drives) is None
@@ -66,8 +67,8 @@ def test_a_session_with_a_twist_arms_the_robot_once(
     session = RunSession(robot, interfaces, twist=twist, duration=3.0, threaded=False)
     disarmed: list[float] = []
 
-    def disarm(runner: BaseRunner, state: DriverState) -> None:
-        if not disarmed and runner.state is BaseState.ACTIVE and runner.base.armed:
+    def disarm(runner: DrivenRobot, state: DriverState) -> None:
+        if not disarmed and session.base.state is BaseState.ACTIVE and runner.armed:
             runner.disarm()
             disarmed.append(state.time)
 
@@ -92,10 +93,10 @@ def test_the_status_line_counts_what_was_late_and_what_was_not_relayed(
     session = RunSession(robot, interfaces, duration=0.5, threaded=False)
     assert session.run() is None
     assert not re.search("overruns|relayed", session.status_line())
-    session.runner.timing.overruns = 2
+    session.driven.timing.overruns = 2
     for cob_id in (0x201, 0x601, 0x601):
         with pytest.raises(RequestRefused):
-            session.runner.send_to_device(cob_id, b"")
+            session.base.nodes.send_to_device(cob_id, b"", 0.0)
     assert session.status_line().endswith("  2 overruns  3 frames not relayed")
 
 
@@ -103,7 +104,7 @@ def test_a_robot_that_cannot_be_armed_ends_with_every_reason(
     robot: Robot, interfaces: dict[str, CanInterface]
 ) -> None:
     session = RunSession(robot, interfaces, twist=Twist(0.5, 0.0, 0.0), threaded=False)
-    session.runner.pre_arm_checks.append(lambda runner, now: ["the gate is open", "it rains"])
+    session.driven.pre_arm_checks.append(lambda runner, now: ["the gate is open", "it rains"])
     diagnostic = session.run()
     assert diagnostic is not None
     assert diagnostic.code.name == "bus-start"
@@ -118,7 +119,7 @@ def test_a_session_comes_to_rest_after_a_gap_in_time_and_continues(
     session = RunSession(robot, interfaces, twist=twist, duration=6.0, threaded=False)
     speeds: list[float] = []
 
-    def stall(runner: BaseRunner, state: DriverState) -> None:
+    def stall(runner: DrivenRobot, state: DriverState) -> None:
         if not runner.timing.gaps and state.ramped.vx > 0.49:
             runner.clock.sleep(0.1)
         elif runner.timing.gaps:

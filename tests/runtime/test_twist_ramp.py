@@ -11,7 +11,7 @@ from thorvaldc.model import DriverSettings
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.runtime.twist_ramp import LEAD, Ramp
 
-SETTINGS = DriverSettings(50.0, 0.5, 1.5, 1.0, 1.5, 1.0)
+SETTINGS = DriverSettings(50.0, 0.5, 1.5, 1.0, 1.5, 1.0, 1.5, 1.0)
 DT = 0.02
 
 

@@ -9,9 +9,9 @@ import time
 from types import TracebackType
 
 from thorvaldc.cli.diagnostic_output import message
+from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import DriverState
 from thorvaldc.runtime.run_session import RunSession
-from thorvaldc.runtime.runner import BaseRunner
 
 STATUS_PERIOD = 0.2
 """Time in s between two updates of the status line."""
@@ -36,19 +36,20 @@ class StatusView:
     ) -> None:
         self._erase_line()
 
-    def watch(self, runner: BaseRunner, state: DriverState) -> None:
+    def watch(self, driven: DrivenRobot, state: DriverState) -> None:
         """Prints new state changes of the base driver and updates the status line.
 
         The method ``watch`` must be called after each control cycle of the base driver.
         """
         session = self._session
-        if runner.changes:
+        changes = session.base.changes
+        if changes:
             self._erase_line()
-            for change in runner.changes:
+            for change in changes:
                 reason = f": {change.reason}" if change.reason else ""
                 elapsed = change.time - session.start_time
                 message(f"{elapsed:8.2f} s  {change.state.value}{reason}")
-            runner.changes.clear()
+            changes.clear()
         now = time.monotonic()
         if sys.stderr.isatty() and now - self._last_time >= STATUS_PERIOD:
             self._last_time = now

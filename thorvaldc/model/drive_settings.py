@@ -16,6 +16,12 @@ SAFETY_STOP = "safety_stop"
 """Name of the stop lock that every robot has."""
 REQUIRED, AUTOMATIC = "required", "automatic"
 """Values of ``DriverSettings.arming``."""
+ON_ARMING, AT_START = "on_arming", "at_start"
+"""Values of ``DriverSettings.homing``."""
+ARMING_TIMEOUT = 300.0
+"""Default of ``DriverSettings.arming_timeout`` in s."""
+ZERO_FIRST, ANY_FIRST = "zero", "any"
+"""Values of ``TwistInput.first_command``."""
 STOP_PRIORITY = 255
 """Priority of a twist lock from which on the lock is a stop lock, see ``TwistInput``."""
 
@@ -63,8 +69,14 @@ class DriverSettings(Element):
     - ``max_linear_velocity``, ``max_angular_velocity``: limits of the twist in m/s and rad/s.
     - ``max_linear_acceleration``, ``max_angular_acceleration``: limits of the change of the twist
       in m/s^2 and rad/s^2.
-    - ``arming``: ``required`` if the service ``arm`` must be called before a robot on a bus accepts
-      motion, or ``automatic`` if it accepts motion after a zero twist.
+    - ``max_linear_deceleration``, ``max_angular_deceleration``: decelerations in m/s^2 and rad/s^2
+      with which the robot slows down and stops. No program can change them at run time.
+    - ``arming``: ``required`` if the service ``arm`` must be called before the robot accepts
+      motion, or ``automatic`` if it accepts motion when every source commands zero or nothing.
+    - ``arming_timeout``: time in s after which the robot is disarmed if no source of twists was
+      heard. It does not apply to automatic arming.
+    - ``homing``: ``on_arming`` if the steering joints find their home position when the robot is
+      armed, or ``at_start`` if they do as soon as the motor controllers are ready.
     - ``noise``: standard deviations for the odometry that the robot file sets, in SI units. The
       names of the standard deviations are the fields of the class ``Noise`` of the runtime.
     - ``stopping_distance``: longest distance in m in which every stop must end, or ``None``. The
@@ -78,10 +90,14 @@ class DriverSettings(Element):
     max_angular_velocity: float
     max_linear_acceleration: float
     max_angular_acceleration: float
+    max_linear_deceleration: float
+    max_angular_deceleration: float
     noise: tuple[tuple[str, float], ...] = ()
     stopping_distance: float | None = None
     battery: BatterySettings = BatterySettings()
     arming: str = REQUIRED
+    arming_timeout: float = ARMING_TIMEOUT
+    homing: str = ON_ARMING
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -113,12 +129,16 @@ class TwistInput(Element):
     - ``timeout``: time in s without a message after which a source becomes inactive and a lock
       blocks. A twist lock with the timeout 0 s never times out and keeps the state of its last
       message.
+    - ``first_command``: ``zero`` if a twist source that is new, was silent, or takes over from a
+      source that fell silent must command a zero twist before it moves the robot, or ``any`` if it
+      may move the robot with its first twist, as in twist_mux. It has no meaning for a lock.
     """
 
     name: str
     topic: str
     priority: int
     timeout: float
+    first_command: str = ZERO_FIRST
 
     @property
     def is_stop_lock(self) -> bool:

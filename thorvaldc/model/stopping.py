@@ -196,7 +196,7 @@ def driver_ramp(driven: DrivenWheels, settings: DriverSettings) -> Ramp:
     """
     if not driven:
         return Ramp(0.0, 0.0, 0.0)
-    a, alpha = settings.max_linear_acceleration, settings.max_angular_acceleration
+    a, alpha = settings.max_linear_deceleration, settings.max_angular_deceleration
     top_speed, top_rate = settings.max_linear_velocity, settings.max_angular_velocity
     wheel_speed = min(actuator.max_velocity * wheel.radius for wheel, actuator in driven)
     lever = max(math.hypot(wheel.x, wheel.y) for wheel, _ in driven)

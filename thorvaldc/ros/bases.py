@@ -7,10 +7,12 @@ import gc
 from collections.abc import Mapping
 from pathlib import Path
 
+from thorvaldc.can.interface import CanInterface
 from thorvaldc.can.open_interface import lock_buses, open_interfaces
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
-from thorvaldc.ros.driven_robot import DrivenRobot, RobotOnBuses, SimulatedRobotInProcess
+from thorvaldc.runtime.can_base.can_base import CanBase
+from thorvaldc.runtime.driven_robot import DrivenRobot
 
 
 class NodeError(Exception):
@@ -39,8 +41,26 @@ def open_robot(robot: Robot, model_file: Path, base: str, bus: str, factor: floa
 def _on_buses(robot: Robot, bus: str) -> DrivenRobot:
     with contextlib.ExitStack() as stack:
         lock_buses(bus, robot, stack)
-        interfaces = open_interfaces(bus, robot)
-        return RobotOnBuses(robot, interfaces, locks=stack.pop_all())
+        driven = _over_buses(robot, open_interfaces(bus, robot))
+        driven.resources.enter_context(stack.pop_all())
+        return driven
+
+
+def _over_buses(
+    robot: Robot, interfaces: Mapping[str, CanInterface], factor: float | None = None
+) -> DrivenRobot:
+    """Returns a robot on CAN buses.
+
+    ``factor``: speed of buses that are simulated in this process relative to the real time, or
+    ``None`` for buses that run by themselves.
+    """
+    try:
+        base = CanBase(robot, interfaces, threaded=factor is None)
+    except DiagnosticError:
+        for interface in interfaces.values():
+            interface.close()
+        raise
+    return DrivenRobot(robot, base, interfaces[robot.buses[0].name], factor=factor)
 
 
 def _simulated(robot: Robot, model_file: Path, base: str, factor: float) -> DrivenRobot:
@@ -51,16 +71,16 @@ def _simulated(robot: Robot, model_file: Path, base: str, factor: float) -> Driv
         simulated = SimulatedRobot(robot)
         simulated.power_on()
         interfaces = {b.name: simulated.interface(b.name, fifo=True) for b in robot.buses}
-        return RobotOnBuses(robot, interfaces, factor)
+        return _over_buses(robot, interfaces, factor)
     if base == "ideal":
         from thorvaldc.simulation.physics.sim_base import SimBase
 
-        return SimulatedRobotInProcess(robot, SimBase(robot), factor)
+        return DrivenRobot(robot, SimBase(robot), factor=factor)
     from thorvaldc.simulation.physics.mujoco_base import MujocoBase
     from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
     scene = MujocoScene(_scene_files(robot, model_file))
-    return SimulatedRobotInProcess(robot, MujocoBase(robot, scene), factor)
+    return DrivenRobot(robot, MujocoBase(robot, scene), factor=factor)
 
 
 def _scene_files(robot: Robot, model_file: Path) -> Path | Mapping[str, bytes]:

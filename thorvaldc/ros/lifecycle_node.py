@@ -26,7 +26,6 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.ros.bases import NodeError, description_text, open_robot
 from thorvaldc.ros.clock_watch import ClockWatch
-from thorvaldc.ros.driven_robot import DrivenRobot, RobotOnBuses, SimulatedRobotInProcess
 from thorvaldc.ros.messages import (
     JointMessages,
     battery_message,
@@ -38,8 +37,9 @@ from thorvaldc.ros.node_diagnostics import diagnostic_statuses
 from thorvaldc.ros.node_parameters import NodeParameters
 from thorvaldc.ros.node_services import create_services
 from thorvaldc.ros.topic_twists import TwistInputs
-from thorvaldc.runtime.control.service_table import ServiceError
+from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.run_session import UNTESTED
+from thorvaldc.runtime.service_table import ServiceError
 
 NODE_NAME = "base_driver"
 REPORT_PERIOD = 1.0
@@ -137,11 +137,10 @@ class BaseDriverNode(LifecycleNode):  # type: ignore[misc]
         if robot is not None and robot.wait() <= 0.0:
             self._watch_clock(robot)
             try:
-                robot.cycle()
+                robot.run_due_cycle()
             except BaseException:
                 self.robot = None
-                if isinstance(robot, RobotOnBuses):
-                    robot.close()
+                robot.close()
                 raise
             self._publish(robot)
             self._watch_bus(robot)
@@ -152,7 +151,7 @@ class BaseDriverNode(LifecycleNode):  # type: ignore[misc]
         """Stops the robot and closes its base."""
         robot, self.robot = self.robot, None
         if robot is not None:
-            robot.stop()
+            robot.shutdown()
             self._publish(robot)
 
     def restart_simulation(self) -> None:
@@ -288,15 +287,11 @@ class BaseDriverNode(LifecycleNode):  # type: ignore[misc]
 
     def _on_frame(self, message: Any) -> None:
         robot = self.robot
-        if not isinstance(robot, RobotOnBuses):
+        if robot is None or robot.void_reason():
             return
         data = bytes(message.data[: message.dlc])
         frame = CanFrame(message.id, data, message.is_extended, message.is_rtr)
-        for connection in robot.runner.base.connections:
-            known = message.id in connection.relay.to_device
-            if not robot.void_reason() and (known or connection.bus is self.model.buses[-1]):
-                connection.relay.offer(frame, robot.now)
-                return
+        robot.base.send_to_device(frame, robot.now)
 
     # -- messages out --------------------------------------------------------------------------
 
@@ -319,21 +314,13 @@ class BaseDriverNode(LifecycleNode):  # type: ignore[misc]
         joints = self._joints.message(state, stamp)
         if joints is not None:
             self._joint_states.publish(joints)
-        if self._from_devices is not None and isinstance(robot, RobotOnBuses):
-            for connection in robot.runner.base.connections:
-                for frame in connection.relay.received():
-                    message = self._frame_type(id=frame.cob_id, dlc=len(frame.data))
-                    message.header.stamp = stamp
-                    message.data[: len(frame.data)] = list(frame.data)
-                    self._from_devices.publish(message)
-        summary: tuple[Any, ...] = (
-            state.mode,
-            state.fault,
-            robot.armed,
-            getattr(robot, "paused", False),
-        )
-        if isinstance(robot, RobotOnBuses):
-            summary = (*summary, robot.runner.state)
+        if self._from_devices is not None:
+            for frame in robot.base.frames_from_devices():
+                message = self._frame_type(id=frame.id, dlc=len(frame.data))
+                message.header.stamp = stamp
+                message.data[: len(frame.data)] = list(frame.data)
+                self._from_devices.publish(message)
+        summary = state.mode, state.fault, robot.armed, robot.paused, robot.base.hold_reason
         if summary != self._reported:
             self._reported = summary
             self._next_report = 0.0
@@ -350,8 +337,8 @@ class BaseDriverNode(LifecycleNode):  # type: ignore[misc]
         self._diagnostics.publish(message)
         if self._clock_topic is not None and robot is not None:
             self._clock_topic.publish(Clock(clock=stamp))  # also while the simulation is paused
-        if isinstance(robot, RobotOnBuses):
-            for battery, reported in robot.runner.batteries().items():
+        if robot is not None:
+            for battery, reported in robot.base.batteries().items():
                 frame = self.values["base_frame_id"]
                 self._battery.publish(battery_message(battery, reported, stamp, frame))
 
@@ -367,14 +354,14 @@ class BaseDriverNode(LifecycleNode):  # type: ignore[misc]
             robot.void(jump or self.clock_watch.problem)
 
     def _watch_bus(self, robot: DrivenRobot) -> None:
-        if isinstance(robot, RobotOnBuses) and robot.lost:
-            problem = robot.lost
+        problem = robot.base.lost
+        if problem:
             self.get_logger().error(f"{problem}; activate the node again when it is back")
             self.trigger_deactivate()
             self.problem = problem
 
-    def simulation(self) -> SimulatedRobotInProcess:
+    def simulation(self) -> DrivenRobot:
         """Returns the simulated robot.  Raises ``ServiceError`` if there is none."""
-        if not isinstance(self.robot, SimulatedRobotInProcess):
+        if self.robot is None or not self.robot.owns_clock:
             raise ServiceError("there is no simulation: the node is inactive")
         return self.robot

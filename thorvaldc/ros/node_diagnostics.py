@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from thorvaldc.ros.driven_robot import DrivenRobot, RobotOnBuses
 from thorvaldc.ros.messages import ERROR, OK, WARN, diagnostic_status
 from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import DriveMode
 
-_FAULTS = (BaseState.FAULT, BaseState.ESTOP)
+_FAULTS = (BaseState.FAULT.value, BaseState.ESTOP.value)
+_LEVELS = {"ok": OK, "warning": WARN, "error": ERROR}
 _REFUSING = (DriveMode.TIMED_OUT, DriveMode.WAITING, DriveMode.HELD)
 
 
@@ -40,8 +41,8 @@ def diagnostic_statuses(name: str, node: Any, robot: DrivenRobot | None) -> list
             f"{name}: commands", hardware, WARN if refuses else OK, commands_text, commands
         )
     )
-    if isinstance(robot, RobotOnBuses):
-        statuses += _bus_statuses(name, hardware, robot)
+    if robot is not None:
+        statuses += _component_statuses(name, hardware, robot)
     return statuses
 
 
@@ -49,8 +50,8 @@ def _verdict(robot: DrivenRobot, state: dict[str, Any]) -> tuple[bytes, str]:
     mode = robot.driver.state.mode
     if state["fault"]:
         return ERROR, str(state["fault"])
-    if isinstance(robot, RobotOnBuses) and robot.runner.state in _FAULTS:
-        return ERROR, str(robot.runner.state.value)
+    if state.get("supervisor") in _FAULTS:
+        return ERROR, str(state["supervisor"])
     if warnings := state.get("warnings"):
         return WARN, "; ".join(warnings)
     if state.get("paused"):
@@ -60,10 +61,9 @@ def _verdict(robot: DrivenRobot, state: dict[str, Any]) -> tuple[bytes, str]:
     return OK, mode.value
 
 
-def _bus_statuses(name: str, hardware: str, robot: RobotOnBuses) -> list[Any]:
-    """Returns the statuses of the control loop, the buses, the motor controllers and batteries."""
-    runner, now = robot.runner, robot.now
-    timing = runner.timing
+def _component_statuses(name: str, hardware: str, robot: DrivenRobot) -> list[Any]:
+    """Returns the statuses of the control loop and of the parts of the base."""
+    timing = robot.timing
     times = {
         "cycles": timing.cycles,
         "overruns": timing.overruns,
@@ -71,52 +71,15 @@ def _bus_statuses(name: str, hardware: str, robot: RobotOnBuses) -> list[Any]:
         "latest": timing.latest,
         "longest": timing.longest,
         "gaps": timing.gaps,
-        "changes": [
-            f"{c.time:.2f} s {c.state.value} {c.reason}".strip() for c in runner.changes[-5:]
-        ],
-        "events": [f"{e.time:.2f} s {e.text}" for e in runner.events[-5:]],
+        "events": [f"{e.time:.2f} s {e.text}" for e in robot.events[-5:]],
     }
-    statuses = [
-        diagnostic_status(
-            f"{name}: timing",
-            hardware,
-            WARN if timing.overruns else OK,
-            f"{timing.overruns} overruns",
-            times,
-        )
+    level, text = WARN if timing.overruns else OK, f"{timing.overruns} overruns"
+    return [
+        diagnostic_status(f"{name}: timing", hardware, level, text, times),
+        *(
+            diagnostic_status(
+                f"{name}: {part.name}", hardware, _LEVELS[part.level], part.text, dict(part.values)
+            )
+            for part in robot.base.component_statuses(robot.now)
+        ),
     ]
-    for connection in runner.base.connections:
-        receiver, problem = connection.receiver, connection.problem(now)
-        values: dict[str, Any] = {
-            "received": receiver.received,
-            "dropped": receiver.dropped,
-            "malformed": connection.malformed,
-            "not_sent": connection.not_sent,
-            "relayed": connection.relay.passed.total(),
-        }
-        bus = f"{name}: bus {connection.bus.name}"
-        level = ERROR if problem or receiver.lost else OK
-        statuses.append(diagnostic_status(bus, hardware, level, problem or "ok", values))
-        for controller in connection.controllers:
-            problem = controller.problem or controller.power_loss
-            values = {
-                "homed": controller.homed,
-                "follows": controller.follows,
-                "error_code": f"{controller.error_code:#06x}",
-            }
-            level = ERROR if problem or controller.error_code else OK
-            status = f"{name}: {controller.node.name}"
-            statuses.append(diagnostic_status(status, hardware, level, problem or "ok", values))
-    supervision = runner.battery_supervision
-    for battery, reported in runner.batteries().items():
-        reports: dict[str, Any] = {
-            "voltage": reported.voltage,
-            "current": reported.current,
-            "charge": reported.charge,
-            "alarms": reported.alarms,
-            "temperatures": reported.temperatures,
-        }
-        level = WARN if supervision.reason else OK
-        text = supervision.reason or "ok"
-        statuses.append(diagnostic_status(f"{name}: {battery}", hardware, level, text, reports))
-    return statuses

@@ -11,8 +11,9 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
 from thorvaldc.ros.parameters import PARAMETER_SET
+from thorvaldc.ros.topic_twists import OWNER
 from thorvaldc.runtime.can_base.battery_and_io_drivers import IoBoardDriver
-from thorvaldc.runtime.control.service_table import ServiceError
+from thorvaldc.runtime.service_table import ServiceError
 
 
 def create_services(node: Any) -> list[Any]:
@@ -21,8 +22,10 @@ def create_services(node: Any) -> list[Any]:
     def call(service: str, **arguments: Any) -> str:
         if node.robot is None:
             raise ServiceError("the node is inactive; activate it first")
-        result = node.robot.call(service, **arguments)
-        return "" if result is None else json.dumps(result)
+        result = node.robot.call(service, OWNER, **arguments)
+        if result is None or isinstance(result, str):
+            return result or ""
+        return json.dumps(result)
 
     def switch(on: str, off: str) -> Callable[[bool], str]:
         return lambda value: call(on if value else off)

@@ -7,9 +7,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from thorvaldc.model import Robot
-from thorvaldc.ros.driven_robot import OWNER, DrivenRobot
+from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.se2 import Twist
 
+OWNER = "ROS"
+"""Name of all ROS programs as owners of twist sources and stops: ROS does not tell who sends."""
 LARGEST_CLOCK_ERROR = 0.005
 """Largest time (s) by which a stamped twist may seem to come from the future."""
 
@@ -46,7 +48,7 @@ class TwistInputs:
     def _refusal(self, robot: DrivenRobot | None, twist: Twist, age: float) -> str:
         if robot is None:
             return "the node is inactive"
-        if getattr(robot, "paused", False):
+        if robot.paused:
             return "the simulation is paused"
         if reason := robot.void_reason():
             return reason

@@ -3,8 +3,26 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.runtime.service_table import Service
+
+
+class ComponentStatus(NamedTuple):
+    """State of a part of a base, such as a bus or a motor controller.
+
+    - ``level``: ``ok``, ``warning`` or ``error``;
+    - ``text``: one line for the operator;
+    - ``values``: values as JSON, by name.
+    """
+
+    name: str
+    level: str
+    text: str
+    values: Mapping[str, Any]
 
 
 @dataclass(slots=True)
@@ -57,6 +75,9 @@ class BaseHandle(abc.ABC):
 
     The parameter ``now`` of the methods is the monotonic time of the driver in s.  A simulated base
     advances its simulation to ``now``.
+
+    A base must read and write joints.  All other methods tell what else it can do: their defaults
+    are those of ideal joints, which are always ready and have no batteries, stops and services.
     """
 
     @property
@@ -68,13 +89,45 @@ class BaseHandle(abc.ABC):
         return ""
 
     @property
-    def waiting_reason(self) -> str:
-        """Reason why the base accepts no motion now although it follows joint commands.
-
-        The reason is an empty text if the base accepts motion.  A base that needs no arming always
-        accepts motion.
-        """
+    def lost(self) -> str:
+        """Reason why the joints cannot be reached any more, or an empty text."""
         return ""
+
+    @property
+    def speed_share(self) -> float:
+        """Share (0 to 1) of the limits of the twist that the base allows, such as less than 1 while
+        a battery is low."""
+        return 1.0
+
+    @property
+    def disarming_reason(self) -> str:
+        """Reason why the robot must come to rest and be disarmed, or an empty text."""
+        return ""
+
+    period: float | None = None
+    """Period (s) of the control cycle, or ``None`` for the period of the driver's settings."""
+    longest_stop = 10.0
+    """Longest time (s) after ``end`` in which the base comes to rest."""
+
+    @property
+    def is_homed(self) -> bool:
+        """``False`` if steering joints must find their home position before the robot drives."""
+        return True
+
+    @property
+    def is_homing(self) -> bool:
+        """``True`` while steering joints find their home position."""
+        return False
+
+    @property
+    def ended(self) -> bool:
+        """``True`` if the joints are at rest and have no torque after ``end``, as far as known."""
+        return True
+
+    @property
+    def gaps_are_faults(self) -> bool:
+        """``True`` if the motors have torque and can move while no control cycle runs."""
+        return False
 
     @abc.abstractmethod
     def read(self, now: float) -> JointStates:
@@ -91,6 +144,73 @@ class BaseHandle(abc.ABC):
         compute steering rates from successive joint commands.
         """
         return
+
+    def arming_reasons(self, now: float) -> Iterable[str]:
+        """Returns the reasons of the base against arming the robot at ``now`` (s)."""
+        return (self.hold_reason,) if self.hold_reason else ()
+
+    def home(self, now: float) -> str:
+        """Starts to home the steering joints.  Returns the reason if this is refused."""
+        return "this base has no joints to home"
+
+    def cancel_homing(self, now: float) -> None:
+        """Stops a homing; the joints have to be homed again."""
+        return
+
+    def safety_stop(self, engaged: bool) -> None:
+        """Stops all motors and switches them off, or releases this stop."""
+        return
+
+    def reset(self, now: float, commanded: bool) -> str:
+        """Leaves a fault or a stop of the base.  Returns the reason if this is refused.
+
+        ``commanded``: a motion is commanded, so that the reset must be refused.
+        """
+        return ""
+
+    def fail(self, reason: str) -> None:
+        """Puts the base into a fault for a reason that the base does not see itself."""
+        return
+
+    def note_cycle(self, now: float, *, stale: bool) -> None:
+        """Ends a control cycle.  ``stale``: the robot does not follow a fresh twist."""
+        return
+
+    def end(self) -> None:
+        """Begins the end of the run: the base stops all joints, then takes their torque away."""
+        return
+
+    def leave(self) -> None:
+        """Sends the last messages after ``ended``."""
+        return
+
+    def batteries(self) -> Mapping[str, Any]:
+        """Returns the states of the batteries (``BatteryState``) by name."""
+        return {}
+
+    def warnings(self, now: float) -> list[str]:
+        """Returns warnings about the base that do not stop the robot."""
+        return []
+
+    def values(self) -> dict[str, Any]:
+        """Returns what the service ``state`` says about the base, as JSON values."""
+        return {}
+
+    def component_statuses(self, now: float) -> Iterable[ComponentStatus]:
+        """Returns the states of the parts of the base, for an operator."""
+        return ()
+
+    def send_to_device(self, frame: CanFrame, now: float) -> str:
+        """Relays a CAN frame to a foreign device.  Returns the reason if it is refused."""
+        return "the robot has no bus"
+
+    def frames_from_devices(self) -> Iterable[CanFrame]:
+        """Returns the CAN frames that foreign devices have sent since the last call."""
+        return ()
+
+    def services(self) -> Sequence[Service]:
+        """Returns the services that only this kind of base has."""
+        return ()
 
     def close(self) -> None:
         """Releases the resources of the base.

@@ -15,6 +15,8 @@ from thorvaldc.model import DriverSettings, Robot
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.runtime.base_interface import BaseHandle, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, TwistEstimate, for_robot
+from thorvaldc.runtime.errors import ParameterError
+from thorvaldc.runtime.motion_permission import MotionPermission
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL, Odometry
 from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Cov3, Pose2, Twist
@@ -23,6 +25,8 @@ from thorvaldc.runtime.twist_ramp import Ramp
 
 MAX_TWIST = 1e9
 """Twists with components (m/s, rad/s) whose absolute sum reaches this limit are rejected."""
+STANDING_SPEED = 0.05
+"""Wheel speed (rad/s) below which a wheel stands."""
 _TIME_TOLERANCE = 1e-9
 """Tolerance (s) for rounding errors in the check of the command timeout."""
 
@@ -122,13 +126,9 @@ class BaseDriver:
         self._commanded_twist = ZERO_TWIST
         self._command_time = -math.inf
         self.time_gaps = TimeGapRule.of(robot, self.settings)
-        self._gap_time = -math.inf
-        self._gap_reason = ""
-        self._gap_fault = ""
-        self._restarts_ramp = False
+        self.permission = MotionPermission()
         geometry = self.calculator.geometry
         self._ramp = Ramp(self.settings, geometry.length, geometry.steering_time)
-        self._stopping = False
         self.odometry = Odometry(self.calculator, self._top_speeds)
         self.state = DriverState(
             -math.inf,
@@ -172,7 +172,7 @@ class BaseDriver:
         Before the first control cycle there is no gap.
         """
         last = self.state.time
-        return self.time_gaps.judge(now - last) if math.isfinite(last) else Gap.NONE
+        return self.time_gaps.judge(now - last, now) if math.isfinite(last) else Gap.NONE
 
     def void_commands(self, reason: str) -> None:
         """Voids the last command, and accepts no motion before a zero twist is commanded.
@@ -180,24 +180,16 @@ class BaseDriver:
         ``reason``: reason that the operator sees, such as ``no control cycle for 120 ms``.
         """
         self._command_time = -math.inf
-        self._gap_time = self.state.time
-        self._gap_reason = reason
+        self.permission.void(reason, self.state.time)
 
     def reset(self) -> None:
         """Resets the fault of a long gap in time.
 
         The robot moves again after a zero twist was commanded.
         """
-        if self._gap_fault:
-            self.void_commands(self._gap_fault)
-            self._gap_fault = ""
-
-    def accept_motion(self) -> None:
-        """Accepts motion again without a zero twist after a gap in time.
-
-        The caller must have checked that no motion is commanded.
-        """
-        self._gap_reason = ""
+        if self.permission.fault:
+            self._command_time = -math.inf
+            self.permission.reset(self.state.time)
 
     @property
     def settings(self) -> DriverSettings:
@@ -234,11 +226,25 @@ class BaseDriver:
         - ``limits``: limits in SI units by name, such as ``max_linear_velocity``.
 
         Parameters that are not named keep their values.  All parameter changes take effect together
-        in the next tick, after the odometry update.  Raises ``ParameterError`` if a name is unknown
-        or a value is invalid.  The parameters are unchanged after an error.
+        in the next tick, after the odometry update.  The parameters are unchanged after an error.
+
+        Raises ``ParameterError`` if a name is unknown, if a value is outside of the range that the
+        robot file allows, or if a radius is changed while the robot moves: the same twist would
+        suddenly mean another speed of the wheels.
         """
         current = self._staged[0] if self._staged is not None else self.parameters
-        self._stage(current.changed(self.robot, radii, noise, limits))
+        changed = current.changed(self.robot, radii, noise, limits)
+        if changed.radii != current.radii and not self.standing:
+            raise ParameterError("the robot moves; its wheel radii can change only at rest")
+        self._stage(changed)
+
+    @property
+    def standing(self) -> bool:
+        """``True`` if no motion is commanded and no wheel was measured to turn."""
+        joints = self.state.joints
+        return self._ramp.twist == ZERO_TWIST and (
+            joints is None or all(abs(speed) < STANDING_SPEED for speed in joints.speeds)
+        )
 
     def _stage(self, parameters: Parameters) -> None:
         calculator = self.calculator.with_parameters(parameters.radii, parameters.noise)
@@ -271,50 +277,29 @@ class BaseDriver:
         of more than ``LONGEST_INTERVAL`` without joint states.  While the motion is unknown, the
         pose does not change, and its covariance grows by the largest possible motion.
         """
-        state = self.state
-        first = not math.isfinite(state.time)
-        dt = 0.0 if first else now - state.time
-        if not math.isfinite(now) or not (first or dt > 0.0):
-            return state
+        previous, odometry = self.state, self.odometry
+        elapsed = now - previous.time  # infinite in the first cycle
+        if not (math.isfinite(now) and elapsed > 0.0):
+            return previous
         if joints is None:
             joints = self.base.read(now)
         gap = self.gap_at(now)
-        odometry = self.odometry
-        unusable = ""
         first_joints = odometry.joints is None
-        try:
-            odometry.update(joints, now)
-        except ValueError as error:
-            unusable = str(error)
-            odometry.mark_missing(now)
+        unusable = self._measure(joints, now)
         self._apply_staged_parameters()
-        hold_reason = self.base.hold_reason
-        if gap is not Gap.NONE:
-            self._note_gap(gap, now, hold_reason)
-        fault = unusable or self._gap_fault
-        mode, commanded_twist, hold_reason = self._mode(now, fault, hold_reason)
-        stops_itself = mode is DriveMode.HELD
-        normal = 0.0 < dt <= LONGEST_INTERVAL and gap is Gap.NONE
-        period = dt if normal else 1.0 / self.settings.rate
+        mode, commanded_twist, hold_reason = self._mode(now, gap, unusable)
+        restarts = self._restart_ramp(mode, gap, elapsed, None if unusable else joints)
+        normal = elapsed <= LONGEST_INTERVAL and gap is Gap.NONE
+        period = elapsed if normal else 1.0 / self.settings.rate
+        last = None if restarts else previous.command
         infeasible = ZERO_TWIST
-        restarts = stops_itself or (self._restarts_ramp and not unusable)
-        if stops_itself:
-            # A base that does not follow joint commands stops the robot itself.  When the base
-            # follows joint commands again, the twist ramp starts from rest.
-            self._ramp.restart(ZERO_TWIST)
-        elif restarts:
-            # During a gap in time the drives may have braked.  A ramp from the remembered twist
-            # would accelerate the robot, and so would the mean twist of the gap.
-            self._ramp.restart(self._limited(self.calculator.odometry(joints).twist))
-        last = None if restarts else state.command
-        if restarts:
-            self._restarts_ramp = self._stopping = False
         if unusable:
             # Without joint states the motion of the wheels is unknown, and the twist ramps down to
             # zero.
-            command = self.calculator.command(self._ramped(ZERO_TWIST, period, last), None, period)
+            ramped = self._ramp.follow(ZERO_TWIST, period, last)
+            command = self.calculator.command(ramped, None, period)
         else:
-            if first_joints or restarts or state.mode is DriveMode.HELD:
+            if first_joints or restarts or previous.mode is DriveMode.HELD:
                 # Steering joints may have moved since the last tick in which they were held.
                 self.calculator.reset(joints)
             feasible = self.calculator.feasible(commanded_twist)
@@ -324,7 +309,7 @@ class BaseDriver:
                     commanded_twist.vy - feasible.vy,
                     commanded_twist.wz - feasible.wz,
                 )
-            ramped = self._ramped(self._limited(feasible), period, last)
+            ramped = self._ramp.follow(self._limited(feasible), period, last)
             command = self.calculator.command(ramped, joints, period)
         self.base.write(command.joints, now)
         self.state = DriverState(
@@ -338,35 +323,49 @@ class BaseDriver:
             odometry.estimate,
             odometry.pose,
             odometry.covariance,
-            fault,
+            (unusable or self.permission.fault) if mode is not DriveMode.HELD else "",
             hold_reason,
         )
         return self.state
 
     # -- parts of a tick ----------------------------------------------------------
 
-    def _note_gap(self, gap: Gap, now: float, hold_reason: str) -> None:
-        """Voids all commands after a gap in time; a long gap is a fault.
+    def _measure(self, joints: JointStates, now: float) -> str:
+        """Updates the odometry.  Returns why the joint states are unusable, or an empty text."""
+        try:
+            self.odometry.update(joints, now)
+        except ValueError as error:
+            self.odometry.mark_missing(now)
+            return str(error)
+        return ""
 
-        A base that does not follow joint commands stands or stops the robot itself, so that a long
-        gap is no fault of the driver.
-        """
-        reason = gap_text(now - self.state.time)
-        self.void_commands(reason)
-        self._gap_time = now
-        self._restarts_ramp = True
-        if gap is Gap.LONG and not hold_reason:
-            self._gap_fault = reason
-
-    def _mode(self, now: float, fault: str, hold_reason: str) -> tuple[DriveMode, Twist, str]:
+    def _mode(self, now: float, gap: Gap, unusable: str) -> tuple[DriveMode, Twist, str]:
         """Returns the mode of the driver in this tick, the commanded twist in this mode, and the
-        reason of the modes HELD and WAITING."""
+        reason of the modes HELD and WAITING.  The first condition that holds decides::
+
+            the base does not follow commands     HELD
+            unusable joints, a long gap           FAULT
+            disarmed, zero awaited                WAITING
+            the last command is too old           TIMED_OUT; IDLE if there was none
+            zero is commanded, and the ramp is 0  IDLE
+            else                                  DRIVING
+        """
+        permission, hold_reason = self.permission, self.base.hold_reason
+        if gap is not Gap.NONE:
+            self.time_gaps.note(now)
+            reason = gap_text(now - self.state.time)
+            self._command_time = -math.inf
+            # A base that does not follow joint commands stands or stops the robot itself.
+            if gap is Gap.LONG and not hold_reason:
+                permission.fail(reason, now)
+            else:
+                permission.void(reason, now)
         if hold_reason:
             return DriveMode.HELD, ZERO_TWIST, hold_reason
-        if fault:
+        if unusable or permission.fault:
             return DriveMode.FAULT, ZERO_TWIST, ""
-        reason = self.base.waiting_reason or self._awaited_zero()
-        if reason:
+        permission.note_command(self._commanded_twist, self._command_time)
+        if reason := permission.waiting_reason:
             return DriveMode.WAITING, ZERO_TWIST, reason
         if now - self._command_time > self.settings.command_timeout + _TIME_TOLERANCE:
             if self._command_time == -math.inf:
@@ -376,14 +375,28 @@ class BaseDriver:
             return DriveMode.IDLE, ZERO_TWIST, ""
         return DriveMode.DRIVING, self._commanded_twist, ""
 
-    def _awaited_zero(self) -> str:
-        """Returns the reason why a zero twist must be commanded first, or an empty text."""
-        if not self._gap_reason:
-            return ""
-        if self._command_time > self._gap_time and self._commanded_twist == ZERO_TWIST:
-            self._gap_reason = ""
-            return ""
-        return f"{self._gap_reason}; command zero first"
+    def _restart_ramp(
+        self, mode: DriveMode, gap: Gap, elapsed: float, joints: JointStates | None
+    ) -> bool:
+        """Restarts the ramp where the wheels may not have followed it; returns whether it did.
+
+        A base that does not follow joint commands stops the robot itself, so that the ramp starts
+        from rest afterwards.  After a gap in time the ramp goes on by the whole time of the gap,
+        and from the measured twist as soon as ``joints`` are measured.
+        """
+        ramp = self._ramp
+        if mode is DriveMode.HELD:
+            ramp.restart(ZERO_TWIST)
+            ramp.unconfirmed = False
+            return True
+        if gap is not Gap.NONE:
+            ramp.step(ZERO_TWIST, elapsed - 1.0 / self.settings.rate)
+            ramp.unconfirmed = True
+        if ramp.unconfirmed and joints is not None:
+            # The mean twist of the gap would be too fast; the present speeds of the wheels count.
+            ramp.confirm(self._limited(self.calculator.odometry(joints).twist))
+            return True
+        return False
 
     def limit_of(self, twist: Twist) -> str:
         """Returns the name and the value of the speed limit that scales a commanded twist, or an
@@ -417,18 +430,3 @@ class BaseDriver:
         if abs(twist.wz) * scale > top_rate:
             scale = top_rate / abs(twist.wz)
         return twist.scaled(scale) if scale < 1.0 else twist
-
-    def _ramped(self, goal: Twist, dt: float, last: BaseCommand | None) -> Twist:
-        """Moves the twist ramp one step of ``dt`` s towards the twist ``goal``.
-
-        If a steered wheel must turn around, the twist ramp moves towards zero instead.  ``last``:
-        previous command that the wheels follow, or ``None`` after a restart of the ramp.
-        """
-        ramp = self._ramp
-        if last is not None:
-            if last.must_stop != self._stopping:
-                self._stopping = last.must_stop
-                ramp.restart(last.twist if last.must_stop else ZERO_TWIST)
-            ramp.limit_lead(last.target, last.twist, last.aligned, last.infeasible)
-        grows = last is None or last.scale == 1.0
-        return ramp.step(ZERO_TWIST if self._stopping else goal, dt, grows)

@@ -15,3 +15,10 @@ class ParameterError(ValueError):
 
     The function that raises ``ParameterError`` changes nothing.
     """
+
+
+class RequestRefused(ValueError):
+    """A service of the robot refused a request and changed nothing.
+
+    The message of the exception contains the reason for the refusal.
+    """

@@ -9,6 +9,7 @@ from typing import TypeVar
 
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
+from thorvaldc.model.drive_settings import ZERO_FIRST
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.robot import TwistInput
 from thorvaldc.runtime.driver import MAX_TWIST, BaseDriver
@@ -26,7 +27,8 @@ class Selection:
     """The selected twist source and its commanded twist.
 
     - ``source``: name of the selected source, or empty if no source is selected.
-    - ``twist``: twist of the selected source, or zero if no source is selected.
+    - ``twist``: twist of the selected source, or zero if no source is selected or if the selected
+      source must command zero first.
     - ``time``: time (s) at which the source published the twist.
     - ``locks``: names of the locks that are active.
     """
@@ -81,8 +83,24 @@ class _Source(_Input):
 
     def holder(self, now: float) -> str:
         """Returns the program to which the source is bound, or an empty text."""
-        silent = now - self.attempt_time > self.settings.timeout + _TIME_TOLERANCE
-        return "" if silent else self.owner
+        return self.owner if self.is_heard(now) else ""
+
+    def is_heard(self, now: float) -> bool:
+        """Checks whether the source has published a twist, also a refused one, within its
+        time-out."""
+        return now - self.attempt_time <= self.settings.timeout + _TIME_TOLERANCE
+
+    def is_active(self, now: float) -> bool:
+        """Checks whether the source takes its rank: it is heard, and its twist is valid or it must
+        command zero first."""
+        if self.awaits_zero:
+            return self.is_heard(now)
+        return self.time > -math.inf and not self.is_silent(now)
+
+    def await_zero(self, reason: str) -> None:
+        """Requires a zero twist because of ``reason``, unless the first command may be any."""
+        if self.settings.first_command == ZERO_FIRST:
+            self.awaits_zero = self.awaits_zero or reason
 
 
 _AnyInput = TypeVar("_AnyInput", bound=_Input)
@@ -98,15 +116,22 @@ class Multiplexer:
     than the time-out.  An active stop lock (``TwistInput.is_stop_lock``) blocks all twist sources,
     whatever their priority is.
 
-    The multiplexer follows the rules of the ROS node twist_mux with two exceptions.  A lock of the
-    multiplexer stops the robot immediately; a lock of twist_mux stops the robot only after the
-    driver's time-out.  A lock of twist_mux does not block a source of its own priority; the
-    compiler accepts no such source.
+    A source must publish a zero twist before it moves the robot
+
+    - if it is new: its first twist, or its first one after its time-out or after another program;
+    - if it takes over from a source of a higher priority that has fallen silent;
+    - after a gap in time (module ``time_gap``), which voids all published twists.
+
+    The first two do not apply to a source whose ``first_command`` is ``any``.  A source that must
+    publish zero keeps its rank: the robot stands, and follows no source of a lower priority.
+
+    The multiplexer follows the rules of the ROS node twist_mux with three exceptions.  twist_mux
+    requires no zero twist (ADR 22).  A lock of the multiplexer stops the robot immediately; a lock
+    of twist_mux stops the robot only after the driver's time-out.  A lock of twist_mux does not
+    block a source of its own priority; the compiler accepts no such source.
 
     A source is bound to the program that publishes it, until the source times out or ``release`` is
-    called.  A lock is released only by the program that has locked it.  After a gap in time (module
-    ``time_gap``), all published twists are void, and each source must publish a zero twist before
-    it can move the robot.
+    called.  A lock is released only by the program that has locked it.
 
     All times are monotonic times in s from the caller, because the multiplexer does not read a
     clock.  ``owner`` is the name of the program that publishes.
@@ -123,7 +148,9 @@ class Multiplexer:
         # Twist sources in the order of descending priority.  Of two sources with the same priority,
         # the first source in the robot file wins, as in twist_mux.
         self._ranked = sorted(self._sources.values(), key=lambda i: -i.settings.priority)
-        self._last_time: float | None = None
+        self._driving: _Source | None = None
+        """Source that was selected last."""
+        self._last_time = -math.inf
         self._gap_time = -math.inf
         self._armed_at = -math.inf
 
@@ -131,6 +158,11 @@ class Multiplexer:
     def from_robot(cls, robot: Robot) -> Multiplexer:
         """Returns a multiplexer with the twist sources and locks of the robot file."""
         return cls(robot.twist_sources, robot.twist_locks)
+
+    def add_source(self, settings: TwistInput) -> None:
+        """Adds a twist source of this program, of another priority than the present sources."""
+        self._sources[settings.name] = _Source(settings)
+        self._ranked = sorted(self._sources.values(), key=lambda i: -i.settings.priority)
 
     @property
     def sources(self) -> tuple[str, ...]:
@@ -156,6 +188,8 @@ class Multiplexer:
         holder = publisher.holder(now)
         if holder not in ("", owner):
             return f"`{source}` is published by {holder}"
+        if not holder:
+            publisher.await_zero(f"`{source}` was not heard before")
         publisher.owner, publisher.attempt, publisher.attempt_time = owner, twist, now
         if twist == ZERO_TWIST:
             publisher.awaits_zero = ""
@@ -215,6 +249,19 @@ class Multiplexer:
             if source.holder(now) and source.attempt != ZERO_TWIST
         ]
 
+    @property
+    def last_heard(self) -> float:
+        """Time (s) of the last twist of any source, also if it was refused."""
+        return max((s.attempt_time for s in self._sources.values()), default=-math.inf)
+
+    def awaited_zeros(self, now: float) -> dict[str, str]:
+        """Returns the sources that are heard and must command zero, with the reasons."""
+        return {
+            name: source.awaits_zero
+            for name, source in self._sources.items()
+            if source.awaits_zero and source.is_heard(now)
+        }
+
     def holders(self, now: float) -> dict[str, str]:
         """Returns the program to which each source is bound, without the free sources."""
         holders = {name: source.holder(now) for name, source in self._sources.items()}
@@ -260,13 +307,34 @@ class Multiplexer:
     def select(self, now: float) -> Selection:
         """Selects the twist source that drives the robot at the time ``now`` (s)."""
         locks = self.active_locks(now)
+        source = self._highest(now, locks)
+        if source is None:
+            return Selection("", ZERO_TWIST, now, locks)
+        name = source.settings.name
+        if source.awaits_zero:
+            return Selection(name, ZERO_TWIST, source.attempt_time, locks)
+        return Selection(name, source.twist, source.time, locks)
+
+    def _highest(self, now: float, locks: tuple[str, ...]) -> _Source | None:
+        """Returns the active source with the highest priority that no lock blocks."""
         barrier = max((self._barriers[name] for name in locks), default=-1.0)
         for source in self._ranked:
             if source.settings.priority <= barrier:
                 break
-            if not source.is_silent(now) and source.time > -math.inf:
-                return Selection(source.settings.name, source.twist, source.time, locks)
-        return Selection("", ZERO_TWIST, now, locks)
+            if source.is_active(now):
+                return source
+        return None
+
+    def _note_takeover(self, now: float) -> None:
+        """Requires zero of a source that moves when a source of a higher priority falls silent."""
+        source, last = self._highest(now, self.active_locks(now)), self._driving
+        if source is None or source is last:
+            return
+        self._driving = source
+        if last is None or last.settings.priority <= source.settings.priority:
+            return
+        if not last.is_active(now) and source.twist != ZERO_TWIST:
+            source.await_zero(f"`{last.settings.name}` has fallen silent")
 
     def feed(self, driver: BaseDriver, now: float) -> Selection:
         """Selects a twist source and sends its twist to ``driver`` as a command.
@@ -277,11 +345,12 @@ class Multiplexer:
         the robot.
         """
         self.notice_gap(driver, now)
+        self._note_takeover(now)
         selection = self.select(now)
         if selection.source:
             self._last_time = selection.time
             driver.command(selection.twist, selection.time)
-        elif self._last_time is not None:
+        elif self._driving is not None:
             driver.command(ZERO_TWIST, now if selection.locks else self._last_time)
         return selection
 

@@ -1,8 +1,7 @@
-"""Checks that a robot on its buses must pass before it is armed.
+"""Checks that a robot must pass before it is armed.
 
 Each check is a function that returns its reasons against arming.  All reasons of all checks are
-reported together, so that the operator can remove them in one go.  Consequences of a reported
-reason are not reported: the motors of a stopped robot are never enabled.
+reported together, so that the operator can remove them in one go.
 """
 
 from __future__ import annotations
@@ -10,42 +9,50 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING
 
-from thorvaldc.runtime.can_base.base_state import BaseState
-from thorvaldc.runtime.can_base.motor_controller import MotorController
+from thorvaldc.model.robot import SAFETY_STOP
 from thorvaldc.runtime.se2 import ZERO_TWIST
 
 if TYPE_CHECKING:
-    from thorvaldc.runtime.runner import BaseRunner
+    from thorvaldc.runtime.driven_robot import DrivenRobot
 
-PreArmCheck = Callable[["BaseRunner", float], Iterable[str]]
-"""Function that returns the reasons against arming, from the runner and the time (s)."""
+PreArmCheck = Callable[["DrivenRobot", float], Iterable[str]]
+"""Function that returns the reasons against arming, from the robot and the time (s)."""
 GAP_MEMORY = 2.0
-"""Time (s) after a gap in time in which the base is not armed."""
+"""Time (s) after a gap in time in which the robot is not armed."""
 
 
-def check_state(runner: BaseRunner, now: float) -> Iterator[str]:
-    """Requires the state READY: the robot stands, and all start-up checks have passed."""
-    if runner.base.state_machine.ending:
-        yield "the driver is shutting down"
-    elif runner.state in (BaseState.FAULT, BaseState.ESTOP):
-        yield f"the base is {runner.state.value}, reset it first"
-    elif runner.state is not BaseState.READY:
-        yield f"the base is {runner.state.value}, not ready"
+def check_base(robot: DrivenRobot, now: float) -> Iterable[str]:
+    """Requires that the base is ready: nodes, drives and batteries of a robot on its buses."""
+    return robot.base.arming_reasons(now)
 
 
-def check_stop(runner: BaseRunner, now: float) -> Iterator[str]:
-    if runner.base.state_machine.stop_engaged:
+def check_stops(robot: DrivenRobot, now: float) -> Iterator[str]:
+    if robot.stop_engaged:
         yield "the safety stop is engaged"
+    for name in robot.multiplexer.active_stop_locks(now):
+        if not (robot.stop_engaged and name == SAFETY_STOP):
+            yield f"the stop lock `{name}` is active"
 
 
-def check_command(runner: BaseRunner, now: float) -> Iterator[str]:
-    """Refuses to arm while a motion is commanded, which would start at once."""
-    if runner.driver.commanded_twist(now) != ZERO_TWIST:
+def check_commands(robot: DrivenRobot, now: float) -> Iterator[str]:
+    """Refuses to arm while a motion is commanded, which would start at once.
+
+    A source counts also behind a lock and below a source of a higher priority: it would drive as
+    soon as the lock is released or the other source is silent.
+    """
+    sources = robot.multiplexer.requests(now)
+    if not sources and robot.driver.commanded_twist(now) != ZERO_TWIST:
         yield "a motion is commanded; command zero first"
+    for name in sources:
+        yield f"`{name}` commands a motion"
 
 
-def check_time_gaps(runner: BaseRunner, now: float) -> Iterator[str]:
-    gap = runner.timing.latest_gap
+def check_time(robot: DrivenRobot, now: float) -> Iterator[str]:
+    if robot.paused:
+        yield "the simulation is paused"
+    if robot.driver.permission.fault:
+        yield robot.driver.permission.fault
+    gap = robot.timing.latest_gap
     if gap is not None and now - gap[0] < GAP_MEMORY:
         yield (
             f"there was no control cycle for {gap[1] * 1000.0:.0f} ms, {now - gap[0]:.1f} s ago;"
@@ -53,40 +60,4 @@ def check_time_gaps(runner: BaseRunner, now: float) -> Iterator[str]:
         )
 
 
-def check_controllers(runner: BaseRunner, now: float) -> Iterator[str]:
-    for connection in runner.base.connections:
-        problem = connection.impostor() or connection.problem(now)
-        if problem:
-            yield problem
-        yield from connection.suspicious_devices()
-        for controller in connection.controllers:
-            reason = _controller_reason(controller, runner.state)
-            if reason and not problem.startswith(f"{controller.node.name}:"):
-                yield f"{controller.node.name}: {reason}"
-
-
-def _controller_reason(controller: MotorController, state: BaseState) -> str:
-    if controller.problem or controller.power_loss:
-        return controller.problem or controller.power_loss
-    if controller.error_code:
-        return f"emergency {controller.error_code:#06x}"
-    if state is not BaseState.READY:  # the base homes and enables the motors before it is ready
-        return ""
-    if not controller.homed:
-        return "it is not homed"
-    return "" if controller.follows else "its motors are not enabled"
-
-
-def check_batteries(runner: BaseRunner, now: float) -> Iterator[str]:
-    """Requires that each battery reports enough charge and no alarm, and allows a discharge."""
-    yield from runner.battery_supervision.arming_reasons(now)
-
-
-PRE_ARM_CHECKS: tuple[PreArmCheck, ...] = (
-    check_state,
-    check_stop,
-    check_command,
-    check_time_gaps,
-    check_controllers,
-    check_batteries,
-)
+PRE_ARM_CHECKS: tuple[PreArmCheck, ...] = (check_base, check_stops, check_commands, check_time)

@@ -4,7 +4,7 @@ The command ``thorvaldc run`` uses ``RunSession``.  Example of a run in a Python
 
     interfaces = open_interfaces("socketcan:can0", robot)
     session = RunSession(robot, interfaces, twist=Twist(0.5, 0.0, 0.0), duration=10.0)
-    diagnostic = session.run(lambda runner, state: print(runner.state))
+    diagnostic = session.run(lambda driven, state: print(state.mode))
     print(session.summary())
 """
 
@@ -14,7 +14,6 @@ import gc
 import math
 import signal
 import threading
-import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -22,14 +21,13 @@ from typing import Any
 from thorvaldc.can.interface import CanInterface
 from thorvaldc.diagnostics import CODES, Diagnostic
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model.robot import Robot
+from thorvaldc.model.robot import Robot, TwistInput
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
-from thorvaldc.runtime.control.runner_services import RunnerControl
+from thorvaldc.runtime.driven_robot import DrivenRobot, Watch
 from thorvaldc.runtime.driver import BaseDriver
-from thorvaldc.runtime.runner import BaseRunner, RequestRefused, Watch
+from thorvaldc.runtime.errors import RequestRefused
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.runtime.time_gap import Gap
 
 UNTESTED = (
     "thorvaldc's driver was never tried on physical hardware. Lift the wheels off the ground first,"
@@ -37,14 +35,17 @@ UNTESTED = (
 )
 """Safety warning that a program shows before it drives a real robot."""
 ARM_TIME = 5.0
-"""Longest time (s) from the state READY until a session with a twist has armed the robot."""
+"""Longest time (s) for which a session with a twist tries to arm the robot."""
+SOURCE = "run"
+"""Name of the twist source of a session, below all sources of the robot file."""
 
 
 class RunSession:
-    """A run of a robot, with its runner and its control channel.
+    """A run of a robot on its buses, with its control channel.
 
-    - ``twist``: twist that the session commands while no twist source of the control channel is
-      active.  The session arms the robot once for this twist.
+    - ``driven``: the driven robot, over the base ``base``.
+    - ``twist``: twist that the session commands until another source drives the robot.  The session
+      arms the robot once for this twist.
     - ``duration``: duration of the run in s, from the time when the robot is ready.
     - ``channel``: name of the control channel, or empty for a run without a control channel.
     """
@@ -79,28 +80,33 @@ class RunSession:
         self.stop_requested = False
         self.refusal = ""
         """Reasons why the robot cannot be armed for ``twist``; empty: it is armed, or not ready."""
-        self._unarmed = True
-        self._rests = False
+        self.refused_since = math.nan
+        """Time (s) since which the robot cannot be armed."""
+        self._was_armed = False
+        self._rests = True
         clock = interfaces[robot.buses[0].name]
+        factor = (1.0 if paced else None) if not threaded else None
         try:
-            base = CanBase(robot, interfaces, threaded=threaded)
-            self.runner: BaseRunner = BaseRunner(robot, base, clock, parameters=parameters)
-            self.control = RunnerControl(self.runner, channel)
+            self.base = CanBase(robot, interfaces, threaded=threaded)
+            self.driven = DrivenRobot(
+                robot, self.base, clock, factor=factor, parameters=parameters, channel=channel
+            )
         except (DiagnosticError, OSError):
             for interface in interfaces.values():
                 interface.close()
             raise
-        self.runner.feed = self._feed
+        if twist is not None:
+            self.driven.multiplexer.add_source(
+                TwistInput(SOURCE, "", 0, self.driven.driver.settings.command_timeout)
+            )
+            self.driven.feed = self._feed
         self.start_time = clock.now
         self.ready_time = math.nan
-        if paced:
-            offset = time.monotonic() - clock.now
-            self.runner.pace = lambda at: time.sleep(max(offset + at - time.monotonic(), 0.0))
 
     @property
     def elapsed(self) -> float:
         """Time since the start of the session in s, measured by the clock of the first CAN bus."""
-        return self.runner.clock.now - self.start_time
+        return self.driven.now - self.start_time
 
     def run(self, watch: Watch | None = None) -> Diagnostic | None:
         """Runs the robot until the end of the run, then stops it and closes the CAN interfaces.
@@ -116,16 +122,14 @@ class RunSession:
         gc.enable()
         with self._signals_handled():
             try:
-                self.runner.run(watch=watch, stop=self._is_over)
+                self.driven.run(watch=watch, stop=self._is_over)
                 diagnostic = self._verdict()
-                self.runner.shutdown()
+                self.driven.shutdown()
             except BaseException:
                 # After an exception, no CAN frame is sent, so the motor controllers stop by their
                 # own time-outs.
-                self.runner.base.close()
+                self.driven.close()
                 raise
-            finally:
-                self.control.close()
         return diagnostic
 
     def request_stop(self) -> None:
@@ -151,52 +155,55 @@ class RunSession:
                 signal.signal(number, handler)
 
     def _feed(self, driver: BaseDriver, now: float) -> None:
-        """Commands the twist that the control channel selects.
+        """Publishes the twist of the session as the source of the lowest priority.
 
-        If no twist source of the control channel is active, the twist of the session is commanded.
+        As every source it commands zero first: at the start, and after a gap in time until the
+        robot has come to rest.  When another source has driven the robot, the twist of the session
+        has ended, because the robot must not start when that source falls silent.
         """
-        runner = self.runner
-        # After a gap in time the robot comes to rest before it follows the twist again.
-        if driver.gap_at(now) is not Gap.NONE:
-            self._rests = True
-        selection = self.control.feed(driver, now)
-        if self.twist is None or not runner.ready:
+        driven = self.driven
+        if not driven.armed:
+            if not self._was_armed and (driven.ready or not self.base.is_homed):
+                self._arm()
             return
-        if self._unarmed:
-            self._arm()
-        is_free = not selection.source and not selection.locks
-        if is_free and runner.base.armed:
-            self._rests = self._rests and not runner.base.standing
-            driver.command(ZERO_TWIST if self._rests else self.twist, now)
+        self._was_armed = True
+        multiplexer = driven.multiplexer
+        if multiplexer.select(now).source not in ("", SOURCE):
+            self.twist = ZERO_TWIST
+        awaited = SOURCE in multiplexer.awaited_zeros(now)
+        self._rests = awaited or (self._rests and not self.base.standing)
+        twist = ZERO_TWIST if self._rests or self.twist is None else self.twist
+        multiplexer.publish(SOURCE, twist, now)
 
     def _arm(self) -> None:
-        """Arms the robot once, because the person has commanded the twist of the session."""
+        """Arms the robot, because the person has commanded the twist of the session."""
         try:
-            self.runner.arm()
-            self._unarmed = False
+            self.driven.arm()
             self.refusal = ""
         except RequestRefused as error:
+            if not self.refusal:
+                self.refused_since = self.driven.now
             self.refusal = str(error)
 
     def _is_over(self) -> bool:
-        runner, now = self.runner, self.runner.clock.now
-        if runner.ready and math.isnan(self.ready_time):
+        base, now = self.base, self.driven.now
+        started = self.driven.ready or (self.twist is None and base.state is BaseState.STANDBY)
+        if started and math.isnan(self.ready_time):
             self.ready_time = now
         if self.stop_requested:
             return True
-        if self.refusal and now - self.ready_time > ARM_TIME:
+        if self.refusal and now - self.refused_since > ARM_TIME:
             return True
-        if runner.state in (BaseState.FAULT, BaseState.ESTOP):
+        if base.state in (BaseState.FAULT, BaseState.ESTOP):
             # With a control channel, an operator can reset a fault, so the run continues after the
             # fault.  A fault ends the run if the run has no control channel, if a CAN bus is lost,
             # or if the robot was never ready.
             unattended = self.twist is not None or self.duration < math.inf
-            bus_lost = any(c.receiver.lost for c in runner.base.connections)
-            return unattended or bus_lost or not runner.base.state_machine.was_ready
+            return unattended or bool(base.lost) or not base.state_machine.was_started
         return now - self.ready_time >= self.duration - 1e-9
 
     def _verdict(self) -> Diagnostic | None:
-        state_machine = self.runner.base.state_machine
+        state_machine = self.base.state_machine
         if state_machine.state not in (BaseState.FAULT, BaseState.ESTOP):
             if not self.refusal:
                 return None
@@ -206,28 +213,29 @@ class RunSession:
         if state_machine.mismatch:
             code = "bus-mismatch"
             hint = "is it this robot's file? `thorvaldc can plan` shows the differences"
-        elif not state_machine.was_ready:
+        elif not state_machine.was_started:
             code = "bus-start"
         return Diagnostic(CODES[code], state_machine.reason, self.robot.span, hint)
 
     def status_line(self) -> str:
         """Returns a line of text with the state, twist, pose, battery and timing of the robot."""
-        runner = self.runner
-        state = runner.driver.state
+        driven, base = self.driven, self.base
+        state = driven.driver.state
         twist, pose = state.odometry.twist, state.pose
         parts = [
-            f"{runner.state.value:8}",
-            *([] if runner.base.armed or not runner.ready else ["disarmed"]),
+            f"{base.state.value:8}",
+            *([] if driven.armed or not driven.ready else ["disarmed"]),
+            *([state.hold_reason] if base.state is BaseState.STANDBY else []),
             f"{twist.vx:+.2f} {twist.vy:+.2f} m/s {twist.wz:+.2f} rad/s",
             f"at {pose.x:.2f} {pose.y:.2f} m {math.degrees(pose.yaw):.0f} deg",
         ]
-        batteries = runner.batteries().values()
+        batteries = base.batteries().values()
         charges = [battery.charge for battery in batteries if not math.isnan(battery.charge)]
         if charges:
             parts.append(f"battery {100.0 * min(charges):.0f} %")
-        if runner.timing.overruns:
-            parts.append(f"{runner.timing.overruns} overruns")
-        drops = sum(runner.relay_drops().values())
+        if driven.timing.overruns:
+            parts.append(f"{driven.timing.overruns} overruns")
+        drops = sum(base.nodes.relay_drops().values())
         if drops:
             parts.append(f"{drops} frames not relayed")
         return "  ".join(parts)
@@ -237,15 +245,15 @@ class RunSession:
 
         The pose in the summary is relative to the pose at the start of the run.
         """
-        runner = self.runner
-        state_machine, timing = runner.base.state_machine, runner.timing
-        pose = runner.driver.state.pose
+        driven, base = self.driven, self.base
+        state_machine, timing = base.state_machine, driven.timing
+        pose = driven.driver.state.pose
         return {
             "robot": self.robot.name,
-            "state": runner.state.value,
+            "state": base.state.value,
             "reason": state_machine.reason,
             "was_ready": state_machine.was_ready,
-            "armed": runner.base.armed,
+            "armed": driven.armed,
             "seconds": self.elapsed,
             "pose": {"x": pose.x, "y": pose.y, "yaw": pose.yaw},
             "timing": {
@@ -263,7 +271,7 @@ class RunSession:
                     "malformed": connection.malformed,
                     "not_sent": connection.not_sent,
                 }
-                for connection in runner.base.connections
+                for connection in base.connections
             },
             "changes": [
                 {
@@ -271,11 +279,11 @@ class RunSession:
                     "state": change.state.value,
                     "reason": change.reason,
                 }
-                for change in runner.changes
+                for change in base.changes
             ],
             "events": [
                 {"time": event.time - self.start_time, "text": event.text}
-                for event in runner.events
+                for event in driven.events
             ],
             "batteries": {
                 name: {
@@ -283,8 +291,8 @@ class RunSession:
                     "current": battery.current,
                     "charge": battery.charge,
                 }
-                for name, battery in runner.batteries().items()
+                for name, battery in base.batteries().items()
             },
-            "warnings": runner.warnings(),
-            "not_relayed": runner.relay_drops(),
+            "warnings": base.warnings(driven.now),
+            "not_relayed": base.nodes.relay_drops(),
         }

@@ -1,4 +1,9 @@
-"""Parameters that can change while a robot drives: wheel radii, limits and noise."""
+"""Parameters that can change while a robot drives: wheel radii, limits and noise.
+
+The robot file bounds every value that a program may set: a program can make the robot slower and
+gentler, but neither faster than the robot file allows nor unable to drive.  The decelerations of a
+stop cannot be changed at all.
+"""
 
 from __future__ import annotations
 
@@ -23,21 +28,19 @@ LIMITS = {
 }
 """Units of the limits."""
 COMMAND_TIMEOUT = "command_timeout"
-"""Time-out (s) of a commanded twist, which can be shortened like a limit.
-
-The stopping distances in the robot file hold for the time-out of the file, so it cannot be
-lengthened.
-"""
-LARGEST_RADIUS = 5.0
-"""Largest valid wheel radius (m).
-
-A larger radius is probably given in another unit, such as mm.
-"""
+"""Time-out (s) of a commanded twist, which can be shortened like a limit."""
+SMALLEST_SHARE = 0.01
+"""Smallest limit, as a share of the limit in the robot file."""
+RADIUS_RATIO = 1.5
+"""Largest ratio of a wheel radius to the radius in the robot file, and the reverse."""
+SHORTEST_TIMEOUT = 2.0
+"""Shortest command time-out, in control cycles."""
 LARGEST = 1e12
-"""Largest valid limit or noise in SI units, as in a robot file.
+"""Largest valid noise in SI units, as in a robot file.
 
 The square of a larger number can be infinite.
 """
+_ROUNDING = 1e-9
 _NOISE = tuple(field.name for field in dataclasses.fields(Noise))
 
 
@@ -47,10 +50,13 @@ class Parameters:
 
     - ``radii``: wheel radii (m) in the order of ``Robot.wheels``.
     - ``settings``: settings of the base driver, including limits and measurement noise.
+    - ``name``: name of the parameter set of the robot file that bounds the values, or ``None`` for
+      its ordinary values.
     """
 
     radii: tuple[float, ...]
     settings: DriverSettings
+    name: str | None = None
 
     @staticmethod
     def from_robot(robot: Robot, name: str | None = None) -> Parameters:
@@ -65,7 +71,7 @@ class Parameters:
         for parameter_set in robot.parameter_sets:
             if parameter_set.name == name:
                 radii = (w.radius_named(parameter_set.radii) for w in robot.wheels)
-                return Parameters(tuple(radii), parameter_set.driver)
+                return Parameters(tuple(radii), parameter_set.driver, name)
         known = [parameter_set.name for parameter_set in robot.parameter_sets]
         raise DiagnosticError(
             "parameter-set-unknown",
@@ -80,6 +86,19 @@ class Parameters:
     def noise(self) -> Noise:
         return Noise(**dict(self.settings.noise))
 
+    def range_of(self, limit: str) -> tuple[float, float]:
+        """Returns the least and the greatest value (SI) of a limit that a program may set, if these
+        are the parameters of the robot file.
+
+        The stopping distances in the robot file hold for its command time-out, so that a program
+        can only shorten it.
+        """
+        most = float(getattr(self.settings, limit))
+        least = SMALLEST_SHARE * most
+        if limit == COMMAND_TIMEOUT:
+            least = min(SHORTEST_TIMEOUT / self.settings.rate, most)
+        return least, most
+
     def changed(
         self,
         robot: Robot,
@@ -93,29 +112,32 @@ class Parameters:
         - ``noise``: standard deviations of the measurement errors by name, see ``Noise``.
         - ``limits``: limits in SI units by name.
 
-        Raises ``ParameterError`` if the name or the value of a parameter is invalid.
+        Raises ``ParameterError`` if the name of a parameter is unknown, or if a value is outside of
+        the range that the robot file allows.
         """
+        file = Parameters.from_robot(robot, self.name)
         wheels = [w.name for w in robot.wheels]
         new_radii = list(self.radii)
         for name, value in (radii or {}).items():
             _check_name("wheel", name, wheels)
-            _check_positive(f"the radius of {name}", value, "m", LARGEST_RADIUS)
-            new_radii[wheels.index(name)] = float(value)
+            index = wheels.index(name)
+            stated = file.radii[index]
+            least, most = stated / RADIUS_RATIO, stated * RADIUS_RATIO
+            _check_range(f"the radius of {name}", value, "m", least, most)
+            new_radii[index] = float(value)
         for name, value in (limits or {}).items():
-            if name == COMMAND_TIMEOUT:
-                _check_positive(name, value, "s", robot.driver.command_timeout)
-                continue
-            _check_name("limit", name, list(LIMITS))
-            _check_positive(name, value, LIMITS[name], LARGEST)
+            _check_name("limit", name, [*LIMITS, COMMAND_TIMEOUT])
+            least, most = file.range_of(name)
+            _check_range(name, value, LIMITS.get(name, "s"), least, most)
         new_noise = dict(self.settings.noise)
         for name, value in (noise or {}).items():
             _check_name("noise", name, _NOISE)
             if not (name in MAY_BE_ZERO and value == 0):
-                _check_positive(f"the noise {name}", value, "", LARGEST)
+                _check_range(f"the noise {name}", value, "", 0.0, LARGEST)
             new_noise[name] = float(value)
         changes: dict[str, Any] = {name: float(value) for name, value in (limits or {}).items()}
         settings = replace(self.settings, noise=tuple(new_noise.items()), **changes)
-        return Parameters(tuple(new_radii), settings)
+        return Parameters(tuple(new_radii), settings, self.name)
 
 
 def _check_name(kind: str, name: str, known: list[str] | tuple[str, ...]) -> None:
@@ -124,11 +146,13 @@ def _check_name(kind: str, name: str, known: list[str] | tuple[str, ...]) -> Non
         raise ParameterError(f"there is no {kind} `{name}`; {hint}")
 
 
-def _check_positive(quantity: str, value: float, unit: str, maximum: float) -> None:
+def _check_range(quantity: str, value: float, unit: str, least: float, most: float) -> None:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ParameterError(f"{quantity} is {value!r}; it must be a number")
+    unit = f" {unit}".rstrip()
     if not 0.0 < value < math.inf:
-        raise ParameterError(f"{quantity} is {value:g} {unit}".rstrip() + "; it must be positive")
-    if value > maximum:
-        unit = f" {unit}".rstrip()
-        raise ParameterError(f"{quantity} is {value:g}{unit}; it must be at most {maximum:g}{unit}")
+        raise ParameterError(f"{quantity} is {value:g}{unit}; it must be positive")
+    if value > most * (1.0 + _ROUNDING):
+        raise ParameterError(f"{quantity} is {value:g}{unit}; it must be at most {most:g}{unit}")
+    if value < least * (1.0 - _ROUNDING):
+        raise ParameterError(f"{quantity} is {value:g}{unit}; it must be at least {least:g}{unit}")

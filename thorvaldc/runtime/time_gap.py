@@ -9,9 +9,12 @@ cycle, and ``W`` is the shortest watchdog of the robot's drives:
     |----------|----------|---------------------------|----------------------------|
           normal          |           short           |            long            drives brake
 
-- After a **short** gap, the twist ramp restarts from the measured twist.  All commands that waited
-  are void.  The robot moves again after a zero twist was commanded.
+- After a **short** gap, the twist ramp goes on to zero by the whole time of the gap, or from the
+  measured twist if the drives have braked more.  All commands that waited are void.  The robot
+  moves again after a zero twist was commanded.
 - A **long** gap is a fault.  The robot stops, and a person must reset the fault.
+- ``MOST_GAPS`` short gaps within ``GAP_WINDOW`` count as a long one: a computer that misses its
+  control cycles again and again does not control a robot.
 
 The factor 1/2 of a long gap leaves time for a last control cycle before the drives brake by
 themselves: a drive may have heard the base driver for the last time up to one heartbeat period
@@ -21,6 +24,7 @@ before the gap.
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass
 
 from thorvaldc.model import DriverSettings, Robot
@@ -30,6 +34,10 @@ NORMAL_PERIODS = 2.5
 """Longest normal time between two control cycles, in periods: one cycle is missing."""
 WATCHDOG_SHARE = 0.5
 """Shortest long gap, as a share of the shortest watchdog of the drives."""
+MOST_GAPS = 3
+"""Number of short gaps within ``GAP_WINDOW`` that count as a long gap."""
+GAP_WINDOW = 2.0
+"""Time (s) in which short gaps are counted."""
 _ROUNDING = 1e-9
 
 
@@ -41,16 +49,18 @@ class Gap(enum.Enum):
     LONG = "long"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class TimeGapRule:
-    """Limits (s) of the time between two control cycles.
+    """Limits (s) of the time between two control cycles, and the latest short gaps.
 
     - ``normal``: longest time without a gap;
-    - ``longest_short``: time from which on a gap is long.
+    - ``longest_short``: time from which on a gap is long;
+    - ``latest``: times (s) of the newest gaps.
     """
 
     normal: float
     longest_short: float
+    latest: tuple[float, ...] = ()
 
     @classmethod
     def of(cls, robot: Robot, settings: DriverSettings) -> TimeGapRule:
@@ -63,11 +73,19 @@ class TimeGapRule:
         normal = NORMAL_PERIODS / settings.rate
         return cls(normal, max(WATCHDOG_SHARE * watchdog, normal))
 
-    def judge(self, elapsed: float) -> Gap:
-        """Judges the time ``elapsed`` (s) between two control cycles."""
+    def judge(self, elapsed: float, now: float = math.inf) -> Gap:
+        """Judges the time ``elapsed`` (s) between two control cycles, of which one begins at
+        ``now`` (s)."""
         if elapsed <= self.normal + _ROUNDING:
             return Gap.NONE
-        return Gap.SHORT if elapsed < self.longest_short - _ROUNDING else Gap.LONG
+        recent = sum(1 for time in self.latest if now - time < GAP_WINDOW)
+        if elapsed >= self.longest_short - _ROUNDING or recent >= MOST_GAPS - 1:
+            return Gap.LONG
+        return Gap.SHORT
+
+    def note(self, now: float) -> None:
+        """Counts a gap that has ended at ``now`` (s)."""
+        self.latest = (*self.latest[1 - MOST_GAPS :], now)
 
 
 def gap_text(elapsed: float) -> str:

@@ -6,6 +6,7 @@ import math
 
 from thorvaldc.model import DriverSettings
 from thorvaldc.model.float_sum import float_sum
+from thorvaldc.runtime.calculators import BaseCommand
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 LEAD = 0.1
@@ -29,7 +30,9 @@ class Ramp:
     to reach their full rate.  A twist ramp to zero is not smoothed, so that the stop begins in the
     same tick.  During a stop, the wheels keep their directions.
 
-    The yaw rate is multiplied by ``length`` (m) to convert the yaw rate to a linear speed.
+    While a step makes the twist smaller, the decelerations of the robot file take the place of
+    a_max and alpha_max; no program can change them at run time.  The yaw rate is multiplied by
+    ``length`` (m) to convert the yaw rate to a linear speed.
     """
 
     def __init__(self, settings: DriverSettings, length: float, smoothing: float) -> None:
@@ -38,6 +41,34 @@ class Ramp:
         self._length = length
         count = 1 + round(min(smoothing, LONGEST_SMOOTHING) * settings.rate)
         self._history = [ZERO_TWIST] * count
+        self._turns_around = False
+        self.unconfirmed = False
+        """``True`` from a gap in time until ``confirm``.
+
+        The drives may have braked meanwhile, and a ramp from the remembered twist would accelerate
+        the robot.
+        """
+
+    def follow(self, goal: Twist, dt: float, last: BaseCommand | None) -> Twist:
+        """Moves the twist ramp one step of ``dt`` s towards the twist ``goal``.
+
+        If a steered wheel must turn around, the twist ramp moves towards zero instead.  ``last``:
+        previous command that the wheels follow, or ``None`` after a restart of the ramp.
+        """
+        if last is None:
+            self._turns_around = False
+            return self.step(goal, dt)
+        if last.must_stop != self._turns_around:
+            self._turns_around = last.must_stop
+            self.restart(last.twist if last.must_stop else ZERO_TWIST)
+        self.limit_lead(last.target, last.twist, last.aligned, last.infeasible)
+        return self.step(ZERO_TWIST if self._turns_around else goal, dt, last.scale == 1.0)
+
+    def confirm(self, measured: Twist) -> None:
+        """Continues after a gap in time from the ``measured`` twist if the ramp is faster."""
+        self.unconfirmed = False
+        if self._product(measured, measured) < self._product(self.twist, self.twist):
+            self.restart(measured)
 
     def step(self, goal: Twist, dt: float, grows: bool = True) -> Twist:
         """Moves the twist ramp towards ``goal`` for ``dt`` s and returns the new twist.
@@ -72,12 +103,15 @@ class Ramp:
     def _straight(self, start: Twist, goal: Twist, dt: float) -> Twist:
         """Returns the twist ``dt`` s after ``start`` on the straight line to ``goal``."""
         settings, share = self.settings, 1.0
+        linear, angular = settings.max_linear_acceleration, settings.max_angular_acceleration
+        if self._product(start, goal) < self._product(start, start):
+            linear, angular = settings.max_linear_deceleration, settings.max_angular_deceleration
         dv = math.hypot(goal.vx - start.vx, goal.vy - start.vy)
         dw = abs(goal.wz - start.wz)
-        if dv > settings.max_linear_acceleration * dt:
-            share = settings.max_linear_acceleration * dt / dv
-        if dw * share > settings.max_angular_acceleration * dt:
-            share = settings.max_angular_acceleration * dt / dw
+        if dv > linear * dt:
+            share = linear * dt / dv
+        if dw * share > angular * dt:
+            share = angular * dt / dw
         return goal if share >= 1.0 else _interpolate(start, goal, share)
 
     def limit_lead(

@@ -10,8 +10,8 @@ from thorvaldc.model.bus_quirks import Quirk
 from thorvaldc.runtime.base_interface import BaseHandle
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
+from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import BaseDriver
-from thorvaldc.runtime.runner import BaseRunner
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
@@ -45,9 +45,12 @@ class Rig:
         }
         self.base = CanBase(robot, self.interfaces, threaded=False)
         self.interface = next(iter(self.interfaces.values()))
-        self.runner = BaseRunner(robot, self.base, self.interface)
+        self.driven = DrivenRobot(robot, self.base, self.interface)
+        self.driven.before_cycle = self._operate
+        self.homes = True
+        """``True`` if an operator homes the steering as soon as the robot has started."""
         self.twist: Twist | None = ZERO_TWIST
-        self.runner.feed = self._command
+        self.driven.feed = self._command
         self.frames: list[tuple[int, CanFrame]] = []
         wire = self.simulated.wire()
         wire.observers.append(lambda time, frame, _: self.frames.append((time, frame)))
@@ -62,19 +65,19 @@ class Rig:
 
     @property
     def state(self) -> BaseState:
-        return self.runner.state
+        return self.base.state
 
     @property
     def reason(self) -> str:
         return self.base.state_machine.reason
 
     def run(self, seconds: float) -> None:
-        self.runner.run(self.now + seconds)
+        self.driven.run(self.now + seconds)
 
     def until(self, condition: Callable[[], bool], limit: float = 30.0) -> float:
         """Runs until ``condition()`` is true; returns the time (s) that this took."""
         start = self.now
-        self.runner.run(start + limit, stop=condition)
+        self.driven.run(start + limit, stop=condition)
         assert condition(), f"not within {limit} s: {self.state} {self.reason}"
         return self.now - start
 
@@ -82,11 +85,15 @@ class Rig:
         self.until(lambda: self.state is BaseState.READY)
         self.run(0.1)
 
+    def _operate(self, now: float) -> None:
+        if self.homes and self.state is BaseState.STANDBY:
+            self.driven.home_steering()
+
     def arm(self) -> None:
         """Arms the robot as an operator does, while zero is commanded."""
         self.twist = ZERO_TWIST
         self.run(0.1)
-        self.runner.arm()
+        self.driven.arm()
 
     def stall(self, seconds: float, step: float = 0.01) -> list[float]:
         """Lets virtual time pass without a control cycle, as if the driver's process was stopped.
@@ -101,9 +108,9 @@ class Rig:
 
     def drive(self, twist: Twist = FORWARD, seconds: float = 2.0) -> None:
         """Waits until the robot is ready, arms it, and drives."""
-        if not self.runner.ready:
+        if not self.driven.ready:
             self.ready()
-        if not self.base.armed:
+        if not self.driven.armed:
             self.arm()
         self.twist = twist
         self.run(seconds)

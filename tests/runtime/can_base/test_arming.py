@@ -10,10 +10,9 @@ import pytest
 from tests.runtime.can_base.fault_matrix import ROBOTS, roboteq
 from tests.runtime.can_base.simulated_rig import FORWARD, Rig
 from thorvaldc.runtime.can_base.base_state import BaseState
-from thorvaldc.runtime.control.runner_services import RunnerControl
-from thorvaldc.runtime.control.service_table import Caller, ServiceError
-from thorvaldc.runtime.runner import RequestRefused
+from thorvaldc.runtime.errors import RequestRefused
 from thorvaldc.runtime.se2 import ZERO_TWIST
+from thorvaldc.runtime.service_table import Caller, ServiceError
 
 both = pytest.mark.parametrize("kind", ROBOTS)
 
@@ -31,7 +30,7 @@ def test_a_robot_that_is_not_armed_stands(kind: str) -> None:
     rig.twist = FORWARD
     rig.run(1.0)
     assert rig.speed() == 0.0
-    assert rig.runner.driver.state.hold_reason == "disarmed"
+    assert rig.driven.driver.state.hold_reason == "disarmed"
     rig.arm()
     rig.twist = FORWARD
     rig.run(1.0)
@@ -42,7 +41,7 @@ def test_a_robot_that_is_not_armed_stands(kind: str) -> None:
 def test_a_disarmed_robot_ramps_to_rest(kind: str) -> None:
     rig = ready(kind)
     rig.drive()
-    rig.runner.disarm()
+    rig.driven.disarm()
     speeds = []
     for _ in range(100):
         rig.run(rig.base.period)
@@ -56,19 +55,19 @@ def test_faults_stops_and_homing_disarm() -> None:
     rig = ready()
     for stop in (
         lambda: rig.base.state_machine.fail("injected fault"),
-        lambda: rig.runner.safety_stop(),
-        lambda: rig.runner.home_steering(),
+        lambda: rig.driven.safety_stop(),
+        lambda: rig.driven.home_steering(),
     ):
         rig.arm()
-        assert rig.base.armed
+        assert rig.driven.armed
         stop()
         rig.run(0.1)
-        assert not rig.base.armed
-        rig.runner.safety_stop(False)
+        assert not rig.driven.armed
+        rig.driven.safety_stop(False)
         if rig.state in (BaseState.FAULT, BaseState.ESTOP):
-            rig.runner.reset()
+            rig.driven.reset()
         rig.until(lambda: rig.state is BaseState.READY)
-        assert not rig.base.armed
+        assert not rig.driven.armed
 
 
 def test_automatic_arming_waits_for_zero() -> None:
@@ -83,10 +82,10 @@ def test_automatic_arming_waits_for_zero() -> None:
     rig.twist = FORWARD
     rig.run(1.0)
     assert rig.speed() > 0.4
-    rig.runner.disarm()
+    rig.driven.disarm()
     rig.twist = ZERO_TWIST
     rig.run(2.0)
-    assert not rig.base.armed
+    assert not rig.driven.armed
 
 
 # -- pre-arm checks --------------------------------------------------------------------
@@ -98,12 +97,12 @@ def test_all_reasons_are_reported_together() -> None:
     rig.run(0.1)
     rig.stall(0.1)
     rig.run(0.1)
-    rig.runner.safety_stop()
+    rig.driven.safety_stop()
     battery = next(d for n, d in rig.simulated.devices.items() if n.startswith("battery"))
     battery.power_off()
     rig.run(1.1)
     with pytest.raises(RequestRefused) as refusal:
-        rig.runner.arm()
+        rig.driven.arm()
     reasons = str(refusal.value).split("; ")
     for part in (
         "the base is estop, reset it first",
@@ -122,13 +121,13 @@ def test_a_battery_that_allows_no_discharge_refuses() -> None:
     battery.discharge_enabled = False  # type: ignore[attr-defined]
     rig.run(1.0)
     with pytest.raises(RequestRefused, match="battery: discharge is not enabled"):
-        rig.runner.arm()
+        rig.driven.arm()
 
 
 def test_a_source_that_commands_motion_and_a_stop_lock_refuse() -> None:
     rig = ready()
-    control = RunnerControl(rig.runner)
-    rig.runner.feed = control.feed
+    control = rig.driven
+    rig.driven.feed = None
     # A source of a low priority counts too: it would drive as soon as the other one is silent.
     control.call("twist", source="auto_nav", vx=0.3)
     control.call("twist", source="teleop_joy", vx=0.0)
@@ -147,9 +146,9 @@ def test_a_source_that_commands_motion_and_a_stop_lock_refuse() -> None:
 
 def test_the_safety_stop_is_released_by_who_engaged_it_or_by_force() -> None:
     rig = ready()
-    control = RunnerControl(rig.runner)
-    rig.runner.feed = control.feed
-    rig.runner.safety_stop()  # by the program of the driver, without the control channel
+    control = rig.driven
+    rig.driven.feed = None
+    rig.driven.safety_stop()  # by the program of the driver, without the control channel
     rig.run(0.1)
     other = Caller("connection 1")
     with pytest.raises(ServiceError, match="was set by this program; release it there, or with"):
@@ -158,7 +157,7 @@ def test_the_safety_stop_is_released_by_who_engaged_it_or_by_force() -> None:
         control.call("reset_faults")
     control.services.call("release_safety_stop", {"force": True}, rig.now, other)
     control.call("reset_faults")
-    texts = [event.text for event in rig.runner.events]
+    texts = [event.text for event in rig.driven.events]
     assert "connection 1 released by force the safety stop of this program" in texts
 
 
@@ -168,8 +167,8 @@ def test_the_safety_stop_is_released_by_who_engaged_it_or_by_force() -> None:
 @both
 def test_a_source_that_moves_through_a_gap_must_send_zero(kind: str) -> None:
     rig = ready(kind)
-    control = RunnerControl(rig.runner)
-    vx = 0.8
+    control = rig.driven
+    vx = 0.0
     refusals: list[str] = []
 
     def feed(driver: object, now: float) -> None:
@@ -179,11 +178,11 @@ def test_a_source_that_moves_through_a_gap_must_send_zero(kind: str) -> None:
             refusals.append(str(error))
         # A source of a lower priority sends zero all the time; this releases only itself.
         control.call("twist", source="auto_nav")
-        control.feed(rig.runner.driver, now)
 
     control.call("arm")
-    rig.run(rig.base.period)
-    rig.runner.feed = feed
+    rig.driven.feed = feed
+    rig.run(2.0 * rig.base.period)
+    vx = 0.8
     rig.run(2.0)
     assert rig.speed() == pytest.approx(0.8, abs=0.02)
     rig.stall(0.15)
@@ -200,19 +199,20 @@ def test_a_source_that_moves_through_a_gap_must_send_zero(kind: str) -> None:
 def test_arm_is_no_zero_of_a_source_that_moves_through_a_gap() -> None:
     """A short gap does not disarm, so that ``arm`` checks nothing."""
     rig = ready()
-    control = RunnerControl(rig.runner)
+    control = rig.driven
 
     def feed(driver: object, now: float) -> None:
-        control.multiplexer.publish("teleop_joy", FORWARD, now)
+        control.multiplexer.publish("teleop_joy", twist, now)
         control.multiplexer.publish("auto_nav", ZERO_TWIST, now)
-        control.feed(rig.runner.driver, now)
         if now > 2.0 + start:
             control.call("arm")
 
+    twist = ZERO_TWIST
     control.call("arm")
-    rig.run(rig.base.period)
     start = rig.now
-    rig.runner.feed = feed
+    rig.driven.feed = feed
+    rig.run(2.0 * rig.base.period)
+    twist = FORWARD
     rig.run(1.0)
     assert rig.speed() > 0.4
     rig.stall(0.15)
@@ -223,8 +223,8 @@ def test_arm_is_no_zero_of_a_source_that_moves_through_a_gap() -> None:
 @pytest.mark.parametrize("first", ["arm", "twist"])
 def test_a_twist_at_the_time_of_arming_moves_after_zero_only(first: str) -> None:
     rig = ready()
-    control = RunnerControl(rig.runner)
-    rig.runner.feed = control.feed
+    control = rig.driven
+    rig.driven.feed = None
     forward = {"source": "teleop_joy", "vx": 0.5}
     if first == "arm":
         control.call("arm")
@@ -250,13 +250,12 @@ def test_a_twist_at_the_time_of_arming_moves_after_zero_only(first: str) -> None
 def test_arming_with_a_held_joystick_is_refused_after_a_gap() -> None:
     """The twist of the joystick is refused, so that nothing seems to be commanded."""
     rig = ready()
-    control = RunnerControl(rig.runner)
+    control = rig.driven
 
     def feed(driver: object, now: float) -> None:
         control.multiplexer.publish("teleop_joy", FORWARD, now)
-        control.feed(rig.runner.driver, now)
 
-    rig.runner.feed = feed
+    rig.driven.feed = feed
     rig.stall(0.15)
     rig.run(3.0)
     with pytest.raises(ServiceError, match="`teleop_joy` commands a motion"):

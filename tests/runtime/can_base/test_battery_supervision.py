@@ -17,7 +17,7 @@ from thorvaldc.model.robot import AUTOMATIC, BatterySettings
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryDriver
 from thorvaldc.runtime.can_base.battery_supervision import BatteryLevel, BatterySupervision
-from thorvaldc.runtime.runner import RequestRefused
+from thorvaldc.runtime.errors import RequestRefused
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 
@@ -41,7 +41,7 @@ def driving(settings: BatterySettings | None = None) -> Rig:
 
 
 def level(rig: Rig) -> BatteryLevel:
-    return rig.runner.battery_supervision.level
+    return rig.driven.battery_supervision.level
 
 
 def test_a_low_battery_is_a_warning() -> None:
@@ -49,7 +49,7 @@ def test_a_low_battery_is_a_warning() -> None:
     inject(rig, "battery_charge", charge=0.18)
     rig.run(2.0)
     assert level(rig) is BatteryLevel.WARN
-    assert rig.runner.warnings() == ["battery: 18 % left"]
+    assert rig.base.warnings(rig.now) == ["battery: 18 % left"]
     assert rig.speed() == pytest.approx(1.2, rel=0.01)
 
 
@@ -92,7 +92,7 @@ def test_a_silent_battery_limits_the_speed_and_then_stops_the_robot() -> None:
     assert level(rig) is BatteryLevel.OK
     rig.run(2.5)
     assert level(rig) is BatteryLevel.LIMIT
-    assert "no reports of its charge" in rig.runner.warnings()[0]
+    assert "no reports of its charge" in rig.base.warnings(rig.now)[0]
     rig.run(4.0)
     assert level(rig) is BatteryLevel.STOP
     assert rig.speed() == 0.0
@@ -133,13 +133,13 @@ def test_a_robot_without_battery_on_its_buses_drives() -> None:
     rig.drive(FAST, 15.0)
     assert level(rig) is BatteryLevel.OK
     assert rig.speed() == pytest.approx(1.2, rel=0.01)
-    assert not rig.runner.warnings()
+    assert not rig.base.warnings(rig.now)
 
 
 def test_reasons_against_arming() -> None:
     rig = Rig(cia402())
     rig.ready()
-    supervision = rig.runner.battery_supervision
+    supervision = rig.driven.battery_supervision
     assert list(supervision.arming_reasons(rig.now)) == []
     inject(rig, "battery_charge", charge=0.14)
     rig.run(0.3)
@@ -156,17 +156,17 @@ def test_the_service_refuses_to_arm(charge: float) -> None:
     inject(rig, "battery_charge", charge=charge)
     rig.run(0.3)
     with pytest.raises(RequestRefused, match=r"battery: .* % left, less than 15 %"):
-        rig.runner.arm()
+        rig.driven.arm()
     inject(rig, "battery_charge", charge=0.9)
     rig.run(2.0)
-    rig.runner.arm()
+    rig.driven.arm()
 
 
 def test_an_armed_robot_is_disarmed_by_an_empty_battery() -> None:
     rig = driving()
     inject(rig, "battery_charge", charge=0.03)
     rig.run(3.0)
-    assert not rig.base.armed
+    assert not rig.driven.armed
     assert rig.base.waiting_reason == "disarmed: battery: 3 % left"
     inject(rig, "battery_charge", charge=0.9)
     rig.run(3.0)
@@ -175,8 +175,8 @@ def test_an_armed_robot_is_disarmed_by_an_empty_battery() -> None:
 
 def test_the_lowest_battery_counts() -> None:
     rig = driving()
-    (battery,) = rig.runner.battery_supervision.batteries
-    supervision = rig.runner.battery_supervision
+    (battery,) = rig.driven.battery_supervision.batteries
+    supervision = rig.driven.battery_supervision
     spare = type(battery)(rig.robot.buses[0], replace(battery.node, name="spare"))
     supervision.batteries = [spare, battery]
     spare.state.charge, spare._charge_time = 0.07, rig.now + 10.0  # type: ignore[attr-defined]

@@ -19,7 +19,7 @@ from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import JointCommands
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.motor_controller import Intent
-from thorvaldc.runtime.runner import RequestRefused
+from thorvaldc.runtime.errors import RequestRefused
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.cia402_device import Cia402Drive
@@ -107,7 +107,7 @@ def test_an_exception_in_the_cycle_leaves_no_heartbeat() -> None:
     def broken(*_: object) -> None:
         raise ZeroDivisionError
 
-    rig.runner.feed = broken
+    rig.driven.feed = broken
     for _ in range(20):
         with pytest.raises(ZeroDivisionError):
             rig.run(PERIOD)
@@ -151,8 +151,8 @@ def test_overruns_are_counted_and_never_caught_up() -> None:
         if rig.now < at + 1.5 * PERIOD:
             rig.interface.sleep(0.03)  # longer than a cycle: the next one is skipped
 
-    rig.runner.run(at + 0.5, watch=slow)
-    timing = rig.runner.timing
+    rig.driven.run(at + 0.5, watch=slow)
+    timing = rig.driven.timing
     assert timing.overruns >= 1
     assert timing.skipped == timing.overruns
     syncs = [t / 1e9 for t, f in rig.frames if f.id == SYNC and t / 1e9 > at]
@@ -188,7 +188,7 @@ def test_commands_that_are_not_finite_stop_the_robot() -> None:
 def test_after_a_stale_command_the_robot_ramps_to_rest_and_holds_its_steering() -> None:
     rig = Rig(four_wheels())
     rig.drive(Twist(0.6, 0.0, 0.4), 3.0)
-    angles = rig.runner.driver.state.joints
+    angles = rig.driven.driver.state.joints
     assert angles is not None
     steering_angles = list(angles.angles)
     rig.twist = None
@@ -198,7 +198,7 @@ def test_after_a_stale_command_the_robot_ramps_to_rest_and_holds_its_steering() 
     while rig.state is BaseState.STOPPING:
         rig.run(PERIOD)
         speeds.append(rig.speed())
-        joints = rig.runner.driver.state.joints
+        joints = rig.driven.driver.state.joints
         assert joints is not None
         assert list(joints.angles) == pytest.approx(steering_angles, abs=0.02)
     assert speeds[-1] < 0.02
@@ -217,7 +217,7 @@ def test_a_command_from_before_the_start_does_not_move_it() -> None:
     rig.run(1.0)
     assert rig.state is BaseState.READY
     assert rig.speed() == 0.0
-    assert "before the base was ready" in rig.base.waiting_reason
+    assert "a motion is commanded" in rig.driven.driver.state.hold_reason
     rig.twist = ZERO_TWIST
     rig.run(0.1)
     rig.twist = FORWARD
@@ -297,11 +297,17 @@ def test_a_node_that_restarts_is_a_fault_and_unhomed(make: Make) -> None:
     assert not controller.homed
     rig.twist = ZERO_TWIST
     rig.run(0.1)
-    rig.runner.changes.clear()
-    rig.runner.reset()
+    rig.base.changes.clear()
+    rig.driven.reset()
     rig.ready()
-    names = [change.state for change in rig.runner.changes]
-    assert names == [BaseState.PREOP, BaseState.CONFIG, BaseState.HOMING, BaseState.READY]
+    names = [change.state for change in rig.base.changes]
+    assert names == [
+        BaseState.PREOP,
+        BaseState.CONFIG,
+        BaseState.STANDBY,
+        BaseState.HOMING,
+        BaseState.READY,
+    ]
     rig.drive()
 
 
@@ -338,7 +344,7 @@ def test_a_bus_off_interface_is_a_fault() -> None:
     assert rig.speed() == 0.0
     rig.twist = ZERO_TWIST
     rig.run(0.1)
-    rig.runner.reset()
+    rig.driven.reset()
     rig.ready()
     rig.drive()
 
@@ -400,13 +406,13 @@ def test_home_steering_homes_again() -> None:
     rig = Rig(four_wheels())
     rig.drive()
     with pytest.raises(RequestRefused, match="not ready"):
-        rig.runner.home_steering()
+        rig.driven.home_steering()
     rig.twist = ZERO_TWIST
     rig.until(lambda: rig.state is BaseState.READY)
     drive = device(rig)
     assert isinstance(drive, RoboteqController)
     drive.homed = False
-    rig.runner.home_steering()
+    rig.driven.home_steering()
     assert rig.state is BaseState.HOMING
     rig.ready()
     assert drive.homed
@@ -502,21 +508,21 @@ def test_one_controller_is_missing() -> None:
 def test_the_safety_stop_and_the_three_conditions_to_leave_it(make: Make) -> None:
     rig = Rig(make())
     rig.drive()
-    rig.runner.safety_stop()
+    rig.driven.safety_stop()
     rig.until(lambda: rig.state is BaseState.ESTOP, 0.05)
     rig.until(lambda: rig.speed() == 0.0, 2.0)
     rig.run(0.3)
     assert all(c.is_off for c in rig.base.state_machine.controllers)
     with pytest.raises(RequestRefused, match="release it first"):
-        rig.runner.reset()
-    rig.runner.safety_stop(False)
+        rig.driven.reset()
+    rig.driven.safety_stop(False)
     rig.run(1.0)
     assert rig.state is BaseState.ESTOP  # the release alone does not start the robot
     with pytest.raises(RequestRefused, match="command zero first"):
-        rig.runner.reset()
+        rig.driven.reset()
     rig.twist = ZERO_TWIST
     rig.run(0.05)
-    rig.runner.reset()
+    rig.driven.reset()
     rig.twist = FORWARD  # too early: without a pause the base does not follow
     rig.until(lambda: rig.state is BaseState.READY)
     rig.run(1.0)
@@ -530,7 +536,7 @@ def test_a_reset_without_a_fault_is_refused() -> None:
     rig = Rig(four_wheels())
     rig.ready()
     with pytest.raises(RequestRefused, match="nothing to reset"):
-        rig.runner.reset()
+        rig.driven.reset()
 
 
 def test_a_power_stage_without_power_is_an_emergency_stop() -> None:
@@ -545,7 +551,7 @@ def test_a_power_stage_without_power_is_an_emergency_stop() -> None:
     drive.power_stage_error = False
     rig.twist = ZERO_TWIST
     rig.run(0.5)
-    rig.runner.reset()
+    rig.driven.reset()
     rig.ready()
 
 
@@ -556,7 +562,7 @@ def test_a_cause_that_remains_leads_to_the_fault_again() -> None:
     rig.until(lambda: rig.state is BaseState.FAULT)
     rig.twist = ZERO_TWIST
     rig.run(0.1)
-    rig.runner.reset()
+    rig.driven.reset()
     rig.until(lambda: rig.state is BaseState.FAULT)
     assert "fl_controller" in rig.reason
     assert rig.speed() == 0.0
@@ -567,7 +573,7 @@ def test_the_shutdown_is_a_quick_stop_then_pre_operational(make: Make) -> None:
     rig = Rig(make())
     rig.drive(Twist(0.8, 0.0, 0.0), 3.0)
     at = rig.now
-    rig.runner.shutdown()
+    rig.driven.shutdown()
     assert rig.now - at < 1.5
     assert rig.speed() == 0.0
     assert all(
@@ -581,7 +587,7 @@ def test_a_safety_stop_during_homing_ends_it() -> None:
     rig = Rig(cia402_robot())
     rig.until(lambda: rig.state is BaseState.HOMING)
     rig.run(1.0)
-    rig.runner.safety_stop()
+    rig.driven.safety_stop()
     rig.until(lambda: rig.state is BaseState.ESTOP, 0.1)
     rig.run(1.0)
     assert all(c.is_off for c in rig.base.state_machine.controllers)

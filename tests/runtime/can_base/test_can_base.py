@@ -62,7 +62,7 @@ ROBOTS = {
 def test_a_robot_starts_drives_stops_and_shuts_down(make: functools.partial[Robot]) -> None:
     rig = Rig(make())
     rig.ready()
-    names = [change.state for change in rig.runner.changes]
+    names = [change.state for change in rig.base.changes]
     assert names == [
         BaseState.INIT,
         BaseState.PREOP,
@@ -73,17 +73,17 @@ def test_a_robot_starts_drives_stops_and_shuts_down(make: functools.partial[Robo
     assert rig.speed() == 0.0
     start = rig.now
     rig.drive(Twist(0.4, 0.0, 0.0), 4.0)
-    joints = rig.runner.driver.state.joints
+    joints = rig.driven.driver.state.joints
     assert joints is not None
-    pose = rig.runner.driver.state.pose
+    pose = rig.driven.driver.state.pose
     assert rig.speed() == pytest.approx(0.4, rel=0.02)
     assert 1.2 < pose.x < 1.7
     assert abs(pose.y) < 0.01
     rig.twist = ZERO_TWIST
     assert rig.until(lambda: rig.state is BaseState.READY) < 2.0
     assert rig.base.incomplete == 0
-    assert rig.runner.timing.overruns == 0
-    rig.runner.shutdown()
+    assert rig.driven.timing.overruns == 0
+    rig.driven.shutdown()
     assert rig.speed() == 0.0
     for device in rig.simulated.devices.values():
         if isinstance(device, RoboteqController | Cia402Drive):
@@ -100,7 +100,7 @@ def test_an_axis_without_limits_follows_a_direction_that_rotates() -> None:
         rig.run(0.5)
         assert rig.state is BaseState.ACTIVE, rig.reason
     rig.run(3.0)
-    joints = rig.runner.driver.state.joints
+    joints = rig.driven.driver.state.joints
     assert joints is not None
     for angle, speed, wheel in zip(joints.angles, joints.speeds, rig.robot.wheels, strict=True):
         assert math.cos(angle - direction) * speed * wheel.radius == pytest.approx(0.4, rel=0.03)
@@ -109,7 +109,7 @@ def test_an_axis_without_limits_follows_a_direction_that_rotates() -> None:
 def test_the_drives_are_off_after_the_shutdown() -> None:
     rig = Rig(drives())
     rig.drive()
-    rig.runner.shutdown()
+    rig.driven.shutdown()
     for device in rig.simulated.devices.values():
         if isinstance(device, Cia402Drive):
             assert all(a.states.state is DriveState.SWITCH_ON_DISABLED for a in device.axes)
@@ -120,5 +120,5 @@ def test_equal_runs_give_equal_frames() -> None:
     for _ in range(2):
         rig = Rig(four_wheels(), seed=7)
         rig.drive(Twist(0.3, 0.2, 0.1), 1.0)
-        runs.append((rig.frames, rig.runner.driver.state.pose))
+        runs.append((rig.frames, rig.driven.driver.state.pose))
     assert runs[0] == runs[1]

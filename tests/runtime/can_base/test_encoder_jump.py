@@ -38,7 +38,7 @@ def test_a_jump_stops_the_robot_which_homes_again(robot: Callable[[], Robot], dr
     assert rig.now - start < 0.11
     rig.twist = ZERO_TWIST
     rig.run(2.0)
-    rig.runner.reset()
+    rig.driven.reset()
     rig.ready()
     motor = rig.simulated.motors["fl_steering_steering"]
     assert motor.read(rig.now).position == pytest.approx(0.0, abs=0.02)

@@ -39,8 +39,8 @@ def test_the_odometry_experiment_over_the_bus() -> None:
     def feed(driver: BaseDriver, now: float) -> None:
         driver.command(twist_at(plan, now), now)
 
-    rig.runner.feed = feed
-    rig.runner.reset_odometry()
+    rig.driven.feed = feed
+    rig.driven.reset_odometry()
     start = last = base.true_pose()
     path = 0.0
     start_time = rig.now
@@ -51,11 +51,11 @@ def test_the_odometry_experiment_over_the_bus() -> None:
         last = pose
     assert 77.0 < rig.now - start_time < 78.5
     assert path > 75.0
-    true, estimated = base.true_pose().relative_to(start), rig.runner.driver.state.pose
+    true, estimated = base.true_pose().relative_to(start), rig.driven.driver.state.pose
     assert math.hypot(true.x - estimated.x, true.y - estimated.y) <= 0.1
     assert abs(math.remainder(true.yaw - estimated.yaw, math.tau)) < 0.02
     assert rig.base.incomplete == 0
-    rig.runner.shutdown()
+    rig.driven.shutdown()
 
 
 @pytest.mark.parametrize("make", [drives, four_wheels], ids=["cia402", "roboteq"])

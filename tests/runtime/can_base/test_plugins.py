@@ -78,7 +78,7 @@ def test_a_battery_of_another_package(monkeypatch: pytest.MonkeyPatch) -> None:
     assert name is not None
     rig = Rig(renamed(robot, name, "acme_battery"))
     rig.ready()
-    assert rig.runner.warnings() == [f"{name}: mine"]
+    assert rig.base.warnings(rig.now) == [f"{name}: mine"]
 
 
 @pytest.mark.parametrize(

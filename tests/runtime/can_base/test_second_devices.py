@@ -82,11 +82,11 @@ def test_a_reset_does_not_help_while_the_clone_is_there(make: Make) -> None:
     clone = rig.simulated.clone("fl_controller", "spare")
     rig.simulated.power_on()
     until_fault(rig, 5.0)
-    rig.runner.reset()
+    rig.driven.reset()
     assert until_fault(rig, 8.0) < 2.0
     clone.power_off()
     rig.run(0.1)
-    rig.runner.reset()
+    rig.driven.reset()
     rig.until(lambda: rig.state is BaseState.READY)
 
 
@@ -143,7 +143,7 @@ def test_every_identifier_of_the_master_from_elsewhere(make: Make) -> None:
         assert rig.reason.startswith("another master is on the bus: it sends ")
         assert f"({frame.cob_id:#05x})" in rig.reason
         rig.run(0.5)
-        rig.runner.reset()
+        rig.driven.reset()
         rig.until(lambda: rig.state is BaseState.READY)
 
 
@@ -203,8 +203,8 @@ def test_late_cycles_are_no_second_device(make: Make) -> None:
         if cycles % 7 == 0:
             rig.interface.sleep(0.017 if cycles % 2 else 0.028)
 
-    rig.runner.run(rig.now + 20.0, watch=late)
-    assert rig.runner.timing.overruns > 10
+    rig.driven.run(rig.now + 20.0, watch=late)
+    assert rig.driven.timing.overruns > 10
     assert "second device" not in rig.reason
     assert "another master" not in rig.reason
 
@@ -212,9 +212,9 @@ def test_late_cycles_are_no_second_device(make: Make) -> None:
 def test_two_batteries_with_one_id_are_a_warning() -> None:
     rig = Rig(cia402())
     rig.drive()
-    assert not rig.runner.warnings()
+    assert not rig.base.warnings(rig.now)
     inject(rig, "forged_frames", cob_id=0x3E1, period=0.1)
     rig.run(1.5)
     assert rig.state is BaseState.ACTIVE
-    (warning,) = rig.runner.warnings()
+    (warning,) = rig.base.warnings(rig.now)
     assert warning.startswith("battery: charge (0x3e1) comes more often than the robot file states")

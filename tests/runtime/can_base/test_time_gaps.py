@@ -12,7 +12,7 @@ from tests.runtime.can_base.simulated_rig import Rig
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model.stopping import shortest_watchdog
 from thorvaldc.runtime.can_base.base_state import BaseState
-from thorvaldc.runtime.runner import RequestRefused
+from thorvaldc.runtime.errors import RequestRefused
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.runtime.time_gap import Gap, TimeGapRule
 from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
@@ -76,7 +76,7 @@ def test_after_a_short_gap_a_zero_twist_releases_the_robot(kind: str) -> None:
     rig = driving(kind)
     rig.stall(0.15)
     sampled(rig, 1.5)
-    state = rig.runner.driver.state
+    state = rig.driven.driver.state
     assert state.hold_reason == "no control cycle for 170 ms; command zero first"
     rig.twist = ZERO_TWIST
     rig.run(0.1)
@@ -90,10 +90,10 @@ def test_after_a_long_gap_a_reset_and_arming_release_the_robot(kind: str) -> Non
     rig.stall(0.7)
     sampled(rig, 1.0)
     with pytest.raises(RequestRefused, match="a motion is commanded"):
-        rig.runner.reset(commanded=True)
+        rig.driven.reset(commanded=True)
     rig.twist = ZERO_TWIST
     rig.run(0.1)
-    rig.runner.reset()
+    rig.driven.reset()
     rig.until(lambda: rig.state is BaseState.READY)
     rig.twist = FAST
     assert max(sampled(rig, 1.0)) == 0.0
@@ -163,7 +163,7 @@ def test_at_most_one_old_frame_is_sent(kind: str, seconds: float, frame: int) ->
     rig.frames.clear()
     start = rig.now
     sent_by = rig.base.cycles
-    rig.runner.run(start + rig.base.period)
+    rig.driven.run(start + rig.base.period)
     resumed = start + seconds
     old = [f for t, f in rig.frames if f.id in commands and t / 1e9 > resumed]
     assert len(old) <= 1, old

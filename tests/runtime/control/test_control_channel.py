@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from thorvaldc.runtime.control.driver_services import driving_services
 
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.runtime.control.control_client import ControlClient
@@ -25,10 +26,9 @@ from thorvaldc.runtime.control.control_server import (
     ControlServer,
     control_path,
 )
-from thorvaldc.runtime.control.driver_services import driving_services
-from thorvaldc.runtime.control.service_table import Argument, Service, ServiceError, Services
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.multiplexer import Multiplexer
+from thorvaldc.runtime.service_table import Argument, Service, ServiceError, Services
 from thorvaldc.simulation.bus.bus_server import BusServer
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import Wire as CanWire

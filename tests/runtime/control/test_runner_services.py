@@ -12,7 +12,7 @@ from tests.simulation.bus.robots import compiled
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.base_state import BaseState
-from thorvaldc.runtime.runner import RequestRefused
+from thorvaldc.runtime.errors import RequestRefused
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Twist
 from thorvaldc.simulation.bus.battery_and_io_devices import ForeignDevice, IoBoard, KcBattery
 from thorvaldc.simulation.bus.roboteq_device import RoboteqController
@@ -33,11 +33,11 @@ def test_the_present_angle_becomes_zero_at_the_next_homing() -> None:
     angle = drive.channels[1].position
     true = drive.channels[1].state.position
     assert abs(angle) > 0.1
-    rig.runner.set_home_count_current_position_zero("fl_controller")
+    rig.base.nodes.set_home_count_current_position_zero("fl_controller")
     rig.run(0.1)
     assert drive.nonvolatile["home_count"] != 0
     assert rig.simulated.devices["fr_controller"].nonvolatile["home_count"] == 0
-    rig.runner.home_steering()
+    rig.driven.home_steering()
     rig.ready()
     assert drive.channels[1].position == pytest.approx(0.0, abs=0.015)
     assert drive.channels[1].state.position == pytest.approx(true, abs=0.02)
@@ -46,31 +46,31 @@ def test_the_present_angle_becomes_zero_at_the_next_homing() -> None:
 def test_zero_of_all_controllers_and_of_none() -> None:
     rig = Rig(four_wheels())
     rig.ready()
-    rig.runner.set_home_count_current_position_zero()
+    rig.base.nodes.set_home_count_current_position_zero()
     with pytest.raises(RequestRefused, match="no controller `nobody`"):
-        rig.runner.set_home_count_current_position_zero("nobody")
+        rig.base.nodes.set_home_count_current_position_zero("nobody")
     without_switch = Rig(drives())
     without_switch.ready()
     with pytest.raises(RequestRefused, match="home switch"):
-        without_switch.runner.set_home_count_current_position_zero()
+        without_switch.base.nodes.set_home_count_current_position_zero()
 
 
 def test_no_settings_while_a_disarmed_robot_still_moves() -> None:
     rig = Rig(four_wheels())
     rig.drive(FORWARD, 2.0)
-    rig.runner.disarm()
+    rig.driven.disarm()
     rig.run(0.04)
     assert rig.state is not BaseState.ACTIVE
     assert not rig.base.standing
     with pytest.raises(RequestRefused, match="the robot drives; stop it first"):
-        rig.runner.set_home_count_current_position_zero("fl_controller")
+        rig.base.nodes.set_home_count_current_position_zero("fl_controller")
 
 
 def test_settings_of_a_motor_controller() -> None:
     rig = Rig(four_wheels())
     rig.ready()
-    rig.runner.setup_motor_controller("fl_controller", "max_propulsion_speed", 300)
-    rig.runner.setup_motor_controller("fl_controller", "tpdo2_cycle_time", 50)
+    rig.base.nodes.setup_motor_controller("fl_controller", "max_propulsion_speed", 300)
+    rig.base.nodes.setup_motor_controller("fl_controller", "tpdo2_cycle_time", 50)
     rig.run(0.2)
     drive = rig.simulated.devices["fl_controller"]
     assert isinstance(drive, RoboteqController)
@@ -78,31 +78,31 @@ def test_settings_of_a_motor_controller() -> None:
     assert drive.pdos is not None
     assert drive.pdos.event_period(1) == 0.05
     with pytest.raises(RequestRefused, match="no setting `max_speed`; there are direction"):
-        rig.runner.setup_motor_controller("fl_controller", "max_speed", 1)
+        rig.base.nodes.setup_motor_controller("fl_controller", "max_speed", 1)
     with pytest.raises(RequestRefused, match="cannot be"):
-        rig.runner.setup_motor_controller("fl_controller", "home_count", float("nan"))
+        rig.base.nodes.setup_motor_controller("fl_controller", "home_count", float("nan"))
     rig.arm()
     rig.twist = FORWARD
     rig.run(0.4)
     with pytest.raises(RequestRefused, match="stop it first"):
-        rig.runner.setup_motor_controller("fl_controller", "direction", 1)
+        rig.base.nodes.setup_motor_controller("fl_controller", "direction", 1)
 
 
 def test_drive_parameters_and_odometry() -> None:
     rig = Rig(four_wheels())
     rig.drive()
     with pytest.raises(RequestRefused):
-        rig.runner.set_drive_parameters("rail")
+        rig.driven.set_drive_parameters("rail")
     with pytest.raises(RequestRefused):
-        rig.runner.set_drive_parameters(radii={"nobody": 0.3})
+        rig.driven.set_drive_parameters(radii={"nobody": 0.3})
     name = rig.robot.wheels[0].name
-    rig.runner.set_drive_parameters(radii={name: 0.21}, limits={"max_linear_velocity": 0.2})
+    rig.driven.set_drive_parameters(radii={name: 0.21}, limits={"max_linear_velocity": 0.2})
     rig.run(2.0)
-    assert rig.runner.driver.parameters.radii[0] == 0.21
+    assert rig.driven.driver.parameters.radii[0] == 0.21
     assert rig.speed() < 0.22
-    assert rig.runner.driver.state.pose.x > 0.5
-    rig.runner.reset_odometry()
-    assert rig.runner.driver.state.pose == ORIGIN
+    assert rig.driven.driver.state.pose.x > 0.5
+    rig.driven.reset_odometry()
+    assert rig.driven.driver.state.pose == ORIGIN
 
 
 def test_services_of_another_thread_run_in_the_loop() -> None:
@@ -111,9 +111,9 @@ def test_services_of_another_thread_run_in_the_loop() -> None:
     seen: list[str] = []
 
     def call_services() -> None:
-        stop = rig.runner.submit(lambda: seen.append(threading.current_thread().name))
+        stop = rig.driven.submit(lambda: seen.append(threading.current_thread().name))
         stop.result(10.0)
-        reset = rig.runner.submit(rig.runner.reset)
+        reset = rig.driven.submit(rig.driven.reset)
         seen.append(str(reset.exception(10.0)))
 
     caller = threading.Thread(target=call_services)
@@ -132,19 +132,19 @@ def test_outputs_of_an_io_board() -> None:
     assert isinstance(board, IoBoard)
     rig.ready()
     assert board.outputs == 0b10  # relay_1_at_start; no output was switched
-    rig.runner.set_output("board", "beacon_red", True)
+    rig.base.nodes.set_output("board", "beacon_red", True)
     rig.run(0.3)
     assert board.outputs == 0b110
-    assert rig.runner.boards[0].reported_output("beacon_red") is True
-    rig.runner.set_output("board", "relay_1", False)
+    assert rig.base.nodes.boards[0].reported_output("beacon_red") is True
+    rig.base.nodes.set_output("board", "relay_1", False)
     board.inputs = 5
     rig.run(0.3)
     assert board.outputs == 0b100
-    assert rig.runner.boards[0].inputs == 5
+    assert rig.base.nodes.boards[0].inputs == 5
     with pytest.raises(RequestRefused, match="no output `horn`; it has relay_0"):
-        rig.runner.set_output("board", "horn", True)
+        rig.base.nodes.set_output("board", "horn", True)
     with pytest.raises(RequestRefused, match="no IO board `bord`; there are board"):
-        rig.runner.set_output("bord", "relay_0", True)
+        rig.base.nodes.set_output("bord", "relay_0", True)
 
 
 def test_the_battery_driver_decodes_all_three_frames() -> None:
@@ -155,26 +155,26 @@ def test_the_battery_driver_decodes_all_three_frames() -> None:
     battery.voltage, battery.current, battery.charge, battery.health = 47.5, -3.25, 0.64, 0.9
     battery.temperatures = [21, 22, 23, 24, 25, -6]
     rig.ready()
-    state = rig.runner.batteries()["battery"]
+    state = rig.base.batteries()["battery"]
     assert state.voltage == 47.5
     assert state.current == -3.25
     assert state.charge == pytest.approx(0.64, abs=0.011)
     assert state.health == 0.9
     assert state.cycles == 12
     assert state.temperatures == [21, 22, 23, 24, 25, -6]
-    assert rig.runner.from_devices() == [] or all(
-        r.cob_id == STATE for r in rig.runner.from_devices()
+    assert rig.base.nodes.from_devices() == [] or all(
+        r.cob_id == STATE for r in rig.base.nodes.from_devices()
     )
-    assert rig.runner.warnings() == []
+    assert rig.base.warnings(rig.now) == []
     battery.charge, battery.alarms = 0.05, 0x10
     rig.run(0.3)
-    assert rig.runner.warnings() == ["battery: alarms 0x0010"]
+    assert rig.base.warnings(rig.now) == ["battery: alarms 0x0010"]
     battery.alarms = 0
     rig.run(1.2)
-    assert rig.runner.warnings() == ["battery: 5 % left"]
+    assert rig.base.warnings(rig.now) == ["battery: 5 % left"]
     battery.power_off()
     rig.run(1.5)
-    assert rig.runner.warnings() == ["battery: no reports of its charge for 2 s"]
+    assert rig.base.warnings(rig.now) == ["battery: no reports of its charge for 2 s"]
     assert rig.state is BaseState.READY  # a battery drives nothing
 
 
@@ -186,18 +186,18 @@ def test_frames_of_foreign_devices_are_relayed_both_ways() -> None:
     sprayer = rig.simulated.devices["sprayer"]
     assert isinstance(sprayer, ForeignDevice)
     rig.ready()
-    rig.runner.from_devices()
-    rig.runner.send_to_device(COMMAND, b"\x01\x02")
+    rig.base.nodes.from_devices()
+    rig.base.nodes.send_to_device(COMMAND, b"\x01\x02", rig.now)
     rig.run(0.1)
     assert sprayer.commands == [CanFrame(COMMAND, b"\x01\x02")]
-    assert [frame.cob_id for frame in rig.runner.from_devices()] == [STATE]  # its response
-    rig.runner.mute_devices()
+    assert [frame.cob_id for frame in rig.base.nodes.from_devices()] == [STATE]  # its response
+    rig.base.nodes.mute_devices()
     with pytest.raises(RequestRefused, match="muted"):
-        rig.runner.send_to_device(COMMAND, b"")
-    rig.runner.mute_devices(False)
+        rig.base.nodes.send_to_device(COMMAND, b"", rig.now)
+    rig.base.nodes.mute_devices(False)
     rig.run(0.2)
-    rig.runner.send_to_device(COMMAND, b"")
-    assert rig.runner.relay_drops() == {"0x240 muted": 1}
+    rig.base.nodes.send_to_device(COMMAND, b"", rig.now)
+    assert rig.base.nodes.relay_drops() == {"0x240 muted": 1}
 
 
 @pytest.mark.parametrize("cob_id", [0x000, 0x080, 0x201, 0x601, 0x700 + 127, STATE, 0x241])
@@ -207,10 +207,10 @@ def test_no_other_frame_is_relayed(cob_id: int) -> None:
     rig.ready()
     at = rig.now
     with pytest.raises(RequestRefused, match="not allowed"):
-        rig.runner.send_to_device(cob_id, b"\xde\xad")
+        rig.base.nodes.send_to_device(cob_id, b"\xde\xad", rig.now)
     rig.run(0.2)
     assert not [f for t, f in rig.frames if t / 1e9 > at and f.data == b"\xde\xad"]
-    assert rig.runner.relay_drops() == {f"{cob_id:#05x} not allowed": 1}
+    assert rig.base.nodes.relay_drops() == {f"{cob_id:#05x} not allowed": 1}
 
 
 # -- several buses ----------------------------------------------------------------------
@@ -235,10 +235,10 @@ def two_buses() -> Robot:
 def test_a_robot_with_two_buses_drives_and_stops_as_one() -> None:
     rig = Rig(two_buses())
     rig.drive(Twist(0.4, 0.0, 0.0), 3.0)
-    assert rig.runner.driver.state.pose.x > 0.5
+    assert rig.driven.driver.state.pose.x > 0.5
     for name, wire in rig.simulated.wires.items():
         assert wire.frames > 500, name
     rig.simulated.devices["fr_controller"].power_off()
     rig.until(lambda: rig.state is BaseState.FAULT, 1.0)
     rig.until(lambda: rig.speed() == 0.0, 2.0)
-    rig.runner.shutdown()
+    rig.driven.shutdown()

@@ -10,9 +10,7 @@ import pytest
 from tests.examples import example_robot
 from tests.runtime.can_base.simulated_rig import Rig
 from thorvaldc.runtime.can_base.base_state import BaseState
-from thorvaldc.runtime.control.runner_services import RunnerControl
-from thorvaldc.runtime.control.service_table import ServiceError
-from thorvaldc.tools.teleoperation.bus_vehicle import BusVehicle
+from thorvaldc.runtime.service_table import ServiceError
 from thorvaldc.tools.teleoperation.keyboard import Keyboard
 from thorvaldc.tools.teleoperation.operator import Limits
 from thorvaldc.tools.teleoperation.teleop_loop import operate
@@ -23,9 +21,9 @@ class DrivenRobot:
 
     def __init__(self) -> None:
         self.rig = Rig(example_robot("4wd4ws_wide"))
-        self.control = RunnerControl(self.rig.runner)
+        self.control = self.rig.driven
         self.speeds: dict[str, float] = {}
-        self.rig.runner.feed = self.feed
+        self.rig.driven.feed = self.feed
         self.rig.ready()
         self.call("arm")
         self.rig.run(self.rig.base.period)
@@ -33,7 +31,6 @@ class DrivenRobot:
     def feed(self, driver: Any, now: float) -> None:
         for source, vx in self.speeds.items():
             self.call("twist", source=source, vx=vx)
-        self.control.feed(driver, now)
 
     def call(self, service: str, **arguments: Any) -> Any:
         return self.control.call(service, **arguments)
@@ -128,13 +125,13 @@ def test_refusals(
 def test_an_operator_drives_the_robot_on_its_bus() -> None:
     """The keys follow the virtual time of the bus."""
     rig = Rig(example_robot("4wd4ws_wide"))
-    control = RunnerControl(rig.runner)
-    rig.runner.feed = control.feed
-    vehicle = BusVehicle(rig.runner, control)
+    control = rig.driven
+    rig.driven.feed = None
+    vehicle = rig.driven
     shown: list[list[str]] = []
 
     def typed() -> Iterator[list[str]]:
-        while not rig.runner.ready:
+        while not rig.driven.ready:
             yield ["i"]  # pressed too early: the robot does not start by itself
         early = rig.now + 0.5
         while rig.now < early:
@@ -150,13 +147,13 @@ def test_an_operator_drives_the_robot_on_its_bus() -> None:
         yield ["q"]
 
     keys = typed()
-    keyboard = Keyboard(Limits.of(vehicle.description), lambda: next(keys), 0.5)
+    keyboard = Keyboard(Limits.of(vehicle.call("description")), lambda: next(keys), 0.5)
     operate(vehicle, keyboard, "teleop_joy", shown.append, clock=lambda: rig.now)
-    assert rig.runner.driver.state.pose.x > 1.0
+    assert rig.driven.driver.state.pose.x > 1.0
     assert rig.speed() < 0.1
     assert any("homing  drives: teleop_joy" in " ".join(lines) for lines in shown)
     hold_line = "ready  drives: teleop_joy  disarmed: press g"
     assert any(hold_line in " ".join(lines) for lines in shown)
     assert any("active  drives: teleop_joy" in " ".join(lines) for lines in shown)
-    vehicle.close()
+    vehicle.shutdown()
     assert rig.speed() == 0.0

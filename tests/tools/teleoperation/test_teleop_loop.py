@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 
 import pytest
 
 from tests.robots import FOUR_STEERED, make_robot
-from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.model.robot import AUTOMATIC
+from thorvaldc.runtime.driven_robot import DrivenRobot
+from thorvaldc.runtime.service_table import ServiceError
 from thorvaldc.simulation.physics.sim_base import SimBase
 from thorvaldc.tools.teleoperation.keyboard import Keyboard
 from thorvaldc.tools.teleoperation.operator import Limits
 from thorvaldc.tools.teleoperation.teleop_loop import operate
-from thorvaldc.tools.teleoperation.vehicle import SimulatedVehicle
 
 ROBOT = make_robot(FOUR_STEERED)
 
@@ -34,8 +36,8 @@ class Drive:
     def __init__(self, script: dict[float, str]) -> None:
         self.clock = Clock()
         self.script = dict(script)
-        self.vehicle = SimulatedVehicle(
-            BaseDriver(ROBOT, SimBase(ROBOT)), clock=self.clock, sleep=self.clock.sleep
+        self.vehicle = DrivenRobot(
+            ROBOT, SimBase(ROBOT), arming=AUTOMATIC, real_time=self.clock, sleep=self.clock.sleep
         )
         self.shown: list[list[str]] = []
         self.hook: Callable[[float], None] = lambda now: None
@@ -47,7 +49,7 @@ class Drive:
         return [key for at in due for key in self.script.pop(at)]
 
     def run(self) -> None:
-        keyboard = Keyboard(Limits.of(self.vehicle.description), self.read, 1.0)
+        keyboard = Keyboard(Limits.of(self.vehicle.call("description")), self.read, 1.0)
         operate(self.vehicle, keyboard, "teleop_joy", self.shown.append, clock=self.clock)
 
 
@@ -90,22 +92,27 @@ def test_an_interrupt_stops_first_too() -> None:
 
 def test_navigation_drives_when_the_operator_does_not() -> None:
     def navigate(now: float) -> None:
-        drive.vehicle.call("twist", source="auto_nav", vx=0.2)
-        sources[round(now, 2)] = drive.vehicle.call("state")["source"]
+        moves = 0.1 < now < 3.0 or now > 3.1
+        with contextlib.suppress(ServiceError):
+            drive.vehicle.call("twist", source="auto_nav", vx=0.2 if moves else 0.0)
+        state = drive.vehicle.call("state")
+        driven[round(now, 2)] = state["source"], state["in_force"]["vx"] > 0.1
 
-    sources: dict[float, str] = {}
+    driven: dict[float, tuple[str, bool]] = {}
     drive = Drive({1.0: "l", 4.0: "q"})
     drive.hook = navigate
     drive.run()
-    assert sources[0.5] == "auto_nav"
-    assert sources[1.5] == "teleop_joy"
-    assert sources[3.0] == "auto_nav"
+    assert driven[0.5] == ("auto_nav", True)
+    assert driven[1.5][0] == "teleop_joy"
+    # The navigation takes over when the keys are silent, and must command zero first.
+    assert driven[2.9] == ("auto_nav", False)
+    assert driven[3.5] == ("auto_nav", True)
 
 
 def test_a_refused_request_is_shown() -> None:
     drive = Drive({0.1: "h", 1.0: "q"})
     drive.run()
-    text = " " * 7 + "home steering: this driver has no such service"
+    text = " " * 7 + "this base has no joints to home"
     assert any(lines[-1] == text for lines in drive.shown)
 
 
@@ -119,13 +126,13 @@ def test_the_safety_stop_holds_the_robot() -> None:
 
 def test_a_machine_that_is_too_slow_falls_behind_the_clock() -> None:
     drive = Drive({})
-    drive.vehicle.cycle()
-    speed_before = drive.vehicle.now
+    drive.vehicle.step()
+    before = drive.vehicle.now
     drive.clock.now += 5.0
-    drive.vehicle.cycle()
-    assert drive.vehicle.now - speed_before == pytest.approx(0.05)
-    drive.vehicle.cycle()
-    assert drive.vehicle.now - speed_before == pytest.approx(0.07)
+    drive.vehicle.step()
+    assert drive.vehicle.now - before == pytest.approx(0.02)
+    drive.vehicle.step()
+    assert drive.vehicle.now - before == pytest.approx(0.04)
 
 
 def test_a_stopped_process_voids_the_key_that_was_held() -> None:

@@ -13,7 +13,7 @@ from thorvaldc.cli.diagnostic_output import message, print_json
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.options import Json
 from thorvaldc.runtime.control.control_client import ControlClient
-from thorvaldc.runtime.control.service_table import ServiceError
+from thorvaldc.runtime.service_table import ServiceError
 
 
 def call(

@@ -20,16 +20,16 @@ from thorvaldc.cli.robot_file import load_robot
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
+from thorvaldc.model.robot import AUTOMATIC
 from thorvaldc.runtime.control.control_client import ControlClient
-from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.run_session import RunSession
-from thorvaldc.tools.teleoperation.bus_vehicle import BusVehicle
 from thorvaldc.tools.teleoperation.console import drive_from_console
 from thorvaldc.tools.teleoperation.joystick import Search, evdev_search
 from thorvaldc.tools.teleoperation.operator import SMALLEST_SHARE
 from thorvaldc.tools.teleoperation.terminal import end_signals
-from thorvaldc.tools.teleoperation.vehicle import RemoteVehicle, SimulatedVehicle, Vehicle
+from thorvaldc.tools.teleoperation.vehicle import RemoteVehicle, Vehicle
 
 
 def teleop(
@@ -110,12 +110,12 @@ def teleop(
         if vehicle is None:
             return INPUT
         try:
-            _check_source(source, vehicle.description)
+            _check_source(source, vehicle.call("description"))
             drive_from_console(vehicle, source, share, search, end_requested)
         except ConnectionError as error:
             raise OutsideError(str(error)) from None
         finally:
-            vehicle.close()
+            vehicle.shutdown()
     return DONE
 
 
@@ -158,7 +158,7 @@ def _simulated_vehicle(robot: Robot, file: str, on: str, channel: str) -> Vehicl
     from thorvaldc.simulation.physics.sim_base import SimBase
 
     base = make_mujoco_base(robot, file, Report()) if on == "sim" else SimBase(robot)
-    return SimulatedVehicle(BaseDriver(robot, base), channel)
+    return DrivenRobot(robot, base, arming=AUTOMATIC, channel=channel)
 
 
 def _bus_vehicle(robot: Robot, file: str, on: str, channel: str) -> Vehicle:
@@ -173,7 +173,7 @@ def _bus_vehicle(robot: Robot, file: str, on: str, channel: str) -> Vehicle:
         session = RunSession(robot, open_interfaces(on, robot), channel=channel)
     if is_hardware(on):
         warn_once()
-    return BusVehicle(session.runner, session.control)
+    return session.driven
 
 
 def _joystick_search(joystick: str, mapping: str) -> Search:

@@ -20,6 +20,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.model.drive_settings import ARMING_TIMEOUT, AT_START, ON_ARMING
 from thorvaldc.model.robot import (
     AUTOMATIC,
     REQUIRED,
@@ -51,6 +52,11 @@ LIMITS = {
     "max_angular_velocity": "angular_velocity",
     "max_linear_acceleration": "acceleration",
     "max_angular_acceleration": "angular_acceleration",
+}
+# Quantity of each deceleration, and the acceleration that it equals by default.
+DECELERATIONS = {
+    "max_linear_deceleration": ("acceleration", "max_linear_acceleration"),
+    "max_angular_deceleration": ("angular_acceleration", "max_angular_acceleration"),
 }
 BATTERY = {
     "warn": "ratio",
@@ -124,7 +130,7 @@ class DriverSettingsReader:
                 self._report_not_positive(key, value, node.get(key))
         self._check_cycle(rate, timeout, node)
         limits: dict[str, Any] = {
-            key: self._limit(node.get(key), key, motor_limit)
+            key: self._limit(node.get(key), key, LIMITS[key], motor_limit)
             for key, motor_limit in self._motor_limits(None).items()
         }
         return DriverSettings(
@@ -133,9 +139,39 @@ class DriverSettingsReader:
             noise=tuple((self._measured_noise | self._noise(node.get("noise"))).items()),
             stopping_distance=self._stopping_distance(node.get("stopping_distance")),
             battery=self._battery(node.get("battery")),
-            arming=_arming(node.get("arming")),
+            arming=_choice(node.get("arming"), REQUIRED, AUTOMATIC),
+            arming_timeout=self._arming_timeout(node.get("arming_timeout")),
+            homing=_choice(node.get("homing"), ON_ARMING, AT_START),
             **limits,
+            **self._decelerations(node, limits, None, node),
         )
+
+    def _decelerations(
+        self, node: Node, limits: Mapping[str, float], radii: str | None, driver: Node
+    ) -> dict[str, float]:
+        """Returns the decelerations of a stop; by default they equal the accelerations.
+
+        ``node``: section ``driver``, or a parameter set, which inherits what ``driver`` states.
+        The motors that bound the accelerations bound the decelerations too.
+        """
+        motor_limits = self._motor_limits(radii)
+        values = {}
+        for key, (quantity, acceleration) in DECELERATIONS.items():
+            stated, motor_limit = node.get(key), motor_limits[acceleration]
+            if stated is not None:
+                values[key] = self._limit(stated, key, quantity, motor_limit)
+            elif driver.get(key) is not None:
+                inherited = self._reader.quantity(driver.get(key), quantity)
+                values[key] = _finite(min(inherited, motor_limit))
+            else:
+                values[key] = limits[acceleration]
+        return values
+
+    def _arming_timeout(self, node: Node | None) -> float:
+        time = self._reader.quantity(node, "time", ARMING_TIMEOUT)
+        if time <= 0.0:
+            self._report_not_positive("arming_timeout", time, node)
+        return time
 
     def _stopping_distance(self, node: Node | None) -> float | None:
         if node is None:
@@ -230,8 +266,10 @@ class DriverSettingsReader:
             limits[key] = (
                 min(getattr(driver, key), _finite(motor_limit))
                 if stated is None
-                else self._limit(stated, key, motor_limit)
+                else self._limit(stated, key, LIMITS[key], motor_limit)
             )
+        section = self._document.get("driver") or Node({}, self._document.span)
+        limits |= self._decelerations(node, limits, radii, section)
         inherited = dict(driver.noise)
         if radii is not None:  # the calibration file states the errors of the ordinary radii
             for key in MEASURED_RADII:
@@ -263,12 +301,12 @@ class DriverSettingsReader:
         limits = (speed, turning_rate, acceleration, turning_acceleration)
         return dict(zip(LIMITS, limits, strict=True))
 
-    def _limit(self, node: Node | None, key: str, motor_limit: float) -> float:
+    def _limit(self, node: Node | None, key: str, quantity_name: str, motor_limit: float) -> float:
         """Returns the lower of the twist limit in the robot document and the twist limit of the
         motors.
         """
-        stated = self._reader.quantity(node, LIMITS[key], motor_limit)
-        quantity = QUANTITIES[LIMITS[key]]
+        stated = self._reader.quantity(node, quantity_name, motor_limit)
+        quantity = QUANTITIES[quantity_name]
         if node is not None and stated <= 0:
             self._report_not_positive(key, stated, node)
         lowered = _rounded_down(motor_limit)
@@ -318,9 +356,9 @@ def _report_not_positive(key: str, value: float, node: Node | None, report: Repo
     )
 
 
-def _arming(node: Node | None) -> str:
-    """Returns whether a robot must be armed; the schema check has reported other values."""
-    return AUTOMATIC if node is not None and node.value == AUTOMATIC else REQUIRED
+def _choice(node: Node | None, default: str, other: str) -> str:
+    """Returns one of two words; the schema check has reported all further words."""
+    return other if node is not None and node.value == other else default
 
 
 def _rounded_down(value: float) -> float:

@@ -76,7 +76,7 @@ class TwistInputReader:
         return entries(self._driver.get(key) if self._driver is not None else None)
 
     def _read(self, node: Node, default: TwistInput, *, may_be_silent: bool) -> TwistInput:
-        """Reads the priority, time-out and ROS topic of a twist source or twist lock."""
+        """Reads the values of a twist source or twist lock."""
         priority_node, topic = node.get("priority"), node.get("topic")
         priority = 0  # The schema check has already reported a missing priority.
         if priority_node is not None and isinstance(priority_node.value, int):
@@ -89,7 +89,9 @@ class TwistInputReader:
                 (node.get("timeout") or node).span,
             )
         topic_name = self._reader.text(topic) if topic is not None else default.topic
-        return TwistInput(default.name, topic_name, priority, timeout)
+        first = node.get("first_command")
+        first_command = self._reader.text(first) if first is not None else default.first_command
+        return TwistInput(default.name, topic_name, priority, timeout, first_command)
 
     def _check_priorities(self, sources: dict[str, TwistInput], stated: dict[str, Node]) -> None:
         """Reports two twist sources with the same priority.

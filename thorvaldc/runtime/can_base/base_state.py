@@ -11,6 +11,8 @@ class BaseState(enum.Enum):
     - ``INIT``: the driver listens to the bus and sends nothing;
     - ``PREOP``: the driver brings all nodes to the NMT state pre-operational;
     - ``CONFIG``: the driver compares the nodes with the robot file and starts the nodes;
+    - ``STANDBY``: a steering joint is not homed; the motors are off until the robot is armed or the
+      steering is homed on request;
     - ``HOMING``: the driver enables the motors, homes the steering and turns the wheels straight;
     - ``READY``: the robot stands and waits for a commanded twist;
     - ``ACTIVE``: the robot drives;
@@ -21,6 +23,7 @@ class BaseState(enum.Enum):
     INIT = "init"
     PREOP = "preop"
     CONFIG = "config"
+    STANDBY = "standby"
     HOMING = "homing"
     READY = "ready"
     ACTIVE = "active"

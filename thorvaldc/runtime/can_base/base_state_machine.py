@@ -18,6 +18,9 @@ controllers.  Messages between the base driver and a motor controller node durin
                                                 <---  heartbeat 05, reports (PDOs)
              all nodes operational, identities match, all reports have come: the driver's
              watchdog starts, commands are sent from now on
+    STANDBY  (only with a steering joint that is not homed, unless the robot file homes at start)
+             PDO: motors off            --->
+             ``home``: the robot is armed, or the steering is homed on request
     HOMING   PDO: home the steering             --->
                                                 <---  homed
              PDO: enable, hold or straighten    --->
@@ -70,13 +73,22 @@ class BaseStateMachine:
 
     - ``reason``: reason for the state FAULT or ESTOP, empty in other states;
     - ``was_ready``: ``True`` if the base has been in READY at least once;
+    - ``was_started``: ``True`` if the base has passed CONFIG at least once;
     - ``mismatch``: ``True`` if the state is FAULT because a node does not match the robot file;
     - ``changed``: callback for each change of state, called with the time (s), the new state and
       the reason.
     """
 
-    def __init__(self, connections: Sequence[BusConnection], times: Times | None = None) -> None:
+    def __init__(
+        self,
+        connections: Sequence[BusConnection],
+        times: Times | None = None,
+        *,
+        homes_at_start: bool = False,
+    ) -> None:
+        """``homes_at_start``: ``True`` if the steering is homed without a request, see STANDBY."""
         self.connections = connections
+        self.homes_at_start = homes_at_start
         self.times = times or Times()
         self.state = BaseState.INIT
         self.since = -math.inf
@@ -85,6 +97,7 @@ class BaseStateMachine:
         self.stop_engaged = False
         self.ending = False
         self.was_ready = False
+        self.was_started = False
         self.mismatch = False
         self.changed: Callable[[float, BaseState, str], None] | None = None
         self._nmt_sent_at = -math.inf
@@ -151,16 +164,26 @@ class BaseStateMachine:
         return ""
 
     def home(self, now: float) -> str:
-        """Starts a new homing of all steering motors.
+        """Starts a homing of all steering motors.  In READY, motors that are homed home again.
 
         Returns the reason if the homing is refused, or an empty text if the homing starts.
         """
-        if self.state is not BaseState.READY:
+        if self.stop_engaged:
+            return "the safety stop is engaged"
+        if self.state not in (BaseState.STANDBY, BaseState.READY):
             return f"the base is {self.state.value}, not ready"
-        for controller in self.controllers:
-            controller.discard_home(now)
+        if self.state is BaseState.READY:
+            for controller in self.controllers:
+                controller.discard_home(now)
         self._enter(BaseState.HOMING, now)
         return ""
+
+    def cancel_homing(self, now: float) -> None:
+        """Stops a homing and switches the motors off; the steering has to be homed again."""
+        if self.state is BaseState.HOMING:
+            for controller in self.controllers:
+                controller.discard_home(now)
+            self._enter(BaseState.STANDBY, now)
 
     def end(self) -> None:
         """Starts the shutdown of the base: first a quick stop of all motors, then switching off the
@@ -212,7 +235,7 @@ class BaseStateMachine:
     @property
     def intent(self) -> Intent:
         """Request of the base to all motor controllers in this control cycle."""
-        if self.ending or self.state in (BaseState.FAULT, BaseState.ESTOP):
+        if self.ending or self.state in (BaseState.STANDBY, BaseState.FAULT, BaseState.ESTOP):
             return Intent.QUICK_STOP
         if self.state.drives or self._enabling_since is not None:
             return Intent.FOLLOW
@@ -280,10 +303,11 @@ class BaseStateMachine:
         if problem:
             self._enter(BaseState.FAULT, now, problem)
             return
-        if self.ending or not (self.state.drives or self.state is BaseState.HOMING):
+        checked = self.state.drives or self.state in (BaseState.STANDBY, BaseState.HOMING)
+        if self.ending or not checked:
             return
         for controller in self.controllers:
-            if controller.power_loss:
+            if controller.power_loss and self.state is not BaseState.STANDBY:
                 self._enter(
                     BaseState.ESTOP, now, f"{controller.node.name}: {controller.power_loss}"
                 )
@@ -380,8 +404,10 @@ class BaseStateMachine:
         if not incomplete and now - self._observed_since >= OBSERVATION:
             for connection in self.connections:
                 connection.watchdog.start(now)
-            self._verified = True
-            self._enter(BaseState.HOMING, now)
+            self._verified = self.was_started = True
+            homed = all(controller.homed for controller in self.controllers)
+            turns = homed or self.homes_at_start
+            self._enter(BaseState.HOMING if turns else BaseState.STANDBY, now)
         elif self._longer_than(self.times.configure, now):
             reason = f"no complete reports in time from {', '.join(incomplete)}"
             self._enter(BaseState.FAULT, now, reason)

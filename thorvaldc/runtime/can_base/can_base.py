@@ -33,21 +33,49 @@ controller stops the motors 0.5 s after the last motor command with a new sequen
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
 
+from thorvaldc.can.canopen import NmtCommand
+from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.interface import CanInterface
 from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model.drive_settings import AT_START
 from thorvaldc.model.require_bus import require_bus
 from thorvaldc.model.robot import Robot
 from thorvaldc.model.stopping import REPORT_TIMEOUT
-from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointStates
+from thorvaldc.runtime.base_interface import (
+    BaseHandle,
+    ComponentStatus,
+    JointCommands,
+    JointStates,
+)
+from thorvaldc.runtime.can_base.arming_reasons import arming_reasons
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.base_state_machine import BaseStateMachine, Times
+from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryState
+from thorvaldc.runtime.can_base.battery_supervision import BatteryLevel, BatterySupervision
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
+from thorvaldc.runtime.can_base.bus_services import BusServices, bus_services, number_or_none
+from thorvaldc.runtime.can_base.component_statuses import component_statuses
 from thorvaldc.runtime.can_base.motor_controller import Intent
+from thorvaldc.runtime.service_table import Service
 
 SEND_TIME = 0.25
 """Longest waiting time of one frame for room in the send queue, as a share of the cycle."""
+
+
+class StateChange(NamedTuple):
+    """A change of the state of the base.
+
+    - ``time``: time of the change, s.
+    - ``state``: new state of the base.
+    - ``reason``: reason for the state FAULT or ESTOP.
+    """
+
+    time: float
+    state: BaseState
+    reason: str
 
 
 class CanBase(BaseHandle):
@@ -81,7 +109,7 @@ class CanBase(BaseHandle):
         require_bus(robot)
         _require_connected_motors(robot)
         self.robot = robot
-        self.period = min(bus.sync_period for bus in robot.buses)
+        self.period: float = min(bus.sync_period for bus in robot.buses)
         """Duration (s) of a control cycle."""
         self.connections: list[BusConnection] = []
         try:
@@ -93,10 +121,17 @@ class CanBase(BaseHandle):
             for connection in self.connections:
                 connection.receiver.stop()
             raise
-        self.state_machine = BaseStateMachine(self.connections, times)
-        self.armed = False
-        """``True`` if the base accepts motion; see ``arm``."""
-        self._disarmed_by = ""
+        homes_at_start = robot.driver.homing == AT_START
+        self.state_machine = BaseStateMachine(
+            self.connections, times, homes_at_start=homes_at_start
+        )
+        self.state_machine.changed = self._note_change
+        self.changes: list[StateChange] = []
+        """Changes of the state since the start of the run."""
+        batteries = [battery for c in self.connections for battery in c.batteries]
+        self.battery_supervision = BatterySupervision(robot.driver.battery, batteries)
+        self._battery_level = BatteryLevel.OK
+        self.nodes = BusServices(self)
         self.cycles = 0
         """Number of control cycles whose frames were all sent."""
         self.incomplete = 0
@@ -113,13 +148,15 @@ class CanBase(BaseHandle):
             return f"{state_machine.state.value}: {state_machine.reason}"
         if state_machine.ending:
             return "the driver is shutting down"
+        if state_machine.state is BaseState.STANDBY:
+            return "not homed; arming homes the steering"
         if not state_machine.state.drives:
             return str(state_machine.state.value)
         return ""
 
     @property
-    def waiting_reason(self) -> str:
-        return "" if self.armed else self._disarmed_by or "disarmed"
+    def state(self) -> BaseState:
+        return self.state_machine.state
 
     @property
     def standing(self) -> bool:
@@ -136,8 +173,6 @@ class CanBase(BaseHandle):
         for connection in self.connections:
             connection.receive(now)
         self.state_machine.update(now)
-        if not self.state_machine.state.drives:
-            self.disarm()
         n = self._wheels
         speeds, angles, rates = [0.0] * n, [0.0] * n, [0.0] * n
         oldest = now - REPORT_TIMEOUT * self.period
@@ -151,22 +186,6 @@ class CanBase(BaseHandle):
             else:
                 speeds[axis.wheel] = axis.velocity if valid else math.nan
         return JointStates(total / max(len(self._axes), 1), speeds, angles, rates)
-
-    def arm(self) -> None:
-        """Accepts motion of the robot if the wheels follow commands.
-
-        The caller must have checked that no motion is commanded.  The base is disarmed whenever the
-        wheels do not follow commands: before it is ready, in a fault, and during homing.
-        """
-        self.armed = self.state_machine.state.drives
-
-    def disarm(self, reason: str = "") -> None:
-        """Accepts no motion of the robot until ``arm`` is called.  A moving robot ramps to rest.
-
-        ``reason``: reason that the operator sees, such as ``disarmed: the battery is empty``.
-        """
-        self.armed = False
-        self._disarmed_by = reason
 
     def write(self, commands: JointCommands, now: float) -> None:
         state_machine = self.state_machine
@@ -197,6 +216,126 @@ class CanBase(BaseHandle):
         """Closes the CAN interfaces."""
         for connection in self.connections:
             connection.close()
+
+    # -- what a robot on its buses can do ----------------------------------------------------------
+
+    @property
+    def lost(self) -> str:
+        lost = [c.bus.name for c in self.connections if c.receiver.lost]
+        return f"the bus {' and '.join(lost)} is lost" if lost else ""
+
+    @property
+    def speed_share(self) -> float:
+        return self.battery_supervision.speed_share
+
+    @property
+    def disarming_reason(self) -> str:
+        if self._battery_level is BatteryLevel.STOP:
+            return self.battery_supervision.reason
+        return ""
+
+    @property
+    def is_homed(self) -> bool:
+        return self.state_machine.state is not BaseState.STANDBY
+
+    @property
+    def is_homing(self) -> bool:
+        return self.state_machine.state is BaseState.HOMING
+
+    @property
+    def ended(self) -> bool:
+        return self.state_machine.ended
+
+    @property
+    def gaps_are_faults(self) -> bool:
+        state_machine = self.state_machine
+        return (state_machine.state.drives or self.is_homing) and not state_machine.ending
+
+    @property
+    def longest_stop(self) -> float:  # type: ignore[override]
+        return self.state_machine.times.stop
+
+    def arming_reasons(self, now: float) -> Iterator[str]:
+        return arming_reasons(self, now)
+
+    def home(self, now: float) -> str:
+        return self.state_machine.home(now)
+
+    def cancel_homing(self, now: float) -> None:
+        self.state_machine.cancel_homing(now)
+
+    def safety_stop(self, engaged: bool) -> None:
+        self.state_machine.safety_stop(engaged)
+
+    def reset(self, now: float, commanded: bool) -> str:
+        return self.state_machine.reset(now, commanded)
+
+    def fail(self, reason: str) -> None:
+        self.state_machine.fail(reason)
+
+    def note_cycle(self, now: float, *, stale: bool) -> None:
+        self._battery_level = self.battery_supervision.update(now)
+        self.state_machine.note_motion(now, not self.standing, stale)
+
+    def end(self) -> None:
+        self.state_machine.end()
+
+    def leave(self) -> None:
+        if not self.state_machine.may_send:
+            return
+        for connection in self.connections:
+            connection.outbox.clear()
+            connection.queue_nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
+            while connection.outbox:
+                connection.send(connection.outbox.popleft(), self.period)
+
+    def batteries(self) -> dict[str, BatteryState]:
+        return {b.node.name: b.state for c in self.connections for b in c.batteries}
+
+    def warnings(self, now: float) -> list[str]:
+        warnings = self.battery_supervision.warnings()
+        for connection in self.connections:
+            warnings += [f"{name}: no reports" for name in connection.silent_devices(now)]
+            warnings += connection.suspicious_devices()
+        return warnings
+
+    def values(self) -> dict[str, Any]:
+        """``supervisor`` is the state of the base, ``fault`` the reason of FAULT or ESTOP."""
+        return {
+            "supervisor": self.state_machine.state.value,
+            "fault": self.state_machine.reason,
+            "batteries": {
+                name: {
+                    "voltage": number_or_none(battery.voltage),
+                    "current": number_or_none(battery.current),
+                    "charge": number_or_none(battery.charge),
+                }
+                for name, battery in self.batteries().items()
+            },
+            "outputs": {board.node.name: dict(board.outputs) for board in self.nodes.boards},
+            "not_relayed": self.nodes.relay_drops(),
+        }
+
+    def component_statuses(self, now: float) -> Iterator[ComponentStatus]:
+        return component_statuses(self, now)
+
+    def send_to_device(self, frame: CanFrame, now: float) -> str:
+        """A frame that no bus knows is refused by the last bus, which counts it."""
+        for connection in self.connections:
+            if frame.id in connection.relay.to_device or connection is self.connections[-1]:
+                return connection.relay.offer(frame, now)
+        return ""
+
+    def frames_from_devices(self) -> Iterator[CanFrame]:
+        for connection in self.connections:
+            for frame in connection.relay.received():
+                yield CanFrame(frame.cob_id, frame.data)
+
+    def services(self) -> list[Service]:
+        return list(bus_services(self.nodes))
+
+    def _note_change(self, now: float, state: BaseState, reason: str) -> None:
+        self.changes.append(StateChange(now, state, reason))
 
     # -- inside --------------------------------------------------------------------------------
 

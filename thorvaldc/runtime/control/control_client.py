@@ -7,7 +7,7 @@ import socket
 from typing import Any
 
 from thorvaldc.runtime.control.control_server import control_path
-from thorvaldc.runtime.control.service_table import ServiceError
+from thorvaldc.runtime.service_table import ServiceError
 
 ANSWER_TIME = 2.0
 """Longest time (s) to wait for an answer, equal to 100 control cycles."""

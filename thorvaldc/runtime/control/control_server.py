@@ -34,7 +34,7 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.can.local_socket import listen, socket_path
-from thorvaldc.runtime.control.service_table import Argument, Caller, ServiceError, Services
+from thorvaldc.runtime.service_table import Argument, Caller, ServiceError, Services
 
 LONGEST_LINE = 65536
 """Largest length of a request, in bytes."""

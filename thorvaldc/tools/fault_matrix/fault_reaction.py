@@ -100,7 +100,7 @@ def advance(rehearsal: Rehearsal, phase: str, twist: Twist) -> None:
         rehearsal.arm()
     elif phase == DRIVING:
         # The drive ends where the curve changes its side, so that the steering joints turn.
-        settings = rehearsal.runner.driver.settings
+        settings = rehearsal.driven.driver.settings
         seconds = 2.0 * twist.wz / settings.max_angular_acceleration + STEADY
         curves = math.ceil(twist.vx / settings.max_linear_acceleration / seconds) + 1
         rehearsal.weave = Weave(twist, rehearsal.now, seconds)
@@ -133,7 +133,7 @@ def react(rehearsal: Rehearsal, case: FaultCase, phase: str, evidence: Evidence)
     except ValueError:  # the simulated device of another package cannot have the fault
         return Reaction(NOT_SIMULATED, None, "", None, None, observation.speed, 0.0)
     observation.observe()
-    braking = 2.0 * observation.speed / rehearsal.runner.driver.settings.max_linear_acceleration
+    braking = 2.0 * observation.speed / rehearsal.driven.driver.settings.max_linear_deceleration
     until = observation.start + observed + braking
     rehearsal.run(until - rehearsal.now, observation.is_over)
     return observation.reaction()
@@ -160,11 +160,11 @@ class _Observation:
         self._unasked = 0.0
         self._authority = True
         self._disarmed_at = math.inf
-        self._was_armed = rehearsal.base.armed
+        self._was_armed = rehearsal.driven.armed
         seconds = 1.0 if rehearsal.weave is None else rehearsal.weave.seconds
         self._ramped: deque[float] = deque(maxlen=round(seconds / rehearsal.base.period))
-        self._asked_speed = rehearsal.runner.driver.state.ramped.speed
-        self._warnings = set(rehearsal.runner.warnings())
+        self._asked_speed = rehearsal.driven.driver.state.ramped.speed
+        self._warnings = set(rehearsal.base.warnings(rehearsal.now))
         self._ready_at: float | None = None
         rehearsal.forget()
 
@@ -196,7 +196,7 @@ class _Observation:
         be faster than the fastest commanded wheel.
         """
         rehearsal, fastest = self.rehearsal, max(speeds, default=0.0)
-        if not rehearsal.base.armed:
+        if not rehearsal.driven.armed:
             self._disarmed_at = min(self._disarmed_at, rehearsal.now)
         if (
             not rehearsal.asked
@@ -217,7 +217,7 @@ class _Observation:
     def _commanded_speed(self) -> float:
         """Speed (m/s) of the fastest commanded wheel at the ground."""
         rehearsal = self.rehearsal
-        command = rehearsal.runner.driver.state.command
+        command = rehearsal.driven.driver.state.command
         if command is None:
             return 0.0
         wheels = zip(command.joints.speeds, rehearsal.robot.wheels, strict=True)
@@ -225,25 +225,25 @@ class _Observation:
 
     def _note_reactions(self) -> None:
         rehearsal = self.rehearsal
-        state, driver = rehearsal.state, rehearsal.runner.driver.state
+        state, driver = rehearsal.state, rehearsal.driven.driver.state
         present = {
             "fault": state is BaseState.FAULT,
             "estop": state is BaseState.ESTOP,
-            "disarmed": self._was_armed and not rehearsal.base.armed,
+            "disarmed": self._was_armed and not rehearsal.driven.armed,
         }
         if self.phase == DRIVING:
             present["stops"] = driver.commanded_twist == ZERO_TWIST
             self._ramped.append(driver.ramped.speed)
             fastest = max(self._ramped) if len(self._ramped) == self._ramped.maxlen else math.inf
             present["slower"] = fastest < 0.9 * self._asked_speed
-        present["warns"] = bool(set(rehearsal.runner.warnings()) - self._warnings)
+        present["warns"] = bool(set(rehearsal.base.warnings(rehearsal.now)) - self._warnings)
         for name, holds in present.items():
             if holds:
                 self.times.setdefault(name, rehearsal.now - self.start)
             else:
                 self.times.pop(name, None)
         self.reason = rehearsal.reason or driver.hold_reason or self.reason
-        if rehearsal.runner.ready and self._ready_at is None:
+        if rehearsal.driven.ready and self._ready_at is None:
             self._ready_at = rehearsal.now - self.start
 
     # -- the result --------------------------------------------------------------------------

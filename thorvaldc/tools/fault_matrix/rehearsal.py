@@ -27,9 +27,9 @@ from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault, BusFaults
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
-from thorvaldc.runtime.control.runner_services import RunnerControl
+from thorvaldc.runtime.control.control_server import ControlServer
+from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import DriverState
-from thorvaldc.runtime.runner import BaseRunner
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
@@ -128,7 +128,7 @@ class Rehearsal:
         }
         self.base = CanBase(robot, interfaces, threaded=False)
         clock = interfaces[robot.buses[0].name]
-        self.runner: BaseRunner = BaseRunner(robot, self.base, clock, parameters=parameters)
+        self.driven: DrivenRobot = DrivenRobot(robot, self.base, clock, parameters=parameters)
         self.client: ScriptedClient | None = None
         self.driver_killed = False
         self.weave: Weave | None = None
@@ -136,11 +136,11 @@ class Rehearsal:
         self.longest_gap = 0.0
         """Longest time (s) between two control cycles since the last call of ``forget``."""
         self.frames: dict[tuple[str, int], bytes] = {}
-        self._control: RunnerControl | None = None
+        self._server: ControlServer | None = None
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._last_cycle = math.nan
         self._asked_until = -math.inf
-        self.runner.pace = lambda _: self._run_client()
+        self.driven.before_cycle = lambda _: self._run_client()
         self.wheels = [
             (self.simulated.motors[actuator.name], wheel.radius)
             for wheel in robot.wheels
@@ -165,7 +165,7 @@ class Rehearsal:
 
     @property
     def state(self) -> BaseState:
-        return self.runner.state
+        return self.base.state
 
     @property
     def reason(self) -> str:
@@ -195,7 +195,7 @@ class Rehearsal:
         if self.driver_killed:
             self.stall(seconds, stop)
         else:
-            self.runner.run(self.now + seconds, watch=self._after_cycle, stop=stop)
+            self.driven.run(self.now + seconds, watch=self._after_cycle, stop=stop)
 
     def stall(self, seconds: float, stop: Callable[[], bool] | None = None) -> None:
         """Lets the time go on without control cycles.  The client and the devices go on."""
@@ -206,7 +206,7 @@ class Rehearsal:
             if self.observe is not None:
                 self.observe()
 
-    def _after_cycle(self, runner: BaseRunner, state: DriverState) -> None:
+    def _after_cycle(self, driven: DrivenRobot, state: DriverState) -> None:
         if not math.isnan(self._last_cycle):
             self.longest_gap = max(self.longest_gap, self.now - self._last_cycle)
         self._last_cycle = self.now
@@ -221,7 +221,7 @@ class Rehearsal:
             client.twist = self.weave.twist(self.now)
         client.send_twist()
         if client.connected and client.twist not in (None, ZERO_TWIST):
-            self._asked_until = self.now + self.runner.driver.settings.command_timeout
+            self._asked_until = self.now + self.driven.driver.settings.command_timeout
         elif not client.connected or client.twist == ZERO_TWIST:
             self._asked_until = min(self._asked_until, self.now + FRESH * self.base.period)
 
@@ -231,12 +231,18 @@ class Rehearsal:
         self.simulated.power_on()
 
     def become_ready(self) -> None:
-        """Runs the robot until it is ready.
+        """Runs the robot until it is ready.  A person homes its steering.
 
         Raises ``RehearsalError`` if the robot does not become ready.
         """
-        self.run(LONGEST_START, lambda: self.runner.ready or self.state is BaseState.FAULT)
-        if not self.runner.ready:
+        self.run(
+            LONGEST_START,
+            lambda: self.state in (BaseState.STANDBY, BaseState.READY, BaseState.FAULT),
+        )
+        if self.state is BaseState.STANDBY:
+            self.driven.home_steering()
+        self.run(LONGEST_START, lambda: self.driven.ready or self.state is BaseState.FAULT)
+        if not self.driven.ready:
             raise RehearsalError(
                 f"the robot does not become ready: {self.state.value} {self.reason}".rstrip()
             )
@@ -252,8 +258,7 @@ class Rehearsal:
             return
         self._folder = tempfile.TemporaryDirectory(prefix="thorvaldc-faults-")
         channel = os.path.join(self._folder.name, "driver")
-        self._control = RunnerControl(self.runner, channel)
-        self.runner.feed = self._control.feed
+        self._server = self.driven.open_channel(channel)
         self.client = ScriptedClient(Path(channel), self.robot.twist_sources[0].name)
         self.client.twist = twist
 
@@ -264,9 +269,9 @@ class Rehearsal:
         what another has sent.  The new sockets replace both ends of the connection.
         """
         client = self.client.stream if self.client is not None else None
-        if client is None or self._control is None:
+        if client is None or self._server is None:
             return
-        (server,) = self._control.streams
+        (server,) = self._server.streams
         near, far = socket.socketpair()
         # What is on its way remains in the old sockets for the other processes.
         far.sendall(_waiting(client))
@@ -283,10 +288,10 @@ class Rehearsal:
         """
         self.run(0.1)
         client = self.client
-        if client is not None and not self.base.armed:
+        if client is not None and not self.driven.armed:
             client.request("arm")
             self.run(0.1)
-        if not self.base.armed:
+        if not self.driven.armed:
             reasons = client.refusals if client is not None else []
             raise RehearsalError(f"the robot cannot be armed: {'; '.join(reasons)}")
 
@@ -302,16 +307,14 @@ class Rehearsal:
     def kill_driver(self) -> None:
         """Ends the base driver without a last frame, as the signal SIGKILL does."""
         self.driver_killed = True
-        self.base.close()
-        if self._control is not None:
-            self._control.close()
+        self.driven.close()
 
     def close(self) -> None:
         """Closes the client and the control channel."""
         if self.client is not None:
             self.client.close()
-        if self._control is not None:
-            self._control.close()
+        if self._server is not None:
+            self._server.close()
         if self._folder is not None:
             self._folder.cleanup()
 

@@ -10,13 +10,13 @@ from typing import Any
 
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.model.robot import AUTOMATIC
+from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.tools.teleoperation.operator import FIRST_SHARE, Limits, Request
 from thorvaldc.tools.teleoperation.teleop_loop import operate
-from thorvaldc.tools.teleoperation.vehicle import SimulatedVehicle
 
 HOLD_TIME = 0.25
 """Time in s for which a motion from the page drives.  The page repeats a held motion 20 times per
@@ -102,34 +102,33 @@ class PageDrive:
         try:
             robot = self._robots[self._name]
             scene = MujocoScene(emit(self._model, ["mjcf"]))
-            driver = BaseDriver(robot, MujocoBase(robot, scene))
-            vehicle = _ShownVehicle(driver, scene, self._name, self._robots, self._send)
+            vehicle = _ShownRobot(robot, scene, self._name, self._robots, self._send)
             try:
-                self._operator = PageOperator(Limits.of(vehicle.description))
+                description = vehicle.call("description")
+                self._operator = PageOperator(Limits.of(description))
                 self._send({"kind": "drive", "on": True, "message": "ready"})
-                sources = vehicle.description["sources"]
+                sources = description["sources"]
                 source = SOURCE if SOURCE in sources else next(iter(sources))
                 operate(vehicle, self._operator, source, lambda lines: None, self._ended.is_set)
             finally:
-                vehicle.close()
+                vehicle.shutdown()
         except Exception as error:  # the page shows what ended the simulation
             text = f"the simulation ended: {error}"
         self._send({"kind": "drive", "on": False, "message": text})
 
 
-class _ShownVehicle(SimulatedVehicle):
-    """A simulated vehicle that sends its state, and the poses of all robots, to the page."""
+class _ShownRobot(DrivenRobot):
+    """A simulated robot that sends its state, and the poses of all robots, to the page."""
 
     def __init__(
         self,
-        driver: BaseDriver,
+        robot: Robot,
         scene: MujocoScene,
         name: str,
         robots: Mapping[str, Robot],
         send: Send,
     ) -> None:
-        super().__init__(driver)
-        robot = driver.robot
+        super().__init__(robot, MujocoBase(robot, scene), arming=AUTOMATIC)
         self._scene, self._name, self._send = scene, name, send
         self._bodies = {
             name: scene.index("body", other.prefix + other.links[0].name, other)
@@ -143,8 +142,8 @@ class _ShownVehicle(SimulatedVehicle):
         ]
         self._shown = -math.inf
 
-    def cycle(self) -> None:
-        super().cycle()
+    def step(self) -> None:
+        super().step()
         if self.now - self._shown < PICTURE_PERIOD:
             return
         self._shown = self.now

@@ -32,7 +32,7 @@ def drive_from_console(
     - ``search``: function that finds the joystick, or ``None`` if the operator drives only with the
       keyboard.
     """
-    description = vehicle.description
+    description = vehicle.call("description")
     limits = Limits.of(description)
     keys = sys.stdin if sys.stdin.isatty() else None
     print(f"{description['robot']}, as {source}")

@@ -7,8 +7,8 @@ import contextlib
 import time
 from collections.abc import Callable
 
-from thorvaldc.runtime.control.service_table import ServiceError
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.runtime.service_table import ServiceError
 from thorvaldc.tools.teleoperation.operator import Operator
 from thorvaldc.tools.teleoperation.status_lines import status_lines
 from thorvaldc.tools.teleoperation.vehicle import Vehicle
@@ -36,30 +36,31 @@ def operate(
     ``source`` is the name of the operator's twist source in the base driver. When the teleoperation
     loop ends, even with an exception, the loop commands the robot to stop. If the base driver runs
     in this process, the loop continues its control cycles until the robot is at rest.
+
+    A source must command zero before it moves the robot. The loop commands this zero in the cycle
+    in which the operator begins: a pressed key or dead-man button is a new command of a person.
     """
     last_draw = message_time = clock() - DRAW_PERIOD
-    message = ""
-    services = {service["name"] for service in vehicle.call("services")}
+    message, silent = "", True
     try:
         while not (operator.finished or ended()):
             now = clock()
             for request in operator.poll(now):
                 message = request.service.replace("_", " ")
                 try:
-                    if request.service in services:
-                        vehicle.call(request.service, **request.arguments)
-                    else:  # a simulated robot without drives needs no arming and no homing
-                        message += ": this driver has no such service"
+                    result = vehicle.call(request.service, **request.arguments)
+                    message = result if isinstance(result, str) else message
                 except ServiceError as error:
                     message = str(error)
                 message_time = now
             commanded = operator.twist(now)
             if commanded is not None:
                 try:
-                    publish(vehicle, source, commanded)
+                    publish(vehicle, source, ZERO_TWIST if silent else commanded)
                 except ServiceError as error:  # such as a source that another program publishes
                     message, message_time = str(error), now
-            vehicle.cycle()
+            silent = commanded is None
+            vehicle.step()
             if now - last_draw >= DRAW_PERIOD:
                 last_draw = now
                 if now - message_time > MESSAGE_TIME:
@@ -88,4 +89,4 @@ def stop(vehicle: Vehicle, source: str, clock: Callable[[], float]) -> None:
             if at_rest or state["source"] not in ("", source):
                 return
             publish(vehicle, source, ZERO_TWIST)
-            vehicle.cycle()
+            vehicle.step()

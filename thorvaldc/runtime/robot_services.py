@@ -1,45 +1,35 @@
-"""Services of the base driver, for simulated robots and for robots with CAN buses."""
+"""Services of every driven robot, simulated or real, for other programs and for ROS."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from thorvaldc.model.robot import SAFETY_STOP
-from thorvaldc.runtime.control.service_table import Argument, Caller, Service, ServiceError
-from thorvaldc.runtime.driver import BaseDriver
-from thorvaldc.runtime.multiplexer import Multiplexer
 from thorvaldc.runtime.run_time_parameters import LIMITS
 from thorvaldc.runtime.se2 import Twist
+from thorvaldc.runtime.service_table import Argument, Caller, Service, ServiceError
+
+if TYPE_CHECKING:
+    from thorvaldc.runtime.driven_robot import DrivenRobot
 
 FORCE = Argument("force", "flag", False)
 """Argument that also releases the stops of other programs."""
 
 
-def driving_services(
-    driver: BaseDriver,
-    multiplexer: Multiplexer,
-    note: Callable[[str], None] = lambda text: None,
-) -> list[Service]:
-    """Returns the services of a base driver.
+def robot_services(robot: DrivenRobot) -> list[Service]:
+    """Returns the services that command twists, arm and stop the robot, return its state, reset the
+    odometry and change parameters.
 
-    The services of the base driver command twists, set stop locks, return the state, reset the
-    odometry, change parameters and stop the robot.  The service ``safety_stop`` stops the robot by
-    software and is not a safety function.
-
-    ``note``: function that records an event, such as a stop that was released by force.
+    The service ``safety_stop`` stops the robot by software and is not a safety function.
     """
+    multiplexer = robot.multiplexer
 
     def twist(now: float, caller: Caller, source: str, vx: float, vy: float, wz: float) -> None:
         refusal = multiplexer.publish(source, Twist(vx, vy, wz), now - caller.age, caller.name)
         if refusal:
             raise ServiceError(refusal)
 
-    def state(now: float) -> dict[str, Any]:
-        return driver_state(driver, multiplexer, now)
-
     def reset_odometry(now: float) -> None:
-        driver.reset_pose()
+        robot.driver.reset_pose()
 
     def set_drive_parameters(
         now: float, set: str | None, radii: dict[str, float], **limits: float | None
@@ -49,16 +39,7 @@ def driving_services(
             raise ServiceError("`set_drive_parameters` needs `set`, `radii` or a limit")
         if set is not None and (radii or changes):
             raise ServiceError("`set` cannot be combined; change single values in another call")
-        if set is not None:
-            driver.use(set or None)
-        else:
-            driver.update(radii=radii, noise=None, **changes)
-
-    def reset_faults(now: float) -> None:
-        sources = multiplexer.requests(now)
-        if sources:
-            raise ServiceError(f"{', '.join(sources)} commands a motion; command zero first")
-        driver.reset()
+        robot.set_drive_parameters(set or None, radii=radii, limits=changes)
 
     return [
         Service(
@@ -74,11 +55,16 @@ def driving_services(
             ),
             with_caller=True,
         ),
-        Service("state", "Return the state of the driver.", state, valid_late=True),
+        Service(
+            "state",
+            "Return the state of the robot.",
+            lambda now: robot_state(robot, now),
+            valid_late=True,
+        ),
         Service(
             "description",
             "Return the robot's constants: names, top speeds, rate.",
-            lambda now: driver_description(driver),
+            lambda now: robot_description(robot),
             valid_late=True,
         ),
         Service("reset_odometry", "Set the pose of the odometry to zero.", reset_odometry),
@@ -93,27 +79,62 @@ def driving_services(
                 *(Argument(name, "number", None) for name in LIMITS),
             ),
         ),
-        Service("reset_faults", "Leave the fault of a gap in time.", reset_faults),
-        *_stop_services(multiplexer, note),
+        *_arming_services(robot),
+        *_stop_services(robot),
     ]
 
 
-def _stop_services(multiplexer: Multiplexer, note: Callable[[str], None]) -> list[Service]:
+def _arming_services(robot: DrivenRobot) -> list[Service]:
+    """Returns the services that let the robot move, or take this permission away."""
+
+    def arm(now: float, caller: Caller) -> str | None:
+        return robot.arm(caller.name) or None
+
+    def disarm(now: float) -> None:
+        robot.disarm()
+
+    def home_steering(now: float) -> None:
+        robot.home_steering()
+
+    def reset_faults(now: float) -> None:
+        robot.reset()
+
+    return [
+        Service(
+            "arm",
+            "Accept motion, if all pre-arm checks pass; homes the steering first if needed, while"
+            " the connection is open. Refused with every reason.",
+            arm,
+            with_caller=True,
+        ),
+        Service(
+            "disarm",
+            "Accept no motion until `arm`; a moving robot ramps to rest.",
+            disarm,
+            valid_late=True,
+        ),
+        Service("home_steering", "Home all steering joints; they turn.", home_steering),
+        Service(
+            "reset_faults",
+            "Leave a fault or a stop; the stop must be released, and zero commanded.",
+            reset_faults,
+        ),
+    ]
+
+
+def _stop_services(robot: DrivenRobot) -> list[Service]:
     """Returns the services that set and release locks."""
 
     def lock(now: float, caller: Caller, name: str, locked: bool, force: bool) -> None:
         if caller.void and not locked:
             raise ServiceError(caller.void)
-        others = [owner for owner in multiplexer.lock_owners(name) if owner != caller.name]
-        multiplexer.lock(name, locked, now, caller.name, force=force)
-        if force and others and not locked:
-            note(f"{caller.name} released by force `{name}` of {' and '.join(others)}")
+        robot.lock(name, locked, owner=caller.name, force=force)
 
     def safety_stop(now: float, caller: Caller) -> None:
-        lock(now, caller, SAFETY_STOP, True, False)
+        robot.safety_stop(owner=caller.name)
 
     def release_safety_stop(now: float, caller: Caller, force: bool) -> None:
-        lock(now, caller, SAFETY_STOP, False, force)
+        robot.safety_stop(False, owner=caller.name, force=force)
 
     return [
         Service(
@@ -126,14 +147,15 @@ def _stop_services(multiplexer: Multiplexer, note: Callable[[str], None]) -> lis
         ),
         Service(
             "safety_stop",
-            "Stop the robot and keep it stopped.",
+            "Stop all motors and switch them off, until release and reset.",
             safety_stop,
             with_caller=True,
             valid_late=True,
         ),
         Service(
             "release_safety_stop",
-            "Release the safety stop of this connection; `force`: of every connection.",
+            "Release the safety stop of this connection (`force`: of every connection); to drive"
+            " again, call `reset_faults` and `arm`.",
             release_safety_stop,
             (FORCE,),
             with_caller=True,
@@ -141,19 +163,24 @@ def _stop_services(multiplexer: Multiplexer, note: Callable[[str], None]) -> lis
     ]
 
 
-def driver_state(driver: BaseDriver, multiplexer: Multiplexer, now: float) -> dict[str, Any]:
-    """Returns the state of a base driver as JSON values, in m, rad, m/s and rad/s.
+def robot_state(robot: DrivenRobot, now: float) -> dict[str, Any]:
+    """Returns the state of a robot as JSON values, in m, rad, m/s and rad/s.
 
-    ``time``: time (s) of the last control cycle.
+    ``time``: time (s) of the last control cycle.  The base adds its own values, such as those of
+    batteries; its ``fault`` replaces that of the driver.
     """
+    driver, multiplexer = robot.driver, robot.multiplexer
     state, selected = driver.state, multiplexer.select(now)
-    return {
+    values = {
         "robot": driver.robot.name,
         "time": state.time if state.time > 0.0 else 0.0,
         "mode": state.mode.value,
+        "armed": robot.armed,
+        "paused": robot.paused,
         "source": selected.source,
         "locks": list(selected.locks),
         "owners": multiplexer.holders(now),
+        "zero_awaited": multiplexer.awaited_zeros(now),
         "asked": state.commanded_twist._asdict(),
         "in_force": state.ramped._asdict(),
         "infeasible": state.infeasible._asdict(),
@@ -162,23 +189,29 @@ def driver_state(driver: BaseDriver, multiplexer: Multiplexer, now: float) -> di
         "fault": state.fault,
         "held": state.hold_reason,
         "limited_by": driver.limit_of(state.commanded_twist),
+        "stopped_by": list(robot.stop_owners),
+        "warnings": robot.base.warnings(now),
+        "cycles": robot.timing.cycles,
+        "overruns": robot.timing.overruns,
     }
+    base = robot.base.values()
+    return {**values, **base, "fault": base.get("fault") or values["fault"]}
 
 
-def driver_description(driver: BaseDriver) -> dict[str, Any]:
-    """Returns the constants of a base driver as JSON values.
+def robot_description(robot: DrivenRobot) -> dict[str, Any]:
+    """Returns the constants of a robot as JSON values.
 
     The constants are names, top speeds (m/s, rad/s) and the rate of the control cycle (Hz).
     """
-    robot, limits = driver.robot, driver.settings
-    steerable = [w.steered or w.swivel_joint is not None for w in robot.wheels]
+    model, limits = robot.robot, robot.driver.settings
+    steerable = [w.steered or w.swivel_joint is not None for w in model.wheels]
     return {
-        "robot": robot.name,
+        "robot": model.name,
         "rate": limits.rate,
         "max_linear_velocity": limits.max_linear_velocity,
         "max_angular_velocity": limits.max_angular_velocity,
         "sideways": bool(steerable) and all(steerable),
-        "sources": [source.name for source in robot.twist_sources],
-        "locks": [lock.name for lock in robot.twist_locks],
-        "parameter_sets": [parameters.name for parameters in robot.parameter_sets],
+        "sources": [source.name for source in model.twist_sources],
+        "locks": [lock.name for lock in model.twist_locks],
+        "parameter_sets": [parameters.name for parameters in model.parameter_sets],
     }

@@ -1,0 +1,212 @@
+"""Services that only a robot on CAN buses has."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+from thorvaldc.can.frame import CanFrame
+from thorvaldc.runtime.can_base.battery_and_io_drivers import IoBoardDriver
+from thorvaldc.runtime.can_base.bus_connection import BusConnection
+from thorvaldc.runtime.can_base.foreign_frame_relay import RelayedFrame
+from thorvaldc.runtime.can_base.motor_controller import MotorController
+from thorvaldc.runtime.errors import RequestRefused
+from thorvaldc.runtime.service_table import Argument, Service, ServiceError
+
+if TYPE_CHECKING:
+    from thorvaldc.runtime.can_base.can_base import CanBase
+
+
+class BusServices:
+    """Requests to the nodes of a robot's buses: settings, outputs, foreign devices.
+
+    Each method raises ``RequestRefused`` if it cannot be executed.
+    """
+
+    def __init__(self, base: CanBase) -> None:
+        self._base = base
+
+    @property
+    def boards(self) -> list[IoBoardDriver]:
+        return [board for connection in self._base.connections for board in connection.boards]
+
+    def set_home_count_current_position_zero(self, node: str = "") -> None:
+        """Sets the present steering angles of one or all motor controllers as the zero position.
+
+        ``node`` is the name of a motor controller in the robot file.  An empty name selects all
+        motor controllers.  The motor controllers store the new zero position and use the new zero
+        position from the next homing on.  Raises ``RequestRefused`` if the robot moves, if a
+        selected motor controller is not homed, or if none of the selected motor controllers uses a
+        home switch.
+        """
+        self._require_standing()
+        frames = 0
+        for connection, controller in self._controllers(node):
+            if not controller.homed:
+                raise RequestRefused(f"{controller.node.name} is not homed")
+            frame = controller.set_zero_frame()
+            if frame is not None:
+                connection.outbox.append(frame)
+                frames += 1
+        if not frames:
+            raise RequestRefused("none of these controllers counts from a home switch")
+
+    def setup_motor_controller(self, node: str, setting: str, value: float) -> None:
+        """Changes a setting of a motor controller.
+
+        - ``node``: name of the motor controller.  An empty name selects all motor controllers.
+        - ``setting``: name of a value that the settings frame of the motor controller can change.
+        - ``value``: new value in the unit of the motor controller.
+
+        Raises ``RequestRefused`` if the robot moves, or if the name or the value of the setting is
+        invalid.
+        """
+        self._require_standing()
+        for connection, controller in self._controllers(node):
+            try:
+                connection.queue_setting(controller, setting, value)
+            except ValueError as error:
+                known = ", ".join(controller.setting_names())
+                reason = f"{error}; there are {known}" if known else str(error)
+                raise RequestRefused(reason) from None
+
+    def mute_devices(self, muted: bool = True) -> None:
+        """Stops relaying CAN frames to foreign devices.  ``muted=False`` resumes relaying."""
+        for connection in self._base.connections:
+            connection.relay.mute(muted)
+
+    def set_output(self, board: str, output: str, on: bool) -> None:
+        """Switches an output of an IO board on or off.
+
+        Raises ``RequestRefused`` if the robot has no such IO board or output.
+        """
+        for connection in self._base.connections:
+            for io_board in connection.boards:
+                if io_board.node.name == board:
+                    try:
+                        connection.outbox.append(io_board.switch(output, on))
+                    except KeyError:
+                        known = ", ".join(io_board.outputs)
+                        reason = f"{board} has no output `{output}`; it has {known}"
+                        raise RequestRefused(reason) from None
+                    return
+        boards = ", ".join(b.node.name for b in self.boards)
+        known = f"; there are {boards}" if boards else ""
+        raise RequestRefused(f"there is no IO board `{board}`{known}")
+
+    def send_to_device(self, cob_id: int, data: bytes, now: float, bus: str = "") -> None:
+        """Relays a CAN frame to a foreign device.  An empty ``bus`` selects the first CAN bus.
+
+        Raises ``RequestRefused`` if the bus is unknown or the relay drops the CAN frame, for
+        example because the robot file does not allow its CAN id.
+        """
+        reason = self._connection(bus).relay.offer(CanFrame(cob_id, data), now)
+        if reason:
+            raise RequestRefused(f"{cob_id:#05x}: {reason}")
+
+    def from_devices(self, bus: str = "") -> list[RelayedFrame]:
+        """Returns the CAN frames that foreign devices have sent since the last call."""
+        return self._connection(bus).relay.received()
+
+    def relay_drops(self) -> dict[str, int]:
+        """Returns the number of CAN frames that the relay dropped, for each CAN id and reason.
+
+        The keys of the returned dictionary are texts such as ``0x240 too often``.
+        """
+        return {
+            f"{cob_id:#05x} {reason}": number
+            for connection in self._base.connections
+            for (cob_id, reason), number in sorted(connection.relay.dropped.items())
+        }
+
+    # -- inside --------------------------------------------------------------------------------
+
+    def _controllers(self, node: str) -> list[tuple[BusConnection, MotorController]]:
+        """Returns the motor controllers with the name ``node``, each with its bus connection.
+
+        An empty name selects all motor controllers.  Raises ``RequestRefused`` if no motor
+        controller has this name.
+        """
+        every = [(c, controller) for c in self._base.connections for controller in c.controllers]
+        matching = [
+            (c, controller) for c, controller in every if node in ("", controller.node.name)
+        ]
+        if not matching:
+            known = ", ".join(controller.node.name for _, controller in every)
+            raise RequestRefused(f"there is no controller `{node}`; there are {known}")
+        return matching
+
+    def _connection(self, bus: str) -> BusConnection:
+        for connection in self._base.connections:
+            if bus in ("", connection.bus.name):
+                return connection
+        raise RequestRefused(f"there is no bus `{bus}`")
+
+    def _require_standing(self) -> None:
+        if not self._base.standing:
+            raise RequestRefused("the robot drives; stop it first")
+
+
+def bus_services(services: BusServices) -> Iterator[Service]:
+    """Yields the services of a robot with CAN buses, for the table of services."""
+
+    def without_time(method: Callable[..., Any]) -> Callable[..., Any]:
+        return lambda now, **arguments: method(**arguments)
+
+    def send_to_device(now: float, cob_id: int, data: str, bus: str) -> None:
+        try:
+            content = bytes.fromhex(data)
+        except ValueError:
+            raise ServiceError(f"`data` is {data!r}; it must be bytes in hexadecimal") from None
+        if len(content) > 8 or not 0 <= cob_id <= 0x7FF:
+            raise ServiceError("a frame has an identifier of 11 bits and at most 8 bytes")
+        services.send_to_device(cob_id, content, now, bus)
+
+    def from_devices(now: float, bus: str) -> list[dict[str, Any]]:
+        return [
+            {"time": frame.time, "cob_id": frame.cob_id, "data": frame.data.hex()}
+            for frame in services.from_devices(bus)
+        ]
+
+    yield Service(
+        "set_home_count_current_position_zero",
+        "Make the present steering angle zero, of one controller or of all.",
+        without_time(services.set_home_count_current_position_zero),
+        (Argument("node", "text", ""),),
+    )
+    yield Service(
+        "setup_motor_controller",
+        "Write a setting of a motor controller, in its units.",
+        without_time(services.setup_motor_controller),
+        (Argument("node", "text"), Argument("setting", "text"), Argument("value", "number")),
+    )
+    yield Service(
+        "mute_devices",
+        "Stop relaying frames to foreign devices, or start it again.",
+        without_time(services.mute_devices),
+        (Argument("muted", "flag", True),),
+    )
+    yield Service(
+        "set_output",
+        "Switch an output of an IO board.",
+        without_time(services.set_output),
+        (Argument("board", "text"), Argument("output", "text"), Argument("on", "flag", True)),
+    )
+    yield Service(
+        "send_to_device",
+        "Relay a frame to a foreign device, `data` in hexadecimal.",
+        send_to_device,
+        (Argument("cob_id", "integer"), Argument("data", "text"), Argument("bus", "text", "")),
+    )
+    yield Service(
+        "from_devices",
+        "Return the frames of foreign devices since the last call.",
+        from_devices,
+        (Argument("bus", "text", ""),),
+    )
+
+
+def number_or_none(value: float) -> float | None:
+    """Returns ``None`` for NaN and infinity, which JSON cannot represent."""
+    return value if math.isfinite(value) else None
