@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -20,12 +21,16 @@ ROBOT = make_robot(FOUR_STEERED)
 
 @pytest.fixture
 def mux() -> Multiplexer:
-    """``teleop_joy`` 100, ``auto_nav`` 10; ``safety_stop`` 255, ``auto_nav_pause`` 50."""
-    return Multiplexer.from_robot(ROBOT)
+    """``teleop_joy`` 100, ``auto_nav`` 10; ``safety_stop`` 255, ``auto_nav_pause`` 50.
+
+    The first command of both sources may be any.
+    """
+    sources = [replace(source, first_command="any") for source in ROBOT.twist_sources]
+    return Multiplexer(sources, ROBOT.twist_locks)
 
 
 def test_no_source_is_selected_before_the_first_publication(mux: Multiplexer) -> None:
-    selection = mux.select(0.0)
+    selection = Multiplexer.from_robot(ROBOT).select(0.0)
     assert (selection.source, selection.twist, selection.locks) == ("", ZERO_TWIST, ())
 
 
@@ -65,7 +70,10 @@ def test_active_lock_blocks_lower_priorities(mux: Multiplexer) -> None:
 
 def test_active_lock_blocks_its_own_priority() -> None:
     mux = Multiplexer(
-        [TwistInput("a", "a/cmd_vel", 51, 1.0), TwistInput("b", "b/cmd_vel", 50, 1.0)],
+        [
+            TwistInput("a", "a/cmd_vel", 51, 1.0, "any"),
+            TwistInput("b", "b/cmd_vel", 50, 1.0, "any"),
+        ],
         [TwistInput("l", "l/lock", 50, 0.0)],
     )
     mux.lock("l", True, 0.0)
@@ -80,7 +88,7 @@ def test_no_priority_drives_through_a_stop_lock(stop_priority: int) -> None:
     """The compiler refuses such sources; a model from elsewhere must be stopped too."""
     for name, priority in (("safety_stop", stop_priority), ("fence", 255)):
         mux = Multiplexer(
-            [TwistInput("override", "override/cmd_vel", 255, 1.0)],
+            [TwistInput("override", "override/cmd_vel", 255, 1.0, "any")],
             [TwistInput(name, f"{name}/lock", priority, 0.0)],
         )
         mux.publish("override", SLOW, 0.0)
@@ -91,7 +99,7 @@ def test_no_priority_drives_through_a_stop_lock(stop_priority: int) -> None:
 
 def test_lock_with_a_time_out_is_active_when_it_times_out() -> None:
     mux = Multiplexer(
-        [TwistInput("a", "a/cmd_vel", 10, 9.0)], [TwistInput("gate", "gate/lock", 20, 1.0)]
+        [TwistInput("a", "a/cmd_vel", 10, 9.0, "any")], [TwistInput("gate", "gate/lock", 20, 1.0)]
     )
     mux.publish("a", SLOW, 0.0)
     assert mux.select(0.0).locks == ("gate",)  # never published
@@ -103,7 +111,9 @@ def test_lock_with_a_time_out_is_active_when_it_times_out() -> None:
 
 
 def test_order_of_the_sources_does_not_matter() -> None:
-    inputs = [TwistInput(name, f"{name}/cmd_vel", n, 1.0) for n, name in enumerate("abcd", 1)]
+    inputs = [
+        TwistInput(name, f"{name}/cmd_vel", n, 1.0, "any") for n, name in enumerate("abcd", 1)
+    ]
     for listed in (inputs, inputs[::-1]):
         mux = Multiplexer(listed, ())
         for name in "abcd":
@@ -174,3 +184,74 @@ def test_lock_stops_the_robot_immediately_and_silence_after_the_time_out(mux: Mu
 
 def test_runs_are_repeatable() -> None:
     assert drive(Multiplexer.from_robot(ROBOT), 3.0) == drive(Multiplexer.from_robot(ROBOT), 3.0)
+
+
+# -- zero first (ADR 22) ---------------------------------------------------------------------------
+
+
+def test_the_first_twist_of_a_source_must_be_zero() -> None:
+    mux = Multiplexer.from_robot(ROBOT)
+    assert (
+        mux.publish("auto_nav", SLOW, 0.0) == "`auto_nav` was not heard before; command zero first"
+    )
+    assert mux.publish("auto_nav", SLOW, 0.1).endswith("command zero first")
+    assert mux.select(0.1).twist == ZERO_TWIST
+    assert mux.awaited_zeros(0.1) == {"auto_nav": "`auto_nav` was not heard before"}
+    assert mux.publish("auto_nav", ZERO_TWIST, 0.2) == ""
+    assert mux.publish("auto_nav", SLOW, 0.2) == ""
+    assert mux.select(0.2).twist == SLOW
+
+
+@pytest.mark.parametrize("leaves", ["time-out", "another program", "end"])
+def test_a_source_that_comes_back_must_command_zero(leaves: str) -> None:
+    mux = Multiplexer.from_robot(ROBOT)
+    mux.publish("auto_nav", ZERO_TWIST, 0.0, "a")
+    assert mux.publish("auto_nav", SLOW, 0.1, "a") == ""
+    now, owner = 0.2, "a"
+    if leaves == "time-out":
+        now = 0.7
+    elif leaves == "another program":
+        now, owner = 0.7, "b"
+    else:
+        mux.release("a")
+    assert mux.publish("auto_nav", SLOW, now, owner).endswith("command zero first")
+    assert mux.select(now).twist == ZERO_TWIST
+
+
+def test_a_source_that_must_command_zero_keeps_its_rank() -> None:
+    """A person who deflects the stick stops the navigation, also before the stick was centred."""
+    mux = Multiplexer.from_robot(ROBOT)
+    mux.publish("auto_nav", ZERO_TWIST, 0.0)
+    for tick in range(4):
+        mux.publish("auto_nav", SLOW, 0.2 * tick)
+    assert mux.publish("teleop_joy", FAST, 0.6) != ""
+    selection = mux.select(0.6)
+    assert (selection.source, selection.twist) == ("teleop_joy", ZERO_TWIST)
+
+
+@pytest.mark.parametrize("first_command", ["zero", "any"])
+def test_a_source_below_one_that_falls_silent(first_command: str) -> None:
+    mux = Multiplexer(
+        [
+            TwistInput("joy", "joy", 100, 0.5),
+            TwistInput("nav", "nav", 10, 0.5, first_command),
+        ],
+        (),
+    )
+    driver = BaseDriver(ROBOT, SimBase(ROBOT))
+    speeds = []
+    for tick in range(100):
+        now = tick * 0.02
+        if now < 0.5:
+            mux.publish("joy", ZERO_TWIST, now)  # a person supervises with the stick at zero
+        mux.publish("nav", ZERO_TWIST if tick == 0 else SLOW, now)
+        mux.feed(driver, now)
+        speeds.append(driver.tick(now).ramped.vx)
+    assert max(speeds) == pytest.approx(0.2 if first_command == "any" else 0.0)
+
+
+def test_a_gap_requires_zero_of_every_source() -> None:
+    mux = Multiplexer([TwistInput("nav", "nav", 10, 0.5, "any")], ())
+    assert mux.publish("nav", SLOW, 0.0) == ""
+    mux.void("no control cycle for 120 ms")
+    assert mux.publish("nav", SLOW, 0.1) == "no control cycle for 120 ms; command zero first"

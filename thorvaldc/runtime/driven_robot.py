@@ -197,7 +197,7 @@ class DrivenRobot:
         self._supervise_arming(now)
         state = self.driver.tick(now)
         self.base.note_cycle(now, stale=state.mode is not DriveMode.DRIVING)
-        if state.mode in (DriveMode.HELD, DriveMode.FAULT):
+        if state.mode is DriveMode.HELD or self.driver.permission.fault:
             self.driver.permission.disarm()
         if self.ready and not self._was_ready:
             # During homing, the odometry has measured motions of the steering joints although the

@@ -123,6 +123,8 @@ class BaseDriver:
         self.speed_share = 1.0
         """Share (0 to 1) of the limits of the twist that the robot may use, for example less than 1
         while a battery is low.  At 0 the robot ramps to rest."""
+        self.source_refusal = ""
+        """Reason why the source that commands the twist moves nothing, or an empty text."""
         self._commanded_twist = ZERO_TWIST
         self._command_time = -math.inf
         self.time_gaps = TimeGapRule.of(robot, self.settings)
@@ -365,7 +367,7 @@ class BaseDriver:
         if unusable or permission.fault:
             return DriveMode.FAULT, ZERO_TWIST, ""
         permission.note_command(self._commanded_twist, self._command_time)
-        if reason := permission.waiting_reason:
+        if reason := permission.waiting_reason or self.source_refusal:
             return DriveMode.WAITING, ZERO_TWIST, reason
         if now - self._command_time > self.settings.command_timeout + _TIME_TOLERANCE:
             if self._command_time == -math.inf:

@@ -97,6 +97,11 @@ class _Source(_Input):
             return self.is_heard(now)
         return self.time > -math.inf and not self.is_silent(now)
 
+    @property
+    def refusal(self) -> str:
+        """Reason why the source moves nothing until it commands zero, or an empty text."""
+        return f"{self.awaits_zero}; command zero first" if self.awaits_zero else ""
+
     def await_zero(self, reason: str) -> None:
         """Requires a zero twist because of ``reason``, unless the first command may be any."""
         if self.settings.first_command == ZERO_FIRST:
@@ -196,7 +201,7 @@ class Multiplexer:
         elif now <= self._armed_at:
             publisher.awaits_zero = "a motion was commanded before the base was armed"
         if publisher.awaits_zero:
-            return f"{publisher.awaits_zero}; command zero first"
+            return publisher.refusal
         publisher.twist, publisher.time = twist, now
         return ""
 
@@ -347,6 +352,8 @@ class Multiplexer:
         self.notice_gap(driver, now)
         self._note_takeover(now)
         selection = self.select(now)
+        source = self._sources.get(selection.source)
+        driver.source_refusal = source.refusal if source is not None else ""
         if selection.source:
             self._last_time = selection.time
             driver.command(selection.twist, selection.time)

@@ -187,7 +187,8 @@ class RunSession:
 
     def _is_over(self) -> bool:
         base, now = self.base, self.driven.now
-        started = self.driven.ready or (self.twist is None and base.state is BaseState.STANDBY)
+        waits = self.twist is None and not self.driven.channel
+        started = self.driven.ready or (waits and base.state is BaseState.STANDBY)
         if started and math.isnan(self.ready_time):
             self.ready_time = now
         if self.stop_requested:
