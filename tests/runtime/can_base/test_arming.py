@@ -129,6 +129,7 @@ def test_a_source_that_commands_motion_and_a_stop_lock_refuse() -> None:
     control = rig.driven
     rig.driven.feed = None
     # A source of a low priority counts too: it would drive as soon as the other one is silent.
+    control.call("twist", source="auto_nav", vx=0.0)
     control.call("twist", source="auto_nav", vx=0.3)
     control.call("twist", source="teleop_joy", vx=0.0)
     control.call("lock", name="safety_stop")
@@ -158,7 +159,7 @@ def test_the_safety_stop_is_released_by_who_engaged_it_or_by_force() -> None:
     control.services.call("release_safety_stop", {"force": True}, rig.now, other)
     control.call("reset_faults")
     texts = [event.text for event in rig.driven.events]
-    assert "connection 1 released by force the safety stop of this program" in texts
+    assert "connection 1 released by force `safety_stop` of this program" in texts
 
 
 # -- gaps in time and the control channel -------------------------------------------------
@@ -231,6 +232,7 @@ def test_a_twist_at_the_time_of_arming_moves_after_zero_only(first: str) -> None
         with pytest.raises(ServiceError, match="before the base was armed; command zero first"):
             control.call("twist", **forward)
     else:
+        control.call("twist", source="teleop_joy")
         control.call("twist", **forward)
         with pytest.raises(ServiceError, match="`teleop_joy` commands a motion"):
             control.call("arm")

@@ -41,7 +41,7 @@ def driving(settings: BatterySettings | None = None) -> Rig:
 
 
 def level(rig: Rig) -> BatteryLevel:
-    return rig.driven.battery_supervision.level
+    return rig.base.battery_supervision.level
 
 
 def test_a_low_battery_is_a_warning() -> None:
@@ -103,11 +103,11 @@ def test_a_battery_that_never_reported_stops_the_robot() -> None:
     robot = replace(robot, driver=replace(robot.driver, arming=AUTOMATIC))
     rig = Rig(robot)
     rig.simulated.devices["battery"].power_off()
-    rig.drive(FAST, 0.1)
+    rig.ready()
     assert level(rig) is BatteryLevel.LIMIT
     rig.run(6.0)
     assert level(rig) is BatteryLevel.STOP
-    assert rig.speed() == 0.0
+    assert rig.driven.driver.state.hold_reason == "disarmed: battery: no reports of its charge"
 
 
 def test_the_level_has_a_hysteresis() -> None:
@@ -139,7 +139,7 @@ def test_a_robot_without_battery_on_its_buses_drives() -> None:
 def test_reasons_against_arming() -> None:
     rig = Rig(cia402())
     rig.ready()
-    supervision = rig.driven.battery_supervision
+    supervision = rig.base.battery_supervision
     assert list(supervision.arming_reasons(rig.now)) == []
     inject(rig, "battery_charge", charge=0.14)
     rig.run(0.3)
@@ -167,7 +167,7 @@ def test_an_armed_robot_is_disarmed_by_an_empty_battery() -> None:
     inject(rig, "battery_charge", charge=0.03)
     rig.run(3.0)
     assert not rig.driven.armed
-    assert rig.base.waiting_reason == "disarmed: battery: 3 % left"
+    assert rig.driven.driver.state.hold_reason == "disarmed: battery: 3 % left"
     inject(rig, "battery_charge", charge=0.9)
     rig.run(3.0)
     assert rig.speed() == 0.0  # a person must arm the robot again
@@ -175,8 +175,8 @@ def test_an_armed_robot_is_disarmed_by_an_empty_battery() -> None:
 
 def test_the_lowest_battery_counts() -> None:
     rig = driving()
-    (battery,) = rig.driven.battery_supervision.batteries
-    supervision = rig.driven.battery_supervision
+    (battery,) = rig.base.battery_supervision.batteries
+    supervision = rig.base.battery_supervision
     spare = type(battery)(rig.robot.buses[0], replace(battery.node, name="spare"))
     supervision.batteries = [spare, battery]
     spare.state.charge, spare._charge_time = 0.07, rig.now + 10.0  # type: ignore[attr-defined]

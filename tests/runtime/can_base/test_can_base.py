@@ -67,6 +67,7 @@ def test_a_robot_starts_drives_stops_and_shuts_down(make: functools.partial[Robo
         BaseState.INIT,
         BaseState.PREOP,
         BaseState.CONFIG,
+        *([BaseState.STANDBY] if any(w.steering_joint for w in rig.robot.wheels) else []),
         BaseState.HOMING,
         BaseState.READY,
     ]

@@ -40,7 +40,7 @@ def test_the_odometry_experiment_over_the_bus() -> None:
         driver.command(twist_at(plan, now), now)
 
     rig.driven.feed = feed
-    rig.driven.reset_odometry()
+    rig.driven.call("reset_odometry")
     start = last = base.true_pose()
     path = 0.0
     start_time = rig.now

@@ -90,7 +90,7 @@ def test_after_a_long_gap_a_reset_and_arming_release_the_robot(kind: str) -> Non
     rig.stall(0.7)
     sampled(rig, 1.0)
     with pytest.raises(RequestRefused, match="a motion is commanded"):
-        rig.driven.reset(commanded=True)
+        rig.driven.reset()
     rig.twist = ZERO_TWIST
     rig.run(0.1)
     rig.driven.reset()

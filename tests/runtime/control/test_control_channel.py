@@ -10,13 +10,13 @@ import stat
 import tempfile
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from thorvaldc.runtime.control.driver_services import driving_services
 
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.runtime.control.control_client import ControlClient
@@ -26,33 +26,46 @@ from thorvaldc.runtime.control.control_server import (
     ControlServer,
     control_path,
 )
-from thorvaldc.runtime.driver import BaseDriver
-from thorvaldc.runtime.multiplexer import Multiplexer
+from thorvaldc.runtime.driven_robot import DrivenRobot
+from thorvaldc.runtime.pace import SimulatedTime
 from thorvaldc.runtime.service_table import Argument, Service, ServiceError, Services
 from thorvaldc.simulation.bus.bus_server import BusServer
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import Wire as CanWire
 from thorvaldc.simulation.physics.sim_base import SimBase
 
-ROBOT = make_robot(FOUR_STEERED)
+PLAIN = make_robot(FOUR_STEERED)
+ROBOT = replace(
+    PLAIN, twist_sources=tuple(replace(s, first_command="any") for s in PLAIN.twist_sources)
+)
+"""A robot whose sources may begin with a motion, so that each test needs one request."""
 
 
 class RunningDriver:
     """A driver with a control channel; the test runs its cycles."""
 
     def __init__(self) -> None:
-        self.driver = BaseDriver(ROBOT, SimBase(ROBOT))
-        self.multiplexer = Multiplexer.from_robot(ROBOT)
-        self.services = Services(driving_services(self.driver, self.multiplexer))
-        self.server = ControlServer("r", self.services, closed=self.multiplexer.release)
-        self.now = 0.0
+        self.clock = SimulatedTime()
+        base = SimBase(ROBOT)
+        self.robot = DrivenRobot(ROBOT, base, self.clock, arming="automatic", channel="r")
+        self.driver, self.multiplexer = self.robot.driver, self.robot.multiplexer
+        self.services = self.robot.services
+        self.robot.arm()
+        assert self.robot.channel is not None
+        self.server = self.robot.channel
+
+    @property
+    def now(self) -> float:
+        return self.clock.now
+
+    @now.setter
+    def now(self, now: float) -> None:
+        self.clock.now = now
 
     def cycles(self, count: int = 1) -> None:
         for _ in range(count):
             self.now += 0.02
-            self.server.poll(self.now)
-            self.multiplexer.feed(self.driver, self.now)
-            self.driver.tick(self.now)
+            self.robot.cycle(self.now)
 
 
 @pytest.fixture
@@ -278,6 +291,11 @@ def test_the_safety_stop_remains_until_its_release(
     assert running.driver.state.ramped.vx == 0.0
     assert client.ask(b'{"call": "state"}')["result"]["locks"] == ["safety_stop"]
     assert client.ask(b'{"call": "release_safety_stop"}')["ok"]
+    client.ask(twist)
+    running.cycles(5)
+    assert running.driver.state.ramped.vx == 0.0  # the stop has disarmed the robot
+    assert client.ask(b'{"call": "twist", "arguments": {"source": "teleop_joy"}}')["ok"]
+    running.cycles(1)
     client.ask(twist)
     running.cycles(5)
     assert running.driver.state.ramped.vx > 0.0

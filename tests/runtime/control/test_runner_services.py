@@ -96,12 +96,17 @@ def test_drive_parameters_and_odometry() -> None:
     with pytest.raises(RequestRefused):
         rig.driven.set_drive_parameters(radii={"nobody": 0.3})
     name = rig.robot.wheels[0].name
+    with pytest.raises(RequestRefused, match="the robot moves; its wheel radii"):
+        rig.driven.set_drive_parameters(radii={name: 0.21})
+    rig.twist = ZERO_TWIST
+    rig.run(2.0)
     rig.driven.set_drive_parameters(radii={name: 0.21}, limits={"max_linear_velocity": 0.2})
+    rig.twist = FORWARD
     rig.run(2.0)
     assert rig.driven.driver.parameters.radii[0] == 0.21
     assert rig.speed() < 0.22
     assert rig.driven.driver.state.pose.x > 0.5
-    rig.driven.reset_odometry()
+    rig.driven.call("reset_odometry")
     assert rig.driven.driver.state.pose == ORIGIN
 
 
@@ -174,7 +179,7 @@ def test_the_battery_driver_decodes_all_three_frames() -> None:
     assert rig.base.warnings(rig.now) == ["battery: 5 % left"]
     battery.power_off()
     rig.run(1.5)
-    assert rig.base.warnings(rig.now) == ["battery: no reports of its charge for 2 s"]
+    assert rig.base.warnings(rig.now) == ["battery: no reports of its charge for 1 s"]
     assert rig.state is BaseState.READY  # a battery drives nothing
 
 

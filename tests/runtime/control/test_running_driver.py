@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from typing import Any
 
@@ -30,7 +31,10 @@ class DrivenRobot:
 
     def feed(self, driver: Any, now: float) -> None:
         for source, vx in self.speeds.items():
-            self.call("twist", source=source, vx=vx)
+            if source not in self.control.multiplexer.holders(now):
+                self.call("twist", source=source)
+            with contextlib.suppress(ServiceError):
+                self.call("twist", source=source, vx=vx)
 
     def call(self, service: str, **arguments: Any) -> Any:
         return self.control.call(service, **arguments)
@@ -53,6 +57,11 @@ def test_a_source_drives_the_robot_on_its_bus(driven: DrivenRobot) -> None:
     driven.rig.run(2.0)
     assert driven.rig.speed() == 0.0
     del driven.speeds["teleop_joy"]
+    driven.rig.run(2.0)
+    assert driven.rig.speed() == 0.0  # the navigation takes over, and has not commanded zero
+    driven.speeds["auto_nav"] = 0.0
+    driven.rig.run(0.1)
+    driven.speeds["auto_nav"] = 0.4
     driven.rig.run(2.0)
     assert driven.rig.speed() == pytest.approx(0.4, abs=0.02)
 
@@ -125,7 +134,6 @@ def test_refusals(
 def test_an_operator_drives_the_robot_on_its_bus() -> None:
     """The keys follow the virtual time of the bus."""
     rig = Rig(example_robot("4wd4ws_wide"))
-    control = rig.driven
     rig.driven.feed = None
     vehicle = rig.driven
     shown: list[list[str]] = []
