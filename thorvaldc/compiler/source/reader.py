@@ -218,12 +218,13 @@ def _root_of(text: str) -> Any:
     try:
         return loader.get_single_node()
     except yaml.MarkedYAMLError as error:
-        if "maximum nesting depth" not in str(error.problem):
+        mark = error.problem_mark
+        if mark is None or "maximum nesting depth" not in str(error.problem):
             raise
         # libyaml from 0.2.6 on (PyYAML 6.0.4) has a limit of its own, 1000 levels, and its scanner
         # can be there before the composer is at MAX_DEPTH.  The text before that place has the
         # error that a libyaml without the limit reports.
-        return _root_of(text[: error.problem_mark.index])
+        return _root_of(text[: mark.index])
     finally:
         loader.dispose()
 
