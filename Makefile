@@ -61,7 +61,7 @@ UPGRADE ?= --upgrade
 COMPILE = .venv-lock/bin/uv --no-config pip compile --quiet $(UPGRADE) --universal \
 	--python-version 3.11 --fork-strategy fewest --custom-compile-command 'make lock'
 lock: .venv-lock/bin/uv
-	$(COMPILE) pyproject.toml --extra dev --extra bench --group uv --output-file locks/dev.txt
+	$(COMPILE) pyproject.toml --extra dev --extra bench --group tools --output-file locks/dev.txt
 	$(COMPILE) --group dcfgen --output-file locks/dcfgen.txt
 	$(COMPILE) --group drake --output-file locks/drake.txt
 	$(COMPILE) --group dart --output-file locks/dart.txt
