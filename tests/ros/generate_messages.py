@@ -76,6 +76,7 @@ def main(environment: Path) -> None:
                 CMAKE.format(name=name, dependency=dependency, message=message), "utf-8"
             )
             configure = ["cmake", "-G", "Ninja", "-S", folder, "-B", f"{folder}/build"]
+            configure += ["--no-warn-unused-cli"]
             configure += [f"-DCMAKE_PREFIX_PATH={environment}", "-Wno-dev"]
             configure += [f"-DCMAKE_INSTALL_PREFIX={environment}"]
             configure += [f"-DPython3_EXECUTABLE={python}", f"-DPYTHON_EXECUTABLE={python}"]
