@@ -1,22 +1,28 @@
-# Every target sets itself up: a virtual environment in .venv, made anew when
-# pyproject.toml changes.  With an environment of your own: make test BIN=/path/to/bin READY=
+# Every target sets itself up: a virtual environment in .venv with the versions of locks/dev.txt,
+# made anew when the lock or pyproject.toml changes.  With an environment of your own:
+# make test BIN=/path/to/bin READY=
 
 PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
 BIN    ?= .venv/bin
 READY  ?= .venv/.ready
 JOBS   ?= auto
+# pip takes the versions of the lock, also for the tool that builds the package; newer pips read the
+# second variable for that.
+PIP_INSTALL = PIP_CONSTRAINT=locks/dev.txt PIP_BUILD_CONSTRAINT=locks/dev.txt \
+	$(1)/python -m pip install --quiet --disable-pip-version-check
 
 # Tests start hundreds of commands; without bytecode files, each compiles the whole package again.
 unexport PYTHONDONTWRITEBYTECODE
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test test-matrix lint types chaos fuzz mutants bench golden pictures docs docs-serve clean distclean
+.PHONY: help setup lock demo test test-matrix lint types chaos fuzz mutants bench golden pictures docs docs-serve clean distclean
 
 help:
 	@echo "make demo      compile every example and drive it in simulation"
 	@echo "make test      lint, types, layer rules and tests"
 	@echo "make test-matrix  golden files with the oldest and newest Python and dependencies"
+	@echo "make lock      write the newest versions that pyproject.toml allows to locks/"
 	@echo "make chaos     random missions with faults: make chaos SEEDS=0:1000 JOBS=2 (docs/chaos.md)"
 	@echo "make fuzz      broken and hostile files of every kind: make fuzz SEEDS=0:10000 JOBS=2"
 	@echo "make mutants   do the tests notice small changes of the code? LAYER=can NUMBER=20 SEED=1"
@@ -29,18 +35,38 @@ help:
 
 setup: $(READY)
 
-.venv/.ready: pyproject.toml
+.venv/.ready: pyproject.toml locks/dev.txt
 	@if [ -z "$(PYTHON)" ] || ! $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then \
 	  echo "error: Python 3.11 or newer is needed, and none was found as '$(or $(PYTHON),python3)'." >&2; \
 	  echo "       Say where it is: make PYTHON=/path/to/python3.11" >&2; exit 1; fi
 	@if ! $(PYTHON) -c 'import venv, ensurepip' 2>/dev/null; then \
 	  echo "error: $(PYTHON) comes without venv or ensurepip." >&2; \
 	  echo "       On Debian and Ubuntu: apt install python3-venv" >&2; exit 1; fi
-	@echo "Setting up .venv (once, and when pyproject.toml changes)" >&2
+	@echo "Setting up .venv (once, and when pyproject.toml or locks/dev.txt changes)" >&2
 	@$(PYTHON) -m venv --clear .venv
-	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]' || { \
-	  echo "error: the packages could not be installed; see above." >&2; exit 1; }
+	@$(call PIP_INSTALL,.venv/bin) --editable '.[dev]' || { \
+	  echo "error: the packages could not be installed; see above." >&2; \
+	  echo "       If locks/dev.txt does not fit pyproject.toml: make lock" >&2; exit 1; }
 	@touch $@
+
+# The environment of uv alone, so that a lock that does not fit can be written anew.
+.venv-lock/bin/uv: locks/dev.txt
+	@$(PYTHON) -m venv --clear .venv-lock
+	@$(call PIP_INSTALL,.venv-lock/bin) uv
+	@touch $@
+
+# One version of each package for all Pythons, where there is one.  `make lock UPGRADE=` keeps the
+# versions that pyproject.toml still allows.
+UPGRADE ?= --upgrade
+COMPILE = .venv-lock/bin/uv --no-config pip compile --quiet $(UPGRADE) --universal \
+	--python-version 3.11 --fork-strategy fewest --custom-compile-command 'make lock'
+lock: .venv-lock/bin/uv
+	$(COMPILE) pyproject.toml --extra dev --extra bench --group tools --output-file locks/dev.txt
+	$(COMPILE) --group dcfgen --output-file locks/dcfgen.txt
+	$(COMPILE) --group drake --output-file locks/drake.txt
+	$(COMPILE) --group dart --output-file locks/dart.txt
+	$(COMPILE) --group jazzy --output-file locks/jazzy.txt
+	$(COMPILE) --group kilted --output-file locks/kilted.txt
 
 # The examples, and the original system's own configuration file where it lies beside the checkout.
 ORIGINAL ?= $(wildcard ../*/data/thorvald_ii_standard.yaml)
@@ -60,8 +86,7 @@ test: lint types
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup $(TESTS)
 
 test-matrix: $(READY)
-	@$(BIN)/python -c 'import uv' 2>/dev/null || \
-	  $(BIN)/python -m pip install --quiet --disable-pip-version-check uv
+	@$(BIN)/python -c 'import uv' 2>/dev/null || $(call PIP_INSTALL,$(BIN)) uv
 	JOBS=$(JOBS) $(BIN)/python tools/test_matrix.py
 
 SEEDS ?= 0:200
@@ -78,7 +103,7 @@ mutants: $(READY)
 # The library to compare with comes into the environment of the first bench, not of every test.
 bench: $(READY)
 	@$(BIN)/python -c 'import wpimath' 2>/dev/null || test -z "$(READY)" || \
-	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]' || true
+	  $(call PIP_INSTALL,$(BIN)) --editable '.[bench]' || true
 	$(BIN)/python -m bench
 
 golden: $(READY)
@@ -103,4 +128,4 @@ clean:
 	find . \( -path ./.venv -o -path ./.matrix -o -path ./.mutants \) -prune -o -name __pycache__ -type d -print0 | xargs -0 rm -rf
 
 distclean: clean
-	rm -rf .venv .matrix .mutants
+	rm -rf .venv .venv-lock .matrix .mutants

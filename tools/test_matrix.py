@@ -1,17 +1,22 @@
 """Runs a part of the tests with other versions of Python and of the dependencies.
 
-    make test-matrix                          each combination that `make test` does not run
+    make test-matrix                          every combination
     tools/test_matrix.py --list               show the combinations
     tools/test_matrix.py 3.13-lowest          run one of them
 
-A combination is the oldest or the newest Python here, with the lowest versions of the dependencies
-that pyproject.toml allows, or the newest.  Pythons are looked for in PATH and in pyenv's folder.
-The environments are in .matrix/; uv, in the Python of this script, makes them.
+A combination is the oldest or the newest Python here with the lowest versions of the dependencies
+that pyproject.toml allows, or the newest Python with the newest versions.  Pythons are looked for
+in PATH and in pyenv's folder.  The environments are in .matrix/; uv, in the Python of this script,
+makes them.
+
+Where the newest versions fail and those of locks/dev.txt pass with the same Python, a new release
+is the cause.  That is a warning with the names of the packages, and not an error.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import shutil
 import subprocess
@@ -20,8 +25,12 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
+from packaging.requirements import Requirement
+from packaging.version import Version
+
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / ".matrix"
+LOCK = "locks/dev.txt"
 OLDEST = (3, 11)
 UV = [sys.executable, "-m", "uv", "--quiet"]
 # Every output of the compiler, the table of commands, and what reads files and buses by other
@@ -38,7 +47,7 @@ class Combination(NamedTuple):
 
     version: tuple[int, int]
     python: str
-    dependencies: str  # lowest or newest
+    dependencies: str  # lowest, newest, or locked
 
     @property
     def name(self) -> str:
@@ -63,34 +72,46 @@ def pythons() -> dict[tuple[int, int], str]:
 
 
 def combinations() -> list[Combination]:
-    """Returns the combinations, without the one of ``make test``: this Python, the newest."""
-    here = sys.version_info[:2]
+    """Returns the combinations of the Pythons here."""
     by_version = pythons()
-    return [
-        Combination(version, by_version[version], dependencies)
-        for version in sorted({min(by_version), max(by_version)})
-        for dependencies in ("lowest", "newest")
-        if (version, dependencies) != (here, "newest")
-    ]
+    oldest, newest = min(by_version), max(by_version)
+    lowest = [Combination(v, by_version[v], "lowest") for v in sorted({oldest, newest})]
+    return [*lowest, Combination(newest, by_version[newest], "newest")]
 
 
 def environment(combination: Combination) -> Path:
-    """Makes the environment of a combination if pyproject.toml changed; returns its Python."""
+    """Makes the environment of a combination; returns its Python.
+
+    It is made anew if pyproject.toml or the lock changed.  There may be a newer version every day,
+    so that an environment with the newest is brought up to date each time.
+    """
     home = FOLDER / combination.name
     python = home / "bin/python"
-    project = (ROOT / "pyproject.toml").read_bytes()
-    stamp = hashlib.sha256(project + combination.python.encode()).hexdigest()
+    sources = [(ROOT / name).read_bytes() for name in ("pyproject.toml", LOCK)]
+    stamp = hashlib.sha256(b"".join(sources) + combination.python.encode()).hexdigest()
     ready = home / "ready"
-    if ready.exists() and ready.read_text() == stamp:
+    is_ready = ready.exists() and ready.read_text() == stamp
+    if is_ready and combination.dependencies != "newest":
         return python
-    subprocess.run([*UV, "venv", "--clear", "--python", combination.python, home], check=True)
+    if is_ready:
+        ready.unlink()
+    else:
+        subprocess.run([*UV, "venv", "--clear", "--python", combination.python, home], check=True)
+    # What the dependencies depend on is not newer than the lock, even where it has no lower bound.
+    not_newer = home / "not_newer.txt"
+    bounds = [f"{name}<={version}\n" for name, version in locked_versions().items()]
+    not_newer.write_text("".join(bounds), encoding="utf-8")
     install = [*UV, "pip", "install", "--python", python]
-    # --no-build: the lowest version with a wheel for this Python.
-    lowest = ["--resolution", "lowest-direct", "--no-build"]
-    choice = lowest if combination.dependencies == "lowest" else []
+    choice = {
+        # --no-build: the lowest version with a wheel for this Python.
+        "lowest": ["--resolution", "lowest-direct", "--no-build", "--constraints", not_newer],
+        "newest": ["--upgrade"],
+        "locked": ["--constraints", LOCK],
+    }[combination.dependencies]
     requirements = ["-r", "pyproject.toml", "--extra", "dev"]
     subprocess.run([*install, *choice, *requirements], cwd=ROOT, check=True)
-    subprocess.run([*install, "--no-deps", "--editable", "."], cwd=ROOT, check=True)
+    build = ["--build-constraints", LOCK] if combination.dependencies != "newest" else []
+    subprocess.run([*install, *build, "--no-deps", "--editable", "."], cwd=ROOT, check=True)
     ready.write_text(stamp)
     return python
 
@@ -99,12 +120,61 @@ def run(combination: Combination) -> bool:
     """Runs the tests of a combination; returns whether they pass."""
     print(f"== {combination.name}: {combination.python}", flush=True)
     start = time.monotonic()
-    command = [environment(combination), "-m", "pytest", "-n", os.environ.get("JOBS", "auto")]
+    try:
+        python = environment(combination)
+    except subprocess.CalledProcessError:
+        print(f"== {combination.name}: FAILED, the packages cannot be installed", flush=True)
+        return False
+    command = [python, "-m", "pytest", "-n", os.environ.get("JOBS", "auto")]
     command += ["--dist", "loadgroup", "-p", "no:cacheprovider", *TESTS]
     passed = subprocess.run(command, cwd=ROOT, check=False).returncode == 0
     result = "passed" if passed else "FAILED"
     print(f"== {combination.name}: {result} in {time.monotonic() - start:.0f} s", flush=True)
     return passed
+
+
+def locked_versions() -> dict[str, Version]:
+    """Returns the version of each package in the lock."""
+    lines = (ROOT / LOCK).read_text(encoding="utf-8").splitlines()
+    pins = [Requirement(line) for line in lines if line[:1].isalnum()]
+    return {pin.name: Version(str(pin.specifier).removeprefix("==")) for pin in pins}
+
+
+def newer_packages(combination: Combination) -> list[str]:
+    """Returns the packages of an environment that are newer than in the lock, as text."""
+    if not (FOLDER / combination.name / "ready").exists():
+        return ["the newest versions cannot be installed together, see above"]
+    command = [*UV, "pip", "list", "--format", "json", "--python"]
+    answer = subprocess.run(
+        [*command, FOLDER / combination.name / "bin/python"], capture_output=True, check=True
+    )
+    locked = locked_versions()
+    return [
+        f"{package['name']} {package['version']} (locked: {locked.get(package['name'], 'none')})"
+        for package in json.loads(answer.stdout)
+        if package["name"] != "thorvaldc"
+        and not Version(package["version"]) <= locked.get(package["name"], Version("0"))
+    ]
+
+
+def is_cause_outside(combination: Combination) -> bool:
+    """Whether a combination that failed does so because of releases that the lock does not have.
+
+    Prints a warning with the names of these packages.
+    """
+    locked = combination._replace(dependencies="locked")
+    if combination.dependencies != "newest":
+        return False
+    newer = newer_packages(combination)
+    if not newer or not run(locked):
+        return False
+    bar = "!" * 80
+    print(bar, f"WARNING: {combination.name} fails and {locked.name} passes.", sep="\n")
+    print("The cause is one of the packages that are newer than in the lock:")
+    print(*(f"  {package}" for package in newer), sep="\n")
+    print("Make the code fit it, or limit it in pyproject.toml; then `make lock`.")
+    print(bar, flush=True)
+    return True
 
 
 def main(names: list[str]) -> int:
@@ -115,10 +185,9 @@ def main(names: list[str]) -> int:
     if unknown := [name for name in names if name not in [c.name for c in every]]:
         print(f"error: no combination {unknown[0]}; see --list", file=sys.stderr)
         return 2
-    if len({c.version for c in every} | {sys.version_info[:2]}) == 1:
-        print("skipped: no newer Python found", flush=True)
-    results = [run(c) for c in every if not names or c.name in names]
-    return 0 if all(results) else 1
+    failed = [c for c in every if (not names or c.name in names) and not run(c)]
+    explained = [c for c in failed if is_cause_outside(c)]
+    return 0 if explained == failed else 1
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
 """The environments with the wheels of ROS 2, in which the tests run the real node.
 
 ``python3 tests/ros/environments.py`` makes the environments ``.venv-ros/jazzy`` and
-``.venv-ros/kilted``, as ``.ci/run`` does.  The wheels exist for Linux on x86_64 only.  They are for
-tests; the users of the node have the ROS 2 of their distribution.
+``.venv-ros/kilted`` with the versions of ``locks/``, as ``.ci/run`` does.  The wheels exist for
+Linux on x86_64 only.  They are for tests; the users of the node have the ROS 2 of their
+distribution.
 """
 
 from __future__ import annotations
@@ -16,22 +17,6 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 ENVIRONMENTS = ROOT / ".venv-ros"
 DISTROS = ("jazzy", "kilted")
-_PARTS = ("geometry-msgs", "nav-msgs", "sensor-msgs", "std-srvs", "diagnostic-msgs")
-WHEELS = {
-    "jazzy": [
-        "ros-jazzy-rclpy==7.1.6",
-        "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
-        *(f"ros-jazzy-{part}==5.3.6" for part in _PARTS),
-    ],
-    "kilted": [
-        "ros-kilted-rclpy==9.1.2",
-        "ros-kilted-rmw-fastrtps-cpp==9.3.3",
-        *(f"ros-kilted-{part}==5.5.1" for part in _PARTS),
-    ],
-}
-"""Wheels of each distribution, pinned."""
-OTHERS = ["colcon-common-extensions", "jsonschema", "mujoco", "numpy", "python-can", "pyyaml"]
-"""Packages of the build tool, and those that thorvaldc needs for the simulations."""
 
 
 def python_of(distro: str) -> str:
@@ -91,14 +76,17 @@ def make() -> None:
     for distro in DISTROS:
         folder = ENVIRONMENTS / distro
         subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
+        lock = f"locks/{distro}.txt"
         subprocess.run(
             [
                 *(str(folder / "bin" / "python"), "-m", "pip", "install", "--quiet"),
-                *("--disable-pip-version-check", *WHEELS[distro], *OTHERS),
+                *("--disable-pip-version-check", "--requirement", lock),
             ],
             check=True,
+            cwd=ROOT,
+            env={**os.environ, "PIP_CONSTRAINT": lock, "PIP_BUILD_CONSTRAINT": lock},
         )
-        generate_messages.main(folder, distro)
+        generate_messages.main(folder)
 
 
 if __name__ == "__main__":

@@ -119,14 +119,15 @@ def base_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
 @_completer
 def scenario_variables(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes the paths of the numbers, texts and flags of the scenario, for ``--set``."""
-    import yaml
+    from thorvaldc.compiler.source.reader import read_file
+    from thorvaldc.diagnostics import Report
 
     # An option without its value ends the parsing, and the words before it are in ``args``.
     words = (ctx.params.get("scenario"), ctx.params.get("file"), *ctx.args)
     name = next(word for word in words if word and Path(word).is_file())
-    text = Path(name).read_text(encoding="utf-8")
-    document = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    yield from (f"{path}=" for path in _paths(document, ""))
+    document = read_file(Path(name), name, Report())
+    if document is not None:
+        yield from (f"{path}=" for path in _paths(document.plain(), ""))
 
 
 @_completer

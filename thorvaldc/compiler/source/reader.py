@@ -69,17 +69,14 @@ def compose(
     text = _decode(data, file, report)
     if text is None:
         return None
-    loader = _Loader(text)
     try:
-        root = loader.get_single_node()
+        root = _root_of(text)
     except yaml.MarkedYAMLError as error:
         yaml_errors.explain(error, text, file, report)
         return None
     except _YamlError as error:
         report.add(error.code, error.message, _character_span(error.mark, file), hint=error.hint)
         return None
-    finally:
-        loader.dispose()
     if root is None or (root.id == "scalar" and root.value == "" and not root.style):
         report.add("yaml-empty", f"`{file}` is empty", Span(file), hint=hint_if_empty)
         return None
@@ -213,6 +210,23 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
 
     def ascend_resolver(self) -> None:
         self._depth -= 1
+
+
+def _root_of(text: str) -> Any:
+    """Returns the root node of the only document in ``text``, or ``None`` if there is none."""
+    loader = _Loader(text)
+    try:
+        return loader.get_single_node()
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        if mark is None or "maximum nesting depth" not in str(error.problem):
+            raise
+        # libyaml from 0.2.6 on (PyYAML 6.0.4) has a limit of its own, 1000 levels, and its scanner
+        # can be there before the composer is at MAX_DEPTH.  The text before that place has the
+        # error that a libyaml without the limit reports.
+        return _root_of(text[: mark.index])
+    finally:
+        loader.dispose()
 
 
 def _too_many(mark: Any) -> _YamlError:
