@@ -95,6 +95,38 @@ def test_node_with_ideal_joints(distro: str, build: Path, tmp_path: Path) -> Non
         end(process)
 
 
+def test_bad_requests_are_refused_while_the_robot_drives(
+    distro: str, build: Path, tmp_path: Path
+) -> None:
+    with node(distro, build, tmp_path, base="ideal", stamped=False) as process:
+        run_client(distro, "bad_requests", tmp_path)
+        end(process)
+
+
+@pytest.mark.parametrize(
+    ("base", "numbers", "pause"),
+    [("ideal", [signal.SIGHUP], 0.0), ("bus", [signal.SIGHUP, signal.SIGQUIT], 0.1)],
+    ids=["ideal", "bus"],
+)
+def test_end_signals_stop_the_robot_in_order(
+    distro: str,
+    build: Path,
+    tmp_path: Path,
+    base: str,
+    numbers: list[signal.Signals],
+    pause: float,
+) -> None:
+    """Further signals do not cut off the stop, and the last odometry is at rest."""
+    with running(tmp_path, str(build / "model.json"), "--channel", "end"):
+        for number in numbers:
+            options = {"base": base, "bus": "sim:end", "stamped": False}
+            with node(distro, build, tmp_path, **options) as process:
+                run_client(distro, "drive_to_the_end", tmp_path, process.pid, int(number), pause)
+                _, err = process.communicate(timeout=30)
+            assert process.returncode == 0, (number, err)
+            assert "Traceback" not in err
+
+
 def test_node_with_mujoco_and_its_clock(distro: str, build: Path, tmp_path: Path) -> None:
     options = {"base": "mujoco", "publish_clock": True, "stamped": True}
     options["publish_description"] = True
