@@ -116,7 +116,7 @@ class Client:
         source: str = "auto_nav",
         age: float = 0.0,
         frame: str = "",
-        stamped_zero: bool = False,
+        no_stamp: bool = False,
     ) -> None:
         topic = f"{self.space}/{source}/cmd_vel"
         if topic not in self._publishers:
@@ -127,7 +127,7 @@ class Client:
         twist.linear.x, twist.angular.z = vx, wz
         if self.stamped:
             message.header.frame_id = frame
-        if self.stamped and not stamped_zero:
+        if self.stamped and not no_stamp:
             stamp = self.node.get_clock().now().nanoseconds - int(age * 1e9)
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
         self._publishers[topic].publish(message)

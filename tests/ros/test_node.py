@@ -153,6 +153,12 @@ def test_clock_of_another_node(distro: str, build: Path, tmp_path: Path) -> None
         end(process)
 
 
+def test_stamped_twists(distro: str, build: Path, tmp_path: Path) -> None:
+    with node(distro, build, tmp_path, base="ideal", stamped=True) as process:
+        run_client(distro, "drive_stamped", tmp_path)
+        assert end(process).count("`auto_nav` have a stamp of zero: they count as sent now") == 1
+
+
 def test_two_robots_in_one_process(distro: str, build: Path, tmp_path: Path) -> None:
     command = [python_of(distro), "-m", "tests.ros.two_nodes", str(build / "model.json")]
     process = ChildProcess(command, env=variables(tmp_path), stderr=subprocess.PIPE, text=True)
@@ -201,6 +207,10 @@ def test_mission_over_topics_follows_the_path_of_the_mission_without_ros(
         ({"base": "gazebo"}, "error: base is 'gazebo'; expected ideal, mujoco, virtual, bus"),
         ({"base": "bus", "bus": "sim:nobody"}, "error: cannot use the bus `sim:nobody`: "),
         ({"rate": 10.0}, "error: rate is 10 Hz; the model has 50 Hz: change `driver.rate`"),
+        ({"max_linear_velocity": 5.0}, "max_linear_velocity"),
+        ({"max_linear_velocity": 1e6}, "max_linear_velocity"),
+        ({"max_angular_acceleration": 99.0}, "max_angular_acceleration"),
+        ({"command_timeout": 60.0}, "command_timeout"),
         ({"parameter_set": "rails"}, "has no parameter set `rails`; did you mean `rail`?"),
     ],
 )

@@ -23,8 +23,7 @@ class ClockWatch:
     def update(self, ros_time: float | None, now: float, longest_stand: float) -> str:
         """Judges the time ``ros_time`` (s) of the clock at the real time ``now`` (s).
 
-        - ``ros_time``: 0 before the first message of the clock, and ``None`` while the time is that
-          of the computer, which needs no watch;
+        - ``ros_time``: ``None`` while the time is that of the computer, which needs no watch;
         - ``longest_stand``: longest real time (s) for which the clock may stand.
 
         Returns the description of a jump, or an empty text.
@@ -37,9 +36,10 @@ class ClockWatch:
         step = 0.0 if first else self._ros_time - last
         if ros_time is None:
             self.problem = ""
-        elif ros_time == 0.0:
-            self.problem = "no time has arrived on /clock"
-        elif first or step != 0.0:
+        elif first:  # without a message it is 0, or the time of an earlier message
+            self._moved = math.inf
+            self.problem = "the clock /clock has not run yet"
+        elif step != 0.0:
             self._moved = now
             self.problem = ""
         elif now - self._moved > longest_stand:

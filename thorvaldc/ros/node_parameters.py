@@ -83,9 +83,10 @@ class NodeParameters:
     def _changes(self, parameters: Iterable[Any]) -> tuple[str | None, dict[str, Any]]:
         """Returns the new parameter set, or ``None`` if it stays, and the new limits."""
         new_values = {p.name: p.value for p in parameters}
-        name = new_values.get(PARAMETER_SET, self.values[PARAMETER_SET])
+        present = self.values[PARAMETER_SET]
+        parameter_set = new_values.get(PARAMETER_SET, present)
         limits = {name: new_values[name] for name in _LIMITS if name in new_values}
-        return None if name == self.values[PARAMETER_SET] else name, limits
+        return None if parameter_set == present else parameter_set, limits
 
     def _proposed(self, parameter_set: str | None, limits: Mapping[str, Any]) -> Parameters:
         """Returns the parameters of the driver after a change.
