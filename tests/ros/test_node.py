@@ -88,6 +88,12 @@ def test_an_error_while_the_node_is_activated_closes_the_robot(
     run_client(distro, "failing_activation", tmp_path, build / "model.json")
 
 
+def test_an_error_of_one_node_leaves_no_robot_of_the_others_running(
+    distro: str, build: Path, tmp_path: Path
+) -> None:
+    run_client(distro, "failing_stop", tmp_path, build / "model.json")
+
+
 def test_node_with_ideal_joints(distro: str, build: Path, tmp_path: Path) -> None:
     options = {"base": "ideal", "autostart": False, "stamped": False}
     with node(distro, build, tmp_path, **options) as process:

@@ -21,7 +21,8 @@ def create_services(node: Any) -> list[Any]:
 
     def robot() -> DrivenRobot:
         if node.robot is None:
-            raise ServiceError("the node is inactive; activate it first")
+            problem = f" ({node.problem})" if node.problem else ""
+            raise ServiceError(f"the node is inactive{problem}; activate it first")
         return cast(DrivenRobot, node.robot)
 
     def call(service: str, **arguments: Any) -> str:
