@@ -110,7 +110,13 @@ class Client:
     # -- driving -------------------------------------------------------------------------------
 
     def send(
-        self, vx: float = 0.0, wz: float = 0.0, source: str = "auto_nav", age: float = 0.0
+        self,
+        vx: float = 0.0,
+        wz: float = 0.0,
+        source: str = "auto_nav",
+        age: float = 0.0,
+        frame: str = "",
+        no_stamp: bool = False,
     ) -> None:
         topic = f"{self.space}/{source}/cmd_vel"
         if topic not in self._publishers:
@@ -120,12 +126,14 @@ class Client:
         twist = message.twist if self.stamped else message
         twist.linear.x, twist.angular.z = vx, wz
         if self.stamped:
+            message.header.frame_id = frame
+        if self.stamped and not no_stamp:
             stamp = self.node.get_clock().now().nanoseconds - int(age * 1e9)
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
         self._publishers[topic].publish(message)
 
     def publish(self, topic: str, message: Any) -> None:
-        path = f"{self.space}/{topic}"
+        path = topic if topic.startswith("/") else f"{self.space}/{topic}"
         if path not in self._publishers:
             self._publishers[path] = self.node.create_publisher(type(message), path, 10)
         self._publishers[path].publish(message)

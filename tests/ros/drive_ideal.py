@@ -89,6 +89,7 @@ def parameters(client: Client) -> None:
     assert client.set(max_linear_velocity=-1.0)
     assert client.set(max_linear_velocity="fast")
     assert client.set(command_timeout=5.0)
+    limits(client)
     assert "has no parameter set `rails`; did you mean `rail`?" in client.set(parameter_set="rails")
     assert client.set(max_linear_velocity=0.25) == ""
     assert max(client.keep(1.0, 1.5)) < 0.2501
@@ -97,6 +98,24 @@ def parameters(client: Client) -> None:
     client.wait("0.4 m/s", lambda: client.speed() > 0.399, lambda: client.send(1.0))
     client.wait("the set", lambda: client.values("driver").get("parameter_set") == "rail")
     assert client.trigger("use_ordinary_parameters") == (True, "")
+    client.rest()
+
+
+def limits(client: Client) -> None:
+    """The values of the robot file are the largest ones: each can be set, but none above it."""
+    for name in (
+        "max_linear_velocity",
+        "max_angular_velocity",
+        "max_linear_acceleration",
+        "max_angular_acceleration",
+    ):
+        largest = client.describe(name).floating_point_range[0].to_value
+        assert client.set(**{name: largest}) == ""
+        for value in (1.01 * largest, 99.0, 1e6, math.inf, math.nan):
+            assert name in client.set(**{name: value}), value
+    largest = client.describe("max_linear_velocity").floating_point_range[0].to_value
+    client.wait("full speed", lambda: client.speed() > 0.99 * largest, lambda: client.send(5.0))
+    assert max(client.keep(5.0, 1.0)) < largest + 1e-6
     client.rest()
 
 
@@ -111,9 +130,15 @@ def stops(client: Client) -> None:
     client.drive(0.3)
     client.lock("safety_stop/lock", True)
     client.wait("lock", lambda: abs(client.speed()) < 1e-3, lambda: client.send(0.3))
+    assert "safety_stop" in client.switch("enable")[1]
     client.lock("safety_stop/lock", False)
     client.drive(0.3)
     client.rest()
+    client.lock("auto_nav/pause", True)  # a lock that leaves the joystick
+    active = "the lock `auto_nav_pause` is active"
+    client.wait("pause", lambda: client.switch("enable") == (True, active))
+    client.lock("auto_nav/pause", False)
+    client.wait("no pause", lambda: client.switch("enable")[1] == "", lambda: client.send(0.0))
     assert client.trigger("reset_base_odom") == (True, "")
     client.spin(0.1)
     assert abs(client.last["base_raw"].pose.pose.position.x) < 1e-3

@@ -35,7 +35,8 @@ def main() -> None:
 
 
 def ages(client: Client) -> None:
-    for age, reason in ((2.0, "max_command_age is 0.5 s"), (-1.0, "in the future")):
+    # Not a multiple of the period: a stamp of exactly zero would mean now.
+    for age, reason in ((2.01, "max_command_age is 0.5 s"), (-1.01, "max_command_lead is 0.1 s")):
         assert max(client.keep(0.3, 0.4, age=age)) < 0.02
         client.wait(
             reason,
@@ -48,6 +49,7 @@ def pause(client: Client) -> None:
     client.drive(0.3)
     assert client.switch("pause_simulation") == (True, "")
     client.spin(0.2)
+    assert client.switch("enable") == (False, "the simulation is paused")
     clock = client.last["clock"].clock
     client.keep(0.3, 0.3)
     assert client.last["clock"].clock == clock

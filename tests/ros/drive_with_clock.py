@@ -31,18 +31,41 @@ START = time.monotonic()
 
 def main() -> None:
     client = ClockClient()
+    client.runs = False
     client.wait("odometry", lambda: "base_raw" in client.last, client.send)
+    assert client.switch("enable") == (False, "the clock /clock has not run yet")
+    client.runs = True
     client.arm()
     client.drive(0.3)
     client.runs = False
     client.wait("rest", lambda: abs(client.speed()) < 1e-3, lambda: client.send(0.3))
     assert max(map(abs, client.keep(0.3, 0.3))) < 1e-3
+    ok, reason = client.switch("enable")
+    assert not ok
+    assert reason.startswith("the clock /clock stands still at 1"), reason
     client.runs = True
     # The clock runs again: the held stick does not move the robot before it was at zero.
     assert max(map(abs, client.keep(0.3, 0.4))) < 1e-3
     client.drive(0.3)
     client.offset -= 50.0
     client.wait("rest", lambda: abs(client.speed()) < 1e-3, lambda: client.send(0.3))
+    client.drive(0.3)
+    without_the_clock(client)
+
+
+def without_the_clock(client: ClockClient) -> None:
+    """Ends the clock and switches ``use_sim_time`` off and on: the robot drives without it."""
+    client.runs = False
+    client.wait("rest", lambda: abs(client.speed()) < 1e-3, lambda: client.send(0.3))
+    assert client.set(use_sim_time=False) == ""
+    assert max(map(abs, client.keep(0.3, 0.3))) < 1e-3  # the time jumped
+    assert client.switch("enable")[0]
+    client.drive(0.3)
+    assert "clock" not in client.values("commands")
+    assert client.set(use_sim_time=True) == ""
+    client.wait("rest", lambda: abs(client.speed()) < 1e-3, lambda: client.send(0.3))
+    assert client.switch("enable") == (False, "the clock /clock has not run yet")
+    client.runs = True
     client.drive(0.3)
 
 

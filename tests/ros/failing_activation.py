@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
+from typing import Any
 
 import rclpy
 from rclpy.lifecycle import TransitionCallbackReturn
@@ -18,12 +20,12 @@ class FailingNode(BaseDriverNode):
 
     fails = False
 
-    def _use_parameters(self) -> None:
+    def _use_parameters(self, parameter_set: str | None, limits: Mapping[str, Any]) -> None:
         if self.fails:
             assert self.robot is not None
             self.opened = self.robot
             raise RuntimeError("an error of the test")
-        super()._use_parameters()
+        super()._use_parameters(parameter_set, limits)
 
 
 def main() -> None:

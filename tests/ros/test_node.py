@@ -88,11 +88,49 @@ def test_an_error_while_the_node_is_activated_closes_the_robot(
     run_client(distro, "failing_activation", tmp_path, build / "model.json")
 
 
+def test_an_error_of_one_node_leaves_no_robot_of_the_others_running(
+    distro: str, build: Path, tmp_path: Path
+) -> None:
+    run_client(distro, "failing_stop", tmp_path, build / "model.json")
+
+
 def test_node_with_ideal_joints(distro: str, build: Path, tmp_path: Path) -> None:
     options = {"base": "ideal", "autostart": False, "stamped": False}
     with node(distro, build, tmp_path, **options) as process:
         run_client(distro, "drive_ideal", tmp_path, process.pid)
         end(process)
+
+
+def test_bad_requests_are_refused_while_the_robot_drives(
+    distro: str, build: Path, tmp_path: Path
+) -> None:
+    with node(distro, build, tmp_path, base="ideal", stamped=False) as process:
+        run_client(distro, "bad_requests", tmp_path)
+        end(process)
+
+
+@pytest.mark.parametrize(
+    ("base", "numbers", "pause"),
+    [("ideal", [signal.SIGHUP], 0.0), ("bus", [signal.SIGHUP, signal.SIGQUIT], 0.1)],
+    ids=["ideal", "bus"],
+)
+def test_end_signals_stop_the_robot_in_order(
+    distro: str,
+    build: Path,
+    tmp_path: Path,
+    base: str,
+    numbers: list[signal.Signals],
+    pause: float,
+) -> None:
+    """Further signals do not cut off the stop, and the last odometry is at rest."""
+    with running(tmp_path, str(build / "model.json"), "--channel", "end"):
+        for number in numbers:
+            options = {"base": base, "bus": "sim:end", "stamped": False}
+            with node(distro, build, tmp_path, **options) as process:
+                run_client(distro, "drive_to_the_end", tmp_path, process.pid, int(number), pause)
+                _, err = process.communicate(timeout=30)
+            assert process.returncode == 0, (number, err)
+            assert "Traceback" not in err
 
 
 def test_node_with_mujoco_and_its_clock(distro: str, build: Path, tmp_path: Path) -> None:
@@ -119,6 +157,12 @@ def test_clock_of_another_node(distro: str, build: Path, tmp_path: Path) -> None
     with node(distro, build, tmp_path, base="ideal", stamped=False, use_sim_time=True) as process:
         run_client(distro, "drive_with_clock", tmp_path)
         end(process)
+
+
+def test_stamped_twists(distro: str, build: Path, tmp_path: Path) -> None:
+    with node(distro, build, tmp_path, base="ideal", stamped=True) as process:
+        run_client(distro, "drive_stamped", tmp_path)
+        assert end(process).count("`auto_nav` have a stamp of zero: they count as sent now") == 1
 
 
 def test_two_robots_in_one_process(distro: str, build: Path, tmp_path: Path) -> None:
@@ -169,6 +213,10 @@ def test_mission_over_topics_follows_the_path_of_the_mission_without_ros(
         ({"base": "gazebo"}, "error: base is 'gazebo'; expected ideal, mujoco, virtual, bus"),
         ({"base": "bus", "bus": "sim:nobody"}, "error: cannot use the bus `sim:nobody`: "),
         ({"rate": 10.0}, "error: rate is 10 Hz; the model has 50 Hz: change `driver.rate`"),
+        ({"max_linear_velocity": 5.0}, "max_linear_velocity"),
+        ({"max_linear_velocity": 1e6}, "max_linear_velocity"),
+        ({"max_angular_acceleration": 99.0}, "max_angular_acceleration"),
+        ({"command_timeout": 60.0}, "command_timeout"),
         ({"parameter_set": "rails"}, "has no parameter set `rails`; did you mean `rail`?"),
     ],
 )

@@ -17,6 +17,9 @@ from thorvaldc.ros.parameters import PARAMETERS
 from thorvaldc.ros.topic_twists import TwistInputs
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driven_robot import DrivenRobot
+from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.runtime.errors import ParameterError
+from thorvaldc.runtime.run_time_parameters import COMMAND_TIMEOUT, LIMITS
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.runtime.service_table import ServiceError
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
@@ -24,6 +27,7 @@ from thorvaldc.simulation.physics.sim_base import SimBase
 
 FORWARD = Twist(0.3, 0.0, 0.0)
 SOURCE = "auto_nav"
+FUTURE = "the stamp of the twist is 0.200 s in the future; max_command_lead is 0.1 s"
 
 
 def test_defaults_are_in_their_ranges_for_every_example() -> None:
@@ -37,6 +41,21 @@ def test_defaults_are_in_their_ranges_for_every_example() -> None:
             if isinstance(default, float):
                 lowest, highest = parameter.range_for(robot)
                 assert lowest <= default <= highest, parameter.name
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_no_limit_can_be_set_above_its_range(name: str) -> None:
+    """The range ends at the robot file; the rule is that of the driver, whoever asks."""
+    robot = example_robot(name)
+    driver = BaseDriver(robot, SimBase(robot))
+    for parameter in PARAMETERS:
+        if parameter.name not in (*LIMITS, COMMAND_TIMEOUT):
+            continue
+        _, highest = parameter.range_for(robot)
+        assert highest >= getattr(robot.driver, parameter.name)
+        for value in (1.01 * highest, 1e6, math.inf, math.nan):
+            with pytest.raises(ParameterError, match=parameter.name):
+                driver.update(**{parameter.name: value})
 
 
 def test_without_ros_the_program_says_how_to_get_it() -> None:
@@ -64,7 +83,11 @@ def test_a_real_robot_needs_no_simulation() -> None:
 
 def test_a_clock_that_stands_or_jumps_is_noticed() -> None:
     watch = ClockWatch()
-    assert watch.update(5.0, 0.0, 0.5) == ""
+    assert watch.update(0.0, -9.0, 0.5) == ""
+    assert watch.update(0.0, -0.1, 0.5) == ""
+    assert watch.problem == "the clock /clock has not run yet"
+    assert watch.update(5.0, 0.0, 0.5) == "the clock /clock jumped by 5.000 s"
+    assert not watch.problem
     assert watch.update(5.1, 0.1, 0.5) == ""
     assert watch.update(5.1, 0.6, 0.5) == ""
     assert not watch.problem
@@ -75,6 +98,18 @@ def test_a_clock_that_stands_or_jumps_is_noticed() -> None:
     assert watch.update(1.0, 0.8, 0.5) == "the clock /clock jumped back by 4.200 s"
     assert watch.update(2.0, 0.9, 0.5) == ""
     assert watch.update(3.1, 1.0, 0.5) == "the clock /clock jumped by 1.100 s"
+
+
+def test_the_change_between_the_clocks_is_a_jump() -> None:
+    watch = ClockWatch()
+    assert watch.update(None, 0.0, 0.5) == ""
+    assert watch.update(None, 9.0, 0.5) == ""
+    assert watch.update(5.0, 9.1, 0.5) == "use_sim_time has become true"
+    assert watch.update(5.0, 9.7, 0.5) == ""
+    assert watch.problem == "the clock /clock has not run yet"
+    assert watch.update(None, 9.8, 0.5) == "use_sim_time has become false"
+    assert not watch.problem
+    assert watch.update(None, 9.9, 0.5) == ""
 
 
 class Machine:
@@ -188,7 +223,8 @@ def test_a_frozen_process_is_a_gap_of_buses_that_keep_to_real_time(
 
 def test_refused_twists_are_counted_with_the_newest_reason() -> None:
     machine = Machine()
-    inputs = TwistInputs(machine.robot.driver.robot, {"max_command_age": 0.5})
+    values = {"max_command_age": 0.5, "max_command_lead": 0.1}
+    inputs = TwistInputs(machine.robot.driver.robot, values)
 
     def publish(robot: DrivenRobot | None, vx: float, age: float = 0.0) -> None:
         vector = SimpleNamespace(x=vx, y=0.0, z=0.0)
@@ -200,13 +236,40 @@ def test_refused_twists_are_counted_with_the_newest_reason() -> None:
         (None, 0.3, 0.0, 1, "the node is inactive"),
         (machine.robot, math.nan, 0.0, 2, "the twist is not finite"),
         (machine.robot, 0.3, 0.6, 3, "the twist is 0.600 s old; max_command_age is 0.5 s"),
-        (machine.robot, 0.3, -0.1, 4, "the stamp of the twist is 0.100 s in the future"),
-        (machine.robot, 0.0, 0.4, 4, "the stamp of the twist is 0.100 s in the future"),
+        (machine.robot, 0.3, -0.2, 4, FUTURE),
+        (machine.robot, 0.0, 0.4, 4, FUTURE),
+        (machine.robot, 0.0, -0.05, 4, FUTURE),
     ):
         publish(robot, vx, age)
         summary = inputs.summary()[SOURCE]
         assert (summary["refused"], summary["reason"]) == (count, reason)
-    assert inputs.summary()[SOURCE]["received"] == 5
+    assert inputs.summary()[SOURCE]["received"] == 6
+
+
+def test_stamped_twists_are_in_the_frame_of_the_robot_and_of_now() -> None:
+    machine = Machine()
+    warnings: list[str] = []
+    values = {"max_command_age": 0.5, "max_command_lead": 0.1, "base_frame_id": "base_link"}
+    inputs = TwistInputs(machine.robot.driver.robot, values, warnings.append)
+    zero = SimpleNamespace(x=0.0, y=0.0, z=0.0)
+
+    def refused(time: float, frame: str) -> int:
+        stamp = SimpleNamespace(sec=int(time), nanosec=round(time % 1.0 * 1e9))
+        header = SimpleNamespace(stamp=stamp, frame_id=frame)
+        message = SimpleNamespace(header=header, twist=SimpleNamespace(linear=zero, angular=zero))
+        inputs.publish_stamped(machine.robot, SOURCE, message, "", 1000.0)
+        return inputs.refused.get(SOURCE, (0, ""))[0]
+
+    assert refused(999.75, "base_link") == 0
+    assert refused(1000.0, "") == 0
+    assert not warnings
+    assert refused(0.0, "") == 0
+    assert refused(0.0, "") == 0
+    assert warnings == [f"the twists of `{SOURCE}` have a stamp of zero: they count as sent now"]
+    assert refused(1.0, "base_link") == 1
+    assert refused(1000.0, "map") == 2
+    reason = "the twist is in the frame `map`; `base_link` and an empty frame are accepted"
+    assert inputs.refused[SOURCE][1] == reason
 
 
 def test_a_pause_voids_the_commands() -> None:

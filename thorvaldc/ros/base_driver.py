@@ -6,13 +6,13 @@ python -m thorvaldc.ros.base_driver --ros-args -p model_file:=build/robot/model.
 from __future__ import annotations
 
 import contextlib
-import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.ros.bases import NodeError
+from thorvaldc.runtime.end_signals import end_signals
 
 LONGEST_WAIT = 0.1
 """Longest real time (s) for which the program waits for messages before it looks at a signal."""
@@ -40,7 +40,7 @@ def main(args: Sequence[str] | None = None) -> int:
             " ROS 2, and run `source /opt/ros/DISTRO/setup.bash` first",
             OUTSIDE,
         )
-    with _ended_by_signal() as ended:
+    with end_signals() as ended:
         try:
             # The signals end the loop, so that the robot is stopped before ROS is shut down.
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
@@ -70,10 +70,13 @@ def run_nodes(factories: Sequence[Callable[[], Any]], ended: Callable[[], bool])
 
     executor = SingleThreadedExecutor()
     nodes: list[Any] = []
-    try:
+    with contextlib.ExitStack() as stack:  # it stops every robot, also after an error of one
+        stack.callback(executor.shutdown)
         for factory in factories:
-            nodes.append(factory())
-            executor.add_node(nodes[-1])
+            node = factory()
+            stack.callback(_end, node, executor)
+            nodes.append(node)
+            executor.add_node(node)
         for node in nodes:
             if node.values["autostart"]:
                 for transition in (node.trigger_configure, node.trigger_activate):
@@ -84,27 +87,14 @@ def run_nodes(factories: Sequence[Callable[[], Any]], ended: Callable[[], bool])
             executor.spin_once(timeout_sec=min(max(wait, 0.0), LONGEST_WAIT))
             for node in nodes:
                 node.run_due()
-        return 0
-    finally:
-        for node in nodes:
-            node.stop_robot()
-            executor.remove_node(node)
-            node.destroy_node()
-        executor.shutdown()
+    return 0
 
 
-@contextlib.contextmanager
-def _ended_by_signal() -> Iterator[Callable[[], bool]]:
-    ended: list[int] = []
-    previous = {
-        number: signal.signal(number, lambda received, frame: ended.append(received))
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
-        yield lambda: bool(ended)
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+def _end(node: Any, executor: Any) -> None:
+    """Stops the robot of a node and removes the node."""
+    node.stop_robot()
+    executor.remove_node(node)
+    node.destroy_node()
 
 
 def _fail(message: str, status: int) -> int:

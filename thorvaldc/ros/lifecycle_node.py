@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist as TwistMessage
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
-from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.duration import Duration
+from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import BatteryState, JointState
@@ -26,6 +28,7 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.ros.bases import NodeError, description_text, open_robot
 from thorvaldc.ros.clock_watch import ClockWatch
+from thorvaldc.ros.guarded_node import GuardedLifecycleNode
 from thorvaldc.ros.messages import (
     JointMessages,
     battery_message,
@@ -44,6 +47,8 @@ from thorvaldc.runtime.service_table import ServiceError
 NODE_NAME = "base_driver"
 REPORT_PERIOD = 1.0
 """Real time (s) between two messages on /diagnostics, if nothing changes."""
+LONGEST_DELIVERY = 0.5
+"""Longest real time (s) for which a node that ends waits for the subscribers of the odometry."""
 RELAY_QUEUE = 64
 """Frames of foreign devices that wait in a topic, in each direction."""
 DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
@@ -54,7 +59,7 @@ def latched(depth: int = 1) -> QoSProfile:
     return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-class BaseDriverNode(LifecycleNode):  # type: ignore[misc]
+class BaseDriverNode(GuardedLifecycleNode):
     """The base driver of one robot as a ROS 2 node.
 
     The program calls ``run_due`` when ``wait`` has passed, and handles the callbacks of the node in
@@ -70,12 +75,12 @@ class BaseDriverNode(LifecycleNode):  # type: ignore[misc]
         """
         super().__init__(NODE_NAME, **options)
         self.parameters = NodeParameters(self)
-        self.parameters.changed = self._use_parameters
+        self.parameters.give = self._use_parameters
         self.values = self.parameters.values
         self.model = self.parameters.robot
         self.model_file = Path(self.values["model_file"])
         self.robot: DrivenRobot | None = None
-        self.inputs = TwistInputs(self.model, self.values)
+        self.inputs = TwistInputs(self.model, self.values, self.get_logger().warning)
         self.clock_watch = ClockWatch()
         self.problem = ""
         """Reason why the node is not active although it was, or why it could not be activated."""
@@ -152,7 +157,9 @@ class BaseDriverNode(LifecycleNode):  # type: ignore[misc]
         robot, self.robot = self.robot, None
         if robot is not None:
             robot.shutdown()
-            self._publish(robot)
+            self._publish_end(robot)
+            # Subscribers must see the robot at rest, also if the node is removed right after.
+            self._odometry.wait_for_all_acked(Duration(seconds=LONGEST_DELIVERY))
 
     def restart_simulation(self) -> None:
         """Starts the simulation again at the time 0; the robot is disarmed.
@@ -186,14 +193,18 @@ class BaseDriverNode(LifecycleNode):  # type: ignore[misc]
         else:
             self.problem, self._reported = "", None
             self._joints = JointMessages(self.model)
-            self._use_parameters()
+            self.parameters.give_all()
             return True
         self.get_logger().error(self.problem)
         return False
 
-    def _use_parameters(self) -> None:
-        if self.robot is not None:
-            self.parameters.apply_to(self.robot.driver)
+    def _use_parameters(self, parameter_set: str | None, limits: Mapping[str, Any]) -> None:
+        if self.robot is None:
+            return
+        if parameter_set is not None:
+            self.robot.driver.use(parameter_set or None)
+        if limits:
+            self.robot.driver.update(**limits)
 
     def _create_topics(self) -> None:
         model, add = self.model, self._entities.append
@@ -263,6 +274,11 @@ class BaseDriverNode(LifecycleNode):  # type: ignore[misc]
 
     # -- messages in ---------------------------------------------------------------------------
 
+    def message_failed(self, reason: str) -> None:
+        """Brings the robot to rest: the message may have been one that stops it."""
+        if self.robot is not None:
+            self.robot.void(reason)
+
     def ros_time(self) -> float:
         """Returns the time (s) of ROS: simulated, of /clock, or of the computer."""
         if self.owns_clock and self.robot is not None:
@@ -273,9 +289,8 @@ class BaseDriverNode(LifecycleNode):  # type: ignore[misc]
         self.inputs.publish(self.robot, source, message, self.clock_watch.problem)
 
     def _on_stamped_twist(self, source: str, message: Any) -> None:
-        stamp = message.header.stamp
-        age = self.ros_time() - (stamp.sec + stamp.nanosec * 1e-9)
-        self.inputs.publish(self.robot, source, message.twist, self.clock_watch.problem, age)
+        problem, ros_time = self.clock_watch.problem, self.ros_time()
+        self.inputs.publish_stamped(self.robot, source, message, problem, ros_time)
 
     def _on_lock(self, name: str, message: Any) -> None:
         robot = self.robot
@@ -325,6 +340,16 @@ class BaseDriverNode(LifecycleNode):  # type: ignore[misc]
             self._reported = summary
             self._next_report = 0.0
 
+    def _publish_end(self, robot: DrivenRobot) -> None:
+        """Publishes the robot at its last measurement.
+
+        The twist of the driver is the mean of the last cycle, in which the robot still slowed down.
+        """
+        driver = robot.driver
+        if (joints := driver.state.joints) is not None:
+            driver.state.odometry = driver.calculator.odometry(joints)
+        self._publish(robot)
+
     def _report(self) -> None:
         self._next_report = time.monotonic() + REPORT_PERIOD
         if not self._entities:
@@ -346,10 +371,11 @@ class BaseDriverNode(LifecycleNode):  # type: ignore[misc]
 
     def _watch_clock(self, robot: DrivenRobot) -> None:
         """Stops the robot while the ROS clock of another node stands still or jumps."""
-        if self.owns_clock or not self.get_parameter("use_sim_time").value:
+        if self.owns_clock:
             return
+        ros_time = self.ros_time() if self.get_parameter("use_sim_time").value else None
         timeout = self.values["command_timeout"]
-        jump = self.clock_watch.update(self.ros_time(), time.monotonic(), timeout)
+        jump = self.clock_watch.update(ros_time, time.monotonic(), timeout)
         if jump or self.clock_watch.problem:
             robot.void(jump or self.clock_watch.problem)
 

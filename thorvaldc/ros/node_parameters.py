@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from thorvaldc.model import Robot
 from thorvaldc.model.model_json import load_model
 from thorvaldc.ros.bases import NodeError
 from thorvaldc.ros.parameters import BASES, MODEL_FILE, PARAMETER_SET, PARAMETERS, NodeParameter
-from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.run_time_parameters import COMMAND_TIMEOUT, LIMITS, Parameters
 
@@ -40,8 +39,11 @@ def load_robot_model(path: str) -> Robot:
 class NodeParameters:
     """The parameters of a node.
 
-    ``values``: values by name.  ``driver``: the limits and radii in force.  ``changed``: function
-    that is called after a change of ``driver``.
+    - ``values``: values by name.
+    - ``driver``: the limits and radii in force.
+    - ``give``: function that gives a parameter set and limits to the base driver of an active node.
+      The set is ``None`` if it stays, and an empty text for the ordinary values.  ``give`` raises
+      ``ParameterError`` or ``DiagnosticError`` if the driver does not accept them now.
     """
 
     def __init__(self, node: Any) -> None:
@@ -50,7 +52,7 @@ class NodeParameters:
         Raises ``NodeError`` or ``DiagnosticError`` if a value is wrong.
         """
         self._node = node
-        self.changed: Callable[[], None] = lambda: None
+        self.give: Callable[[str | None, Mapping[str, Any]], None] = lambda name, limits: None
         table = {parameter.name: parameter for parameter in PARAMETERS}
         model_file = table.pop(MODEL_FILE)
         value = node.declare_parameter(MODEL_FILE, "", _descriptor(model_file, None)).value
@@ -78,16 +80,22 @@ class NodeParameters:
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
 
-    def _proposed(self, parameters: Iterable[Any]) -> Parameters:
+    def _changes(self, parameters: Iterable[Any]) -> tuple[str | None, dict[str, Any]]:
+        """Returns the new parameter set, or ``None`` if it stays, and the new limits."""
+        new_values = {p.name: p.value for p in parameters}
+        present = self.values[PARAMETER_SET]
+        parameter_set = new_values.get(PARAMETER_SET, present)
+        limits = {name: new_values[name] for name in _LIMITS if name in new_values}
+        return None if parameter_set == present else parameter_set, limits
+
+    def _proposed(self, parameter_set: str | None, limits: Mapping[str, Any]) -> Parameters:
         """Returns the parameters of the driver after a change.
 
         Raises ``ParameterError`` or ``DiagnosticError`` if a value is wrong.
         """
-        new_values = {p.name: p.value for p in parameters}
         driver = self.driver
-        if PARAMETER_SET in new_values and new_values[PARAMETER_SET] != self.values[PARAMETER_SET]:
-            driver = Parameters.from_robot(self.robot, new_values[PARAMETER_SET] or None)
-        limits = {name: new_values[name] for name in _LIMITS if name in new_values}
+        if parameter_set is not None:
+            driver = Parameters.from_robot(self.robot, parameter_set or None)
         return driver.changed(self.robot, limits=limits)
 
     def _check(self, parameters: list[Any]) -> Any:
@@ -95,8 +103,10 @@ class NodeParameters:
         if unset:
             reason = f"{unset[0]} needs a value; it cannot be removed"
             return SetParametersResult(successful=False, reason=reason)
+        changes = self._changes(parameters)
         try:
-            self._proposed(parameters)
+            self._proposed(*changes)
+            self.give(*changes)
         except DiagnosticError as error:
             diagnostic = error.diagnostic
             reason = "; ".join(filter(None, (diagnostic.message, diagnostic.hint)))
@@ -106,22 +116,17 @@ class NodeParameters:
         return SetParametersResult(successful=True)
 
     def _apply(self, parameters: list[Any]) -> None:
-        proposed = self._proposed(parameters)
+        self.driver = self._proposed(*self._changes(parameters))
         self.values.update({p.name: p.value for p in parameters if p.name in self.values})
-        if any(p.name in (PARAMETER_SET, *_LIMITS) for p in parameters):
-            self.driver = proposed
-            self.changed()
-            self._show()
+        self._show()
 
-    def apply_to(self, driver: BaseDriver) -> None:
-        """Gives the parameters to a base driver, which follows them from the next cycle on."""
-        driver.use(self.values[PARAMETER_SET] or None)
-        driver.update(**{name: getattr(self.driver.settings, name) for name in _LIMITS})
+    def give_all(self) -> None:
+        """Gives the present values to the base driver of a node that becomes active."""
+        self.give(self.values[PARAMETER_SET], _limits(self.driver))
 
     def _show(self) -> None:
         """Sets the limits of the node to those of the driver, after a change of the set."""
-        settings = self.driver.settings
-        shown = {name: getattr(settings, name) for name in _LIMITS}
+        shown = _limits(self.driver)
         different = [
             Parameter(name, value=value)
             for name, value in shown.items()
@@ -130,6 +135,10 @@ class NodeParameters:
         if different:
             self._node.set_parameters(different)
             self.values.update(shown)
+
+
+def _limits(parameters: Parameters) -> dict[str, Any]:
+    return {name: getattr(parameters.settings, name) for name in _LIMITS}
 
 
 def _descriptor(parameter: NodeParameter, robot: Robot | None) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
@@ -13,22 +13,30 @@ from std_srvs.srv import SetBool, Trigger
 from thorvaldc.ros.parameters import PARAMETER_SET
 from thorvaldc.ros.topic_twists import OWNER
 from thorvaldc.runtime.can_base.battery_and_io_drivers import IoBoardDriver
+from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.service_table import ServiceError
 
 
 def create_services(node: Any) -> list[Any]:
     """Creates the services on a ``BaseDriverNode`` and returns them."""
 
-    def call(service: str, **arguments: Any) -> str:
+    def robot() -> DrivenRobot:
         if node.robot is None:
-            raise ServiceError("the node is inactive; activate it first")
-        result = node.robot.call(service, OWNER, **arguments)
+            problem = f" ({node.problem})" if node.problem else ""
+            raise ServiceError(f"the node is inactive{problem}; activate it first")
+        return cast(DrivenRobot, node.robot)
+
+    def call(service: str, **arguments: Any) -> str:
+        result = robot().call(service, OWNER, **arguments)
         if result is None or isinstance(result, str):
             return result or ""
         return json.dumps(result)
 
-    def switch(on: str, off: str) -> Callable[[bool], str]:
-        return lambda value: call(on if value else off)
+    def enable(on: bool) -> str:
+        return _arm(robot(), node.clock_watch.problem) if on else call("disarm")
+
+    def safety_stop(on: bool) -> str:
+        return call("safety_stop" if on else "release_safety_stop")
 
     def use(name: str) -> Callable[[], str]:
         def apply() -> str:
@@ -49,8 +57,8 @@ def create_services(node: Any) -> list[Any]:
         return ""
 
     switches: dict[str, Callable[[bool], str]] = {
-        "enable": switch("arm", "disarm"),
-        "safety_stop": switch("safety_stop", "release_safety_stop"),
+        "enable": enable,
+        "safety_stop": safety_stop,
     }
     triggers: dict[str, Callable[[], str]] = {
         name: lambda service=service: call(service)  # type: ignore[misc]
@@ -87,14 +95,14 @@ def _switch(node: Any, name: str, work: Callable[[bool], str]) -> Any:
     def serve(request: Any, response: Any) -> Any:
         return _answer(response, lambda: work(bool(request.data)))
 
-    return node.create_service(SetBool, name, serve)
+    return node.create_service(SetBool, name, node.guarded(name, serve))
 
 
 def _trigger(node: Any, name: str, work: Callable[[], str]) -> Any:
     def serve(request: Any, response: Any) -> Any:
         return _answer(response, work)
 
-    return node.create_service(Trigger, name, serve)
+    return node.create_service(Trigger, name, node.guarded(name, serve))
 
 
 def _answer(response: Any, work: Callable[[], str]) -> Any:
@@ -103,6 +111,25 @@ def _answer(response: Any, work: Callable[[], str]) -> Any:
     except ServiceError as error:
         response.message, response.success = str(error), False
     return response
+
+
+def _arm(robot: DrivenRobot, clock_problem: str) -> str:
+    """Arms the robot, and returns what still keeps it from moving, or an empty text.
+
+    Raises ``ServiceError`` with the reason if it cannot be armed, or if the time stands still.
+    """
+    if clock_problem:
+        raise ServiceError(clock_problem)
+    was_armed = robot.armed
+    waits_for = robot.call("arm", OWNER)
+    reasons = [waits_for] if waits_for else []
+    reasons += [
+        f"the lock `{name}` is active" for name in robot.multiplexer.active_locks(robot.now)
+    ]
+    if was_armed:  # otherwise the state is that before the arming
+        state = robot.driver.state
+        reasons += filter(None, (state.fault, state.hold_reason))
+    return "; ".join(reasons)
 
 
 def _outputs(node: Any) -> list[tuple[str, str]]:

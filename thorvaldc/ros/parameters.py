@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from thorvaldc.model import Robot
 from thorvaldc.model.ros import DRIVER, ODOM_FRAME
-from thorvaldc.runtime.run_time_parameters import COMMAND_TIMEOUT, LARGEST, LIMITS
+from thorvaldc.runtime.run_time_parameters import COMMAND_TIMEOUT, LIMITS
 
 ParameterValue = str | bool | float
 BASES = ("ideal", "mujoco", "virtual", "bus")
@@ -58,6 +58,18 @@ class NodeParameter:
         return f"{self.description}{choices}{unit}"
 
 
+def _largest(name: str) -> Callable[[Robot], float]:
+    """Returns the largest value of a limit in the robot file, its parameter sets included.
+
+    The range of the descriptor ends there.  What is accepted at a time is the rule of the driver
+    alone, see ``Parameters.changed``.
+    """
+    return lambda robot: max(
+        float(getattr(settings, name))
+        for settings in (robot.driver, *(s.driver for s in robot.parameter_sets))
+    )
+
+
 def _limit(name: str) -> NodeParameter:
     speed = "velocity" if name.endswith("velocity") else "acceleration"
     kind = "linear" if "linear" in name else "angular"
@@ -65,11 +77,11 @@ def _limit(name: str) -> NodeParameter:
         name,
         "number",
         lambda robot: float(getattr(robot.driver, name)),
-        f"limit of the {kind} {speed} of the commanded twist",
+        f"limit of the {kind} {speed} of the commanded twist; at most the value of the robot file",
         LIMITS[name],
         read_only=False,
         lowest=SMALLEST,
-        highest=LARGEST,
+        highest=_largest(name),
     )
 
 
@@ -141,7 +153,7 @@ PARAMETERS: tuple[NodeParameter, ...] = (
         "s",
         read_only=False,
         lowest=SMALLEST,
-        highest=lambda robot: robot.driver.command_timeout,
+        highest=_largest(COMMAND_TIMEOUT),
     ),
     *(_limit(name) for name in LIMITS),
     NodeParameter(
@@ -160,6 +172,17 @@ PARAMETERS: tuple[NodeParameter, ...] = (
         read_only=False,
         lowest=SMALLEST,
         highest=10.0,
+    ),
+    NodeParameter(
+        "max_command_lead",
+        "number",
+        0.1,
+        "a stamped twist is refused whose stamp is further in the future, by the clock of its"
+        " computer",
+        "s",
+        read_only=False,
+        lowest=0.0,
+        highest=1.0,
     ),
 )
 """All parameters of the node, in the order in which they are declared."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from thorvaldc.model import Robot
@@ -12,8 +12,6 @@ from thorvaldc.runtime.se2 import Twist
 
 OWNER = "ROS"
 """Name of all ROS programs as owners of twist sources and stops: ROS does not tell who sends."""
-LARGEST_CLOCK_ERROR = 0.005
-"""Largest time (s) by which a stamped twist may seem to come from the future."""
 
 
 class TwistInputs:
@@ -22,18 +20,49 @@ class TwistInputs:
     ``refused``: number of refused twists and the newest reason, for each source.
     """
 
-    def __init__(self, robot: Robot, values: Mapping[str, Any]) -> None:
-        """Prepares the sources of ``robot``; ``values`` are the parameters of the node."""
+    def __init__(
+        self,
+        robot: Robot,
+        values: Mapping[str, Any],
+        warn: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        """Prepares the sources of ``robot``.
+
+        ``values``: parameters of the node.  ``warn``: function that shows a warning.
+        """
         self._values = values
+        self._warn = warn
+        self._without_stamp: set[str] = set()
         self.received = {source.name: 0 for source in robot.twist_sources}
         self.refused: dict[str, tuple[int, str]] = {}
+
+    def publish_stamped(
+        self, robot: DrivenRobot | None, source: str, message: Any, problem: str, ros_time: float
+    ) -> None:
+        """Publishes a TwistStamped of a source that arrives at ``ros_time`` (s).
+
+        A stamp of zero means now, as for the controllers of ros2_controllers.
+        """
+        header = message.header
+        stamp = header.stamp.sec + header.stamp.nanosec * 1e-9
+        age = ros_time - stamp if stamp else 0.0
+        if not stamp and source not in self._without_stamp:
+            self._without_stamp.add(source)
+            self._warn(f"the twists of `{source}` have a stamp of zero: they count as sent now")
+        base_frame = self._values["base_frame_id"]
+        if not problem and header.frame_id not in ("", base_frame):
+            problem = (
+                f"the twist is in the frame `{header.frame_id}`; `{base_frame}` and an empty frame"
+                " are accepted"
+            )
+        self.publish(robot, source, message.twist, problem, age)
 
     def publish(
         self, robot: DrivenRobot | None, source: str, message: Any, problem: str, age: float = 0.0
     ) -> None:
         """Publishes a ROS twist of a source that is ``age`` seconds old.
 
-        ``problem``: reason why no twist counts at present, or an empty text.
+        ``problem``: reason why the twist does not count, or an empty text.
         """
         self.received[source] += 1
         twist = Twist(message.linear.x, message.linear.y, message.angular.z)
@@ -54,11 +83,14 @@ class TwistInputs:
             return reason
         if not all(map(math.isfinite, twist)):
             return "the twist is not finite"
-        longest = self._values["max_command_age"]
+        longest, lead = self._values["max_command_age"], self._values["max_command_lead"]
         if age > longest:
             return f"the twist is {age:.3f} s old; max_command_age is {longest:g} s"
-        if age < -LARGEST_CLOCK_ERROR:
-            return f"the stamp of the twist is {-age:.3f} s in the future"
+        if age < -lead:
+            return (
+                f"the stamp of the twist is {-age:.3f} s in the future;"
+                f" max_command_lead is {lead:g} s"
+            )
         return ""
 
     def summary(self) -> dict[str, Any]:

@@ -12,10 +12,7 @@ from __future__ import annotations
 
 import gc
 import math
-import signal
-import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from thorvaldc.can.interface import CanInterface
@@ -26,6 +23,7 @@ from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driven_robot import DrivenRobot, Watch
 from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.runtime.end_signals import end_signals
 from thorvaldc.runtime.errors import RequestRefused
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
@@ -78,6 +76,7 @@ class RunSession:
         self.twist = twist
         self.duration = duration
         self.stop_requested = False
+        self._end_signalled: Callable[[], bool] = lambda: False
         self.refusal = ""
         """Reasons why the robot cannot be armed for ``twist``; empty: it is armed, or not ready."""
         self.refused_since = math.nan
@@ -111,7 +110,7 @@ class RunSession:
     def run(self, watch: Watch | None = None) -> Diagnostic | None:
         """Runs the robot until the end of the run, then stops it and closes the CAN interfaces.
 
-        The run ends after its duration, after a fault, or at the signal SIGINT or SIGTERM.
+        The run ends after its duration, after a fault, or at one of the signals ``END_SIGNALS``.
         The function ``watch`` is called after each control cycle.  Returns the diagnostic of the
         fault that ended the run, or ``None`` if no fault ended the run.
         """
@@ -120,7 +119,7 @@ class RunSession:
         gc.collect()
         gc.freeze()
         gc.enable()
-        with self._signals_handled():
+        with end_signals() as self._end_signalled:
             try:
                 self.driven.run(watch=watch, stop=self._is_over)
                 diagnostic = self._verdict()
@@ -133,26 +132,8 @@ class RunSession:
         return diagnostic
 
     def request_stop(self) -> None:
-        """Ends the run after the present control cycle.
-
-        A signal handler may call ``request_stop``.
-        """
+        """Ends the run after the present control cycle."""
         self.stop_requested = True
-
-    @contextmanager
-    def _signals_handled(self) -> Iterator[None]:
-        if threading.current_thread() is not threading.main_thread():
-            yield
-            return
-        previous_handlers = {
-            number: signal.signal(number, lambda *_: self.request_stop())
-            for number in (signal.SIGINT, signal.SIGTERM)
-        }
-        try:
-            yield
-        finally:
-            for number, handler in previous_handlers.items():
-                signal.signal(number, handler)
 
     def _feed(self, driver: BaseDriver, now: float) -> None:
         """Publishes the twist of the session as the source of the lowest priority.
@@ -191,7 +172,7 @@ class RunSession:
         started = self.driven.ready or (waits and base.state is BaseState.STANDBY)
         if started and math.isnan(self.ready_time):
             self.ready_time = now
-        if self.stop_requested:
+        if self.stop_requested or self._end_signalled():
             return True
         if self.refusal and now - self.refused_since > ARM_TIME:
             return True

@@ -23,12 +23,12 @@ from thorvaldc.model import Robot
 from thorvaldc.model.robot import AUTOMATIC
 from thorvaldc.runtime.control.control_client import ControlClient
 from thorvaldc.runtime.driven_robot import DrivenRobot
+from thorvaldc.runtime.end_signals import end_signals
 from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.run_session import RunSession
 from thorvaldc.tools.teleoperation.console import drive_from_console
 from thorvaldc.tools.teleoperation.joystick import Search, evdev_search
 from thorvaldc.tools.teleoperation.operator import SMALLEST_SHARE
-from thorvaldc.tools.teleoperation.terminal import end_signals
 from thorvaldc.tools.teleoperation.vehicle import RemoteVehicle, Vehicle
 
 

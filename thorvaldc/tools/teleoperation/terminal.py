@@ -7,8 +7,6 @@ import os
 import re
 import select
 import shutil
-import signal
-from collections.abc import Callable, Iterator
 from typing import IO, Any
 
 # Escape sequences of the arrow keys in the normal mode and in the application mode of a terminal.
@@ -159,27 +157,3 @@ class Terminal:
         with contextlib.suppress(OSError):
             written = os.write(fd, self._pending)
             self._pending = self._pending[written:]
-
-
-@contextlib.contextmanager
-def end_signals() -> Iterator[Callable[[], bool]]:
-    """Yields a function that returns true after SIGINT, SIGTERM or SIGHUP was received.
-
-    A second SIGINT raises ``KeyboardInterrupt``.
-    """
-    received: list[int] = []
-
-    def handle(number: int, frame: object) -> None:
-        if received and number == signal.SIGINT:
-            raise KeyboardInterrupt
-        received.append(number)
-
-    previous_handlers = {
-        number: signal.signal(number, handle)
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    }
-    try:
-        yield lambda: bool(received)
-    finally:
-        for number, handler in previous_handlers.items():
-            signal.signal(number, handler)
