@@ -106,10 +106,10 @@ def gz_bridge(robot: Robot, *, ros2_control: bool = False, clock: bool = True) -
     """Return the text of the YAML file ``config_file`` of the node ros_gz_bridge.
 
     ``clock`` adds the topic ``/clock`` of Gazebo, as ``GAZEBO_CLOCK`` in ROS: Gazebo sends it at
-    every step of the physics, and neither Gazebo nor the bridge can send it less often. Each message
-    wakes every node that takes its time from ``/clock``, and costs a node in Python 0.7 ms. So a
-    node between the two lets every ``CLOCK_STEPS``-th message through. Only one bridge of a fleet
-    may have the clock. See ``bridged_topics`` for ``ros2_control``.
+    every step of the physics, and neither Gazebo nor the bridge can send it less often. Each
+    message wakes every node that takes its time from ``/clock``, and costs a node in Python 0.7 ms.
+    So a node between the two passes on only one of ``CLOCK_STEPS`` messages. Only one bridge of a
+    fleet may have the clock. See ``bridged_topics`` for ``ros2_control``.
     """
     topics: Sequence[BridgedTopic] = bridged_topics(robot, ros2_control=ros2_control)
     if clock:
