@@ -120,8 +120,10 @@ def test_a_signal_ends_the_monitor(bus: str, folder: Path, number: int) -> None:
 def test_a_reader_that_ends_is_no_lost_interface(bus: str, folder: Path) -> None:
     """As in ``thorvaldc can monitor --json | head``."""
     process = ChildProcess(
-        [sys.executable, "-m", "thorvaldc", "can", "monitor", "good.yaml", "--bus", bus]
-        + ["--json", "--interval", "0.1"],
+        [
+            *(sys.executable, "-m", "thorvaldc", "can", "monitor", "good.yaml", "--bus", bus),
+            *("--json", "--interval", "0.1"),
+        ],
         cwd=folder,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

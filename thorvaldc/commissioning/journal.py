@@ -36,6 +36,7 @@ from thorvaldc.commissioning.bus_configuration import (
     values_to_json,
 )
 from thorvaldc.commissioning.plan import Plan, plan_from_json, plan_to_json
+from thorvaldc.diagnostics.atomic_file import append_whole
 from thorvaldc.diagnostics.bounded_file import check_regular
 from thorvaldc.diagnostics.error import DiagnosticError
 
@@ -100,8 +101,7 @@ class JournalFile:
         return b"".join(parts)
 
     def append(self, data: bytes) -> None:
-        while data:
-            data = data[os.write(self._file, data) :]
+        append_whole(self._file, data)
         os.fsync(self._file)
 
     def close(self) -> None:

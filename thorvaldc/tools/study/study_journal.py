@@ -8,6 +8,8 @@ import os
 from pathlib import Path
 from typing import Any
 
+from thorvaldc.diagnostics.atomic_file import append_whole
+
 try:
     import fcntl
 except ImportError:  # on Windows, two runs of one study are not kept apart
@@ -52,7 +54,7 @@ class StudyJournal:
         """Writes the result of a design, by the key of the design."""
         text = json.dumps({"key": key, **result}, ensure_ascii=False, separators=(",", ":"))
         data = text.encode()
-        os.write(self._file, _checksum(data) + b" " + data + b"\n")
+        append_whole(self._file, _checksum(data) + b" " + data + b"\n")
         self.results[key] = result
 
     def close(self) -> None:
