@@ -39,6 +39,7 @@ from thorvaldc.commissioning.plan import Plan, plan_from_json, plan_to_json
 from thorvaldc.diagnostics.atomic_file import append_whole
 from thorvaldc.diagnostics.bounded_file import check_regular
 from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics.foreign_json import read_json
 
 FORMAT, VERSION = "thorvaldc-flash", 2
 APPLY, RESUME, ROLLBACK = "apply", "resume", "rollback"
@@ -250,7 +251,7 @@ class Journal:
             try:
                 if complete is None:
                     raise ValueError(line)
-                record = json.loads(complete[1] + b"}")
+                record = read_json(complete[1] + b"}")
                 kind = record["record"]
                 if kind == "run":
                     plan = self._plan(record, number)
@@ -258,7 +259,7 @@ class Journal:
                     torn = 0
                     continue
                 self._check(record)
-            except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            except (ValueError, KeyError, TypeError, AttributeError):
                 # An incomplete line is the beginning of a journal record that a power cut has
                 # interrupted.  An incomplete line of the journal is valid only at the end of the
                 # file or before a new run.

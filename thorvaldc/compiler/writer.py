@@ -43,6 +43,7 @@ from thorvaldc.compiler.folder_exchange import (
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.atomic_file import STAGE_PREFIX, keep_owner, write_file
 from thorvaldc.diagnostics.bounded_file import read_bounded
+from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.diagnostics.interrupts import uninterrupted
 
 MANIFEST = "manifest.json"
@@ -252,10 +253,8 @@ def listed_files(target: Path) -> dict[str, None] | None:
     The files are the keys of the dictionary, in the order of the manifest.  Returns ``None`` if the
     folder contains no manifest.
     """
-    with contextlib.suppress(
-        OSError, ValueError, AttributeError, TypeError, LookupError, RecursionError
-    ):
-        manifest_content = json.loads(read_bounded(target / MANIFEST, _MAX_MANIFEST_BYTES))
+    with contextlib.suppress(OSError, ValueError, AttributeError, TypeError, LookupError):
+        manifest_content = read_json(read_bounded(target / MANIFEST, _MAX_MANIFEST_BYTES))
         if manifest_content.get("format") == FORMAT:
             paths = [path for path in manifest_content["files"] if _is_inside(path)]
             return dict.fromkeys([*paths, MANIFEST])

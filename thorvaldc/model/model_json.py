@@ -20,6 +20,7 @@ from typing import Any, cast
 from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.bounded_file import read_bounded
 from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.bus import (
     OBJECT_TYPES,
@@ -330,8 +331,8 @@ def from_json(text: str) -> Robot | Fleet:
     - A value has the wrong type.
     """
     try:
-        head = json.loads(text)
-    except (ValueError, RecursionError) as error:
+        head = read_json(text)
+    except ValueError as error:
         raise ModelFormatError(f"not a {FORMAT} file: not JSON ({error})") from error
     if not isinstance(head, dict) or head.get("format") != FORMAT:
         raise ModelFormatError(f"not a {FORMAT} file")

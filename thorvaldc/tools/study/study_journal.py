@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.diagnostics.atomic_file import append_whole
+from thorvaldc.diagnostics.foreign_json import read_json
 
 try:
     import fcntl
@@ -68,7 +69,7 @@ def read_results(folder: Path) -> dict[str, dict[str, Any]]:
         for line in file:
             checksum, _, data = line.rstrip(b"\n").partition(b" ")
             if line.endswith(b"\n") and checksum == _checksum(data):
-                result = json.loads(data)
+                result = read_json(data)
                 results[result.pop("key")] = result
     return results
 
