@@ -316,8 +316,8 @@ def test_requests_that_are_refused(preview: Preview) -> None:
 )
 def test_a_message_that_is_none_of_the_page_is_ignored(tmp_path: Path, message: str) -> None:
     (tmp_path / "robot.yaml").write_text(GOOD, encoding="utf-8")
-    messages = (tmp_path / "messages").open("w")
-    server = Preview(tmp_path / "robot.yaml", stderr=messages.fileno())
+    with (tmp_path / "messages").open("w") as messages:
+        server = Preview(tmp_path / "robot.yaml", stderr=messages.fileno())
 
     async def talk() -> None:
         async with (
@@ -337,7 +337,6 @@ def test_a_message_that_is_none_of_the_page_is_ignored(tmp_path: Path, message: 
 
     asyncio.run(talk())
     assert server.end() == 0
-    messages.close()
     assert "Traceback" not in (tmp_path / "messages").read_text()
 
 
