@@ -156,6 +156,40 @@ def test_floats_are_added_alike_on_every_python(trees: dict[Path, ast.Module]) -
     assert sums == []
 
 
+def calls(trees: dict[Path, ast.Module], name: str) -> set[str]:
+    """Returns the files of the package that call a function or a method ``name``."""
+    return {
+        path.relative_to(PACKAGE).as_posix()
+        for path, tree in trees.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith(name)
+    }
+
+
+def test_json_of_others_is_read_in_one_place(trees: dict[Path, ast.Module]) -> None:
+    """``json.loads`` raises ``RecursionError`` for nested brackets, and is for texts of our own."""
+    assert calls(trees, "json.loads") | calls(trees, "json.load") == {
+        "compiler/writer.py",
+        "diagnostics/foreign_json.py",
+        "schema/documents.py",
+        "tools/comparison/leaf_differences.py",
+        "tools/provenance/model_paths.py",
+    }
+
+
+def test_files_are_written_in_one_place(trees: dict[Path, ast.Module]) -> None:
+    """A full disk leaves a half file behind ``write_text``; these write to temporary folders."""
+    assert calls(trees, ".write_text") | calls(trees, "path.write_bytes") == {
+        "cli/hardware_warning.py",  # a mark whose content does not count
+        "compiler/writer.py",
+        "simulation/physics/mujoco_scene.py",
+        "tools/audit/expanded_descriptions.py",
+        "tools/demo.py",
+        "tools/provenance/robot_probe.py",
+        "tools/study/study_table.py",
+    }
+
+
 def test_tests_start_processes_that_end_with_them() -> None:
     popen = [
         f"{path.relative_to(ROOT)}:{node.lineno}"

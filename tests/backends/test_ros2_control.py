@@ -465,10 +465,10 @@ def test_bridge_file_is_the_list_that_the_bridge_reads() -> None:
     entries = yaml.safe_load(gz_bridge(robot))
     keys = {"ros_topic_name", "gz_topic_name", "ros_type_name", "gz_type_name", "direction"}
     assert all(set(entry) == keys for entry in entries)
-    assert entries[0]["ros_topic_name"] == "/clock"
+    assert entries[0]["gz_topic_name"] == "/clock"
     commands = [e for e in entries if e["direction"] == "ROS_TO_GZ"]
     assert len(commands) == len(robot.actuators)
-    assert "/clock" not in gz_bridge(robot, clock=False)
+    assert "clock" not in gz_bridge(robot, clock=False)
 
 
 @pytest.mark.parametrize(

@@ -102,7 +102,11 @@ def test_an_output_that_cannot_be_written_is_reported_before_the_run(
 def test_a_full_disk_is_reported_with_the_name_of_the_file(
     thorvaldc: Command, monkeypatch: pytest.MonkeyPatch, option: str, name: str
 ) -> None:
-    """No file may grow beyond a limit after the first tick; the content so far is kept."""
+    """No file may grow beyond a limit after the first tick.
+
+    The record of an earlier run stays as it was, and the content so far is kept beside it.
+    """
+    Path(name).write_text("an earlier run")
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
 
     def watch(self: Progress, meter: ControlLoop) -> None:
@@ -115,7 +119,8 @@ def test_a_full_disk_is_reported_with_the_name_of_the_file(
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert (result.status, result.out) == (3, "")
     assert result.err == f"error: {name}: File too large\n"
-    assert 5000 < Path(name).stat().st_size <= 20000
+    assert 5000 < Path(f"{name}.incomplete").stat().st_size <= 20000
+    assert Path(name).read_text() == "an earlier run"
     assert not list(Path().glob(".*"))
 
 

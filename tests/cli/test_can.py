@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
-import zlib
 from pathlib import Path
 
 import pytest
@@ -308,7 +308,7 @@ def test_a_journal_is_a_file_of_a_limited_size(
 def test_a_journal_with_values_of_wrong_types_is_refused(
     thorvaldc: Command, robot: Path, record: str
 ) -> None:
-    """Its checksums and the hash of its plan are right: another program wrote the journal."""
+    """The chain and the hash of its plan are right: another program wrote the journal."""
     assert thorvaldc("can", "flash", *NEW, "--apply", "--yes").status == 0
     path = Path("robot.flash.jsonl")
     lines = path.read_text(encoding="utf-8").splitlines()
@@ -316,13 +316,18 @@ def test_a_journal_with_values_of_wrong_types_is_refused(
         i for i, line in enumerate(lines) if f'"record":"{record}"' in line and "unsigned" in line
     )
     changed = json.loads(lines[number])
-    del changed["crc"]
+    del changed["chain"]
     values = changed["plan"]["target"]["nodes"][0]["values"] if record == "run" else changed["old"]
     values[0][1] = "x" * 9  # the index of an object
     if record == "run":
         changed["hash"] = digest(changed["plan"])
     text = json.dumps(changed, separators=(",", ":"))[:-1]
-    lines[number] = f'{text},"crc":"{zlib.crc32(text.encode()):08x}"}}'
+    lines[number] = f'{text},"chain":""}}'
+    link = ""
+    for i, line in enumerate(lines):
+        text = line.rpartition(',"chain":"')[0]
+        link = hashlib.sha256((link + text).encode()).hexdigest()[:32]
+        lines[i] = f'{text},"chain":"{link}"}}'
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     got = thorvaldc("can", "flash", *NEW, "--rollback", "--yes")
     assert got.status == 1, got

@@ -84,7 +84,7 @@ def test_little_output_to_a_reader_that_never_read() -> None:
 def test_a_full_disk_behind_stdout_is_3_and_one_line() -> None:
     with open("/dev/full", "w") as full:
         status, _, err = finish("print('x')\nreturn 0", stdout=full)
-    assert (status, err) == (3, "error: No space left on device\n")
+    assert (status, err) == (3, "error: stdout: No space left on device\n")
 
 
 def test_an_operating_system_error_is_3_and_one_line() -> None:

@@ -117,6 +117,27 @@ def test_a_signal_ends_the_monitor(bus: str, folder: Path, number: int) -> None:
         process.wait()
 
 
+def test_a_reader_that_ends_is_no_lost_interface(bus: str, folder: Path) -> None:
+    """As in ``thorvaldc can monitor --json | head``."""
+    process = ChildProcess(
+        [
+            *(sys.executable, "-m", "thorvaldc", "can", "monitor", "good.yaml", "--bus", bus),
+            *("--json", "--interval", "0.1"),
+        ],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stderr is not None
+    assert json.loads(process.stdout.readline())["load"] >= 0.0
+    process.stdout.close()
+    assert process.stderr.read() == ""
+    assert process.wait(PATIENCE) == 141
+    process.stderr.close()
+
+
 def test_a_bus_that_ends_is_3(folder: Path, thorvaldc: Command) -> None:
     sockets = Path(os.environ["XDG_RUNTIME_DIR"])
     (sockets / "good.yaml").write_text(GOOD)

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
+import resource
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from tests.commissioning.bench import NODES, QUICK, SWAPPED, Bench, four_drives
+from tests.commissioning.bench import (
+    NODES,
+    QUICK,
+    SWAPPED,
+    Bench,
+    MemoryStorage,
+    four_drives,
+)
 from tests.commissioning.robots import without_serials
 from tests.commissioning.situations import stop_halfway
 from tests.examples import example_robot
@@ -321,7 +330,7 @@ def test_a_resume_continues_the_steps_of_the_operator() -> None:
 
 
 def test_a_changed_line_of_the_journal_is_refused() -> None:
-    """Each record has a checksum, so that no changed previous value is ever restored."""
+    """The records are chained, so that no changed previous value is ever restored."""
     bench = Bench(four_drives(), SWAPPED, timing=QUICK)
     bench.apply()
     data = bench.storage.data
@@ -331,10 +340,59 @@ def test_a_changed_line_of_the_journal_is_refused() -> None:
         changed = line[:position] + bytes([line[position] ^ 1]) + line[position + 1 :]
         damaged = b"\n".join([*lines[: number - 1], changed, *lines[number:]])
         bench.storage.data = damaged
-        with pytest.raises(DiagnosticError, match=f"checksum of line {number} is wrong"):
+        with pytest.raises(DiagnosticError, match=f"line {number} does not follow the line before"):
             bench.rollback()
     bench.storage.data = data
     bench.rollback()
+
+
+def test_a_deleted_doubled_or_moved_record_is_refused() -> None:
+    bench = Bench(four_drives(), SWAPPED, timing=QUICK)
+    bench.apply()
+    data = bench.storage.data
+    lines = data.splitlines(keepends=True)
+    for number in range(len(lines) - 1):
+        before, line, after = lines[:number], lines[number], lines[number + 1 :]
+        for changed in (
+            [*before, *after],
+            [*before, line, line, *after],
+            [*before, after[0], line, *after[1:]],
+        ):
+            with pytest.raises(DiagnosticError, match="a record was changed, deleted, doubled"):
+                Journal(MemoryStorage(b"".join(changed)))
+    # Records that are missing at the end are those that a power cut has prevented.
+    assert Journal(MemoryStorage(b"".join(lines[:-1]))).unfinished is not None
+    # A later flash continues the chain.
+    bench.rollback()
+    assert len(Journal(bench.storage).runs) == 2
+    with pytest.raises(DiagnosticError, match="does not follow"):
+        Journal(MemoryStorage(bench.storage.data[len(data) :]))
+
+
+def test_a_journal_of_the_version_without_a_chain_is_refused() -> None:
+    line = b'{"record":"run","format":"thorvaldc-flash","version":2,"crc":"9a0364b9"}\n'
+    with pytest.raises(DiagnosticError, match="version 2, whose records were not chained"):
+        Journal(MemoryStorage(line))
+
+
+def test_a_full_disk_breaks_no_chain(tmp_path: Path) -> None:
+    path = tmp_path / "robot.flash.jsonl"
+    file = JournalFile(path)
+    journal = Journal(file)
+    journal.stop("first")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 10, limits[1]))
+    try:
+        with pytest.raises(DiagnosticError, match=r"cannot write the journal.*File too large"):
+            journal.stop("second")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    journal.stop("third")
+    file.close()
+    data = path.read_bytes()
+    assert [json.loads(line)["reason"] for line in data.splitlines()] == ["first", "third"]
+    with pytest.raises(DiagnosticError, match="it does not begin with a plan"):
+        Journal(MemoryStorage(data))  # but each record follows the one before
 
 
 def test_a_journal_is_a_regular_file(tmp_path: Path) -> None:

@@ -18,7 +18,8 @@ import pytest
 
 from tests.child_process import ChildProcess
 from thorvaldc.compiler import writer
-from thorvaldc.compiler.writer import WriteError, write_build
+from thorvaldc.compiler.writer import WriteError, write_build, write_locks
+from thorvaldc.diagnostics import Report
 
 ONE = {"model.json": b"1", "mjcf/robot.xml": b"<a/>", "meshes/a.stl": b"solid"}
 TWO = {"model.json": b"2", "mjcf/robot.xml": b"<b/>", "urdf/robot.urdf": b"<c/>"}
@@ -316,6 +317,21 @@ def test_two_concurrent_builds(tmp_path: Path) -> None:
         process.kill()
         process.communicate()
     assert is_complete(out)
+
+
+def test_full_disk_keeps_the_last_lock_file(tmp_path: Path) -> None:
+    lock = tmp_path / "robot.lock.yaml"
+    report = Report()
+    assert write_locks({lock: "old"}, report) == [lock]
+    old_limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, old_limits[1]))
+    try:
+        assert write_locks({lock: "new " * 100}, report) == []
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, old_limits)
+    assert lock.read_text() == "old"
+    assert [d.message for d in report] == [f"cannot write {lock}: File too large"]
+    assert os.listdir(tmp_path) == ["robot.lock.yaml"]
 
 
 def test_full_disk_keeps_the_last_build(tmp_path: Path) -> None:

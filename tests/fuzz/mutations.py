@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import hashlib
 import json
 import random
 import re
 import struct
-import zlib
 from collections.abc import Callable
 from typing import Any
 
@@ -364,18 +364,24 @@ def change_glb(rng: Random, data: bytes) -> bytes:
 
 
 def change_journal(rng: Random, data: bytes) -> bytes:
-    """Changes the records of a journal; checksums and the hash of its plan are right again."""
+    """Changes the records of a journal; the chain and the hash of its plan are right again."""
     lines = data.splitlines()
     for _ in range(rng.choice((1, 1, 2))):
         at = rng.randrange(len(lines))
         with contextlib.suppress(Exception):  # the changed record has no hash any more
             record = json.loads(lines[at])
-            record.pop("crc")
+            record.pop("chain")
             record = change_tree(rng, record)
             if "plan" in record and rng.random() < 0.8:
                 record["hash"] = plan_from_json(record["plan"]).hash
             text = json.dumps(record, separators=(",", ":")).encode()[:-1]
-            lines[at] = b'%s,"crc":"%08x"}' % (text, zlib.crc32(text))
+            lines[at] = text + b',"chain":"}'
+    link = b""
+    for at, line in enumerate(lines):
+        text, found, _ = line.rpartition(b',"chain":"')
+        if found:
+            link = hashlib.sha256(link + text).hexdigest()[:32].encode()
+            lines[at] = b'%s,"chain":"%s"}' % (text, link)
     return b"\n".join(lines) + b"\n"
 
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import json
 
-from thorvaldc.backends.gazebo_topics import gz_bridge
+from thorvaldc.backends.gazebo_topics import CLOCK_STEPS, GAZEBO_CLOCK, gz_bridge
+from thorvaldc.backends.placeholders import fill
 from thorvaldc.backends.ros2_control import hardware_problem
 from thorvaldc.backends.ros2_controllers import (
     CONTROLLER_FILE,
@@ -103,10 +104,9 @@ def start(context):
                 remappings=[@ODOMETRY@],
             ),
 """
-        + _SPAWN
     )
     + """\
-@OUTER_TWIST_MUX@    ]
+@OUTER_SPAWN@@OUTER_TWIST_MUX@    ]
 """
 )
 
@@ -152,6 +152,22 @@ GAZEBO = (
                 output="screen",
                 parameters=[{"config_file": os.path.join(config, "gz_bridge.yaml")}, use_sim_time],
             ),
+            # Gazebo sends the time at every step of the physics; the nodes get every @STEPS@th.
+            Node(
+                package="topic_tools",
+                executable="drop",
+                name="clock_drop",
+                namespace=NAMESPACE,
+                output="screen",
+                parameters=[
+                    {
+                        "input_topic": "@GAZEBO_CLOCK@",
+                        "output_topic": "/clock",
+                        "X": @LEFT_OUT_STEPS@,
+                        "Y": @STEPS@,
+                    }
+                ],
+            ),
 """
     + _STATE_PUBLISHER
     + """\
@@ -177,14 +193,20 @@ def control_values(robot: Robot) -> dict[str, str]:
     if controller is not None:
         pair = (controller.odometry_topic, "odometry/base_raw")
         odometry = "({}, {})".format(*(json.dumps(full_topic(robot, topic)) for topic in pair))
+    spawn = fill(_SPAWN, {"MANAGER": f"{node_space(robot)}controller_manager"})
+    mux = ""
+    if controller is not None:
+        mux = fill(_TWIST_MUX, {"COMMAND": controller.command_topic})
     return {
-        "MANAGER": f"{node_space(robot)}controller_manager",
         "CONTROLLERS": json.dumps(names, indent=4).replace('"\n]', '",\n]'),
-        "SPAWN": _SPAWN if controller is not None else "",
-        "TWIST_MUX": _TWIST_MUX if controller is not None else "",
-        "OUTER_TWIST_MUX": _outdented(_TWIST_MUX) if controller is not None else "",
-        "COMMAND": controller.command_topic if controller is not None else "",
+        "OUTER_SPAWN": _outdented(spawn),
+        "SPAWN": spawn if controller is not None else "",
+        "TWIST_MUX": mux,
+        "OUTER_TWIST_MUX": _outdented(mux),
         "ODOMETRY": odometry,
+        "GAZEBO_CLOCK": GAZEBO_CLOCK,
+        "LEFT_OUT_STEPS": str(CLOCK_STEPS - 1),
+        "STEPS": str(CLOCK_STEPS),
         "URDF": "robot_gazebo.urdf" if controller is not None else "robot.urdf",
         "NAME": robot.namespace or robot.name,
     }

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 
+from thorvaldc.backends.placeholders import fill
 from thorvaldc.backends.ros2_control_launch_files import GAZEBO, ROS2_CONTROL, control_values
 from thorvaldc.backends.ros2_navigation import Motion
 from thorvaldc.backends.ros2_parts import Parts, sensor_topic, source_topic
@@ -435,7 +436,7 @@ def fleet_launch_file(fleet: Fleet) -> str:
         w, *xyz = pose.quat
         values = (robot.ros.package, robot.namespace, [*pose.xyz, *xyz, w])
         robots += f"    ({', '.join(json.dumps(value) for value in values)}),\n"
-    return _FLEET.replace("@FLEET@", fleet.name).replace("@ROBOTS@", robots)
+    return fill(_FLEET, {"FLEET": fleet.name, "ROBOTS": robots})
 
 
 def launch_files(robot: Robot, parts: Parts) -> dict[str, str]:
@@ -459,7 +460,7 @@ def launch_files(robot: Robot, parts: Parts) -> dict[str, str]:
         "SOURCES": json.dumps(parts.map_sources or ("none",)),
         "DEFAULT_SOURCE": (parts.map_sources or ("none",))[0],
         "LOCALIZATIONS": "".join(
-            _LOCALIZATION.replace("@SOURCE@", source) for source in parts.map_sources
+            fill(_LOCALIZATION, {"SOURCE": source}) for source in parts.map_sources
         ),
         "TREE": "" if turns else _TREE,
     }
@@ -506,7 +507,7 @@ def launch_files(robot: Robot, parts: Parts) -> dict[str, str]:
 def _include_base(**arguments: str) -> str:
     indent = " " * 20
     items = "".join(f'{indent}"{name}": "{value}",\n' for name, value in arguments.items())
-    return _INCLUDE_BASE.replace("@ARGUMENTS@", items)
+    return fill(_INCLUDE_BASE, {"ARGUMENTS": items})
 
 
 def _import(module: str, names: list[str]) -> str:
@@ -518,20 +519,18 @@ def _import(module: str, names: list[str]) -> str:
 
 def _program(summary: str, body: str, values: dict[str, str]) -> str:
     """Return the text of a launch file with its imports and the values of the robot."""
-    text = _HEAD + body
-    uses_controllers = "CONTROLLERS" in body or ("@SPAWN@" in body and values["SPAWN"])
-    constants = "CONTROLLERS = @CONTROLLERS@\n" if uses_controllers else ""
+    head = _HEAD
     if body is ROS2_CONTROL:  # the function `start` finds the shared folder
-        text = text.replace("    share = get_package_share_directory(PACKAGE)\n", "", 1)
-    for key, value in {"CONSTANTS": constants, **values}.items():
-        text = text.replace(f"@{key}@", value)
+        head = head.replace("    share = get_package_share_directory(PACKAGE)\n", "")
+    body = fill(body, values)
     used: dict[str, list[str]] = {}
     for name, module in _MODULES.items():
-        if f" {name}(" in text or f"={name}(" in text or f"({name}(" in text:
+        if any(f"{before}{name}(" in head + body for before in " =("):
             used.setdefault(module, []).append(name)
     imports = "".join(_import(module, names) for module, names in used.items())
-    if "xacro." in text:
-        imports = f"import xacro\n{imports}"
-    if "os." in text:
+    if "os." in body:
         imports = f"import os\n\n{imports}"
-    return text.replace("@SUMMARY@", summary).replace("@IMPORTS@", imports)
+    uses_controllers = "CONTROLLERS" in body
+    constants = f"CONTROLLERS = {values['CONTROLLERS']}\n" if uses_controllers else ""
+    texts = {"SUMMARY": summary, "IMPORTS": imports, "CONSTANTS": constants}
+    return fill(head, {**values, **texts}) + body

@@ -6,6 +6,7 @@ import posixpath
 import re
 from collections.abc import Iterable, Mapping
 
+from thorvaldc.backends.placeholders import fill
 from thorvaldc.backends.xml_writer import Element, to_bytes
 from thorvaldc.model import Robot
 
@@ -85,25 +86,21 @@ def package_files(
     for text in launch_texts:
         for groups in _NEEDED.findall(text):
             depends.add(next(name for name in groups if name))
-        if "import xacro" in text:
-            depends.add("xacro")
     has_driver = f"{package}/base_driver.py" in files
     if has_driver:
         depends.update(_MESSAGES, _MORE_MESSAGES)
     depends.discard(package)
     folders = sorted({posixpath.dirname(path) for path in files} - {"", package})
-    setup = SETUP
-    for key, value in {
+    values = {
         "PACKAGE": package,
         "DESCRIPTION": description,
         "MODULES": "package_name" if has_driver else "",
         "FOLDERS": "".join(f'        folder("{name}"),\n' for name in folders),
-        "SCRIPTS": _SCRIPTS.replace("@PACKAGE@", package) if has_driver else "",
-    }.items():
-        setup = setup.replace(f"@{key}@", value)
+        "SCRIPTS": fill(_SCRIPTS, {"PACKAGE": package}) if has_driver else "",
+    }
     return {
         "package.xml": _manifest(package, description, sorted(depends)),
-        "setup.py": setup.encode(),
+        "setup.py": fill(SETUP, values).encode(),
         "setup.cfg": (
             f"[develop]\nscript_dir=$base/lib/{package}\n"
             f"[install]\ninstall_scripts=$base/lib/{package}\n"
@@ -122,7 +119,7 @@ def driver_module(robot: Robot) -> dict[str, bytes]:
     package = robot.ros.package
     return {
         f"{package}/__init__.py": b"",
-        f"{package}/base_driver.py": BASE_DRIVER.replace("@PACKAGE@", package).encode(),
+        f"{package}/base_driver.py": fill(BASE_DRIVER, {"PACKAGE": package}).encode(),
     }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from thorvaldc.backends.placeholders import fill
 from thorvaldc.backends.ros2_parts import Parts, full_topic, sensor_topic
 from thorvaldc.model import Fleet, Robot
 
@@ -131,10 +132,7 @@ def readme(robot: Robot, parts: Parts, launches: Iterable[str]) -> str:
         "LEFT_OUT": "".join(f"- {part}: {reason}.\n" for part, reason in parts.left_out)
         or "Nothing.\n",
     }
-    text = _TEXT
-    for key, value in values.items():
-        text = text.replace(f"@{key}@", value)
-    return text
+    return fill(_TEXT, values)
 
 
 SENSOR_TYPES = {
@@ -174,5 +172,4 @@ def fleet_readme(fleet: Fleet, package: str) -> str:
         f"| {p.robot.name} | `{p.robot.ros.package}` | `/{p.robot.namespace}` |\n"
         for p in fleet.placements
     )
-    text = _FLEET.replace("@PACKAGE@", package).replace("@FLEET@", fleet.name)
-    return text.replace("@ROBOTS@", robots)
+    return fill(_FLEET, {"PACKAGE": package, "FLEET": fleet.name, "ROBOTS": robots})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import socket
 import threading
 import time
@@ -15,6 +14,7 @@ from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import RECEIVE_LIMIT, SEND_LIMIT, CanFrame, ReceivedFrame
 from thorvaldc.can.local_socket import Unpacker, pack, pack_json, socket_path
 from thorvaldc.can.nanoseconds import NANOSECONDS, NEVER, to_ns
+from thorvaldc.diagnostics.foreign_json import read_json
 
 ANSWER_TIME = 5.0
 """Longest time (s) to wait for the WELCOME message of the server."""
@@ -242,15 +242,17 @@ class SimulatedBusClient:
                 welcome: dict[str, Any] | None = None
                 for kind, body in self._unpacker.feed(data):
                     if kind == protocol.CLOSED:
-                        raise ConnectionError(json.loads(body)["reason"])
+                        raise ConnectionError(read_json(body)["reason"])
                     if kind == protocol.WELCOME:
-                        welcome = json.loads(body)
+                        welcome = read_json(body)
                     else:  # on a busy bus the same packet may contain the first frames
                         self._process(kind, body)
                 if welcome is not None:
                     return welcome
         except TimeoutError:
             raise ConnectionError("the bus does not answer") from None
+        except (ValueError, LookupError, TypeError):
+            raise ConnectionError("what answers there is no simulated bus") from None
         finally:
             self._socket.settimeout(None)
 
@@ -262,12 +264,14 @@ class SimulatedBusClient:
                 with self._changed:
                     for kind, body in self._unpacker.feed(data):
                         if kind == protocol.CLOSED:
-                            reason = json.loads(body)["reason"]
+                            reason = read_json(body)["reason"]
                         else:
                             self._process(kind, body)
                     self._changed.notify_all()
         except OSError:
             pass  # this client or the server has closed the connection
+        except (ValueError, LookupError, TypeError):
+            reason = "the bus sends messages that are not understood"
         with self._changed:
             self._closed = self._closed or reason
             self._changed.notify_all()
@@ -283,7 +287,7 @@ class SimulatedBusClient:
         elif kind in (protocol.SENT, protocol.REFUSED):
             self._unsent = max(self._unsent - 1, 0)
         elif kind == protocol.STATE:
-            state = json.loads(body)
+            state = read_json(body)
             self._state = ErrorState(state["state"])
             # The simulated CAN controller clears its send queue when it enters bus-off and when it
             # restarts.

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from thorvaldc.cli.standard_streams import OutputError, discard_output
+
 # Exit status 1 means errors in the input, and 2 means wrong usage. Exit status 3 means a failure
 # outside of thorvaldc, such as a full disk or a missing CAN bus. Exit status 70 means a bug in
 # thorvaldc.
@@ -62,11 +64,9 @@ def protect(work: Callable[[], int]) -> int:
         return _fail("terminated", TERMINATED)
     except KeyboardInterrupt:
         return _interrupted()
-    except BrokenPipeError:
-        # ``BrokenPipeError`` means that the program that reads the output has ended. Redirecting
-        # stdout to the null device avoids a second error when Python flushes stdout at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        return BROKEN_PIPE
+    except OutputError as error:
+        discard_output()
+        return _fail(f"error: stdout: {error}", OUTSIDE) if error.has_reader else BROKEN_PIPE
     except OutsideError as error:
         return _fail(f"error: {error}", OUTSIDE)
     except OSError as error:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import gc
-import os
 import sys
 
 from thorvaldc import __version__
 from thorvaldc.cli.app import app
 from thorvaldc.cli.completion import is_completion, shell_completion
 from thorvaldc.cli.exits import DONE, INTERNAL, TRACEBACK_VARIABLE, protect, show_traceback
+from thorvaldc.cli.standard_streams import OutputError, discard_output, prepare_standard_streams
 
 
 def run() -> None:
@@ -18,10 +18,7 @@ def run() -> None:
     # its end. Python's garbage collection would take a sixth of the time of a short command. Long
     # commands such as ``sim`` enable garbage collection again.
     gc.disable()
-    for stream in (sys.stdout, sys.stderr):
-        # Printing a character that the terminal cannot show must not raise an error.
-        if stream is not None and hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="backslashreplace")
+    prepare_standard_streams()
     try:
         status = run_command()
     except Exception as error:
@@ -57,8 +54,8 @@ def _flush_quietly() -> None:
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
-    except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    except OutputError:
+        discard_output()
 
 
 def _report_internal_error(error: Exception) -> int:

@@ -14,7 +14,7 @@ from thorvaldc.cli.installation import is_runtime_only
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
-from thorvaldc.model.model_json import load_model
+from thorvaldc.model.model_json import is_model_file, load_model
 
 
 class LoadedRobot(NamedTuple):
@@ -34,14 +34,16 @@ class LoadedRobot(NamedTuple):
 
 
 def load_robot(file: str, library: Sequence[str], trust: bool) -> LoadedRobot | None:
-    """Returns the robot model from a robot.yaml or model.json.
+    """Returns the robot model from a robot.yaml or from the model.json of a build.
 
+    A model is known by its content and may have any name.
     ``trust`` is whether xacro files of a robot.yaml are expanded without restrictions.
     If the robot file has errors, the function prints the errors and returns ``None``. Raises
     ``typer.BadParameter`` if the file contains a fleet or anything else but a robot. Raises
     ``OutsideError`` for a robot.yaml if the compiler is not installed.
     """
-    if file.endswith(".json"):
+    # A JSON file that is no model gets the message of `load_model`.
+    if is_model_file(file) or Path(file).suffix == ".json":
         return _load_model_file(Path(file))
     if is_runtime_only():
         raise OutsideError(
@@ -61,10 +63,8 @@ def load_robot(file: str, library: Sequence[str], trust: bool) -> LoadedRobot | 
 
 
 def _load_model_file(path: Path) -> LoadedRobot | None:
-    if path.name != "model.json":
-        raise typer.BadParameter(f"{path} is not the model.json of a build", param_hint="FILE")
     try:
-        model = load_model(path.parent)
+        model = load_model(path)
     except DiagnosticError as error:
         show_report(report_of(error), {})
         return None

@@ -13,12 +13,13 @@ import typer
 
 from thorvaldc.cli.exits import OutsideError, closing_when_terminated
 from thorvaldc.compiler.source.ros_bag import MissingPackageError
+from thorvaldc.diagnostics.atomic_file import AtomicFile
 from thorvaldc.model import Robot
 from thorvaldc.simulation.control_loop import ControlLoop, TickCallback
 from thorvaldc.simulation.records.csv_record import CsvRecorder
 from thorvaldc.simulation.records.joint_csv import JointLogWriter
 from thorvaldc.simulation.records.mcap_writer import McapRecorder
-from thorvaldc.simulation.records.recorder import Recorder, errors_with_name
+from thorvaldc.simulation.records.recorder import Recorder
 
 Robots = Sequence[tuple[str, Robot]]
 _UNSUPPORTED_SUFFIXES = (".bag", ".db3", ".json", ".parquet", ".txt")
@@ -84,22 +85,18 @@ def open_joint_logs(log: str, robots: Robots, stack: ExitStack) -> TickCallback:
     """
     folder = Path(log)
     has_fleet = len(robots) > 1
-    writers, paths = {}, {}
+    writers = {}
     with write_errors(log):
         if has_fleet:
             folder.mkdir(parents=True, exist_ok=True)
         for name, robot in robots:
             path = folder / f"{name}.csv" if has_fleet else folder
-            stream = path.open("w", encoding="utf-8", newline="\n")
-            stack.enter_context(
-                errors_with_name(path)
-            )  # for errors that appear when the file is closed
-            stack.enter_context(stream)
-            writers[name], paths[name] = JointLogWriter(robot, stream), path
+            file = AtomicFile(path, keep_incomplete=True)
+            stack.callback(file.close)  # also after an error of the run
+            writers[name] = JointLogWriter(robot, file)
 
     def watch(loop: ControlLoop) -> None:
-        with errors_with_name(paths[loop.name]):
-            writers[loop.name].on_tick(loop)
+        writers[loop.name].on_tick(loop)
 
     return watch
 

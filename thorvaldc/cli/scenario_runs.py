@@ -19,6 +19,7 @@ from thorvaldc.compiler.compilation import Compilation
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.compiler.scenario.variations import Change, Variations
 from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.scenario import Scenario
 from thorvaldc.simulation.control_loop import TickCallback
@@ -69,7 +70,7 @@ def run_scenario(
             return show_report(compilation.located(report), compilation.sources)
     if junit:
         errors = [d.message for d in report.errors if d.code.name != "expectation-failed"]
-        Path(junit).write_bytes(junit_report(result, errors))
+        write_file(Path(junit), junit_report(result, errors))
     if json:
         print_json(result.as_json())
     else:

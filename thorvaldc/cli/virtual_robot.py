@@ -15,6 +15,7 @@ from thorvaldc.compiler.pipeline import emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault
+from thorvaldc.model.model_json import is_model_file
 from thorvaldc.runtime.base_interface import BaseHandle
 from thorvaldc.simulation.bus.device_memory import Memory, read_memory
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
@@ -49,7 +50,7 @@ def make_mujoco_base(robot: Robot, file: str, report: Report) -> BaseHandle:
     ``file`` is the robot.yaml of the robot or the model.json of a build.
     """
     # The mesh files of a build are next to model.json, in the same folder.
-    files = Path(file).parent if file.endswith(".json") else emit(robot, ["mjcf"], report)
+    files = Path(file).parent if is_model_file(file) else emit(robot, ["mjcf"], report)
     return MujocoBase(robot, MujocoScene(files))
 
 

@@ -105,6 +105,22 @@ class NodeConfiguration:
         )
 
     @property
+    def states_product(self) -> bool:
+        """``True`` if the robot file contains vendor and product, without which the identity of any
+        device would match."""
+        return self.vendor is not None and self.product is not None
+
+    def has_type_of(self, device_type: int | None, is_readable: bool) -> bool:
+        """Returns ``True`` if the device type (object 0x1000) of a device matches the robot file.
+
+        ``device_type``: ``None`` if it is unknown.  ``is_readable``: ``True`` if the device has
+        been asked for it, so that an unknown type does not match.
+        """
+        if self.device_type is None or not self.sdo or device_type == self.device_type:
+            return True
+        return device_type is None and not is_readable
+
+    @property
     def by_hand(self) -> bool:
         """``True`` if the node id can be set only with the tool of the manufacturer."""
         return self.canopen and not self.lss and self.protocol != "foreign"

@@ -2,15 +2,17 @@
 
 A journal record is written to the disk before and after each step of a flash:
 
-    {"record":"run", "mode":"apply", "hash":..., "plan":{...}, "crc":"9a0364b9"}
-    {"record":"begin", "step":0, "node":..., "what":..., "old":[previous values], "crc":...}
-    {"record":"done", "step":0, "node":..., "read":what was read back, "crc":...}
+    {"record":"run", "mode":"apply", "hash":..., "plan":{...}, "chain":"9a03...64b9"}
+    {"record":"begin", "step":0, "node":..., "what":..., "old":[previous values], "chain":...}
+    {"record":"done", "step":0, "node":..., "read":what was read back, "chain":...}
     ...
-    {"record":"end", "crc":...}     or {"record":"stopped", "reason":..., "crc":...}, or nothing
+    {"record":"end", "chain":...}   or {"record":"stopped", "reason":..., "chain":...}, or nothing
                                     after a power cut
 
-The checksum ``crc`` is the CRC-32 of the line up to the comma before it.  A journal with a line
-whose checksum is wrong is not used, because its plan or its previous values may be wrong.
+``chain`` is the SHA-256, shortened, of the chain of the record before and of the line up to the
+comma before ``chain``.  A journal in which a record was changed, deleted, doubled or moved is not
+used, because its plan or its previous values may be wrong.  Only records that are missing at the
+end cannot be noticed: the journal is then that of a power cut.
 
 Records are appended to the journal and never changed.  A power cut can leave an incomplete line at
 the end of the journal.  The reader skips an incomplete line at the end of the file or before a new
@@ -20,11 +22,12 @@ devices is always read from the bus.
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
+import hashlib
 import json
 import os
 import re
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,16 +39,20 @@ from thorvaldc.commissioning.bus_configuration import (
     values_to_json,
 )
 from thorvaldc.commissioning.plan import Plan, plan_from_json, plan_to_json
+from thorvaldc.diagnostics.atomic_file import append_whole
 from thorvaldc.diagnostics.bounded_file import check_regular
 from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics.foreign_json import read_json
 
-FORMAT, VERSION = "thorvaldc-flash", 2
+FORMAT, VERSION = "thorvaldc-flash", 3
 APPLY, RESUME, ROLLBACK = "apply", "resume", "rollback"
 MAX_BYTES = 64_000_000
 """Limit of the size of a journal; a flash of a robot writes some 10 kB."""
 _HEAD = b'{"record":"'
-_LINE = re.compile(rb'(.*),"crc":"([0-9a-f]{8})"}')
-"""A complete line: the record without its last brace, and the checksum."""
+_LINE = re.compile(rb'(.*),"chain":"([0-9a-f]{32})"}')
+"""A complete line: the record without its last brace, and its link of the chain."""
+_OLD_LINE = re.compile(rb'.*,"crc":"[0-9a-f]{8}"}')
+"""A complete line of version 2, whose records were not chained."""
 
 
 class Storage(Protocol):
@@ -100,9 +107,15 @@ class JournalFile:
         return b"".join(parts)
 
     def append(self, data: bytes) -> None:
-        while data:
-            data = data[os.write(self._file, data) :]
-        os.fsync(self._file)
+        size = os.fstat(self._file).st_size
+        try:
+            append_whole(self._file, data)
+            os.fsync(self._file)
+        except OSError:
+            # The next record is chained to the one before.
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._file, size)
+            raise
 
     def close(self) -> None:
         """Closes the journal file.  Deletes the journal file if it is new and still empty."""
@@ -163,6 +176,7 @@ class Journal:
         """
         self.storage = storage
         self._data = storage.read()
+        self._link = b""
         self.runs = self._read(self._data)
 
     @property
@@ -224,7 +238,8 @@ class Journal:
 
     def _append(self, record: dict[str, Any]) -> None:
         text = json.dumps(record, separators=(",", ":"), ensure_ascii=True).encode()[:-1]
-        line = b'%s,"crc":"%08x"}\n' % (text, zlib.crc32(text))
+        link = _next_link(self._link, text)
+        line = b'%s,"chain":"%s"}\n' % (text, link)
         if self._data and not self._data.endswith(b"\n"):
             line = b"\n" + line
         self._data = b"\n"
@@ -237,6 +252,7 @@ class Journal:
                 hint="nothing was written to the bus since its last line; free disk space, or name "
                 "another file with --journal",
             ) from None
+        self._link = link
 
     def _read(self, data: bytes) -> list[Run]:
         runs: list[tuple[str, Plan, list[dict[str, Any]]]] = []
@@ -245,12 +261,22 @@ class Journal:
             if not line.strip():
                 continue
             complete = _LINE.fullmatch(line)
-            if complete is not None and zlib.crc32(complete[1]) != int(complete[2], 16):
-                raise self._unreadable(f"the checksum of line {number} is wrong")
+            if complete is not None:
+                self._link = _next_link(self._link, complete[1])
+                if self._link != complete[2]:
+                    raise self._unreadable(
+                        f"line {number} does not follow the line before it: a record was changed,"
+                        " deleted, doubled or moved"
+                    )
+            elif _OLD_LINE.fullmatch(line):
+                raise self._unreadable(
+                    f"line {number} has the version 2, whose records were not chained; this program"
+                    f" reads version {VERSION}"
+                )
             try:
                 if complete is None:
                     raise ValueError(line)
-                record = json.loads(complete[1] + b"}")
+                record = read_json(complete[1] + b"}")
                 kind = record["record"]
                 if kind == "run":
                     plan = self._plan(record, number)
@@ -258,7 +284,7 @@ class Journal:
                     torn = 0
                     continue
                 self._check(record)
-            except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            except (ValueError, KeyError, TypeError, AttributeError):
                 # An incomplete line is the beginning of a journal record that a power cut has
                 # interrupted.  An incomplete line of the journal is valid only at the end of the
                 # file or before a new run.
@@ -294,3 +320,8 @@ class Journal:
 
     def _unreadable(self, reason: str) -> DiagnosticError:
         return unreadable(self.storage.name, reason)
+
+
+def _next_link(link: bytes, text: bytes) -> bytes:
+    """Returns the link of the chain after a record."""
+    return hashlib.sha256(link + text).hexdigest()[:32].encode()

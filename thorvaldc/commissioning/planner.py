@@ -61,6 +61,11 @@ def make_plan(configuration: BusConfiguration, scan: ScanResult) -> Plan:
         for node in configuration.nodes
         if node.lss and node.name in ids and node.name in identities and ids[node.name] != node.id
     ]
+    problems += [
+        f"{node.name}: its module states no vendor_id and product_code, so it gets no id by LSS"
+        for node in moving
+        if not node.states_product
+    ]
     occupied = Counter(
         entry.device.id
         for entry in scan.entries
@@ -148,6 +153,10 @@ def _find_obstacles(
             problems += _duplicate_problem(node, entry, scan)
         elif entry.device is None and node.lss:
             problems.append(f"{node.name} is missing: {entry.detail}")
+        elif entry.device is not None and not node.has_type_of(
+            entry.device.device_type, entry.device.id == node.id
+        ):
+            problems.append(f"{node.name}: {entry.detail}")
         elif entry.verdict == MISSING:
             notes.append(f"no frame of {node.name} was received; nothing is written to it")
     return strangers, problems, notes

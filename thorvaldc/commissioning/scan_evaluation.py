@@ -182,11 +182,11 @@ class ScanEvaluation:
             return ScanEntry(node.name, DUPLICATE, node_id, device, evidence[device.id])
         if node_id in evidence and node_id is not None:
             return ScanEntry(node.name, DUPLICATE, node_id, device, evidence[node_id])
+        if device is not None and not node.has_type_of(device.device_type, device.id == node_id):
+            actual = "none" if device.device_type is None else f"{device.device_type:#x}"
+            detail = f"its device type is {actual}, not {node.device_type:#x}"
+            return ScanEntry(node.name, WRONG_IDENTITY, node_id, device, detail)
         if device is not None and device.id == node_id:
-            if node.device_type not in (None, device.device_type) and node.sdo:
-                actual = "none" if device.device_type is None else f"{device.device_type:#x}"
-                detail = f"its device type is {actual}, not {node.device_type:#x}"
-                return ScanEntry(node.name, WRONG_IDENTITY, node_id, device, detail)
             return ScanEntry(node.name, OK, node_id, device)
         other = self.findings.by_id.get(node.id) if node.canopen and node.sdo else None
         if other is not None:

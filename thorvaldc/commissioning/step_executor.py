@@ -85,7 +85,7 @@ class StepExecutor:
         if isinstance(step, AddressStep):
             self._check_free(step.after)
             self.journal.begin(number, step.node, step.description)
-            self._set_address(step)
+            self._set_address(step, configuration.node(step.node).device_type)
             self.journal.done(number, step.node, {"id": step.after})
         elif isinstance(step, ConfigureStep):
             self._configure(number, step)
@@ -115,7 +115,7 @@ class StepExecutor:
         if self.sdo.upload_all(node_id, DEVICE_TYPE, 0, timeout=self.master.timing.absent):
             raise StepFailed(f"another device already has the id {node_id}")
 
-    def _set_address(self, step: AddressStep) -> None:
+    def _set_address(self, step: AddressStep, device_type: int | None) -> None:
         lss = self.lss
         lss.switch_to_waiting()
         count = lss.select(step.identity)
@@ -133,6 +133,7 @@ class StepExecutor:
             # A node without node id uses a new node id immediately, without a reset.  The node is
             # reset to verify that the new node id is stored.
             self._wait_for_boots([step.after])
+            self._check_type(step, device_type)
             self._restart(step.after, step.after)
         else:
             self._restart(step.before, step.after)
@@ -181,6 +182,26 @@ class StepExecutor:
                     )
             elif response.abort is not None and required:
                 raise StepFailed(f"the device at id {node} does not report its identity")
+
+    def _check_type(self, step: AddressStep, device_type: int | None) -> None:
+        """Takes the new id from a device whose type, unreadable without an id, does not match."""
+        if device_type is None:
+            return
+        timeout = self.master.timing.sdo
+        responses = self.sdo.upload_all(step.after, DEVICE_TYPE, 0, timeout=timeout)
+        types = [int.from_bytes(response.data, "little") for response in responses]
+        if types == [device_type]:
+            return
+        self.lss.select(step.identity)
+        self.lss.configure_id(UNCONFIGURED)
+        self.lss.store()
+        self.lss.switch_to_waiting()
+        self._restart(step.after, UNCONFIGURED)
+        self._check_without_id(step.identity)
+        raise StepFailed(
+            f"the device type of {identity_text(step.identity)} is"
+            f" {', '.join(map(hex, types)) or 'unknown'}, not {device_type:#x}; it has no id again"
+        )
 
     def _check_without_id(self, identity: Identity) -> None:
         """Checks by LSS that a device has no node id.

@@ -7,7 +7,6 @@ Nothing is written.  Files in the folder that are not of a build belong to the u
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,6 +16,7 @@ from thorvaldc.compiler.compilation import Compilation
 from thorvaldc.compiler.writer import MANIFEST, listed_files, manifest
 from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.bounded_file import read_bounded
+from thorvaldc.diagnostics.foreign_json import read_json
 
 _SHOWN = 8
 """Number of file names of each kind in a message."""
@@ -138,8 +138,8 @@ def _compiler(folder: Path) -> str:
     """Returns the compiler and version that a manifest names, or ``""``."""
     content = _content(folder / MANIFEST, 16_000_000)
     try:
-        compiler = json.loads(content or b"{}").get("compiler", "")
-    except (ValueError, AttributeError, RecursionError):
+        compiler = read_json(content or b"{}").get("compiler", "")
+    except (ValueError, AttributeError):
         return ""
     return compiler if isinstance(compiler, str) else ""
 

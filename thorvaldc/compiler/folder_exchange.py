@@ -9,9 +9,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from thorvaldc.diagnostics.atomic_file import STAGE_PREFIX
 from thorvaldc.diagnostics.interrupts import uninterrupted
-
-STAGE_PREFIX = ".thorvaldc-"
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ from thorvaldc.diagnostics import Diagnostic, Report, Severity, Span
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.renderers import render_text
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.model.model_json import load_model
+from thorvaldc.model.model_json import is_model_file, load_model
 
 MODEL_FILE_NAME = "model.json"
 
@@ -107,9 +107,9 @@ def load_fleet(
 
 def _load(path: Path | str, library: Sequence[Path | str], trust: bool) -> Robot | Fleet:
     path = Path(path)
-    if path.name == MODEL_FILE_NAME:
+    if is_model_file(path) or path.name == MODEL_FILE_NAME:
         try:
-            return load_model(path.parent)
+            return load_model(path)
         except DiagnosticError as error:
             raise _compile_error([error.diagnostic], {}) from error
     compilation = compile_file(path, library=library, trust=trust)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from thorvaldc.compiler.new_robot import robot_text
+from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.model.data_folder import data_folder
 from thorvaldc.schema.documents import schema_text
 
@@ -53,12 +55,20 @@ def project_files(name: str, preset: str) -> dict[str, str]:
 def write_new_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     """Writes files with new names into a folder; an existing file is never replaced.
 
-    Raises ``FileExistsError`` before any file is written if one of them exists.
+    Raises ``FileExistsError`` before any file is written if one of them exists.  If the disk is
+    full, raises ``OSError``, and no file remains.
     """
     for path in files:
         if (folder / path).exists():
             raise FileExistsError(str(folder / path))
-    for path, content in files.items():
-        (folder / path).parent.mkdir(parents=True, exist_ok=True)
-        with (folder / path).open("xb") as stream:
-            stream.write(content.encode() if isinstance(content, str) else content)
+    written: list[Path] = []
+    try:
+        for path, content in files.items():
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            write_file(folder / path, content, new=True)
+            written.append(folder / path)
+    except OSError:
+        for file in written:
+            with suppress(OSError):
+                file.unlink()
+        raise

@@ -29,6 +29,7 @@ from thorvaldc.compiler.containment import (
     limit_processor_time,
     set_limits,
 )
+from thorvaldc.diagnostics.foreign_json import read_json
 
 Fields = dict[str, Any]
 
@@ -36,7 +37,7 @@ Fields = dict[str, Any]
 def write_message(stream: IO[bytes], fields: Fields, data: bytes = b"") -> None:
     """Writes a message.
 
-    Raises ``ValueError`` or ``RecursionError`` if the fields cannot be written as JSON, and
+    Raises ``ValueError`` if the fields cannot be written as JSON, and
     ``OSError`` if the other side has ended.
     """
     line = json.dumps([fields, len(data)], allow_nan=False).encode()
@@ -48,14 +49,14 @@ def read_message(stream: IO[bytes], max_bytes: int = -1) -> tuple[Fields, bytes]
     """Reads a message.
 
     Raises ``EOFError`` if the other side has ended, ``OverflowError`` if the line or the data has
-    more than ``max_bytes``, and ``ValueError`` or ``RecursionError`` if it is not a message.
+    more than ``max_bytes``, and ``ValueError`` if it is not a message.
     """
     line = stream.readline(max_bytes)
     if not line.endswith(b"\n"):
         if 0 <= max_bytes <= len(line):
             raise OverflowError
         raise EOFError
-    fields, size = json.loads(line)
+    fields, size = read_json(line)
     if 0 <= max_bytes < size:
         raise OverflowError
     data = stream.read(size)

@@ -35,14 +35,15 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from thorvaldc.compiler.folder_exchange import (
-    STAGE_PREFIX,
     exchange,
     is_exchangeable,
     locked,
     staging_folder,
 )
 from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.atomic_file import STAGE_PREFIX, keep_owner, write_file
 from thorvaldc.diagnostics.bounded_file import read_bounded
+from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.diagnostics.interrupts import uninterrupted
 
 MANIFEST = "manifest.json"
@@ -123,18 +124,10 @@ def write_locks(locks: Mapping[Path, str], report: Report) -> list[Path]:
     written = []
     for path, text in locks.items():
         target = Path(os.path.realpath(path))
-        stage = target.with_name(f"{STAGE_PREFIX}{os.getpid()}-{os.urandom(4).hex()}")
         try:
             _check_writable(target if target.exists() else target.parent, str(path))
-            try:
-                stage.write_bytes(text.encode())
-                if target.exists():
-                    _keep_owner(stage, target)
-                os.replace(stage, target)
-                written.append(path)
-            finally:
-                with contextlib.suppress(OSError):
-                    stage.unlink(missing_ok=True)
+            write_file(target, text)
+            written.append(path)
         except (OSError, WriteError) as error:
             message = str(error)
             if isinstance(error, OSError):
@@ -215,7 +208,7 @@ def _write(files: Mapping[str, bytes], target: Path, shown: str) -> None:
             _check_content(content, files, shown)
             os.chmod(stage, stat.S_IMODE(target.stat().st_mode))
             for path in (stage, *stage.rglob("*")):
-                _keep_owner(path, target)
+                keep_owner(path, target)
             can_exchange = is_exchangeable(target, stage) and _link(
                 content.user_files, stage, target
             )
@@ -260,10 +253,8 @@ def listed_files(target: Path) -> dict[str, None] | None:
     The files are the keys of the dictionary, in the order of the manifest.  Returns ``None`` if the
     folder contains no manifest.
     """
-    with contextlib.suppress(
-        OSError, ValueError, AttributeError, TypeError, LookupError, RecursionError
-    ):
-        manifest_content = json.loads(read_bounded(target / MANIFEST, _MAX_MANIFEST_BYTES))
+    with contextlib.suppress(OSError, ValueError, AttributeError, TypeError, LookupError):
+        manifest_content = read_json(read_bounded(target / MANIFEST, _MAX_MANIFEST_BYTES))
         if manifest_content.get("format") == FORMAT:
             paths = [path for path in manifest_content["files"] if _is_inside(path)]
             return dict.fromkeys([*paths, MANIFEST])
@@ -328,22 +319,12 @@ def _link(user_files: list[str], stage: Path, target: Path) -> bool:
                 if not (stage / folder).exists():
                     (stage / folder).mkdir()
                     shutil.copystat(target / folder, stage / folder)
-                    _keep_owner(stage / folder, target / folder)
+                    keep_owner(stage / folder, target / folder)
             if not is_folder:
                 os.link(target / path, stage / path, follow_symlinks=False)
     except (OSError, NotImplementedError):
         return False
     return True
-
-
-def _keep_owner(new: Path, old: Path) -> None:
-    """Gives a new file or folder to the owner of the old one.
-
-    Only the superuser can do that; files of other users belong to them anyway.
-    """
-    if hasattr(os, "geteuid") and os.geteuid() == 0:
-        owner = os.stat(old)
-        os.chown(new, owner.st_uid, owner.st_gid, follow_symlinks=False)
 
 
 def _return_user_files(old: Path, target: Path, content: _FolderContent) -> None:

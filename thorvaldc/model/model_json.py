@@ -11,6 +11,7 @@ import dataclasses
 import functools
 import json
 import math
+import re
 import types
 import typing
 from collections.abc import Callable, Hashable
@@ -20,6 +21,7 @@ from typing import Any, cast
 from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.bounded_file import read_bounded
 from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.bus import (
     OBJECT_TYPES,
@@ -43,6 +45,8 @@ The page ``docs/model.md`` lists all versions of the JSON format.
 """
 MAX_BYTES = 64_000_000
 """Limit of the size of a file ``model.json``; that of a fleet of a hundred robots has 20 MB."""
+_BEGINNING = re.compile(rb'\s*\{\s*"format"\s*:\s*"' + FORMAT.encode() + b'"')
+_BEGINNING_BYTES = 1000
 KINDS: dict[str, type[Robot | Fleet]] = {"Robot": Robot, "Fleet": Fleet}
 SHAPES: dict[str, type] = {shape.__name__: shape for shape in typing.get_args(Shape)}
 _SHAPE_CLASSES = frozenset(SHAPES.values())
@@ -330,8 +334,8 @@ def from_json(text: str) -> Robot | Fleet:
     - A value has the wrong type.
     """
     try:
-        head = json.loads(text)
-    except (ValueError, RecursionError) as error:
+        head = read_json(text)
+    except ValueError as error:
         raise ModelFormatError(f"not a {FORMAT} file: not JSON ({error})") from error
     if not isinstance(head, dict) or head.get("format") != FORMAT:
         raise ModelFormatError(f"not a {FORMAT} file")
@@ -355,12 +359,25 @@ def typed_value(hint: Any, value: Any, path: str = "") -> Any:
     return _decoder(hint)(value, path)
 
 
-def load_model(build: Path) -> Robot | Fleet:
-    """Return the model from the file ``model.json`` of a build folder.
+def is_model_file(path: Path | str) -> bool:
+    """Return whether a file contains a model, whatever its name is.
+
+    Looks only at the beginning, where ``to_json`` writes the format, also if another program has
+    formatted the file again.
+    """
+    try:
+        return _BEGINNING.match(read_bounded(path, _BEGINNING_BYTES, cut=True)) is not None
+    except OSError:
+        return False
+
+
+def load_model(path: Path) -> Robot | Fleet:
+    """Return the model from a file, or from the file ``model.json`` of a build folder.
 
     Raises ``DiagnosticError`` (``model-unreadable``) if the file cannot be read.
     """
-    path = build / "model.json"
+    if path.is_dir():
+        path /= "model.json"
     try:
         return from_json(read_bounded(path, MAX_BYTES).decode("utf-8"))
     except (OSError, UnicodeDecodeError) as error:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, TextIO
+from typing import Any
 
+from thorvaldc.diagnostics.atomic_file import append_whole, errors_with_name, write_file
 from thorvaldc.diagnostics.text_table import text_table
 from thorvaldc.model.finite_json import finite
 from thorvaldc.simulation.metric_units import UNITS
@@ -65,13 +67,15 @@ class ResultFile:
     """A CSV or JSON file with the results of a batch of runs.
 
     The result of each run is written when the run ends, so that a killed process loses no result
-    of a finished run.  At the end of the batch, the file is written again with the runs in order.
-    Raises ``OSError`` if the file cannot be written.
+    of a finished run.  At the end of the batch, the file is replaced by one with the runs in order.
+    A full disk leaves the results of the runs before.  Raises ``OSError`` if the file cannot be
+    written.
     """
 
     def __init__(self, path: Path) -> None:
         self._is_csv = path.suffix.lower() == ".csv"
-        self._stream = path.open("w", encoding="utf-8", newline="")
+        self._path = path
+        self._file = path.open("wb", buffering=0)
         self._runs: list[Run] = []
 
     def __enter__(self) -> ResultFile:
@@ -83,35 +87,29 @@ class ResultFile:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        with self._stream:
-            self._rewrite_in_order()
+        self._file.close()
+        runs = sorted(self._runs, key=lambda run: run.number)
+        text = _csv_text(runs, heading=True) if self._is_csv else runs_as_json(runs) + "\n"
+        write_file(self._path, text)
 
     def append(self, run: Run) -> None:
         """Appends the result of a finished run to the file."""
         self._runs.append(run)
         if self._is_csv:
-            _write_rows(self._stream, [run], heading=len(self._runs) == 1)
+            text = _csv_text([run], heading=len(self._runs) == 1)
         else:
-            line = json.dumps(finite(run.as_json()), ensure_ascii=False)
-            self._stream.write(line + "\n")
-        self._stream.flush()
-
-    def _rewrite_in_order(self) -> None:
-        runs = sorted(self._runs, key=lambda run: run.number)
-        self._stream.seek(0)
-        self._stream.truncate()
-        if self._is_csv:
-            _write_rows(self._stream, runs, heading=True)
-        else:
-            self._stream.write(runs_as_json(runs) + "\n")
+            text = json.dumps(finite(run.as_json()), ensure_ascii=False) + "\n"
+        with errors_with_name(self._path):
+            append_whole(self._file.fileno(), text.encode())
 
 
-def _write_rows(stream: TextIO, runs: Sequence[Run], *, heading: bool) -> None:
-    """Writes one CSV line for each robot of each run.
+def _csv_text(runs: Sequence[Run], *, heading: bool) -> str:
+    """Returns one CSV line for each robot of each run.
 
     The columns of the CSV file are the varied values, all metrics in SI units, the verdict and the
     hash of the run.
     """
+    stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     if heading and runs:
         writer.writerow(
@@ -133,6 +131,7 @@ def _write_rows(stream: TextIO, runs: Sequence[Run], *, heading: bool) -> None:
                     "; ".join(run.errors),
                 ]
             )
+    return stream.getvalue()
 
 
 def _metrics_by_robot(run: Run) -> Iterator[tuple[str, Mapping[str, float]]]:

@@ -3,10 +3,16 @@
 The classes have the names and the keyword arguments of the real ones in Jazzy and Kilted; every
 other argument is an error. ``run`` executes a launch file and returns the nodes and processes that
 it would start, with all substitutions resolved.
+
+The double also refuses what the started program would refuse: names that are no names of ROS, of
+nodes, name spaces, remapped topics, topics in parameters, and of the controllers and the controller
+manager of a spawner.
 """
 
 from __future__ import annotations
 
+import argparse
+import re
 import runpy
 import sys
 import types
@@ -18,6 +24,8 @@ from typing import Any
 
 import yaml
 
+TOPIC_NAME = re.compile(r"(~/|/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 TRUTH = {"true": True, "1": True, "false": False, "0": False}
 
 
@@ -49,6 +57,13 @@ class Context:
             return "".join(self.text(item) for item in value)
         raise LaunchError(f"expected a text or a substitution, got {value!r}")
 
+    def name(self, value: Any, pattern: re.Pattern[str] = TOPIC_NAME) -> str:
+        """Resolve the name of a topic, a node or a name space."""
+        text = self.text(value)
+        if not pattern.fullmatch(text):
+            raise LaunchError(f"{text!r} is no name of ROS")
+        return text
+
 
 @dataclass
 class Started:
@@ -68,6 +83,9 @@ class Started:
 
 
 class Substitution:
+    def __str__(self) -> str:
+        raise LaunchError(f"{type(self).__name__} is used as a text before the launch resolves it")
+
     def perform(self, context: Context) -> str:
         raise NotImplementedError
 
@@ -304,16 +322,36 @@ class Node(_Process):
             files.append(path)
         context.started.append(
             Started(
-                context.text(self.package),
-                context.text(self.executable),
-                context.text(self.name or ""),
-                context.text(self.namespace or ""),
+                context.name(self.package, NODE_NAME),
+                context.name(self.executable, NODE_NAME),
+                context.name(self.name, NODE_NAME) if self.name else "",
+                context.name(self.namespace) if self.namespace else "",
                 parameters,
                 files,
-                {context.text(a): context.text(b) for a, b in self.remappings},
+                {context.name(a): context.name(b) for a, b in self.remappings},
                 [context.text(item) for item in self.arguments],
             )
         )
+        for key, value in parameters.items():
+            if key.endswith("_topic"):
+                context.name(value)
+        if context.started[-1].executable == "spawner":
+            spawned_controllers(context.started[-1])
+
+
+def spawned_controllers(spawner: Started) -> tuple[str, list[str]]:
+    """Return the controller manager of a node `spawner`, and the controllers that it loads."""
+    options = argparse.ArgumentParser(prog="spawner", exit_on_error=False)
+    options.add_argument("controllers", nargs="+")
+    options.add_argument("--controller-manager", "-c", default="controller_manager")
+    try:
+        values, unknown = options.parse_known_args(spawner.arguments)
+    except (argparse.ArgumentError, SystemExit) as error:
+        raise LaunchError(f"spawner cannot use the arguments {spawner.arguments}") from error
+    names = [values.controller_manager, *values.controllers]
+    if unknown or not all(map(TOPIC_NAME.fullmatch, names)):
+        raise LaunchError(f"spawner cannot use the arguments {spawner.arguments}")
+    return values.controller_manager, values.controllers
 
 
 def _value(value: Any, context: Context) -> Any:
@@ -325,7 +363,10 @@ def _value(value: Any, context: Context) -> Any:
         return yaml.safe_load(context.text(value))
     if isinstance(value, str):
         # launch_ros reads such a text as YAML too, so that "1" would become a number.
-        read = yaml.safe_load(value)
+        try:
+            read = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise LaunchError(f"the text {value!r} is no YAML; use ParameterValue") from error
         if read != value:
             raise LaunchError(f"the text {value!r} would become {read!r}; use ParameterValue")
     return value

@@ -42,6 +42,7 @@ EXECUTABLES = {
     "slam_toolbox": {"async_slam_toolbox_node"},
     "teleop_twist_joy": {"teleop_node"},
     "tf2_ros": {"static_transform_publisher"},
+    "topic_tools": {"drop"},
 }
 
 # Nodes in the process of another node.
@@ -239,6 +240,14 @@ def test_rviz_shows_the_frames_and_topics_of_the_robot() -> None:
         'Node(package="a", executable="b", parameters=["/no/such/file.yaml"])',
         'Node(package="a", executable="b", parameters=[{"text": "1"}])',
         'Node(package="a", executable="b", output="console")',
+        'Node(package="a", executable="b", name="@NAME@")',
+        'Node(package="a", executable="b", namespace="/a b")',
+        'Node(package="a", executable="b", remappings=[("cmd_vel", "@TOPIC@")])',
+        'Node(package="a", executable="b", parameters=[{"input_topic": "@TOPIC@"}])',
+        'Node(package="a", executable="b", arguments=[f"{LaunchConfiguration(\'c\')}"])',
+        'Node(package="a", executable="spawner", arguments=["a", "-c", "@MANAGER@"])',
+        'Node(package="a", executable="spawner", arguments=["a", "--manager", "b"])',
+        'Node(package="a", executable="spawner", arguments=["-c", "b"])',
         'DeclareLaunchArgument("a")',
         'IncludeLaunchDescription(PythonLaunchDescriptionSource("/no/such.launch.py"))',
     ],
@@ -249,6 +258,7 @@ def test_the_double_refuses_what_the_launch_system_refuses(text: str, tmp_path: 
         "from launch import LaunchDescription\n"
         "from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription\n"
         "from launch.launch_description_sources import PythonLaunchDescriptionSource\n"
+        "from launch.substitutions import LaunchConfiguration\n"
         "from launch_ros.actions import Node\n"
         f"def generate_launch_description():\n    return LaunchDescription([{text}])\n",
         encoding="utf-8",

@@ -204,8 +204,8 @@ def test_a_full_disk_is_reported_and_leaves_the_incomplete_file(
             drive(robot, tmp_path / "a.mcap", 20.0)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert os.listdir(tmp_path) == ["a.mcap"]
-    assert (tmp_path / "a.mcap").stat().st_size > 1000
+    assert os.listdir(tmp_path) == ["a.mcap.incomplete"]
+    assert (tmp_path / "a.mcap.incomplete").stat().st_size > 1000
 
 
 @pytest.mark.parametrize("where", ["none/a.mcap", "folder.mcap"])

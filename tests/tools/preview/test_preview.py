@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import http.client
+import json
 import os
 import signal
 import socket
@@ -13,6 +15,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import aiohttp
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
@@ -41,7 +44,7 @@ pytestmark = [pytest.mark.xdist_group("preview"), pytest.mark.timeout(240)]
 
 
 class Preview:
-    def __init__(self, file: Path) -> None:
+    def __init__(self, file: Path, **options: int) -> None:
         self.file = file
         self.process = ChildProcess(
             [
@@ -55,6 +58,7 @@ class Preview:
             stdout=subprocess.PIPE,
             text=True,
             cwd=ROOT,
+            **options,
         )
         assert self.process.stdout is not None
         self.url = self.process.stdout.readline().strip()
@@ -296,6 +300,44 @@ def test_requests_that_are_refused(preview: Preview) -> None:
     assert preview.status(f"{path}socket") == 403  # without an origin
     for name in ("robot.yaml", "../robot.yaml", "..%2f..%2fetc/passwd", "//etc/passwd"):
         assert preview.status(path + name) in (403, 404)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        "[" * 4000,  # nested deeper than Python reads
+        '{"kind": ' + "[" * 4000,
+        '{"kind": "drawn", "times": {"page": 1' + "0" * 400 + "}}",
+        '{"kind": "drawn", "times": [1]}',
+        "[]",
+        "nonsense",
+    ],
+    ids=lambda text: text[:12],
+)
+def test_a_message_that_is_none_of_the_page_is_ignored(tmp_path: Path, message: str) -> None:
+    (tmp_path / "robot.yaml").write_text(GOOD, encoding="utf-8")
+    with (tmp_path / "messages").open("w") as messages:
+        server = Preview(tmp_path / "robot.yaml", stderr=messages.fileno())
+
+    async def talk() -> None:
+        async with (
+            aiohttp.ClientSession() as session,
+            session.ws_connect(
+                f"{server.url}socket", origin=f"http://127.0.0.1:{server.port}"
+            ) as connection,
+        ):
+            await connection.receive(timeout=60.0)
+            await connection.send_str(message)
+            await connection.send_str('{"kind": "drive", "on": true}')
+            while True:  # the connection still serves
+                answer = await connection.receive(timeout=60.0)
+                assert answer.type is aiohttp.WSMsgType.TEXT
+                if json.loads(answer.data)["kind"] == "drive":
+                    return
+
+    asyncio.run(talk())
+    assert server.end() == 0
+    assert "Traceback" not in (tmp_path / "messages").read_text()
 
 
 def test_a_port_in_use() -> None:

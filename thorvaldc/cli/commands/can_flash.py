@@ -26,6 +26,7 @@ from thorvaldc.commissioning.flash import Flash
 from thorvaldc.commissioning.journal import Journal, JournalFile
 from thorvaldc.commissioning.plan import Plan
 from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model.model_json import is_model_file
 
 
 def flash(
@@ -100,7 +101,7 @@ def _default_journal(file: str, access: BusAccess) -> str:
     """
     path = Path(file)
     bus = f".{access.bus.name}" if len(access.robot.buses) > 1 else ""
-    if path.suffix == ".json":
+    if is_model_file(path):
         return f"{access.robot.name}{bus}.flash.jsonl"
     return str(path.with_name(f"{path.stem}{bus}.flash.jsonl"))
 

@@ -19,6 +19,7 @@ from thorvaldc.cli.diagnostic_output import (
 from thorvaldc.cli.exits import DONE, INPUT
 from thorvaldc.cli.options import ANY_MODEL, Json, Library, ResultFormat, Trust, library_folders
 from thorvaldc.cli.run_pictures import check_output
+from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.tools.comparison.compared_inputs import InputKindError, compare, read_input
 from thorvaldc.tools.comparison.difference_text import (
     difference_document,
@@ -74,7 +75,7 @@ def diff(
         from thorvaldc.tools.comparison.difference_page import difference_page
 
         page = difference_page(difference, *models)
-        Path(html).write_text(page, encoding="utf-8", newline="\n")
+        write_file(Path(html), page)
         message(html)
     if json or format == "json":
         print_json(difference_document(difference))

@@ -12,6 +12,7 @@ from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format
 from thorvaldc.cli.exits import OutsideError
 from thorvaldc.cli.options import Format
 from thorvaldc.compiler.importer import import_original as convert
+from thorvaldc.diagnostics.atomic_file import write_file
 
 
 def import_original(
@@ -47,7 +48,6 @@ def import_original(
 def _write_new_file(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        with path.open("x", encoding="utf-8") as stream:
-            stream.write(text)
+        write_file(path, text, new=True)
     except FileExistsError:
         raise OutsideError(f"will not overwrite {path}; move it away or name another") from None

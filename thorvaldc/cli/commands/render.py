@@ -22,6 +22,7 @@ from thorvaldc.cli.replays import arrangement
 from thorvaldc.cli.run_pictures import check_output, picture_errors
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.simulation.pictures import check_pillow
 from thorvaldc.simulation.pictures.opengl_backend import choose_opengl_backend
@@ -91,6 +92,6 @@ def render(
     except DiagnosticError as error:
         report.put(error.diagnostic)
     else:
-        Path(path).write_bytes(picture)
+        write_file(Path(path), picture)
         print(path)
     return show_report(compilation.located(report), compilation.sources)

@@ -13,6 +13,7 @@ from thorvaldc.cli.options import Library, StudyFile, StudyResults, Trust
 from thorvaldc.cli.progress import Progress
 from thorvaldc.cli.run_pictures import check_output
 from thorvaldc.cli.study_runs import plan_study, results_folder
+from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.tools.study.report_content import ReportContent
 from thorvaldc.tools.study.report_robots import RobotCompiler, picture_fault
 from thorvaldc.tools.study.sample_points import MissingPackageError
@@ -75,6 +76,6 @@ def write_report(
         progress.clear()
     path = Path(output) if output else folder / REPORT
     page = study_report(content, robots, picture_fault=fault, sensitivity=sensitivity)
-    path.write_text(page, encoding="utf-8", newline="\n")
+    write_file(path, page)
     print(path)
     return DONE

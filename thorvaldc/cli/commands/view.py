@@ -16,6 +16,7 @@ from thorvaldc.cli.options import Library, ModelFile, Trust
 from thorvaldc.cli.run_pictures import check_output
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
@@ -46,7 +47,7 @@ def view(
 
         path = output or f"{model.name}.html"
         check_output(path, ["html", "htm"], "--output")
-        Path(path).write_text(view_page(model), encoding="utf-8", newline="\n")
+        write_file(Path(path), view_page(model))
         print(path)
         return DONE
     report = Report()

@@ -17,6 +17,7 @@ from thorvaldc.cli.options import Json, Library, Trust, library_folders
 from thorvaldc.cli.progress import Progress
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
+from thorvaldc.model.model_json import is_model_file
 from thorvaldc.tools.provenance.explanation import MOST_COMPILATIONS, Explainer
 from thorvaldc.tools.provenance.explanation_text import ExplanationText, explanation_document
 
@@ -37,7 +38,7 @@ def why(
     library: Library = [],  # noqa: B006
     trust: Trust = False,
 ) -> int:
-    if file.endswith(".json") or Path(file).is_dir():
+    if is_model_file(file) or Path(file).is_dir():
         raise typer.BadParameter(
             f"{file} is a build, which has no sources: give the robot file", param_hint="'ROBOT'"
         )

@@ -5,7 +5,6 @@ A ROS bag is an MCAP file, a folder written by ``ros2 bag record``, or a ROS 1 b
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -17,6 +16,7 @@ from typing import Any
 
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.bounded_file import MAX_LOG_BYTES, check_regular, read_bounded
+from thorvaldc.diagnostics.foreign_json import read_json
 
 ODOM, TRUE_ODOM = "odom", "ground_truth/odom"
 COMMANDED_TWIST, LIMITED_TWIST = "cmd_vel", "cmd_vel_limited"
@@ -176,7 +176,7 @@ def _check_in_worker(path: Path) -> None:
     if process.returncode == -getattr(signal, "SIGXCPU", 24):
         raise OSError("it takes too long to read")
     answer = (
-        json.loads(process.stdout)
+        read_json(process.stdout)
         if process.stdout
         else {"error": "it needs too much memory to read"}
     )

@@ -52,6 +52,7 @@ _WRONG_KINDS = (
         "convert it with `thorvaldc import FILE -o robot.yaml`",
     ),
     ("thorvaldc_lock", "a lock file", "name the robot file"),
+    ("model", "the model of a build", "name the robot file; `info`, `run` and `can` read a model"),
     ("links", "a module document", "`thorvaldc modules check` checks a folder of modules"),
     ("params", "a module document", "`thorvaldc modules check` checks a folder of modules"),
 )

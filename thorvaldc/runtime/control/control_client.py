@@ -6,6 +6,7 @@ import json
 import socket
 from typing import Any
 
+from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.runtime.control.control_server import control_path
 from thorvaldc.runtime.service_table import ServiceError
 
@@ -62,7 +63,7 @@ class ControlClient:
             line, end, rest = self._unread.partition(b"\n")
             if end:
                 self._unread = rest
-                answer = json.loads(line)
+                answer = read_json(line)
                 if isinstance(answer, dict) and answer.get("id") == self._calls:
                     return answer
                 # The answer of the server has no ``id`` if the server could not read the request.

@@ -34,6 +34,7 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.can.local_socket import listen, socket_path
+from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.runtime.service_table import Argument, Caller, ServiceError, Services
 
 LONGEST_LINE = 65536
@@ -200,8 +201,8 @@ class ControlServer:
 
     def _answer(self, line: bytes, client: _Client, now: float) -> dict[str, Any]:
         try:
-            request = json.loads(line)
-        except (ValueError, RecursionError):
+            request = read_json(line)
+        except ValueError:
             return _refusal("the request is not JSON")
         if not isinstance(request, dict):
             return _refusal('the request is not a mapping, such as {"call": "state"}')

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import contextlib
 import heapq
-import json
 import selectors
 import socket
 import threading
@@ -26,6 +25,7 @@ from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import SEND_LIMIT, CanFrame
 from thorvaldc.can.local_socket import Unpacker, listen, pack, pack_json, socket_path
 from thorvaldc.can.nanoseconds import NEVER
+from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.simulation.bus.can_controller import CanController
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import Wire
@@ -306,13 +306,13 @@ class BusServer:
             return
         try:
             self._handle(connection, message.kind, message.body)
-        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        except (ValueError, KeyError, TypeError, OverflowError) as error:
             self._refuse(connection, f"not understood: {error}")
 
     def _handle(self, connection: _Connection, kind: bytes, body: bytes) -> None:
         controller = connection.controller
         if kind == protocol.HELLO and controller is None:
-            self._welcome(connection, json.loads(body))
+            self._welcome(connection, read_json(body))
         elif kind == protocol.SEND and controller is not None:
             _, frame, _ = protocol.unpack_frame(body)
             if controller.send(frame):

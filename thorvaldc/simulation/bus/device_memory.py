@@ -9,6 +9,7 @@ from typing import Any
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check
 from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 Memory = dict[str, dict[str, Any]]
@@ -33,4 +34,4 @@ def read_memory(path: Path, report: Report) -> Memory | None:
 def write_memory(path: Path, simulated: SimulatedRobot) -> None:
     """Writes the non-volatile memory of all simulated devices to the JSON file."""
     memory = {name: device.nonvolatile for name, device in simulated.devices.items()}
-    path.write_text(json.dumps(memory, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_file(path, json.dumps(memory, indent=1, ensure_ascii=False) + "\n")

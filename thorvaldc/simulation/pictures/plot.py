@@ -5,10 +5,13 @@ The plots correspond to figures 8 and 9 of Grimstad and From (2018).
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.model import Robot
 from thorvaldc.model.fleet import World
 from thorvaldc.model.statics.joint_tree import JointTree
@@ -62,7 +65,9 @@ def plot(
         "pdf": {"CreationDate": None},
     }
     with matplotlib.rc_context({"svg.hashsalt": "thorvaldc"}):
-        figure.savefig(path, dpi=130, format=file_format, metadata=metadata[file_format])
+        file = io.BytesIO()
+        figure.savefig(file, dpi=130, format=file_format, metadata=metadata[file_format])
+    write_file(Path(path), file.getvalue())
 
 
 def draw(

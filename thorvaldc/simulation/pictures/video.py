@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from thorvaldc.diagnostics.atomic_file import STAGE_PREFIX, errors_with_name
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.pictures import PictureError
 from thorvaldc.simulation.pictures.render import View, fit_camera, picture_scene, renderer
@@ -92,15 +93,17 @@ class VideoRecorder:
         video_format = path.suffix.lower().lstrip(".")
         size = size or SIZES[video_format]
         pictures = self._pictures(files, size, view or View(), progress)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        with errors_with_name(path):
+            handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=STAGE_PREFIX)
         os.close(handle)
         try:
-            if video_format == "gif":
-                _write_gif(pictures, temporary, self.rate)
-            else:
-                _write_mp4(pictures, temporary, self.rate, size)
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, path)
+            with errors_with_name(path):
+                if video_format == "gif":
+                    _write_gif(pictures, temporary, self.rate)
+                else:
+                    _write_mp4(pictures, temporary, self.rate, size)
+                os.chmod(temporary, 0o644)
+                os.replace(temporary, path)
         except BaseException:
             with contextlib.suppress(OSError):
                 os.unlink(temporary)

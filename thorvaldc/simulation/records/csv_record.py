@@ -15,14 +15,13 @@ An empty cell of a CSV file means that the value is unknown.
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TextIO
 
 from thorvaldc.compiler.source.csv_table import TIME, Table, read_table
 from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics.atomic_file import AtomicFile
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import GROUPS
@@ -30,7 +29,7 @@ from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.records.recorded_run import RecordedRun, report_missing_robot
-from thorvaldc.simulation.records.recorder import SampleInterval, errors_with_name
+from thorvaldc.simulation.records.recorder import SampleInterval
 
 _TWIST = ("vx", "vy", "wz")
 _POSE = ("x", "y", "yaw")
@@ -62,6 +61,9 @@ def columns(robot: Robot, groups: Sequence[str]) -> list[str]:
 class CsvRecorder:
     """Writes one CSV file per robot, with one line per sample.
 
+    A CSV file gets its name when it is closed, also after an error of the run or Ctrl-C.  If the
+    disk is full, the part that was written is kept as ``<name>.incomplete``.
+
     * ``path``: a folder for the files ``<robot>.csv``, or a file ``*.csv`` for a single robot.
     * ``groups``: names of the groups of columns.
     * ``every``: time between two recorded samples (s).  If ``every`` is 0, all samples are
@@ -81,7 +83,7 @@ class CsvRecorder:
         """
         self._groups = groups
         self._interval = SampleInterval(every)
-        self._files: dict[str, TextIO] = {}
+        self._files: dict[str, AtomicFile] = {}
         self._robots = dict(robots)
         if path.suffix == ".csv":
             self._paths = dict.fromkeys(self._robots, path)
@@ -90,22 +92,19 @@ class CsvRecorder:
             self._paths = {name: path / f"{name}.csv" for name in self._robots}
         try:
             for name, file in self._paths.items():
-                with errors_with_name(file):
-                    stream = file.open("w", encoding="utf-8", newline="\n")
-                    self._files[name] = stream
-                    stream.write(",".join(columns(self._robots[name], groups)) + "\n")
-                    stream.flush()
+                self._files[name] = AtomicFile(file, keep_incomplete=True)
+                self._files[name].write(",".join(columns(self._robots[name], groups)) + "\n")
+                self._files[name].flush()
         except OSError:
-            with contextlib.suppress(OSError):
-                self.close()
+            for opened in self._files.values():
+                opened.discard()
             raise
 
     def record(self, robot: str, sample: Sample, commands: JointCommands | None) -> None:
         if not self._interval.is_due(robot, sample.time):
             return
         values = _values(self._robots[robot], sample, commands, self._groups)
-        with errors_with_name(self._paths[robot]):
-            self._files[robot].write(",".join(map(_text, values)) + "\n")
+        self._files[robot].write(",".join(map(_text, values)) + "\n")
 
     def close(self) -> None:
         """Closes all CSV files.
@@ -115,10 +114,8 @@ class CsvRecorder:
         """
         last_error: OSError | None = None
         while self._files:
-            name, stream = self._files.popitem()
             try:
-                with errors_with_name(self._paths[name]):
-                    stream.close()
+                self._files.popitem()[1].close()
             except OSError as error:
                 last_error = error
         if last_error is not None:

@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING
 
 from thorvaldc.compiler.source.csv_table import (
     TIME,
@@ -40,6 +40,8 @@ from thorvaldc.runtime.driver import DriverState
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL
 
 if TYPE_CHECKING:
+    from _typeshed import SupportsWrite
+
     from thorvaldc.simulation.control_loop import ControlLoop
 
 POSITION, VELOCITY, COMMAND = "position", "velocity", "velocity_command"
@@ -86,7 +88,7 @@ def steering_joints(robot: Robot) -> list[_Joint]:
 class JointLogWriter:
     """Writes the joint states of each tick of the driver to a text stream."""
 
-    def __init__(self, robot: Robot, stream: TextIO) -> None:
+    def __init__(self, robot: Robot, stream: SupportsWrite[str]) -> None:
         self._stream = stream
         self._drives = drive_joints(robot)
         self._steering = steering_joints(robot)

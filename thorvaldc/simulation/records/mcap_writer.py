@@ -26,7 +26,7 @@ import math
 import os
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,7 @@ from thorvaldc.compiler.source.ros_bag import (
     TYPES,
     require_rosbags,
 )
+from thorvaldc.diagnostics.atomic_file import INCOMPLETE, errors_with_name
 from thorvaldc.diagnostics.interrupts import uninterrupted
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
@@ -51,7 +52,7 @@ from thorvaldc.runtime.ros_numbers import (
 )
 from thorvaldc.runtime.se2 import ZERO_COV, Pose2
 from thorvaldc.simulation.control_loop import Sample
-from thorvaldc.simulation.records.recorder import SampleInterval, errors_with_name
+from thorvaldc.simulation.records.recorder import SampleInterval
 from thorvaldc.simulation.records.ros_messages import (
     MessageTypes,
     joints_template,
@@ -81,8 +82,8 @@ class McapRecorder:
 
     The arguments ``groups`` and ``every`` have the same meaning as for ``CsvRecorder``.  Two equal
     runs give MCAP files with equal bytes.  During the run, the MCAP file is in a hidden folder next
-    to ``path``.  The method ``close`` moves the MCAP file to ``path``, also after an error or
-    Ctrl-C.
+    to ``path``.  The method ``close`` moves the MCAP file to ``path``, also after an error of the
+    run or Ctrl-C.  If the disk is full, it moves the file to ``<path>.incomplete``.
     """
 
     def __init__(
@@ -104,6 +105,7 @@ class McapRecorder:
         self._interval = SampleInterval(every)
         self._types = MessageTypes()
         self._pending: list[tuple[Any, int, bytes]] = []
+        self._failed = False
         self._tf: Any = None
         self._tf_static: Any = None
         if path.is_dir():
@@ -134,7 +136,7 @@ class McapRecorder:
         self._robots[robot].send(sample, commands)
         if len(self._pending) >= _BATCH:
             # Ctrl-C while a message is written would make a whole chunk of the file unreadable.
-            with uninterrupted(), errors_with_name(self.path):
+            with uninterrupted(), self._failing():
                 self._write()
 
     def close(self) -> None:
@@ -142,8 +144,9 @@ class McapRecorder:
             return
         with uninterrupted(), errors_with_name(self.path):
             try:
-                self._write()
-                self._writer.close()
+                with self._failing():
+                    self._write()
+                    self._writer.close()
             except OSError:
                 # If the disk is full, the file keeps all messages that were written, but has no
                 # index.
@@ -151,9 +154,19 @@ class McapRecorder:
                     self._writer.abort()
                 raise
             finally:
+                name = f"{self.path}{INCOMPLETE}" if self._failed else self.path
                 with contextlib.suppress(FileNotFoundError):
-                    os.replace(self._folder / _NAME / f"{_NAME}.mcap", self.path)
+                    os.replace(self._folder / _NAME / f"{_NAME}.mcap", name)
                 self._remove_folder()
+
+    @contextlib.contextmanager
+    def _failing(self) -> Iterator[None]:
+        with errors_with_name(self.path):
+            try:
+                yield
+            except OSError:
+                self._failed = True
+                raise
 
     def send(self, connection: Any, time: int, data: bytes) -> None:
         """Queues a message with the time ``time`` (ns) for the next write."""

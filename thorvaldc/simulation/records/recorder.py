@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import os
 import struct
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Protocol
 
 from thorvaldc.runtime.base_interface import JointCommands
@@ -36,19 +33,6 @@ def record_ticks(recorders: Sequence[Recorder]) -> TickCallback:
             recorder.record(loop.name, sample, None if command is None else command.joints)
 
     return on_tick
-
-
-@contextlib.contextmanager
-def errors_with_name(path: Path) -> Iterator[None]:
-    """Adds the file name ``path`` to each ``OSError`` that the ``with`` block raises.
-
-    An ``OSError`` from ``write`` or ``close``, for example on a full disk, has no file name.
-    """
-    try:
-        yield
-    except OSError as error:
-        number = error.errno or 0
-        raise OSError(number, error.strerror or os.strerror(number), str(path)) from None
 
 
 class SampleInterval:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 
 from thorvaldc.diagnostics import Label, Report
+from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.model import Pose
 from thorvaldc.model.statics.convex_hull import convex_hull
 from thorvaldc.tools.audit.audit_facts import (
@@ -40,8 +40,8 @@ def footprint_of(section: ParameterSection) -> Fact | None:
 
 def _polygon(text: str) -> tuple[Point, ...] | None:
     try:
-        points = json.loads(text)
-    except (ValueError, RecursionError):
+        points = read_json(text)
+    except ValueError:
         return None
     if not isinstance(points, list) or len(points) < 3:
         return None

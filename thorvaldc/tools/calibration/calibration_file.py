@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
 from thorvaldc.compiler.modules.wheel_calibration import load_calibration
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.tools.calibration.calibration_text import overlay
 from thorvaldc.tools.calibration.self_calibration import CalibrationResult
 
@@ -50,12 +50,7 @@ def write_calibration(path: Path, text: str) -> None:
     """
     if path.exists() and not _is_calibration(path):
         raise FileExistsError(f"will not overwrite {path}, which is no calibration")
-    temporary = path.with_name(f".{path.name}.new")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_file(path, text)
 
 
 def _is_calibration(path: Path) -> bool:

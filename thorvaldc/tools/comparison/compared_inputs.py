@@ -16,7 +16,7 @@ from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.bounded_file import read_bounded
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.model.model_json import load_model
+from thorvaldc.model.model_json import is_model_file, load_model
 from thorvaldc.tools.comparison.git_revision import exported_revision, split_revision
 from thorvaldc.tools.comparison.module_outline import Outline, outline_of_file
 from thorvaldc.tools.comparison.robot_comparison import compare_fleets, compare_robots
@@ -94,9 +94,9 @@ def compare(before: ComparedInput, after: ComparedInput) -> Difference:
 
 
 def _read(compared: ComparedInput, path: Path, library: Sequence[Path], trust: bool) -> None:
-    if path.is_dir() or path.suffix == ".json":
+    if path.is_dir() or is_model_file(path) or path.suffix == ".json":
         folder = path if path.is_dir() else path.parent
-        compared.model = _with_meshes(load_model(folder), folder / "meshes")
+        compared.model = _with_meshes(load_model(path), folder / "meshes")
         return
     compilation = compile_file(path, library=library, trust=trust)
     compared.model = compilation.model

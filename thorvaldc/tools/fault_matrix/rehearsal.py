@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from thorvaldc.can.frame import CanFrame
+from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault, BusFaults
 from thorvaldc.runtime.can_base.base_state import BaseState
@@ -89,7 +90,7 @@ class ScriptedClient:
             self._unread += self.stream.recv(1 << 16)
         *lines, self._unread = self._unread.split(b"\n")
         for line in lines:
-            answer = json.loads(line)
+            answer = read_json(line)
             if not answer.get("ok"):
                 self.refusals.append(str(answer.get("error")))
 

@@ -14,6 +14,7 @@ from typing import Any
 from aiohttp import WSCloseCode, WSMsgType, web
 from watchfiles import awatch
 
+from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.model.data_folder import data_folder
 from thorvaldc.simulation.pictures.view_page import VIEWER, viewer_script
 from thorvaldc.tools.preview.compiled_robot import CompiledRobot
@@ -167,7 +168,7 @@ class PreviewServer:
 
     def _receive(self, client: _Client, text: str) -> None:
         try:
-            message = json.loads(text)
+            message = read_json(text)
             kind = message["kind"]
             if kind == "motion" and client.drive is not None:
                 client.drive.move(*(float(message[name]) for name in ("x", "y", "yaw")))
@@ -177,7 +178,7 @@ class PreviewServer:
                 times = {str(name): float(value) for name, value in message["times"].items()}
                 self._drawn.set()
                 self.timings = [*self.timings[1 - TIMINGS :], times]
-        except (ValueError, TypeError, KeyError, AttributeError):
+        except (ValueError, TypeError, KeyError, AttributeError, OverflowError):
             return  # no message of the page
 
     def _switch(self, client: _Client, on: bool, robot: str) -> None:

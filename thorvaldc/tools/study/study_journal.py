@@ -8,6 +8,9 @@ import os
 from pathlib import Path
 from typing import Any
 
+from thorvaldc.diagnostics.atomic_file import append_whole
+from thorvaldc.diagnostics.foreign_json import read_json
+
 try:
     import fcntl
 except ImportError:  # on Windows, two runs of one study are not kept apart
@@ -52,7 +55,7 @@ class StudyJournal:
         """Writes the result of a design, by the key of the design."""
         text = json.dumps({"key": key, **result}, ensure_ascii=False, separators=(",", ":"))
         data = text.encode()
-        os.write(self._file, _checksum(data) + b" " + data + b"\n")
+        append_whole(self._file, _checksum(data) + b" " + data + b"\n")
         self.results[key] = result
 
     def close(self) -> None:
@@ -66,7 +69,7 @@ def read_results(folder: Path) -> dict[str, dict[str, Any]]:
         for line in file:
             checksum, _, data = line.rstrip(b"\n").partition(b" ")
             if line.endswith(b"\n") and checksum == _checksum(data):
-                result = json.loads(data)
+                result = read_json(data)
                 results[result.pop("key")] = result
     return results
 

@@ -14,6 +14,7 @@ from thorvaldc.compiler.scenario.scenario_reader import METRICS
 from thorvaldc.compiler.source.node import Value
 from thorvaldc.compiler.source.units import UnitError, parse_any
 from thorvaldc.compiler.study.study_definition import Objective, Study, Variable, value_key
+from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.tools.study.sample_points import Design, MissingPackageError
 
 TABLE = "designs.parquet"
@@ -148,7 +149,7 @@ class StudyTable:
     @classmethod
     def open(cls, folder: Path) -> StudyTable:
         """Opens the table in a folder.  Raises ``OSError`` or ``ValueError`` if there is none."""
-        description = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))
+        description = read_json((folder / DESCRIPTION).read_text(encoding="utf-8"))
         parts = ("study", "variables", "constraints", "scenarios", "objectives")
         if not isinstance(description, dict) or not all(part in description for part in parts):
             raise ValueError(f"{folder / DESCRIPTION} does not describe a study")

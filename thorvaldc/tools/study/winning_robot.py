@@ -13,6 +13,7 @@ from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.compiler.study.replaced_values import value_text
 from thorvaldc.compiler.study.study_definition import Objective
+from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.tools.study.design_evaluation import robot_text
 from thorvaldc.tools.study.sample_points import Design
 from thorvaldc.tools.study.study_execution import StudyRun
@@ -87,10 +88,5 @@ def write_winner(path: Path, text: str, run: StudyRun) -> Compilation:
     with unsaved_texts({os.path.realpath(path): text.encode()}):
         compilation = compile_file(path, library=run.inputs.library, trust=run.inputs.trust)
     if not compilation.report.has_errors:
-        temporary = path.with_name(f".{path.name}.new")
-        try:
-            temporary.write_bytes(text.encode())
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        write_file(path, text)
     return compilation

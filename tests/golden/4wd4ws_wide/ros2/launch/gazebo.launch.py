@@ -60,6 +60,22 @@ def generate_launch_description():
                 output="screen",
                 parameters=[{"config_file": os.path.join(config, "gz_bridge.yaml")}, use_sim_time],
             ),
+            # Gazebo sends the time at every step of the physics; the nodes get every 10th.
+            Node(
+                package="topic_tools",
+                executable="drop",
+                name="clock_drop",
+                namespace=NAMESPACE,
+                output="screen",
+                parameters=[
+                    {
+                        "input_topic": "gazebo_clock",
+                        "output_topic": "/clock",
+                        "X": 9,
+                        "Y": 10,
+                    }
+                ],
+            ),
             Node(
                 package="robot_state_publisher",
                 executable="robot_state_publisher",

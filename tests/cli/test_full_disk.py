@@ -1,0 +1,64 @@
+"""Commands that write files while the disk becomes full."""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import GOOD, Command
+
+OLD = "of an earlier command"
+DRIVE = ("sim", "good.yaml", "--twist", "0.3,0,0", "--duration", "0.5")
+
+
+@contextmanager
+def full_disk(limit: int) -> Iterator[None]:
+    """No file may grow beyond ``limit`` bytes."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "file"),
+    [
+        (("view", "good.yaml", "-o"), "page.html"),
+        (("render", "good.yaml", "-o"), "picture.png"),
+        (("diff", "good.yaml", "other.yaml", "--html"), "page.html"),
+        ((*DRIVE, "--plot"), "plot.png"),
+        ((*DRIVE, "--plot"), "plot.svg"),
+        ((*DRIVE, "--video"), "video.gif"),
+        ((*DRIVE, "--record"), "record.csv"),
+        ((*DRIVE, "--log"), "log.csv"),
+    ],
+)
+def test_a_full_disk_leaves_the_old_file_and_is_reported_with_its_name(
+    thorvaldc: Command, arguments: tuple[str, ...], file: str
+) -> None:
+    Path("good.yaml").write_text(GOOD)
+    Path("other.yaml").write_text(GOOD.replace("name: good", "name: other"))
+    Path(file).write_text(OLD)
+    with full_disk(400):
+        result = thorvaldc(*arguments, file)
+    assert result.status == 3
+    assert result.err.startswith("error: ")
+    assert result.err.endswith(f"{file}: File too large\n")
+    assert result.err.count("\n") == 1
+    assert Path(file).read_text() == OLD
+    assert not list(Path().glob(".*"))
+
+
+def test_a_full_disk_leaves_no_half_project(thorvaldc: Command) -> None:
+    with full_disk(2000):
+        result = thorvaldc("new", "field")
+    assert result.status == 3
+    assert "field/" in result.err
+    assert "File too large" in result.err
+    assert not [path for path in Path("field").rglob("*") if path.is_file()]

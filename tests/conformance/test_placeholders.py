@@ -1,0 +1,71 @@
+"""No generated file contains a placeholder, ``@NAME@``, of the templates of thorvaldc."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.examples import FLEETS, ROBOTS, example_fleet, example_robot
+from thorvaldc import backends
+from thorvaldc.backends.placeholders import fill
+from thorvaldc.backends.ros2 import package_of
+from thorvaldc.compiler.new_project import project_files, robot_files
+from thorvaldc.compiler.new_robot import presets
+from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.model import Fleet, Robot
+
+PLACEHOLDER = re.compile(r"@[A-Z][A-Z0-9_]*@")
+OF_OTHERS = {"@BUS_CONFIG_PATH@"}  # ros2_canopen replaces it
+MESHES = (".stl", ".obj", ".png")
+
+
+def placeholders(files: Iterable[tuple[str, str | bytes]]) -> list[tuple[str, str]]:
+    """Return the path of the file and the text of each placeholder."""
+    found = []
+    for path, content in files:
+        text = content if isinstance(content, str) else content.decode(errors="replace")
+        found += [(path, text) for text in PLACEHOLDER.findall(f"{path}\n{text}")]
+    return [(path, text) for path, text in found if text not in OF_OTHERS]
+
+
+def output(model: Robot | Fleet) -> list[tuple[str, bytes]]:
+    files = emit(model, backends.names())
+    return [(path, data) for path, data in files.items() if not path.endswith(MESHES)]
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_examples(name: str) -> None:
+    robot = example_robot(name)
+    assert placeholders(output(robot)) == []
+    other = replace(robot, namespace="r1", ros=replace(robot.ros, odom_tf="ekf"))
+    assert placeholders(package_of(other).items()) == []
+
+
+@pytest.mark.parametrize("name", FLEETS)
+def test_fleets(name: str) -> None:
+    assert placeholders(output(example_fleet(name))) == []
+
+
+@pytest.mark.parametrize("preset", presets())
+def test_presets(preset: str, tmp_path: Path) -> None:
+    assert placeholders(project_files("mine", preset).items()) == []
+    files = robot_files("mine", preset)
+    assert placeholders(files.items()) == []
+    (tmp_path / "robot.yaml").write_text(files["robot.yaml"])
+    robot = compile_file(tmp_path / "robot.yaml").model
+    assert isinstance(robot, Robot)
+    assert placeholders(output(robot)) == []
+
+
+def test_a_value_that_looks_like_a_placeholder_stays_as_it_is() -> None:
+    """Each order of the values gives the same text."""
+    values = {"A": "@B@", "B": "2", "C": "@A@"}
+    for names in ("ABC", "CBA"):
+        ordered = {name: values[name] for name in names}
+        assert fill("@A@ @B@ @C@ a@b.org", ordered) == "@B@ 2 @A@ a@b.org"
+    with pytest.raises(KeyError, match="D"):
+        fill("@D@", values)

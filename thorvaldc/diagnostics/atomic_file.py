@@ -1,0 +1,198 @@
+"""Writes files so that a full disk or a killed process leaves no half file under their name.
+
+The content is written to a hidden file beside the file. The hidden file then gets the name in one
+step::
+
+    page.html             <- old page      page.html  <- new page
+    .thorvaldc-812-7f3a   <- new page ==>
+
+A path that is no regular file, such as ``/dev/stdout`` or a pipe, is written directly.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+STAGE_PREFIX = ".thorvaldc-"
+"""Start of the names of files and folders that exist only while something is written."""
+INCOMPLETE = ".incomplete"
+"""End of the name of a file that could not be written to its end."""
+
+
+def write_file(path: Path, content: str | bytes, *, new: bool = False) -> None:
+    """Writes a whole file, text in UTF-8, or leaves the file as it was.
+
+    Raises ``OSError`` with the name of the file, and ``FileExistsError`` if the file must be new
+    and exists.
+    """
+    data = content.encode() if isinstance(content, str) else content
+    with AtomicFile(path, new=new) as file:
+        file.write_bytes(data)
+
+
+def append_whole(descriptor: int, data: bytes) -> None:
+    """Appends bytes to an open file; if the disk is full, the file is cut back to its old size.
+
+    Raises ``OSError``.
+    """
+    size = os.fstat(descriptor).st_size
+    try:
+        while data:
+            data = data[os.write(descriptor, data) :]
+    except OSError:
+        with contextlib.suppress(OSError):
+            os.ftruncate(descriptor, size)
+        raise
+
+
+@contextlib.contextmanager
+def errors_with_name(path: Path) -> Iterator[None]:
+    """Adds the file name ``path`` to each ``OSError`` that the ``with`` block raises.
+
+    An ``OSError`` from ``write`` or ``close``, for example on a full disk, has no file name.
+    """
+    try:
+        yield
+    except OSError as error:
+        number = error.errno or 0
+        raise OSError(number, error.strerror or os.strerror(number), str(path)) from None
+
+
+class AtomicFile:
+    """An open file that replaces another file in one step when it is closed.
+
+    After an error of ``write``, ``close`` does not replace the file.  As a context manager, the
+    file is also not replaced after an exception in the block.
+
+    - ``new``: the file must not exist.
+    - ``keep_incomplete``: what could be written is kept as ``<path>.incomplete`` after an error.
+    """
+
+    def __init__(self, path: Path, *, new: bool = False, keep_incomplete: bool = False) -> None:
+        """Opens the hidden file.  Raises ``OSError`` with the name of the file."""
+        self.path = path
+        self._target = Path(os.path.realpath(path))
+        self._new = new
+        self._keep_incomplete = keep_incomplete
+        self._failed = self._closed = False
+        self._stage: Path | None = None
+        with errors_with_name(path):
+            old = _status(self._target)
+            if new and os.path.lexists(path):
+                raise OSError(errno.EEXIST, os.strerror(errno.EEXIST))
+            if old is not None and stat.S_ISDIR(old.st_mode):
+                raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
+            opened, flags = self._target, os.O_WRONLY
+            if old is None or stat.S_ISREG(old.st_mode):
+                if old is not None and not os.access(self._target, os.W_OK):
+                    raise OSError(errno.EACCES, os.strerror(errno.EACCES))
+                name = f"{STAGE_PREFIX}{os.getpid()}-{os.urandom(4).hex()}"
+                self._stage = opened = self._target.with_name(name)
+                flags |= os.O_CREAT | os.O_EXCL
+            flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
+            self._file: Any = os.fdopen(os.open(opened, flags, 0o666), "wb")
+            if old is not None and self._stage is not None:
+                with contextlib.suppress(OSError):
+                    os.chmod(self._stage, stat.S_IMODE(old.st_mode))
+                    keep_owner(self._stage, self._target)
+
+    def write(self, text: str) -> None:
+        """Writes text in UTF-8."""
+        self.write_bytes(text.encode())
+
+    def write_bytes(self, data: bytes) -> None:
+        with self._failing():
+            self._file.write(data)
+
+    def flush(self) -> None:
+        """Passes what was written on to the operating system."""
+        with self._failing():
+            self._file.flush()
+
+    def close(self) -> None:
+        """Gives the file its name, if all was written.  A second call has no effect."""
+        if self._closed:
+            return
+        try:
+            if not self._failed:
+                with self._failing():
+                    self._file.close()
+                    self._give_name()
+        finally:
+            if self._failed and self._keep_incomplete and self._stage is not None:
+                with contextlib.suppress(OSError):
+                    self._file.close()
+                with contextlib.suppress(OSError):
+                    os.replace(self._stage, f"{self._target}{INCOMPLETE}")
+            self.discard()
+
+    def discard(self) -> None:
+        """Closes the file and leaves the old one in place."""
+        self._closed = True
+        with contextlib.suppress(OSError):
+            self._file.close()
+        if self._stage is not None:
+            with contextlib.suppress(OSError):
+                self._stage.unlink(missing_ok=True)
+
+    def _give_name(self) -> None:
+        if self._stage is None:
+            return
+        if not self._new:
+            os.replace(self._stage, self._target)
+            return
+        try:
+            os.link(self._stage, self._target)
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without hard links
+            if os.path.lexists(self._target):
+                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
+            os.replace(self._stage, self._target)
+
+    def __enter__(self) -> AtomicFile:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if error is None:
+            self.close()
+        else:
+            self.discard()
+
+    @contextlib.contextmanager
+    def _failing(self) -> Iterator[None]:
+        with errors_with_name(self.path):
+            try:
+                yield
+            except OSError:
+                self._failed = True
+                raise
+
+
+def keep_owner(new: Path, old: Path) -> None:
+    """Gives a new file or folder to the owner of the old one.
+
+    Only the superuser can do that; files of other users belong to them anyway.
+    """
+    if hasattr(os, "geteuid") and os.geteuid() == 0:
+        owner = os.stat(old)
+        os.chown(new, owner.st_uid, owner.st_gid, follow_symlinks=False)
+
+
+def _status(path: Path) -> os.stat_result | None:
+    try:
+        return os.stat(path)
+    except FileNotFoundError:
+        return None
