@@ -26,6 +26,7 @@ FINGERPRINTS = {
     6: "cdf1ea8ff9bb55d2",
     7: "77f7cfb0375a3997",
     8: "3b49848e2c94a3b5",
+    9: "e5e29b7787840ab9",
 }
 
 SCHEMA = model_schema()

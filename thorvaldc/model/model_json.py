@@ -36,7 +36,7 @@ from thorvaldc.model.robot import Actuator, Joint, JointServo, Robot, RosSetting
 from thorvaldc.model.ros import DISTROS, DRIVER, EKF
 
 FORMAT = "thorvaldc-model"
-VERSION = 8
+VERSION = 9
 """Version of the JSON format, increased with every change of the model's fields.
 
 The page ``docs/model.md`` lists all versions of the JSON format.
