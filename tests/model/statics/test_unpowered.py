@@ -81,17 +81,21 @@ def test_a_brake_holds_until_the_tyres_slip() -> None:
     weak, strong = (robot_of(friction=0.3, brake=Brake(t, 0.03)) for t in (5.0, 500.0))
     weight = weak.inertial.mass * GRAVITY
     slopes = standing_slopes(weak)
-    assert slopes is not None and slopes.braked == pytest.approx(math.asin(4 * 5.0 / 0.2 / weight))
-    assert slopes.motors_off == 0.0 and slopes.without_power == slopes.braked
+    assert slopes is not None
+    assert slopes.braked == pytest.approx(math.asin(4 * 5.0 / 0.2 / weight))
+    assert slopes.motors_off == 0.0
+    assert slopes.without_power == slopes.braked
     slopes = standing_slopes(strong)
-    assert slopes is not None and slopes.braked == pytest.approx(math.atan(0.3))
+    assert slopes is not None
+    assert slopes.braked == pytest.approx(math.atan(0.3))
 
 
 def test_a_robot_does_not_stand_beyond_its_tip_over_angle() -> None:
     robot = robot_of(friction=3.0, brake=Brake(5000.0, 0.03))
     slopes = standing_slopes(robot)
     tips = min(support_of(robot).tip_over_angle(direction) for direction in (0.0, math.pi))
-    assert slopes is not None and slopes.braked == tips < math.atan(3.0)
+    assert slopes is not None
+    assert slopes.braked == tips < math.atan(3.0)
 
 
 def test_brakes_on_one_axle_hold_less_where_it_is_unloaded() -> None:
@@ -100,9 +104,8 @@ def test_brakes_on_one_axle_hold_less_where_it_is_unloaded() -> None:
     x, _, h = robot.inertial.com
     lever, base, mu = x + 0.5, 1.0, 0.4
     slopes = standing_slopes(robot)
-    assert slopes is not None and slopes.braked == pytest.approx(
-        math.atan(mu * lever / (base + mu * h))
-    )
+    assert slopes is not None
+    assert slopes.braked == pytest.approx(math.atan(mu * lever / (base + mu * h)))
 
 
 def test_torque_is_needed_on_the_design_slope_exactly_beyond_the_limit() -> None:

@@ -58,8 +58,8 @@ class MotorPart(NamedTuple):
 
     ``motor_max_speed`` is the maximum speed of the motor shaft (rad/s).  ``max_velocity`` (rad/s),
     ``max_acceleration`` (rad/s^2) and ``max_torque`` (N m) are the limits of the motor at the
-    joint, behind the gear.  ``armature`` is the inertia of the rotor as seen at the joint (kg m^2), and
-    ``back_driving_torque`` (N m) is also at the joint.
+    joint, behind the gear.  ``armature`` is the inertia of the rotor as seen at the joint (kg m^2).
+    ``back_driving_torque`` (N m) is at the joint, too.
     """
 
     name: str

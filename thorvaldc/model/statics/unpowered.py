@@ -2,8 +2,8 @@
 
 A motor without power applies no torque. What is left of its drive is the back-driving torque B (the
 friction of motor and gear, see ``Actuator``) and the holding torque H of a closed brake. With the
-Coulomb friction C of the axle, the radius r, the load N, the coefficient of rolling resistance c and
-the coefficient of friction mu, a wheel resists the motion of the robot with the force
+Coulomb friction C of the axle, the radius r, the load N, the coefficient c of rolling resistance
+and the coefficient mu of friction, a wheel resists the motion of the robot with the force
 
     F = min(c N + (B + C + H) / r, mu N).
 
@@ -20,7 +20,7 @@ the way by some percent, is left out.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
 
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.once_per_model import once_per_model
@@ -30,7 +30,8 @@ from thorvaldc.model.statics.slope import SlopeStatics, steepest_angle
 from thorvaldc.model.statics.tip_over import support_of
 
 
-class StandingSlopes(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class StandingSlopes:
     """The steepest slopes in rad on which a robot stands without power, facing up or down.
 
     - ``motors_off``: with every brake held open, by the friction of motors, gears and tyres alone.
