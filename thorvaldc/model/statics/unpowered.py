@@ -28,6 +28,7 @@ from thorvaldc.model.robot import Actuator, Joint, Robot, Wheel
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.slope import SlopeStatics, steepest_angle
 from thorvaldc.model.statics.tip_over import support_of
+from thorvaldc.model.stopping import Ramp, driven_wheels
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +87,23 @@ def coasting_deceleration(
     if wheel.load <= 0.0:
         return wheel.friction * GRAVITY
     return _resistance(wheel, axle, motor, wheel.load, braked) * GRAVITY / wheel.load
+
+
+def roll_out(robot: Robot) -> Ramp:
+    """Return the way on which all wheels roll out on level ground after all drives lost power.
+
+    The wheel with the lowest deceleration counts, from the top speed of the motors. The time and
+    the distance are infinite for a wheel without friction.
+    """
+    stops = [Ramp(0.0, 0.0, 0.0)]
+    for wheel, motor in driven_wheels(robot.wheels, robot.actuators):
+        axle, brake = robot.joint(wheel.spin_joint), motor.brake
+        closing = 0.0 if brake is None else brake.closing_time
+        deceleration = coasting_deceleration(wheel, axle, motor, braked=True)
+        speed = motor.max_velocity * wheel.radius
+        seconds = speed / deceleration if deceleration > 0.0 else math.inf
+        stops.append(Ramp(speed, closing + seconds, speed * closing + 0.5 * speed * seconds))
+    return max(stops, key=lambda stop: stop.distance)
 
 
 _Drive = tuple[Wheel, Joint, Actuator | None]

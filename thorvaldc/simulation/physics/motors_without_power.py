@@ -8,6 +8,9 @@ The friction of the motor and its gear, and a closed brake, are Coulomb friction
                    C + B + H               ... and with a brake that has closed, of the torque H
                    C                       with power, as in the MJCF file
 
+MuJoCo's friction is soft: with its default impedance, a joint creeps under load (16 mm/s at a wheel
+on a slope of 15 degrees).  A joint without power has ``IMPEDANCE``, with which it stands.
+
 A servo overcomes the friction of its own gear, so the friction of a joint with power is unchanged.
 """
 
@@ -19,6 +22,9 @@ from typing import Any, NamedTuple
 from thorvaldc.model import Actuator, Brake, Robot
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
+IMPEDANCE = 0.9999
+"""Impedance of the friction of a joint without power (``solimp`` of MuJoCo)."""
+
 
 class _Motor(NamedTuple):
     """The MuJoCo indices and values of a motor.
@@ -26,7 +32,7 @@ class _Motor(NamedTuple):
     - ``actuator``, ``activation``, ``position``, ``dof``: indices in the arrays of MuJoCo, and in
       ``act``, ``qpos`` and ``qvel``; ``activation`` is negative for a servo without an integrator.
     - ``range``: smallest and largest torque with power in N m.
-    - ``friction``: friction of the joint with power in N m.
+    - ``friction``, ``impedance``: friction of the joint with power in N m, and its impedance.
     """
 
     actuator: int
@@ -35,6 +41,7 @@ class _Motor(NamedTuple):
     dof: int
     range: tuple[float, float]
     friction: float
+    impedance: tuple[float, float]
     back_driving_torque: float
     brake: Brake | None
 
@@ -88,18 +95,21 @@ class MotorsWithoutPower:
             self._closing.pop(key, None)
             model.actuator_forcerange[motor.actuator] = motor.range
             model.dof_frictionloss[motor.dof] = motor.friction
+            model.dof_solimp[motor.dof, :2] = motor.impedance
             if motor.activation >= 0:  # hold the present position, not that of the loss of power
                 data.act[motor.activation] = data.qpos[motor.position]
             return
         self._off.add(key)
         model.actuator_forcerange[motor.actuator] = 0.0
         model.dof_frictionloss[motor.dof] = motor.friction + motor.back_driving_torque
+        model.dof_solimp[motor.dof, :2] = IMPEDANCE
         if motor.brake is not None:
             self._closing[key] = now + motor.brake.closing_time
 
 
 def _motor(model: Any, part: Actuator, actuator: int, position: int, dof: int) -> _Motor:
     low, high = model.actuator_forcerange[actuator].tolist()
+    least, most = model.dof_solimp[dof, :2].tolist()
     return _Motor(
         actuator,
         int(model.actuator_actadr[actuator]),
@@ -107,6 +117,7 @@ def _motor(model: Any, part: Actuator, actuator: int, position: int, dof: int) -
         dof,
         (low, high),
         float(model.dof_frictionloss[dof]),
+        (least, most),
         part.back_driving_torque,
         part.brake,
     )
