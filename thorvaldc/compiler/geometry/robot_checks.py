@@ -293,7 +293,7 @@ def check_standing(robot: Robot, design: DesignRequirements, report: Report) -> 
     """Checks that the robot stands on the required slope without power, see
     ``model.statics.unpowered``.
 
-    A robot that does not is not wrong: its drives hold it.  But somebody must know it.
+    While the drives have power, they hold the robot.  Somebody must know what holds it then.
     """
     slopes = standing_slopes(robot)
     if design.slope is None or slopes is None or holds_without_torque(robot):
