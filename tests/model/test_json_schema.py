@@ -26,7 +26,7 @@ FINGERPRINTS = {
     6: "cdf1ea8ff9bb55d2",
     7: "77f7cfb0375a3997",
     8: "3b49848e2c94a3b5",
-    9: "",
+    9: "cae85acd79a59b5c",
 }
 
 SCHEMA = model_schema()

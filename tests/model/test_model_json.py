@@ -14,6 +14,7 @@ from thorvaldc.model import (
     Battery,
     Block,
     Box,
+    Brake,
     Bus,
     CalculatorChoice,
     Channel,
@@ -142,6 +143,10 @@ def everything() -> Robot:
         twist_sources=(TwistInput("nav", "nav/cmd_vel", 10, 0.5),),
         twist_locks=(TwistInput("pause", "nav/pause", 50, 0.0),),
         joint_servos=(JointServo("elbow", "position", 0.25, SPAN),),
+        actuators=tuple(
+            replace(a, back_driving_torque=2.1, brake=Brake(84.0, 0.03)) for a in robot.actuators
+        ),
+        design_slope=0.25,
     )
 
 
@@ -341,7 +346,7 @@ def test_other_texts_are_errors(text: str) -> None:
         ("kind", ..., "the field `kind` is missing"),
         ("date", "today", "there is no field `date`"),
         ("format", "urdf", "not a thorvaldc-model file"),
-        ("version", "3", 'version "3"; this program reads 8'),
+        ("version", "3", 'version "3"; this program reads 9'),
     ],
 )
 def test_the_message_names_the_path(path: str, value: Any, message: str) -> None:
@@ -371,5 +376,5 @@ def test_a_path_in_a_fleet() -> None:
 
 
 def test_the_message_of_another_version_names_both() -> None:
-    with pytest.raises(ModelFormatError, match=r"version 1; this program reads 8"):
+    with pytest.raises(ModelFormatError, match=r"version 1; this program reads 9"):
         from_json(changed("version", 1))

@@ -16,7 +16,6 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault
 from thorvaldc.model.model_json import is_model_file
-from thorvaldc.runtime.base_interface import BaseHandle
 from thorvaldc.simulation.bus.device_memory import Memory, read_memory
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
@@ -44,7 +43,7 @@ def start_virtual_robot(
     return simulated
 
 
-def make_mujoco_base(robot: Robot, file: str, report: Report) -> BaseHandle:
+def make_mujoco_base(robot: Robot, file: str, report: Report) -> MujocoBase:
     """Loads a robot in MuJoCo and returns the base of the robot.
 
     ``file`` is the robot.yaml of the robot or the model.json of a build.

@@ -20,6 +20,7 @@ from __future__ import annotations
 import os
 import posixpath
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -143,6 +144,7 @@ def compile_robot(source: SourceFile, library: Sequence[Path], trust: bool = Fal
             compilation.acceptances += read_acceptances(module.document, report, is_module=True)
         design = read_design(document, report)
         if model is not None:
+            model = replace(model, design_slope=design.slope)
             check_robot(model, design, report)
             check_calculator(model, document, report)
             lock_file = update_robot_lock(source, model, compilation)

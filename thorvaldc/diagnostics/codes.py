@@ -167,6 +167,7 @@ _TABLE: tuple[Code, ...] = (
     _warning("TV433", "robot-size", "the robot is larger or smaller than any field robot"),
     _error("TV434", "start-in-obstacle", "a robot starts inside an obstacle"),
     _error("TV435", "mount-occupied", "two modules are mounted at the same place"),
+    _warning("TV436", "slope-not-held", "the robot rolls on its slope while it has no power"),
     _error("TV440", "calibration-value", "a calibration contains an impossible value"),
     # 5xx: CAN bus
     _error("TV501", "can-id-duplicate", "two devices of one id space use the same id on a bus"),

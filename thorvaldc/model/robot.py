@@ -39,6 +39,7 @@ __all__ = [
     "Battery",
     "BatterySettings",
     "Box",
+    "Brake",
     "Bus",
     "CalculatorChoice",
     "Channel",
@@ -338,6 +339,18 @@ class Wheel(Element):
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Brake(Element):
+    """A spring-applied brake of a motor: current opens it, and without current it is closed.
+
+    - ``torque``: holding torque at the joint in N m.
+    - ``closing_time``: time in s from the loss of current until the brake holds.
+    """
+
+    torque: float
+    closing_time: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Actuator(Element):
     """A motor with its gear on a joint.
 
@@ -356,6 +369,9 @@ class Actuator(Element):
     - ``encoder_offset``: joint position minus encoder reading in rad, from the calibration of a
       steering motor.
     - ``gear_ratio``: revolutions of the motor shaft per revolution of the joint.
+    - ``back_driving_torque``: torque at the joint in N m below which the joint does not turn while
+      the motor has no power, from the friction of motor and gear.
+    - ``brake``: brake of the motor, or ``None`` for a motor without a brake.
     """
 
     name: str
@@ -373,6 +389,8 @@ class Actuator(Element):
     channel: str | None
     span: Span
     encoder_offset: float = 0.0
+    back_driving_torque: float = 0.0
+    brake: Brake | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -439,6 +457,8 @@ class Robot(Element):
       ``<gazebo>``.
     - ``ros``: settings of the ROS 2 package.
     - ``modules``: the modules with their types, without the assemblies.
+    - ``design_slope``: steepest slope in rad for which the robot is designed, or ``None`` if the
+      robot file states none.
     """
 
     name: str
@@ -463,6 +483,7 @@ class Robot(Element):
     joint_servos: tuple[JointServo, ...] = ()
     ros: RosSettings = DEFAULT_SETTINGS
     modules: tuple[Module, ...] = ()
+    design_slope: float | None = None
 
     def __repr__(self) -> str:
         wheels = f"{len(self.wheels)} wheel{'' if len(self.wheels) == 1 else 's'}"

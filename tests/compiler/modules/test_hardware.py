@@ -13,7 +13,7 @@ from tests.cli.conftest import GOOD
 from tests.workshop import CART, TETRAHEDRON, Workshop
 from thorvaldc.compiler.modules import hardware
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.model import Box, Cylinder, Inertial, MeshShape, Robot, Sphere
+from thorvaldc.model import Box, Brake, Cylinder, Inertial, MeshShape, Robot, Sphere
 
 SOURCE = 'source: "chosen: for a test"'
 MOUNT = "mount: {kinds: [clamp], link: body}\n"
@@ -256,6 +256,45 @@ def test_motor_limits_the_speed_of_its_joint(
     assert motor.motor_max_speed == pytest.approx(100 * math.pi)
     assert motor.armature == pytest.approx(2e-4 * 400)
     assert robot.joint("part_j").velocity == motor.max_velocity
+
+
+@pytest.mark.parametrize(
+    ("stated", "brake"),
+    [
+        ("brake: none", None),
+        ("brake: {torque: 2 N m, closing_time: 30 ms, when: '${1 > 2}'}", None),
+        ("brake: {torque: 2 N m, closing_time: 30 ms, when: '${2 > 1}'}", Brake(40.0, 0.03)),
+        ("brake: {torque: 2 N m, closing_time: 0}", Brake(40.0, 0.0)),
+    ],
+)
+def test_the_brake_of_a_motor_acts_through_its_gear(
+    workshop: Workshop, stated: str, brake: Brake | None
+) -> None:
+    robot = workshop.part(two_links("type: continuous", MOTOR % (30, stated)))
+    assert [(a.brake, a.back_driving_torque) for a in robot.actuators if a.module == "part"] == [
+        (brake, 0.0)
+    ]
+
+
+def test_the_back_driving_torque_is_that_at_the_joint(workshop: Workshop) -> None:
+    robot = workshop.part(
+        two_links("type: continuous", MOTOR % (30, "back_driving_torque: 1.5 N m"))
+    )
+    assert [a.back_driving_torque for a in robot.actuators if a.module == "part"] == [1.5]
+
+
+@pytest.mark.parametrize(
+    ("stated", "codes"),
+    [
+        ("brake: {torque: 0, closing_time: 30 ms}", ["size-not-positive"]),
+        ("brake: {torque: 2 N m, closing_time: -1 ms}", ["size-not-positive"]),
+        ("back_driving_torque: -1 N m", ["size-not-positive"]),
+        ("brake: {torque: 2 N m}", ["missing-key"]),
+        ("brake: yes_please", ["bad-id"]),
+    ],
+)
+def test_impossible_brakes_are_errors(workshop: Workshop, stated: str, codes: list[str]) -> None:
+    assert workshop.part_codes(two_links("type: continuous", MOTOR % (30, stated))) == codes
 
 
 @pytest.mark.parametrize(("stated", "pulses"), [('"${4096 / 4}"', 1024), ('"${2 * 600}"', 1200)])

@@ -8,7 +8,14 @@ from dataclasses import replace
 import pytest
 
 from tests.simulation.bus.robots import cia402_robot
-from thorvaldc.simulation.bus.simulated_motors import Encoder, IdealMotor, MotorState, ideal_motor
+from thorvaldc.simulation.bus.simulated_motors import (
+    DrivenWheels,
+    Encoder,
+    IdealMotor,
+    MotorState,
+    ideal_motor,
+)
+from thorvaldc.simulation.physics.coasting import Coasting
 
 
 def motor(**stops: float) -> IdealMotor:
@@ -65,15 +72,66 @@ def test_a_blocked_motor_pushes() -> None:
     assert ideal.read(4.0) == (1.0, 0.0, 0.0)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_motor_without_power_rolls_out(sign: float) -> None:
+    """Free for 0.5 s at 0.4 rad/s^2, then with a closed brake at 1 rad/s^2."""
+    ideal = IdealMotor(4.0, 20.0, 10.0, coasting=Coasting(0.4, 1.0, 0.5))
+    ideal.turn(1.0 * sign, 0.0)
+    start = ideal.read(1.0).position
+    ideal.release(1.0)
+    assert ideal.read(1.25).velocity == pytest.approx(0.9 * sign)
+    ideal.release(1.3)  # a device repeats it in every cycle
+    assert ideal.read(1.5) == (pytest.approx(start + 0.45 * sign), pytest.approx(0.8 * sign), 0.0)
+    assert ideal.read(2.0).velocity == pytest.approx(0.3 * sign)
+    assert ideal.read(9.0) == (pytest.approx(start + (0.45 + 0.32) * sign), 0.0, 0.0)
+    ideal.turn(1.0 * sign, 9.0)
+    assert ideal.read(10.0).velocity == 1.0 * sign
+
+
+def test_a_motor_that_has_no_friction_rolls_on() -> None:
+    ideal = IdealMotor(4.0, 20.0, 10.0, coasting=Coasting(0.0, 0.0))
+    ideal.turn(1.0, 0.0)
+    ideal.read(1.0)
+    ideal.release(1.0)
+    assert ideal.read(60.0).velocity == 1.0
+
+
+def test_the_ground_couples_a_wheel_without_power_to_the_others() -> None:
+    wheels = DrivenWheels()
+    fast, slow = (
+        IdealMotor(4.0, 2.0, 10.0, coasting=Coasting(0.1, 0.1), wheels=wheels) for _ in range(2)
+    )
+    wheels.add(fast, 0.2)
+    wheels.add(slow, 0.4)
+    fast.turn(4.0, 0.0)
+    slow.turn(2.0, 0.0)
+    assert [m.read(4.0).velocity for m in (fast, slow)] == [4.0, 2.0]
+    fast.release(4.0)
+    slow.turn(0.0, 4.0)
+    assert fast.read(4.5).velocity <= 2.0  # 1 rad/s of the larger wheel
+    assert slow.read(5.0).velocity == 0.0
+    assert fast.read(5.0).velocity == 0.0
+    slow.turn(2.0, 5.0)
+    assert fast.read(7.0).velocity == 0.0
+    slow.release(7.0)
+    assert slow.read(8.0).velocity == pytest.approx(1.9)  # no wheel has power
+
+
 def test_stops_of_the_motor_of_a_joint() -> None:
     robot = cia402_robot()
     actuator = robot.actuators[0]
     joint = next(j for j in robot.joints if j.name == actuator.joint)
-    wide = ideal_motor(actuator, replace(joint, lower=-4.0, upper=5.0))
+
+    def motor_with(lower: float | None, upper: float | None) -> IdealMotor:
+        changed = replace(joint, lower=lower, upper=upper)
+        joints = tuple(changed if j is joint else j for j in robot.joints)
+        return ideal_motor(replace(robot, joints=joints), actuator)
+
+    wide = motor_with(-4.0, 5.0)
     assert (wide.lower, wide.upper) == (-4.0, 5.0)
-    narrow = ideal_motor(actuator, replace(joint, lower=-1.0, upper=2.0))
+    narrow = motor_with(-1.0, 2.0)
     assert (narrow.lower, narrow.upper) == (-math.pi, math.pi)
-    free = ideal_motor(actuator, replace(joint, lower=None, upper=None))
+    free = motor_with(None, None)
     assert (free.lower, free.upper) == (-math.inf, math.inf)
     assert free.max_velocity == actuator.max_velocity
     assert free.max_acceleration == actuator.max_acceleration

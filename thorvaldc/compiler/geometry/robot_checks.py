@@ -14,6 +14,7 @@ from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.slope import SlopeStatics
 from thorvaldc.model.statics.tip_over import support_of
+from thorvaldc.model.statics.unpowered import holds_without_torque, standing_slopes
 
 # Largest gap (m) between a wheel and the ground that suspensions and tyres compensate.
 WHEEL_OFF_GROUND = 2e-3
@@ -37,6 +38,8 @@ def check_robot(robot: Robot, design: DesignRequirements, report: Report) -> Non
         check_steering_range(robot, report)
         check_controllable(robot, report)
         check_slope(robot, design, report)
+        if not report.has_errors:  # wrong masses, wheels or a wrong slope cause false warnings
+            check_standing(robot, design, report)
 
 
 def check_size(robot: Robot, report: Report) -> None:
@@ -284,3 +287,24 @@ def check_slope(robot: Robot, design: DesignRequirements, report: Report) -> Non
                 design.slope_span or robot.span,
                 hint=hint,
             )
+
+
+def check_standing(robot: Robot, design: DesignRequirements, report: Report) -> None:
+    """Checks that the robot stands on the required slope without power, see
+    ``model.statics.unpowered``.
+
+    While the drives have power, they hold the robot.  Somebody must know what holds it then.
+    """
+    slopes = standing_slopes(robot)
+    if design.slope is None or slopes is None or holds_without_torque(robot):
+        return
+    limits = f"stands with its motors off up to {math.degrees(slopes.motors_off):.1f} deg"
+    if slopes.braked is not None:
+        limits += f", with its brakes closed up to {math.degrees(slopes.braked):.1f} deg"
+    report.add(
+        "slope-not-held",
+        f"the robot {limits}; it is designed for {math.degrees(design.slope):.1f} deg",
+        design.slope_span or robot.span,
+        hint="choose drives with brakes (`brake`), or put chocks under the wheels before the "
+        "power is cut on a slope",
+    )

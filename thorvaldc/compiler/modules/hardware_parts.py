@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from thorvaldc.diagnostics import Span
 from thorvaldc.model.module import NOT_STATED, Purchase
-from thorvaldc.model.robot import Collision, Mesh, Scalar, SourcedMass, Tread, Visual
+from thorvaldc.model.robot import Brake, Collision, Mesh, Scalar, SourcedMass, Tread, Visual
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
 
@@ -59,6 +59,7 @@ class MotorPart(NamedTuple):
     ``motor_max_speed`` is the maximum speed of the motor shaft (rad/s).  ``max_velocity`` (rad/s),
     ``max_acceleration`` (rad/s^2) and ``max_torque`` (N m) are the limits of the motor at the
     joint, behind the gear.  ``armature`` is the inertia of the rotor as seen at the joint (kg m^2).
+    ``back_driving_torque`` (N m) is at the joint, too.
     """
 
     name: str
@@ -71,6 +72,8 @@ class MotorPart(NamedTuple):
     max_acceleration: float
     max_torque: float
     armature: float
+    back_driving_torque: float
+    brake: Brake | None
     span: Span
 
 

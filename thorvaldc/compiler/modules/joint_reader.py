@@ -9,6 +9,7 @@ from thorvaldc.compiler.modules.module_values import ModuleValues
 from thorvaldc.compiler.modules.scope import hint_of_known
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label
+from thorvaldc.model.robot import Brake
 from thorvaldc.model.spatial import Vec3, norm, scale
 
 
@@ -220,7 +221,19 @@ def _read_motor(
         # acceleration by n.  For a gear with the ratio n, the inertia of the rotor at the joint is
         # therefore n^2 times the inertia at the motor shaft.
         rotor_inertia * gear_ratio * gear_ratio,
+        values.not_negative(node, "back_driving_torque", "torque"),
+        _read_brake(values, node.get("brake"), gear_ratio),
         node.where,
+    )
+
+
+def _read_brake(values: ModuleValues, node: Node | None, gear_ratio: float) -> Brake | None:
+    """Returns the brake of a motor, or ``None`` for `none` and for a false condition `when`."""
+    if node is None or node.value == "none" or not values.is_present(node):
+        return None
+    return Brake(
+        values.positive(node, "torque", "torque", 1.0) * gear_ratio,
+        values.not_negative(node, "closing_time", "time"),
     )
 
 

@@ -145,6 +145,8 @@ class RobotParts:
                     node=None,
                     channel=None,
                     span=leaf.span,
+                    back_driving_torque=clean(motor.back_driving_torque),
+                    brake=motor.brake,
                 )
             )
 

@@ -17,6 +17,7 @@ from thorvaldc.model.facts.slopes import SlopeLimits, Slopes
 from thorvaldc.model.facts.soil import SoilLoad
 from thorvaldc.model.facts.stability import DIRECTIONS, Stability, WheelLoad
 from thorvaldc.model.module import SourcedMass
+from thorvaldc.model.statics.unpowered import StandingSlopes
 
 Row = tuple[str, ...]
 
@@ -49,6 +50,7 @@ def fact_tables(facts: RobotFacts) -> tuple[FactTable, ...]:
         _driving(facts.driving),
         _energy(facts.energy),
         _slopes(facts.slopes),
+        _standing(facts.standing),
         *_buses(facts.buses),
         _wiring(facts.wiring, has_battery=bool(facts.energy.batteries)),
         _modules(facts.modules),
@@ -232,6 +234,21 @@ def _slopes(slopes: Slopes | None) -> FactTable:
             f" {_interval(friction)}, rolling resistance {_interval(rolling)}, largest torque of"
             " the motors.",
         ),
+    )
+
+
+def _standing(slopes: StandingSlopes | None) -> FactTable:
+    rows: list[Row] = []
+    if slopes is not None:
+        rows.append(("stands with its motors off up to", _angle(slopes.motors_off)))
+        braked = "no brakes" if slopes.braked is None else _angle(slopes.braked)
+        rows.append(("with its brakes closed up to", braked))
+    return FactTable(
+        "standing",
+        "Standing without power",
+        (),
+        tuple(rows),
+        notes=("Facing straight uphill or downhill, the smaller one; all joints at 0.",),
     )
 
 

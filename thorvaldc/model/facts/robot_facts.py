@@ -25,6 +25,7 @@ from thorvaldc.model.facts.stability import Stability, WheelLoad, stability_of, 
 from thorvaldc.model.once_per_model import once_per_model
 from thorvaldc.model.robot import Robot
 from thorvaldc.model.spatial import Vec3
+from thorvaldc.model.statics.unpowered import StandingSlopes, standing_slopes
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,7 @@ class RobotFacts:
     - ``center_of_mass``: position in ``base_link`` in m.
     - ``soil``: ``None`` for a robot without wheels.
     - ``slopes``: ``None`` for a robot without driven wheels or one that does not stand.
+    - ``standing``: ``None`` for a robot that does not stand.
     """
 
     name: str
@@ -51,6 +53,7 @@ class RobotFacts:
     stability: Stability
     driving: Driving
     slopes: Slopes | None
+    standing: StandingSlopes | None
     energy: Energy
     buses: tuple[BusFacts, ...]
     wiring: tuple[Wire, ...]
@@ -71,6 +74,7 @@ _SECTIONS: dict[str, Callable[[Robot], Any]] = {
     "stability": stability_of,
     "driving": driving_of,
     "slopes": slopes_of,
+    "standing": standing_slopes,
     "energy": energy_of,
     "buses": buses_of,
     "wiring": wiring_of,

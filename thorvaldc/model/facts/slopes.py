@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import functools
-import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from thorvaldc.model.facts.stability import DIRECTIONS
 from thorvaldc.model.robot import Robot
-from thorvaldc.model.statics.slope import SlopeForces, SlopeStatics
+from thorvaldc.model.statics.slope import SlopeForces, SlopeStatics, steepest_angle
 from thorvaldc.model.statics.tip_over import support_of
-
-_STEP, _STEEPEST = math.radians(10.0), math.radians(80.0)
-_TOLERANCE = 1e-12  # rad
-_MAX_ITERATIONS = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,45 +70,10 @@ def _limits(robot: Robot, statics: SlopeStatics, *, backwards: bool) -> SlopeLim
 
     downhill = DIRECTIONS["front" if backwards else "rear"]
     limits = {
-        "grip": _zero(lambda angle: forces(angle).grip - forces(angle).needed),
-        "torque": _zero(lambda angle: forces(angle).motors - forces(angle).needed),
+        "grip": steepest_angle(lambda angle: forces(angle).grip - forces(angle).needed),
+        "torque": steepest_angle(lambda angle: forces(angle).motors - forces(angle).needed),
         "tip_over": support_of(robot).tip_over_angle(downhill),
     }
     known = {name: angle for name, angle in limits.items() if angle is not None}
     reason = min(known, key=lambda name: known[name])
     return SlopeLimits(limits["grip"], limits["torque"], known["tip_over"], known[reason], reason)
-
-
-def _zero(excess: Callable[[float], float]) -> float | None:
-    """Return the angle in rad from which on a force is too small, or ``None`` if it never is.
-
-    ``excess`` is the force minus the needed force as a function of the angle. The Illinois
-    algorithm finds the zero in the first step of ``_STEP`` in which the excess becomes negative.
-    """
-    low, high = 0.0, 0.0
-    excess_low = excess(low)
-    if excess_low < 0.0:
-        return 0.0
-    while True:
-        high = low + _STEP
-        if high > _STEEPEST:
-            return None
-        excess_high = excess(high)
-        if excess_high < 0.0:
-            break
-        low, excess_low = high, excess_high
-    side, previous = 0, high
-    for _ in range(_MAX_ITERATIONS):
-        middle = (low * excess_high - high * excess_low) / (excess_high - excess_low)
-        if abs(middle - previous) < _TOLERANCE:
-            break
-        previous, value = middle, excess(middle)
-        if value >= 0.0:
-            low, excess_low = middle, value
-            excess_high = excess_high / 2.0 if side > 0 else excess_high
-            side = 1
-        else:
-            high, excess_high = middle, value
-            excess_low = excess_low / 2.0 if side < 0 else excess_low
-            side = -1
-    return previous

@@ -1,4 +1,4 @@
-"""The forces on a robot that drives straight up or down a slope.
+"""The forces on a robot that drives or stands straight up or down a slope.
 
 The robot is rigid and has all joints at position 0. On a slope of the angle a, the weight W has the
 component W cos(a) into the ground and W sin(a) downhill. The centre of mass at the height h then
@@ -16,6 +16,7 @@ rockers leave out the moments that the driving forces have about the rockers.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -26,6 +27,10 @@ from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.static_loads import Pivot, free_pivots, static_loads
 from thorvaldc.model.stopping import driven_wheels
+
+_STEP, _STEEPEST = math.radians(10.0), math.radians(80.0)
+_TOLERANCE = 1e-12  # rad
+_MAX_ITERATIONS = 60
 
 
 class SlopeForces(NamedTuple):
@@ -70,3 +75,40 @@ class SlopeStatics:
         rolling = float_sum(wheel.rolling_resistance * load for wheel, load in wheels)
         grip = float_sum(wheel.friction * load for wheel, load in wheels if wheel.driven)
         return SlopeForces(weight * math.sin(angle) + rolling, self._motors, grip)
+
+
+def steepest_angle(excess: Callable[[float], float]) -> float | None:
+    """Return the angle in rad from which on a force is too small.
+
+    Returns ``None`` if the force is large enough up to 80 degrees.
+
+    ``excess`` is the force minus the needed force as a function of the angle. The Illinois
+    algorithm finds the zero in the first step of ``_STEP`` in which the excess becomes negative.
+    """
+    low, high = 0.0, 0.0
+    excess_low = excess(low)
+    if excess_low < 0.0:
+        return 0.0
+    while True:
+        high = low + _STEP
+        if high > _STEEPEST:
+            return None
+        excess_high = excess(high)
+        if excess_high < 0.0:
+            break
+        low, excess_low = high, excess_high
+    side, previous = 0, high
+    for _ in range(_MAX_ITERATIONS):
+        middle = (low * excess_high - high * excess_low) / (excess_high - excess_low)
+        if abs(middle - previous) < _TOLERANCE:
+            break
+        previous, value = middle, excess(middle)
+        if value >= 0.0:
+            low, excess_low = middle, value
+            excess_high = excess_high / 2.0 if side > 0 else excess_high
+            side = 1
+        else:
+            high, excess_high = middle, value
+            excess_low = excess_low / 2.0 if side < 0 else excess_low
+            side = -1
+    return previous

@@ -449,10 +449,7 @@ class Axis:
         self.motor.hold(self.motor.read(now).position, now)
 
     def _relax(self, now: float) -> None:
-        """Switches the motor off, and closes the brake if the motor has a brake."""
+        """Switches the motor off.  The brake of the motor closes, because it has no current."""
         if not self._relaxed:
             self._relaxed = True
-            if self.settings.brake:
-                self._stand(now)
-            else:
-                self.motor.release(now)
+            self.motor.release(now)

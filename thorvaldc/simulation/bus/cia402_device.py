@@ -173,7 +173,7 @@ def _axis_settings(specification: DeviceSpecification, actuator: Actuator) -> Ax
         actuator.max_torque,
         joint.lower if steering else None,
         joint.upper if steering else None,
-        brake=steering,
+        brake=actuator.brake is not None,
         zero=actuator.encoder_offset,
     )
 

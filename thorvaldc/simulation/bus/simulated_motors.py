@@ -6,8 +6,10 @@ import abc
 import math
 from typing import NamedTuple
 
-from thorvaldc.model import Actuator, Joint, Robot
-from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointStates
+from thorvaldc.model import Actuator, Robot
+from thorvaldc.runtime.base_interface import JointCommands, JointStates
+from thorvaldc.simulation.physics.coasting import Coasting, coasting_of
+from thorvaldc.simulation.physics.simulated_joints import SimulatedJoints
 
 POSITION_GAIN = 10.0
 """Speed of a joint divided by the distance from the commanded position (1/s)."""
@@ -64,6 +66,9 @@ class IdealMotor(MotorModel):
     The motor accelerates to a commanded velocity with ``max_acceleration`` (rad/s^2).  The motor
     moves to a commanded position with ``max_velocity`` (rad/s).  ``lower`` and ``upper`` are the
     positions (rad) of the mechanical stops.
+
+    A motor without power rolls out as ``coasting`` states, by default with ``max_acceleration``.
+    ``wheels`` are the driven wheels of the robot, if the motor turns one of them.
     """
 
     def __init__(
@@ -74,6 +79,8 @@ class IdealMotor(MotorModel):
         lower: float = -math.inf,
         upper: float = math.inf,
         position: float = 0.0,
+        coasting: Coasting | None = None,
+        wheels: DrivenWheels | None = None,
     ) -> None:
         self.max_velocity = max_velocity
         self.max_acceleration = max_acceleration
@@ -86,6 +93,13 @@ class IdealMotor(MotorModel):
         self._time = 0.0
         self._speed: float | None = 0.0
         self._goal: float | None = None
+        self._coasting = coasting or Coasting(max_acceleration, max_acceleration)
+        self._wheels = wheels
+        self._off_since: float | None = None
+
+    @property
+    def has_power(self) -> bool:
+        return self._off_since is None
 
     def read(self, now: float) -> MotorState:
         self._advance(now)
@@ -93,16 +107,16 @@ class IdealMotor(MotorModel):
 
     def turn(self, velocity: float, now: float) -> None:
         self._advance(now)
-        self._speed, self._goal = velocity, None
+        self._speed, self._goal, self._off_since = velocity, None, None
 
     def hold(self, position: float, now: float) -> None:
         self._advance(now)
-        self._speed, self._goal = None, position
+        self._speed, self._goal, self._off_since = None, position, None
 
     def release(self, now: float) -> None:
-        """Brakes the motor to rest, because an ideal motor without inertia cannot coast."""
         self._advance(now)
-        self._speed, self._goal = 0.0, None
+        if self._off_since is None:
+            self._speed, self._goal, self._off_since = 0.0, None, now
 
     def _advance(self, now: float) -> None:
         dt = now - self._time
@@ -113,7 +127,14 @@ class IdealMotor(MotorModel):
             self._torque = 0.0
             return
         start, speed = self._position, self._velocity
-        if self._goal is not None:
+        if self._off_since is not None:
+            if self._wheels is not None:
+                limit = self._wheels.fastest_with_power(now) / self._wheels.radius(self)
+                speed = min(max(speed, -limit), limit)
+            off_for = now - dt - self._off_since
+            self._velocity, angle = self._coasting.roll(speed, off_for, dt)
+            end, self._torque = start + angle, 0.0
+        elif self._goal is not None:
             reach = self.max_velocity * dt
             change = min(max(self._goal - start, -reach), reach)
             end, self._velocity = start + change, change / dt
@@ -131,22 +152,51 @@ class IdealMotor(MotorModel):
             self._torque = share * self.max_torque
         position = min(max(end, self.lower), self.upper)
         if self.blocked or position != end:
-            push = end - start
+            push = end - start if self.has_power else 0.0
             self._torque = math.copysign(self.max_torque, push) if push else 0.0
             self._velocity = 0.0
             position = start if self.blocked else position
         self._position = position
 
 
+class DrivenWheels:
+    """The ideal motors that turn the wheels of one robot.
+
+    The ground couples the wheels of a robot: a wheel without power rolls no faster than the fastest
+    wheel with power.  The wheel does not hold the robot back, and the robot does not drag it.
+    """
+
+    def __init__(self) -> None:
+        self._radii: dict[IdealMotor, float] = {}
+
+    def add(self, motor: IdealMotor, radius: float) -> None:
+        """Adds the motor of a wheel with the radius ``radius`` (m)."""
+        self._radii[motor] = radius
+
+    def radius(self, motor: IdealMotor) -> float:
+        """Returns the radius (m) of the wheel of a motor."""
+        return self._radii[motor]
+
+    def fastest_with_power(self, now: float) -> float:
+        """Returns the speed (m/s) of the fastest wheel with power, infinite without one."""
+        return max(
+            (
+                abs(motor.read(now).velocity) * radius
+                for motor, radius in self._radii.items()
+                if motor.has_power
+            ),
+            default=math.inf,
+        )
+
+
 class BaseMotors:
     """The motors of a simulated base.
 
-    Each actuator has a motor model.  All motor models use the same ``BaseHandle``.  The simulation
-    of the base advances when the ``BaseHandle`` is read.  A ``BaseHandle`` cannot release a joint,
-    so that the motor model of a released motor commands the joint to rest.
+    Each actuator has a motor model.  All motor models use the same base.  The simulation of the
+    base advances when the base is read.
     """
 
-    def __init__(self, robot: Robot, base: BaseHandle) -> None:
+    def __init__(self, robot: Robot, base: SimulatedJoints) -> None:
         self.base = base
         base.expect_single_commands()
         n = len(robot.wheels)
@@ -178,11 +228,16 @@ class BaseMotors:
         self.states(now)
         self.base.write(self._commands, now)
 
+    def switch(self, wheel: int, steering: bool, on: bool, now: float) -> None:
+        self.states(now)
+        self.base.switch_motor(wheel, steering, on, now)
+
 
 class _BaseMotor(MotorModel):
     """The motor of one joint of a simulated base.
 
-    A steering joint is commanded by angle, and a spin joint is commanded by speed.
+    A steering joint is commanded by angle, and a spin joint is commanded by speed.  The base cannot
+    block a joint, so that the motor of a blocked joint keeps its power and holds the joint.
     """
 
     def __init__(self, motors: BaseMotors, wheel: int, steering: bool) -> None:
@@ -191,6 +246,7 @@ class _BaseMotor(MotorModel):
         self._steering = steering
         self._commanded: float | None = None
         self._turning: tuple[float, float] | None = None
+        self._has_power = True
 
     def read(self, now: float) -> MotorState:
         states, i = self._motors.states(now), self._wheel
@@ -202,6 +258,7 @@ class _BaseMotor(MotorModel):
         return MotorState(position, states.speeds[i], 0.0)
 
     def turn(self, velocity: float, now: float) -> None:
+        self._switch(True, now)
         if not self._steering:
             self._write(velocity, now)
             return
@@ -215,17 +272,22 @@ class _BaseMotor(MotorModel):
 
     def hold(self, position: float, now: float) -> None:
         self._turning = None
+        self._switch(True, now)
         if self._steering:
             self._write(position, now)
         else:
             self._write(POSITION_GAIN * (position - self.read(now).position), now)
 
     def release(self, now: float) -> None:
-        if self._steering:
-            self._turning = None
-            self._write(self.read(now).position, now)
-        else:
-            self._write(0.0, now)
+        here = self.read(now).position
+        self._turning = None
+        self._write(here if self._steering else 0.0, now)
+        self._switch(self.blocked, now)
+
+    def _switch(self, on: bool, now: float) -> None:
+        if on is not self._has_power:
+            self._has_power = on
+            self._motors.switch(self._wheel, self._steering, on, now)
 
     def _advance_steering(self, now: float) -> None:
         if self._turning is not None and self._commanded is not None:
@@ -283,15 +345,23 @@ class Encoder:
         return self._last if not self.frozen else (self._last[0], 0.0)
 
 
-def ideal_motor(actuator: Actuator, joint: Joint) -> IdealMotor:
-    """Returns an ideal motor for an actuator.
+def ideal_motor(robot: Robot, actuator: Actuator, wheels: DrivenWheels | None = None) -> IdealMotor:
+    """Returns an ideal motor for an actuator of a robot.
 
     If the joint has limits, the motor has mechanical stops at half a turn in both directions.
+    ``wheels`` are the other driven wheels of the robot, which a driven wheel joins.
     """
-    return IdealMotor(
+    joint = robot.joint(actuator.joint)
+    wheel = next((w for w in robot.wheels if w.spin_joint == actuator.joint), None)
+    motor = IdealMotor(
         actuator.max_velocity,
         actuator.max_acceleration,
         actuator.max_torque,
         -math.inf if joint.lower is None else min(joint.lower, -STOP),
         math.inf if joint.upper is None else max(joint.upper, STOP),
+        coasting=coasting_of(robot, actuator),
+        wheels=wheels if wheel is not None else None,
     )
+    if wheels is not None and wheel is not None:
+        wheels.add(motor, wheel.radius)
+    return motor

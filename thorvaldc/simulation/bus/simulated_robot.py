@@ -10,14 +10,19 @@ from thorvaldc.model import Actuator, Robot
 from thorvaldc.model.bus import Bus, Node
 from thorvaldc.model.bus_quirks import Quirk
 from thorvaldc.model.require_bus import require_bus
-from thorvaldc.runtime.base_interface import BaseHandle
 from thorvaldc.simulation.bus.device_specification import DeviceSpecification
 from thorvaldc.simulation.bus.device_table import create_device
 from thorvaldc.simulation.bus.simulated_device import SimulatedDevice
-from thorvaldc.simulation.bus.simulated_motors import BaseMotors, MotorModel, ideal_motor
+from thorvaldc.simulation.bus.simulated_motors import (
+    BaseMotors,
+    DrivenWheels,
+    MotorModel,
+    ideal_motor,
+)
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
+from thorvaldc.simulation.physics.simulated_joints import SimulatedJoints
 
 
 class SimulatedRobot:
@@ -36,7 +41,7 @@ class SimulatedRobot:
         robot: Robot,
         *,
         seed: int = 0,
-        base: BaseHandle | None = None,
+        base: SimulatedJoints | None = None,
         delivered: bool = False,
         nonvolatile: Mapping[str, Mapping[str, Any]] | None = None,
         quirks: Iterable[Quirk] = (),
@@ -60,6 +65,7 @@ class SimulatedRobot:
         self.devices: dict[str, SimulatedDevice] = {}
         self.motors: dict[str, MotorModel] = {}
         self._base_motors = None if base is None else BaseMotors(robot, base)
+        self._driven_wheels = DrivenWheels()
         self._delivered = delivered
         self._quirks = frozenset(quirks)
         for bus in robot.buses:
@@ -124,7 +130,8 @@ class SimulatedRobot:
             if self._base_motors is not None and not ideal_motors:
                 model = self._base_motors.motor(actuator)
             if model is None:
-                model = ideal_motor(actuator, self.robot.joint(actuator.joint))
+                wheels = None if ideal_motors else self._driven_wheels
+                model = ideal_motor(self.robot, actuator, wheels)
             if not ideal_motors:
                 self.motors[actuator.name] = model
             return model

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import abc
 
-from thorvaldc.runtime.base_interface import BaseHandle
 from thorvaldc.runtime.se2 import Pose2, Twist
+from thorvaldc.simulation.physics.simulated_joints import SimulatedJoints
 
 
-class GroundTruthBase(BaseHandle):
+class GroundTruthBase(SimulatedJoints):
     """A simulated base that also returns the true motion of the robot.
 
     The true motion of the robot is used only for measurements.  The base driver uses only the

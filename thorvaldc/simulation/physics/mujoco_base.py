@@ -10,6 +10,7 @@ from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.simulation.physics.drive_servos import DriveServos
 from thorvaldc.simulation.physics.ground_truth_base import GroundTruthBase
+from thorvaldc.simulation.physics.motors_without_power import MotorsWithoutPower
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.physics.wheel_errors import WheelErrors
 
@@ -116,9 +117,23 @@ class MujocoBase(GroundTruthBase):
         self._steerings = tuple((i, m, self._lag(m)) for i, m in self._steering_motors)
         self._last_commands: JointCommands | None = None
         self._last_time = 0.0
+        self._without_power = MotorsWithoutPower(
+            scene,
+            [
+                (i, steering, motor, self._base + q, self._base_velocity + v)
+                for steering, motors, joints in (
+                    (False, self._drive_motors, self.spin_joints),
+                    (True, self._steering_motors, self.steering_joints),
+                )
+                for i, motor in motors
+                for wheel, q, v in joints
+                if wheel == i
+            ],
+            robot,
+        )
 
     def read(self, now: float) -> JointStates:
-        self.scene.advance(now)
+        self._without_power.advance(now)
         self.servos.limit()
         ratios, offsets = self._ratios, self._offsets
         # Reading a single number from a list is several times faster than from a numpy array.
@@ -170,7 +185,14 @@ class MujocoBase(GroundTruthBase):
             a = angles[i]
             ctrl[motor] = a + lag / dt * (a - last_angles[i]) + offsets[i]
         for i, joint, slope in self._voltages:
-            self.scene.data.qfrc_applied[joint] = slope * commands.speeds[i] * self._ratios[i]
+            on = not self._without_power.is_off(i, False)
+            self.scene.data.qfrc_applied[joint] = on * slope * commands.speeds[i] * self._ratios[i]
+
+    def switch_motor(self, wheel: int, steering: bool, on: bool, now: float) -> None:
+        self._without_power.switch(wheel, steering, on, now)
+        for i, joint, _ in self._voltages:
+            if i == wheel and not steering:
+                self.scene.data.qfrc_applied[joint] = 0.0  # until the next command
 
     def expect_single_commands(self) -> None:
         """Disables the servo feed-forward, because the time between joint commands is unknown."""

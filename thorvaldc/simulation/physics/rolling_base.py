@@ -30,6 +30,8 @@ RELAXATION_LENGTH = 0.15
 
 A wheel that turns on the spot keeps the commanded angle, although the robot moves a little.
 """
+_WITHOUT_POWER = 1e-2
+"""Weight of a wheel without power in the fit of the twist; that of the other wheels is 1."""
 _LEAST_SPEED = 1e-3
 """Ground speed (m/s) of a wheel below which the direction of motion of the wheel is undefined."""
 
@@ -118,6 +120,8 @@ class RollingBase(SimBase, GroundTruthBase):
                 speed = rolled / wheel.radius
                 self._encoder_positions[i] += (self._encoder_speeds[i] + speed) / 2.0 * dt
                 self._encoder_speeds[i] = speed
+                if (i, False) in self._off_since:
+                    self._speeds[i] = speed
 
     def _angle_without_slip(self, i: int) -> float:
         """Returns the true steering angle (rad) at which a wheel rolls without side slip.
@@ -163,7 +167,11 @@ class RollingBase(SimBase, GroundTruthBase):
             rows = [(across, -wheel.trail * rate)]
             if wheel.driven:
                 speed = self._speeds[i] * wheel.radius + wheel.lateral * rate
-                rows.append((rolling, speed))
+                # A wheel without power follows the others; alone, it rolls on with the robot.
+                scale = _WITHOUT_POWER if (i, False) in self._off_since else 1.0
+                rows.append(
+                    ((scale * rolling[0], scale * rolling[1], scale * rolling[2]), scale * speed)
+                )
             for (r1, r2, r3), z in rows:
                 a11 += r1 * r1
                 a12 += r1 * r2

@@ -48,6 +48,9 @@ def _facts(facts: RobotFacts, has_size: bool) -> Iterator[Fact]:
     if slopes is not None:
         yield "steepest slope forwards", slopes.forwards.steepest, "rad"
         yield "limit of the slope forwards", slopes.forwards.reason, ""
+    if facts.standing is not None:
+        yield "stands with its motors off up to", facts.standing.motors_off, "rad"
+        yield "stands with its brakes closed up to", facts.standing.braked, "rad"
     yield "energy", facts.energy.energy, "J"
     yield "range at most", facts.energy.range_bound, "m"
 

@@ -92,6 +92,7 @@ _UNITS: dict[str, dict[str, str]] = {
         "yaw_rate": "rad/s",
     },
     "slopes": dict.fromkeys(("grip", "torque", "tip_over", "steepest"), "rad"),
+    "standing": dict.fromkeys(("motors_off", "braked"), "rad"),
     "energy": {
         "voltage": "V",
         "capacity": "A s",

@@ -11,6 +11,7 @@ from typing import Any
 from thorvaldc.can.canopen import NMT, SYNC, NmtCommand
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import Bus, FrameDefinition, Node
+from thorvaldc.model.statics.unpowered import roll_out
 from thorvaldc.model.stopping import (
     COMMAND_TIMEOUT,
     DETECTED_FAULT,
@@ -32,6 +33,8 @@ NOT_FOLLOWING = 1.8
 """Longest time (s) until a drive that ignores its commands is detected."""
 SECOND_DEVICE = 0.6
 """Longest time (s) until a second device or false reports are detected."""
+LONGEST_ROLL = 60.0
+"""Longest time (s) for which a robot is observed whose drives have no power."""
 SLOW = 3.0
 """Longest time (s) until a state that is read now and then is detected."""
 
@@ -68,6 +71,8 @@ class FaultCase:
     - ``braking``: longest time (s) until all wheels brake; ``None``: when the driver reacts.
     - ``by_ramp``: ``True`` if the base driver stops the robot with its ramp, ``False`` if the
       drives stop it with their quick stop.
+    - ``rolls_out``: ``True`` if all drives lose their power, so that only friction and brakes stop
+      the robot.
     - ``must_stop``: ``True`` if the robot must stop although the base driver cannot react.
     - ``starts_at``: time (s) of the fault in the phase ``start-up``.
     - ``observed``: time (s) of the observation after the fault.
@@ -80,6 +85,7 @@ class FaultCase:
     detection: Mapping[str, float]
     braking: float | None = None
     by_ramp: bool = False
+    rolls_out: bool = False
     must_stop: bool = False
     starts_at: float = 0.0
     observed: float = 1.0
@@ -310,7 +316,13 @@ def _forgery_cases(target: _Target) -> Iterator[FaultCase]:
 
 def _bus_cases(target: _Target) -> Iterator[FaultCase]:
     case, cycle, prompt = target.case, target.cycle, target.prompt
-    yield case("power of all drives cut", target.on_node(None, "power_cut"), target.silence)
+    yield case(
+        "power of all drives cut",
+        target.on_node(None, "power_cut"),
+        target.silence,
+        rolls_out=True,
+        observed=min(roll_out(target.robot).time + 1.0, LONGEST_ROLL),
+    )
     yield case("one frame in ten is destroyed", target.on_node(None, "noise", share=0.1), None)
     late = target.on_node(None, "late_frames", share=1.0, latency=1.5 * target.cycle)
     delay = prompt + 1.5 * cycle

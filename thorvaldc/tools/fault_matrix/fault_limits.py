@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from thorvaldc.model import Robot
+from thorvaldc.model.statics.unpowered import roll_out
 from thorvaldc.model.stopping import DETECTED_FAULT, STOP_LOCK, stop_bounds
 from thorvaldc.tools.fault_matrix.fault_cases import MOVING_PHASES, STOPPING, FaultCase
 from thorvaldc.tools.fault_matrix.fault_reaction import NOT_SIMULATED, STOPS, UNASKED, Reaction
@@ -12,8 +13,11 @@ def rest_limit(robot: Robot, case: FaultCase, phase: str) -> tuple[float, float]
     """Returns the longest time (s) and distance (m) until the robot stands after a fault.
 
     Until the reaction the robot may drive at its top speed.  Then the robot stops within the time
-    and distance of ``stop_bounds``.
+    and distance of ``stop_bounds``, or rolls out without power.
     """
+    if case.rolls_out:
+        _, time, distance = roll_out(robot)
+        return time, distance
     delay = case.detection.get(phase, 0.0) if case.braking is None else case.braking
     by_ramp = case.by_ramp or (phase not in case.detection and case.braking is None)
     bounds = {bound.kind: bound for bound in stop_bounds(robot)}
