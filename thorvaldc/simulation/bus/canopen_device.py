@@ -181,6 +181,14 @@ class CanopenDevice(SimulatedDevice):
             for subindex in range(1, CONSUMERS + 1):
                 self.objects[0x1016, subindex].value = 0
 
+    def overwrite_object(self, index: int, subindex: int, value: int) -> None:
+        if self.node_id == lss.UNCONFIGURED or (index, subindex) not in self.objects:
+            return
+        entry = self.objects[index, subindex]
+        if entry.can_have(value):
+            entry.value = value
+            self._add_configured_handlers()
+
     def reset_node(self) -> None:
         """Restarts the device as after power-on, but keeps the CAN controller on the bus."""
         self._life += 1
