@@ -217,6 +217,12 @@ class BusConnection:
             return self.foreign_master
         if not (self.rates.excessive or self._extra_responses or self.watchdog.has_boot_ups):
             return ""
+        if self.rates.missed_time:
+            return (
+                f"the nodes on the bus `{self.bus.name}` have sent the frames of "
+                f"{self.rates.missed_time:.2f} s more than the clock of the computer shows; did it "
+                "sleep, or do all frames arrive twice?"
+            )
         for controller in self.controllers:
             name = controller.node.name
             if self._extra_responses.get(name, 0.0) > EXTRA_RESPONSES:
