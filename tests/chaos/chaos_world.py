@@ -19,6 +19,7 @@ from tests.chaos.chaos_problems import (
     LATCHED,
     LYING,
     MASTER_BUS_OFF,
+    OBJECT_WRITTEN,
     Problem,
     notice_time,
     problem_kind,
@@ -45,6 +46,7 @@ from thorvaldc.runtime.control.runner_services import RunnerControl
 from thorvaldc.runtime.driver import BaseDriver, DriverState
 from thorvaldc.runtime.runner import BaseRunner
 from thorvaldc.runtime.se2 import Pose2, Twist
+from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.cia402_device import Cia402Drive
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 from thorvaldc.simulation.bus.roboteq_device import RoboteqController
@@ -485,6 +487,13 @@ class ChaosWorld:
         number = self._open_problem(problem, notice_time(self.robot, problem, fault))
         if kind == "late_frames":
             self.problems[number].delay = fault.latency
+        if kind == OBJECT_WRITTEN:
+            written = self.simulated.devices[node or ""]
+            assert isinstance(written, CanopenDevice)
+            key = fault.index, fault.subindex
+            self.problems[number].holds = lambda: (
+                key in written.objects and written.objects[key].value == fault.value
+            )
         self._encoder_jumped |= kind == "encoder_jump"
         self._targets[number] = target
         device = self.simulated.devices.get(node or "")

@@ -163,7 +163,10 @@ class StateInvariant:
             limit = problem.notice
             if limit is None:
                 continue
-            if not world.runner.state.drives or world.late_cycle:
+            # Objects are read by SDO, which lost and late frames delay without a limit.
+            delayed = problem.kind == "object_written" and world.impeded
+            delayed = delayed or not problem.holds()
+            if delayed or not world.runner.state.drives or world.late_cycle:
                 self._since.pop(number, None)
                 continue
             since = self._since.setdefault(number, max(now, problem.since))

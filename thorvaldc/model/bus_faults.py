@@ -36,7 +36,7 @@ FAULT_KINDS = {
     "forged_frames": FaultKind("no", ("cob_id",), ("data", "period", "format")),
     "battery_charge": FaultKind("yes", ("charge",)),
     "watchdog_lost": FaultKind("yes", lasts=False),
-    "object_written": FaultKind("yes", ("index", "value"), ("subindex",), lasts=False),
+    "object_written": FaultKind("yes", ("index", "value"), ("subindex",)),
     "frozen_encoder": FaultKind("yes", ("channel",)),
     "encoder_jump": FaultKind("yes", ("channel", "angle"), lasts=False),
     "blocked_motor": FaultKind("yes", ("channel",)),

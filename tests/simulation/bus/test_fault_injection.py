@@ -290,6 +290,13 @@ def test_an_object_is_overwritten_until_the_next_reset() -> None:
     assert run.beats(1, 1.0) == 10
 
 
+def test_an_object_is_overwritten_for_a_time() -> None:
+    run = Run(fault("object_written", index=0x1017, value=200, duration=1.1))
+    run.simulated.run(2.3)
+    run.master.interface.received.clear()
+    assert run.beats(1, 1.0) == 10
+
+
 @pytest.mark.parametrize("lost", [False, True])
 def test_watchdog_lost_of_a_script(lost: bool) -> None:
     robot = example_robot("4wd4ws_wide")
@@ -420,5 +427,5 @@ def test_every_kind_of_fault_can_be_injected() -> None:
     begun = [kind for _, kind, begins in run.reports if begins]
     assert begun == list(FAULT_KINDS)
     assert [f.kind for f in run.faults.active] == [
-        "duplicate_id", "emcy", "watchdog_lost", "object_written", "encoder_jump", "bus_off",
+        "duplicate_id", "emcy", "watchdog_lost", "encoder_jump", "bus_off",
     ]  # fmt: skip

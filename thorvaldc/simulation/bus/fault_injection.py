@@ -113,7 +113,14 @@ class FaultInjector:
         elif fault.kind == "watchdog_lost":
             device.lose_watchdog()
         elif fault.kind == "object_written":
-            device.overwrite_object(fault.index, fault.subindex, fault.value)
+            key = fault.index, fault.subindex
+            previous = device.overwrite_object(*key, fault.value)
+
+            def restore_object() -> None:
+                if previous is not None:
+                    device.overwrite_object(*key, previous)
+
+            return restore_object
         elif fault.kind == "battery_charge":
             charge = device.set_charge(fault.charge)
 

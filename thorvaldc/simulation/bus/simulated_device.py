@@ -164,12 +164,12 @@ class SimulatedDevice:
         """
         raise ValueError(f"{self.name} has no watchdog")
 
-    def overwrite_object(self, index: int, subindex: int, value: int) -> None:
+    def overwrite_object(self, index: int, subindex: int, value: int) -> int | None:
         """Changes an object of the object dictionary, as a service tool at another interface does.
 
-        A device refuses, silently, an object or a value that it cannot have.  The stored value
-        applies again after a reset of the device.  Raises ``ValueError`` if the device has no
-        object dictionary.
+        Returns the previous value, or ``None`` if the device refuses an object or a value that it
+        cannot have.  The stored value applies again after a reset of the device.  Raises
+        ``ValueError`` if the device has no object dictionary.
         """
         raise ValueError(f"{self.name} has no object dictionary")
 
