@@ -254,6 +254,11 @@ class BusConnection:
     def _device_names(self) -> list[str]:
         return [b.node.name for b in self.batteries] + [b.node.name for b in self.boards]
 
+    @property
+    def is_lost(self) -> bool:
+        """``True`` if no frame of the driver reaches the bus."""
+        return bool(self.receiver.lost) or self.interface.state is ErrorState.BUS_OFF
+
     def problem(self, now: float) -> str:
         """Returns the first reason to stop the robot, or an empty text if there is no reason."""
         if self.receiver.lost:

@@ -21,6 +21,7 @@ from thorvaldc.model.stopping import (
     HEARTBEAT_TIMEOUT,
     stop_bounds,
 )
+from thorvaldc.model.swerve import swerve_bounds
 from thorvaldc.runtime.can_base.motor_controller import controller_class
 from thorvaldc.tools.fault_matrix.rehearsal import Rehearsal
 
@@ -366,10 +367,21 @@ def _forgery_cases(target: _Target) -> Iterator[FaultCase]:
 def _bus_cases(target: _Target) -> Iterator[FaultCase]:
     case, cycle, prompt = target.case, target.cycle, target.prompt
     yield case("power of all drives cut", target.on_node(None, "power_cut"), target.silence)
+    if swerve_bounds(target.robot):
+        name = target.bus.name
+
+        def lose(rehearsal: Rehearsal, phase: str, evidence: Evidence) -> None:
+            rehearsal.lose_bus(name)
+
+        # The wheels of the other buses stop together with those of the lost bus.
+        more: dict[str, Any] = {"phases": (IDLE, *MOVING_PHASES), "braking": target.watchdog}
+        yield case(f"the driver loses the bus {name} of several", lose, prompt, **more)
+        silent = target.on_node(None, "lost_frames", share=1.0)
+        yield case(f"the bus {name} of several is silent", silent, target.silence, **more)
     yield case("one frame in ten is destroyed", target.on_node(None, "noise", share=0.1), None)
-    late = target.on_node(None, "late_frames", share=1.0, latency=1.5 * target.cycle)
+    late_frames = target.on_node(None, "late_frames", share=1.0, latency=1.5 * target.cycle)
     delay = prompt + 1.5 * cycle
-    yield case("all frames arrive 1.5 cycles late", late, None, braking=delay)
+    yield case("all frames arrive 1.5 cycles late", late_frames, None, braking=delay)
     twice = target.on_node(None, "repeated_frames", share=1.0)
     # CANopen nodes send SDO responses and boot-up messages twice, others only too many reports.
     canopen = any(node.is_canopen for node in target.bus.nodes)
