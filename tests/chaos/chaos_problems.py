@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from tests.chaos.invariants import NOTICE, false_reports_notice
 from thorvaldc.can.canopen import HEARTBEAT, NMT, RPDO, SYNC, TPDO
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault
+from thorvaldc.model.required_objects import reading_time
 
 MASTER_BUS_OFF = "master_bus_off"
 FALSE_REPORTS = "false_reports"
@@ -39,8 +41,13 @@ LYING = (
 EMPTY_BATTERY = "battery_charge of a device"
 FASTEST_CONSTANTS = 0.1
 """Period (s) of the report of constants while the driver waits for them."""
+OBJECT_WRITTEN = "object_written"
 LATCHED = ("second_master",)
 """Kinds of problems that must be noticed, even if they were short."""
+
+
+READING_MARGIN = 0.3
+"""s by which a single lost or late SDO response may delay the reading of all objects."""
 
 
 @dataclass
@@ -49,7 +56,8 @@ class Problem:
 
     - ``since``: time (s) of its start;
     - ``notice``: longest time (s) until the driver notices it, or ``None`` if it need not;
-    - ``delay``: time (s) by which frames are late.
+    - ``delay``: time (s) by which frames are late;
+    - ``holds``: tells whether a reset of the device has not ended it.
     """
 
     kind: str
@@ -58,6 +66,7 @@ class Problem:
     delay: float = 0.0
     ended: bool = False
     noticed: bool = False
+    holds: Callable[[], bool] = lambda: True
 
 
 def problem_kind(robot: Robot, fault: BusFault) -> str:
@@ -77,9 +86,11 @@ def problem_kind(robot: Robot, fault: BusFault) -> str:
 
 def notice_time(robot: Robot, kind: str, fault: BusFault) -> float | None:
     """Returns the longest time (s) until the driver notices an injected fault."""
+    bus = next(bus for bus in robot.buses if bus.name == fault.bus)
+    if kind == OBJECT_WRITTEN:
+        return reading_time(bus, min(b.sync_period for b in robot.buses)) + READING_MARGIN
     if kind != FALSE_REPORTS:
         return NOTICE.get(kind)
-    bus = next(bus for bus in robot.buses if bus.name == fault.bus)
     drives = {node.name for node in bus.nodes if node.channels}
     reports = {f.cob_id: f.period for f in bus.frames if f.producer in drives and f.period}
     period = reports.get(fault.cob_id or 0)

@@ -19,6 +19,7 @@ from tests.chaos.chaos_problems import (
     LATCHED,
     LYING,
     MASTER_BUS_OFF,
+    OBJECT_WRITTEN,
     Problem,
     notice_time,
     problem_kind,
@@ -41,10 +42,10 @@ from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.model.bus_faults import BusFault, BusFaults
 from thorvaldc.model.robot import AUTOMATIC
 from thorvaldc.runtime.can_base.can_base import CanBase
-from thorvaldc.runtime.control.runner_services import RunnerControl
+from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import BaseDriver, DriverState
-from thorvaldc.runtime.runner import BaseRunner
 from thorvaldc.runtime.se2 import Pose2, Twist
+from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.cia402_device import Cia402Drive
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 from thorvaldc.simulation.bus.roboteq_device import RoboteqController
@@ -90,7 +91,7 @@ class ChaosWorld:
         period = min(bus.sync_period for bus in self.robot.buses)
         needs_arming = self.robot.driver.arming != AUTOMATIC
         self.permission = Permission(self.robot, period, needs_arming)
-        self.runner: BaseRunner = None  # type: ignore[assignment]
+        self.driven: DrivenRobot = None  # type: ignore[assignment]
         self.alive = False
         self.listener: MemoryListener | None = None
         self.control: RunnerControl | None = None
@@ -174,7 +175,7 @@ class ChaosWorld:
 
         A driver that has just been started listens, and commands nothing.
         """
-        if self.driver_hangs or not self.alive or self.runner.state.starts:
+        if self.driver_hangs or not self.alive or self.driven.base.state.starts:
             return True
         return any(problem.kind in IMPEDING for problem in self.problems.values())
 
@@ -203,10 +204,10 @@ class ChaosWorld:
     def describe(self) -> str:
         if not self.alive:
             return "no driver runs"
-        machine = self.runner.base.state_machine
+        machine = self.driven.base.state_machine
         kinds = ", ".join(sorted({p.kind for p in self.problems.values()})) or "no problem"
         return (
-            f"{machine.state.value} {machine.reason!r}, armed {self.runner.base.armed},"
+            f"{machine.state.value} {machine.reason!r}, armed {self.driven.armed},"
             f" permitted {self.permission.twist(self.now)}, {kinds}"
         )
 
@@ -241,18 +242,18 @@ class ChaosWorld:
             interface.world = self
             self.interfaces[bus.name] = interface
         base = CanBase(robot, self.interfaces, threaded=False)
-        self.runner = BaseRunner(robot, base, next(iter(self.interfaces.values())))
-        self.runner.pace = self._before_cycle
-        self.control = RunnerControl(self.runner)
+        self.driven = DrivenRobot(robot, base, next(iter(self.interfaces.values())))
+        self.driven.pace = self._before_cycle
+        self.control = RunnerControl(self.driven)
         self.listener = MemoryListener()
         self.control._server = MemoryControlServer(
             self.control.services,
             self.listener,
-            self.runner.driver.time_gaps.normal,
+            self.driven.driver.time_gaps.normal,
             self.control._end_program,
         )
-        self.runner.feed = self._feed
-        self._note_resets(self.runner.driver)
+        self.driven.feed = self._feed
+        self._note_resets(self.driven.driver)
         self.odometry.invalidate()
         self.permission.driver_restarted()
         self.alive, self.driver_hangs, self._jump_seen = True, False, False
@@ -295,7 +296,7 @@ class ChaosWorld:
         self.driver_hangs = False
         self.hung_until = self.now
 
-    def _watch(self, runner: BaseRunner, state: DriverState) -> None:
+    def _watch(self, runner: DrivenRobot, state: DriverState) -> None:
         now = self.now
         base_state, base_period = runner.state, runner.period
         self.cycles += 1
@@ -330,7 +331,7 @@ class ChaosWorld:
                     to_ns(end), lambda: bool(self._end) or (stop is not None and stop())
                 )
             else:
-                self.runner.run(
+                self.driven.run(
                     end, watch=self._watch, stop=lambda: bool(self._end) or (stop or _never)()
                 )
             how, self._end = self._end, ""
@@ -344,9 +345,9 @@ class ChaosWorld:
     def _end_driver(self, how: str) -> None:
         if how == "end":
             self.permission.disarm()
-            self.runner.shutdown()
+            self.driven.shutdown()
         else:
-            self.runner.base.close()
+            self.driven.base.close()
         assert self.control is not None
         self.control.close()
         self.alive, self.listener = False, None
@@ -359,8 +360,8 @@ class ChaosWorld:
         """Runs the start-up until the robot is ready."""
         self.simulated.power_on()
         self.start_driver()
-        self.run_until(READY_TIME, lambda: self.runner.ready)
-        assert self.runner.ready, self.describe()
+        self.run_until(READY_TIME, lambda: self.driven.ready)
+        assert self.driven.ready, self.describe()
         self.run_until(self.now + 0.1)
 
     def run(self, schedule: Schedule) -> dict[str, Any]:
@@ -485,6 +486,13 @@ class ChaosWorld:
         number = self._open_problem(problem, notice_time(self.robot, problem, fault))
         if kind == "late_frames":
             self.problems[number].delay = fault.latency
+        if kind == OBJECT_WRITTEN:
+            written = self.simulated.devices[node or ""]
+            assert isinstance(written, CanopenDevice)
+            key = fault.index, fault.subindex
+            self.problems[number].holds = lambda: (
+                key in written.objects and written.objects[key].value == fault.value
+            )
         self._encoder_jumped |= kind == "encoder_jump"
         self._targets[number] = target
         device = self.simulated.devices.get(node or "")
@@ -557,20 +565,20 @@ class ChaosWorld:
             person.call("release_safety_stop", force)
             for lock in self.robot.twist_locks:
                 person.call("lock", {"name": lock.name, "locked": False, **force})
-        if self.runner.robot is not self.robot:
+        if self.driven.robot is not self.robot:
             self._end = "end"
             self.run_until(self.now + CALL_TIME)
             return False
         self.run_until(self.now + CALL_TIME)
-        if not self.runner.state.drives:
+        if not self.driven.base.state.drives:
             self._call(person, "reset_faults")
             self.run_until(
                 self.now + READY_TIME,
-                lambda: self.runner.ready or self.runner.state.value in ("fault", "estop"),
+                lambda: self.driven.ready or self.driven.base.state.value in ("fault", "estop"),
             )
         if self._encoder_jumped:
             self._call(person, "home_steering")
-            self.run_until(self.now + READY_TIME, lambda: self.runner.ready)
+            self.run_until(self.now + READY_TIME, lambda: self.driven.ready)
         self._call(person, "twist", source="teleop_joy")
         self._call(person, "arm")
         person.drive("teleop_joy", list(RECOVERY_TWIST), 2.0, 20.0)

@@ -163,7 +163,10 @@ class StateInvariant:
             limit = problem.notice
             if limit is None:
                 continue
-            if not world.runner.state.drives or world.late_cycle:
+            # Objects are read by SDO, which lost and late frames delay without a limit.
+            delayed = problem.kind == "object_written" and world.impeded
+            delayed = delayed or not problem.holds()
+            if delayed or not world.driven.base.state.drives or world.late_cycle:
                 self._since.pop(number, None)
                 continue
             since = self._since.setdefault(number, max(now, problem.since))
@@ -172,7 +175,7 @@ class StateInvariant:
                     "unnoticed problem",
                     now,
                     f"{problem.kind} since {now - since:.2f} s, and the driver reports"
-                    f" `{world.runner.state.value}`",
+                    f" `{world.driven.base.state.value}`",
                 )
         for number in [n for n in self._since if n not in world.problems]:
             del self._since[number]
@@ -180,7 +183,7 @@ class StateInvariant:
 
 def check_commands(world: ChaosWorld, now: float) -> None:
     """Commands are finite and within the limits of the robot."""
-    base, state = world.runner.base, world.runner.driver.state
+    base, state = world.driven.base, world.driven.driver.state
     if state.time != now:
         return
     for axis in base._axes:
@@ -265,7 +268,7 @@ class OdometryInvariant:
             self.valid = False
         if not self.valid:
             return
-        state = self.world.runner.driver.state
+        state = self.world.driven.driver.state
         covariance = state.pose_covariance
         x, y, yaw = state.pose
         true_x, true_y, true_yaw = self.pose

@@ -13,7 +13,8 @@ from typing import Any
 from tests.chaos.chaos_robots import LOUD_SOURCE, ROBOTS, chaos_robot
 from tests.chaos.schedule import DELIVERED, POWER_ON, READY, ChaosEvent, Schedule
 from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus, Node
+from thorvaldc.model.bus import Bus, Node, ObjectValue
+from thorvaldc.model.required_objects import required_objects
 
 POWER_ON_SHARE = 0.05
 """Share of the missions that begin with the power-on; they take longer."""
@@ -31,6 +32,11 @@ FLOODED_EVERY, FIRST_FLOODED = 97, 5
 drive of their pilot hides what the driver does with the twists that wait."""
 COMMISSIONED = ("steered_cia402", "differential_cia402")
 """Robots whose drives are set up by ``can flash``."""
+EMCY_INHIBIT_TIME, HEARTBEAT_PRODUCER, DRIVE_PROFILE = 0x1015, 0x1017, 0x6000
+DECELERATIONS = (0x84, 0x85)
+"""Profile deceleration (0x6084) and quick stop deceleration (0x6085), within an axis."""
+ON_EVENT = 255
+"""Transmission type of a PDO; 254 means the same."""
 STALLS = (0.005, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.55, 0.62, 0.7, 1.0, 2.0, 5.0)
 GARBAGE = (
     "\x00\xff\xfe\n",
@@ -373,6 +379,19 @@ class MissionGenerator:
         else:
             yield _inject(at, kind, bus, node, self._duration(), channel=channel)
 
+    def objects(self, at: float) -> Iterator[ChaosEvent]:
+        """A service tool overwrites an object; it does not by itself make a stop longer."""
+        bus, node = self.draw.choice(self.controllers)
+        written = [
+            (entry, value)
+            for entry in required_objects(bus, node)
+            if (value := _other_value(entry)) is not None
+        ]
+        entry, value = self.draw.choice(written)
+        seconds = self._duration() if self.draw.random() < 0.2 else None
+        key = {"index": entry.index, "subindex": entry.subindex}
+        yield _inject(0.5 * at, "object_written", bus, node, seconds, **key, value=value)
+
     def battery(self, at: float) -> Iterator[ChaosEvent]:
         if self.batteries:
             bus, node = self.draw.choice(self.batteries)
@@ -394,6 +413,19 @@ class MissionGenerator:
 
 def _has_motor(node: Node) -> bool:
     return any(channel.actuator is not None for channel in node.channels)
+
+
+def _other_value(entry: ObjectValue) -> int | None:
+    """Returns a value that shows nowhere else at first, or ``None`` if there is none."""
+    value = entry.value or 0
+    if entry.index in (HEARTBEAT_PRODUCER, EMCY_INHIBIT_TIME):
+        return 2 * value
+    if entry.index >= DRIVE_PROFILE and entry.index & 0x7FF in DECELERATIONS:
+        return 2 * value
+    is_communication = entry.index & 0xFF00 in (0x1400, 0x1800)
+    if is_communication and entry.subindex == 2 and value == ON_EVENT:
+        return ON_EVENT - 1
+    return None
 
 
 def _call(at: float, client: str, service: str, **arguments: Any) -> ChaosEvent:
@@ -435,6 +467,7 @@ FAULTS: dict[str, Maker] = {
     "clone": MissionGenerator.clone,
     "moved_id": MissionGenerator.moved_id,
     "motor": MissionGenerator.motor,
+    "objects": MissionGenerator.objects,
     "battery": MissionGenerator.battery,
     "clock": MissionGenerator.clock,
     "driver_process": MissionGenerator.driver_process,

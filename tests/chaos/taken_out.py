@@ -11,11 +11,12 @@ from typing import Any
 from thorvaldc.runtime.can_base.battery_supervision import BatteryLevel, BatterySupervision
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.can_base import CanBase
+from thorvaldc.runtime.can_base.object_readback import ObjectSupervision
 from thorvaldc.runtime.control.control_server import ControlServer
-from thorvaldc.runtime.service_table import Caller
+from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.multiplexer import Multiplexer, _Source
 from thorvaldc.runtime.owned_stop import OwnedStop
-from thorvaldc.runtime.runner import BaseRunner
+from thorvaldc.runtime.service_table import Caller
 from thorvaldc.runtime.time_gap import Gap, TimeGapRule
 
 
@@ -52,14 +53,14 @@ def _stop_locks() -> None:
 
 def _arming() -> None:
     """The robot accepts motion as soon as it is ready."""
-    cycle = BaseRunner.cycle
+    cycle = DrivenRobot.cycle
 
-    def cycle_armed(self: BaseRunner, now: float) -> Any:
+    def cycle_armed(self: DrivenRobot, now: float) -> Any:
         if self.ready:
             self.base.armed = True
         return cycle(self, now)
 
-    _replace(BaseRunner, "cycle", cycle_armed)
+    _replace(DrivenRobot, "cycle", cycle_armed)
     _replace(CanBase, "disarm", lambda self, reason="": None)
 
 
@@ -85,6 +86,11 @@ def _batteries() -> None:
     _replace(BatterySupervision, "arming_reasons", lambda self, now: iter(()))
 
 
+def _object_readback() -> None:
+    """Objects are compared at the start-up only."""
+    _replace(ObjectSupervision, "next_request", lambda self, now: None)
+
+
 TAKEN_OUT: dict[str, Callable[[], None]] = {
     "time_gaps": _time_gaps,
     "stale_commands": _stale_commands,
@@ -95,5 +101,6 @@ TAKEN_OUT: dict[str, Callable[[], None]] = {
     "owned_sources": _owned_sources,
     "owned_stops": _owned_stops,
     "batteries": _batteries,
+    "object_readback": _object_readback,
 }
 """Fixes that can be taken out, by name."""

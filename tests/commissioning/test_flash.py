@@ -108,6 +108,23 @@ def test_a_plan_is_for_the_scanned_devices() -> None:
     assert from_json(to_json(bench.configuration)) == bench.configuration
 
 
+def test_a_device_of_another_type_gets_no_id() -> None:
+    """Its identity fits, and its type can be read only when it has an id, which it loses again."""
+    bench = Bench(four_drives(), SWAPPED, timing=QUICK)
+    device = bench.devices()["rl_controller"]
+    device.power_off()
+    device.description = dataclasses.replace(device.description, device_type=0x30191)
+    device.power_on()
+    bench.simulated.run(0.5)
+    with pytest.raises(DiagnosticError) as raised:
+        bench.apply()
+    assert "its device type is 0x30191, not 0xffff0192; it gets no id" in str(raised.value)
+    assert bench.state()["rl_controller"][0] == 255
+    bench.simulated.run(1.0)
+    assert device.node_id == 255
+    assert not bench.watch.doubles
+
+
 # -- guards: nothing is written -------------------------------------------------------------
 
 
@@ -167,7 +184,7 @@ def test_a_drive_that_may_move_stops_it(how: str) -> None:
 def test_a_master_that_appears_in_the_middle_stops_it(frame: CanFrame) -> None:
     bench = Bench(four_drives(), SWAPPED, timing=QUICK)
     driver = bench.simulated.interface(name="driver")
-    bench.wire.at_frame(bench.wire.frames + 400, lambda: driver.send(frame))
+    bench.wire.at_frame(bench.wire.frames + 396, lambda: driver.send(frame))
     count = writes(bench)
     assert code_of(bench.apply) == "bus-other-master"
     start_count = count()

@@ -182,9 +182,9 @@ def test_commands_that_stop(make: Callable[[str], Robot]) -> None:
     rig = Rig(model)
     rig.drive(Twist(0.8, 0.0, 0.0), 3.0)
     rig.twist = None
-    start = rig.runner.driver.state.pose.x
+    start = rig.driven.driver.state.pose.x
     rig.until(lambda: rig.state is BaseState.READY and rig.speed() == 0.0, 5.0)
-    assert rig.runner.driver.state.pose.x - start <= 0.7
+    assert rig.driven.driver.state.pose.x - start <= 0.7
 
 
 def test_derived_watchdogs_cause_no_fault() -> None:

@@ -69,7 +69,7 @@ def test_it_drives_half_a_metre_a_second(robot: Robot) -> None:
         state = motor.read(rig.now)
         assert state.velocity * 0.2 == pytest.approx(0.5, abs=1e-6)
         assert 0.7 < state.position * 0.2 < 1.0
-    pose = rig.runner.driver.odometry.pose
+    pose = rig.driven.driver.odometry.pose
     assert pose.x == pytest.approx(wheels[0].read(rig.now).position * 0.2, abs=0.02)
     assert (pose.y, pose.yaw) == pytest.approx((0.0, 0.0), abs=0.02)
 
@@ -114,7 +114,7 @@ def test_a_safety_stop_brakes_and_then_takes_the_torque_away(robot: Robot) -> No
     rig = Rig(robot)
     rig.drive()
     pressed = rig.now
-    rig.runner.safety_stop(True)
+    rig.driven.safety_stop(True)
     rig.run(0.1)
     assert 0.2 < rig.speed() < 0.5, "it brakes"
     assert not requested_states(commands(rig, LEFT, SET_STATE, pressed))
@@ -128,7 +128,7 @@ def test_a_safety_stop_brakes_and_then_takes_the_torque_away(robot: Robot) -> No
 def test_the_shutdown_leaves_the_axes_idle(robot: Robot) -> None:
     rig = Rig(robot)
     rig.drive()
-    rig.runner.shutdown()
+    rig.driven.shutdown()
     assert [device(rig, f"{side}_controller").state for side in ("left", "right")] == [IDLE, IDLE]
     assert rig.speed() == 0.0
 
@@ -151,7 +151,7 @@ def test_without_commands_the_watchdog_of_the_odrive_stops_it(robot: Robot) -> N
 def reset(rig: Rig) -> None:
     rig.twist = ZERO_TWIST
     rig.run(0.1)
-    rig.runner.reset()
+    rig.driven.reset()
     rig.until(lambda: rig.state in (BaseState.READY, BaseState.FAULT), 12.0)
 
 

@@ -19,8 +19,9 @@ from thorvaldc.can.frame import CanFrame, ReceivedFrame
 class CanInterface(Protocol):
     """Interface to send and receive CAN frames.
 
-    All times are in seconds on the monotonic clock of the CAN interface.  ``send`` and ``receive``
-    raise ``ConnectionError`` if the CAN adapter is unplugged or the process of the bus has ended.
+    All times are in seconds on the clock of the CAN interface, which never goes back and counts
+    while the computer is asleep; a simulated bus sleeps with it.  ``send`` and ``receive`` raise
+    ``ConnectionError`` if the CAN adapter is unplugged or the process of the bus has ended.
     """
 
     @property

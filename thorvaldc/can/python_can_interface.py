@@ -9,6 +9,7 @@ import time
 from collections import Counter, deque
 from typing import TYPE_CHECKING
 
+from thorvaldc.can.elapsed_clock import elapsed, elapsed_ns
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import CanFrame, ReceivedFrame
 from thorvaldc.can.nanoseconds import to_ns
@@ -34,11 +35,11 @@ _LOST = (errno.ENODEV, errno.ENXIO, errno.ENETDOWN, errno.EIO, errno.EBADF)
 class PythonCanInterface:
     """A CAN interface that sends and receives through a bus of python-can (``can.BusABC``).
 
-    The clock of the CAN interface is ``time.monotonic``.  The time stamps of python-can come from
-    the wall clock, which jumps when the time of the computer is set.  The age of each CAN frame is
-    computed from its time stamp and subtracted from the current monotonic time.  The time stamp of
-    a CAN frame is ignored if it is in the future or older than ``MAXIMUM_AGE``.  One thread may
-    send CAN frames while another thread receives CAN frames.
+    The clock of the CAN interface is ``elapsed_clock``, which also counts while the computer is
+    asleep.  The time stamps of python-can come from the wall clock, which jumps when the time of
+    the computer is set.  The age of each CAN frame is computed from its time stamp and subtracted
+    from the present time.  The time stamp of a CAN frame is ignored if it is in the future or older
+    than ``MAXIMUM_AGE``.  One thread may send CAN frames while another thread receives CAN frames.
 
     Most interfaces of python-can do not report the error states error-passive and bus-off.  The
     socketcan interface delivers error frames, from which ``receive`` reads the error state of the
@@ -100,11 +101,11 @@ class PythonCanInterface:
 
     @property
     def now(self) -> float:
-        return time.monotonic()
+        return elapsed()
 
     @property
     def received_until(self) -> float:
-        return time.monotonic()
+        return elapsed()
 
     @property
     def state(self) -> ErrorState:
@@ -136,15 +137,15 @@ class PythonCanInterface:
         return True
 
     def receive(self, timeout: float | None = None) -> ReceivedFrame | None:
-        deadline = None if timeout is None else time.monotonic() + timeout
+        deadline = None if timeout is None else elapsed() + timeout
         while True:
-            remaining = None if deadline is None else max(deadline - time.monotonic(), 0.0)
+            remaining = None if deadline is None else max(deadline - elapsed(), 0.0)
             try:
                 message = self.bus.recv(remaining)
             except self._can.CanError as error:
                 if self._datagrams and not _has_os_error(error):
                     self.undecodable += 1
-                    if deadline is not None and time.monotonic() >= deadline + GRACE_TIME:
+                    if deadline is not None and elapsed() >= deadline + GRACE_TIME:
                         return None
                     continue
                 self._raise_if_lost(error)
@@ -152,7 +153,7 @@ class PythonCanInterface:
             except (OSError, ValueError) as error:
                 raise ConnectionError(one_line(error)) from None
             if message is None:
-                if deadline is not None and time.monotonic() >= deadline:
+                if deadline is not None and elapsed() >= deadline:
                     return None
                 continue
             if self._datagrams and not _is_valid(message):
@@ -171,7 +172,7 @@ class PythonCanInterface:
                 message.dlc if message.is_remote_frame else 0,
             )
             if self._expected_echoes is None or not self._is_echo(frame):
-                arrival = self._monotonic_time(message.timestamp)
+                arrival = self._elapsed_time(message.timestamp)
                 return ReceivedFrame(arrival, frame, not (message.is_rx or self._shared))
 
     def sleep(self, seconds: float) -> None:
@@ -197,13 +198,13 @@ class PythonCanInterface:
 
     # -- inside --------------------------------------------------------------------------------
 
-    def _monotonic_time(self, stamp: float) -> int:
-        """Converts a wall clock time stamp (s) to monotonic time (ns).
+    def _elapsed_time(self, stamp: float) -> int:
+        """Converts a wall clock time stamp (s) to the time (ns) of the CAN interface.
 
         The converted time is never earlier than the time of the previous CAN frame.
         """
         age = time.time() - stamp
-        arrival = time.monotonic_ns()
+        arrival = elapsed_ns()
         if 0.0 < age <= MAXIMUM_AGE:
             arrival -= to_ns(age)
         self._last_time = max(arrival, self._last_time)
@@ -221,7 +222,7 @@ class PythonCanInterface:
             self._state = ErrorState.ACTIVE
 
     def _expect_echo(self, frame: CanFrame) -> None:
-        now = time.monotonic()
+        now = elapsed()
         content = (frame.id, frame.data)
         with self._lock:
             self._drop_old_echoes(now)
@@ -232,7 +233,7 @@ class PythonCanInterface:
     def _is_echo(self, frame: CanFrame) -> bool:
         content = (frame.id, frame.data)
         with self._lock:
-            self._drop_old_echoes(time.monotonic())
+            self._drop_old_echoes(elapsed())
             expected = self._expected_echoes
             if expected is None or not expected[content]:
                 return False

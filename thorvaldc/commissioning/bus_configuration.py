@@ -12,6 +12,7 @@ from typing import Any
 from thorvaldc.can.lss import UNCONFIGURED, Identity
 from thorvaldc.model.bus import OBJECT_TYPES, Bus, Node
 from thorvaldc.model.model_json import typed_value
+from thorvaldc.model.required_objects import written_objects
 from thorvaldc.model.robot import Robot
 
 PARKING = range(112, 127)
@@ -187,8 +188,8 @@ def _node_configuration(bus: Bus, node: Node) -> NodeConfiguration:
         statuswords=tuple(o.index for o in node.objects if o.index in STATUSWORDS),
         values=tuple(
             ParameterValue(o.name, o.index, o.subindex, o.type, o.value)
-            for o in node.objects
-            if o.access == "rw" and o.value is not None
+            for o in written_objects(node)
+            if o.value is not None
         ),
     )
 

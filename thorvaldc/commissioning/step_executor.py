@@ -5,7 +5,9 @@ Sequence of an ``AddressStep``, with the records in the journal:
 
     check      no node answers SDO at the new id
     journal    begin
-    LSS        select identity, compare its id with ``before``, configure id, store
+    LSS        select identity, compare its id with ``before``, configure id
+    SDO        device type (0x1000)              only a node that had no id: it uses the id now
+    LSS        select identity, store
     NMT        reset node                        the stored id takes effect
     wait       boot-up message with the new id
     check      exactly one node answers at the new id, with this identity
@@ -25,7 +27,7 @@ from typing import Protocol
 
 from thorvaldc.can.canopen import NmtCommand
 from thorvaldc.can.lss import UNCONFIGURED, Identity
-from thorvaldc.commissioning.bus_configuration import BusConfiguration
+from thorvaldc.commissioning.bus_configuration import BusConfiguration, NodeConfiguration
 from thorvaldc.commissioning.bus_master import BusMaster
 from thorvaldc.commissioning.journal import Journal
 from thorvaldc.commissioning.lss_master import LssMaster
@@ -85,7 +87,7 @@ class StepExecutor:
         if isinstance(step, AddressStep):
             self._check_free(step.after)
             self.journal.begin(number, step.node, step.description)
-            self._set_address(step, configuration.node(step.node).device_type)
+            self._set_address(step, configuration)
             self.journal.done(number, step.node, {"id": step.after})
         elif isinstance(step, ConfigureStep):
             self._configure(number, step)
@@ -115,27 +117,28 @@ class StepExecutor:
         if self.sdo.upload_all(node_id, DEVICE_TYPE, 0, timeout=self.master.timing.absent):
             raise StepFailed(f"another device already has the id {node_id}")
 
-    def _set_address(self, step: AddressStep, device_type: int | None) -> None:
+    def _set_address(self, step: AddressStep, configuration: BusConfiguration) -> None:
         lss = self.lss
-        lss.switch_to_waiting()
-        count = lss.select(step.identity)
-        if count != 1:
-            devices = "no device answers" if count == 0 else f"{count} devices answer"
-            raise StepFailed(f"{devices} as {identity_text(step.identity)}")
+        self._select(step.identity)
         present_id = lss.node_id()
         if present_id != step.before:
             raise StepFailed(f"it has the id {present_id}, not {step.before}")
         lss.configure_id(step.after)
-        lss.store()
-        self.master.boots.clear()
-        lss.switch_to_waiting()
         if step.before == UNCONFIGURED:
-            # A node without node id uses a new node id immediately, without a reset.  The node is
-            # reset to verify that the new node id is stored.
+            # A node without node id uses a new node id immediately, without a reset.  Its type can
+            # be read only now; the id is not stored yet.  The node is reset to verify that the new
+            # node id is stored.
+            self.master.boots.clear()
+            lss.switch_to_waiting()
             self._wait_for_boots([step.after])
-            self._check_type(step, device_type)
+            self._check_type(step, configuration.node(step.node))
+            self._select(step.identity)
+            lss.store()
+            lss.switch_to_waiting()
             self._restart(step.after, step.after)
         else:
+            lss.store()
+            lss.switch_to_waiting()
             self._restart(step.before, step.after)
         self.nodes_at[step.before] -= 1
         self.nodes_at[step.after] += 1
@@ -143,6 +146,27 @@ class StepExecutor:
             self._check_without_id(step.identity)
         else:
             self._check_identity(step.after, step.identity)
+
+    def _select(self, identity: Identity) -> None:
+        """Selects the only device with an identity by LSS."""
+        self.lss.switch_to_waiting()
+        count = self.lss.select(identity)
+        if count != 1:
+            devices = "no device answers" if count == 0 else f"{count} devices answer"
+            raise StepFailed(f"{devices} as {identity_text(identity)}")
+
+    def _check_type(self, step: AddressStep, node: NodeConfiguration) -> None:
+        """Checks the type of a device whose node id is not stored, and takes the id away again if
+        the type is wrong."""
+        if node.device_type is None:
+            return
+        actual = self.sdo.read_number(step.after, DEVICE_TYPE, 0, "unsigned32")
+        if actual != node.device_type:
+            self._restart(step.after, UNCONFIGURED)
+            self._check_without_id(step.identity)
+            raise StepFailed(
+                f"its device type is {actual:#x}, not {node.device_type:#x}; it gets no id"
+            )
 
     def _restart(self, node: int, after: int) -> None:
         """Resets the node with the node id ``node`` and waits for its boot-up message.
@@ -182,26 +206,6 @@ class StepExecutor:
                     )
             elif response.abort is not None and required:
                 raise StepFailed(f"the device at id {node} does not report its identity")
-
-    def _check_type(self, step: AddressStep, device_type: int | None) -> None:
-        """Takes the new id from a device whose type, unreadable without an id, does not match."""
-        if device_type is None:
-            return
-        timeout = self.master.timing.sdo
-        responses = self.sdo.upload_all(step.after, DEVICE_TYPE, 0, timeout=timeout)
-        types = [int.from_bytes(response.data, "little") for response in responses]
-        if types == [device_type]:
-            return
-        self.lss.select(step.identity)
-        self.lss.configure_id(UNCONFIGURED)
-        self.lss.store()
-        self.lss.switch_to_waiting()
-        self._restart(step.after, UNCONFIGURED)
-        self._check_without_id(step.identity)
-        raise StepFailed(
-            f"the device type of {identity_text(step.identity)} is"
-            f" {', '.join(map(hex, types)) or 'unknown'}, not {device_type:#x}; it has no id again"
-        )
 
     def _check_without_id(self, identity: Identity) -> None:
         """Checks by LSS that a device has no node id.

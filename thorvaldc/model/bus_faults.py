@@ -33,9 +33,10 @@ FAULT_KINDS = {
     "clone": FaultKind("yes"),
     "babble": FaultKind("yes", ("cob_id", "period")),
     "emcy": FaultKind("yes", ("code",), ("register",), lasts=False),
-    "forged_frames": FaultKind("no", ("cob_id",), ("data", "period")),
+    "forged_frames": FaultKind("no", ("cob_id",), ("data", "period", "format")),
     "battery_charge": FaultKind("yes", ("charge",)),
     "watchdog_lost": FaultKind("yes", lasts=False),
+    "object_written": FaultKind("yes", ("index", "value"), ("subindex",)),
     "frozen_encoder": FaultKind("yes", ("channel",)),
     "encoder_jump": FaultKind("yes", ("channel", "angle"), lasts=False),
     "blocked_motor": FaultKind("yes", ("channel",)),
@@ -46,6 +47,8 @@ FAULT_KINDS = {
     "repeated_frames": FaultKind("maybe", ("share",), ("cob_id",)),
     "noise": FaultKind("no", ("share",)),
 }
+FRAME_FORMATS = ("standard", "extended", "remote")
+"""Formats of forged frames: data frames with 11 or 29 bits of identifier, remote frames."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +75,9 @@ class BusFault:
     - ``latency``: time in s by which late frames arrive late.
     - ``angle``: angle in rad at the joint by which the reading of an encoder jumps.
     - ``charge``: state of charge of the battery, 0 to 1.
+    - ``index``, ``subindex``, ``value``: object of the device that another interface of the device
+      overwrites, and its new value.
+    - ``format``: format of the forged frames, one of ``FRAME_FORMATS``.
     """
 
     kind: str
@@ -94,6 +100,10 @@ class BusFault:
     latency: float = 0.0
     angle: float = 0.0
     charge: float = 0.0
+    index: int = 0
+    subindex: int = 0
+    value: int = 0
+    format: str = "standard"
 
 
 @dataclass(frozen=True, slots=True)

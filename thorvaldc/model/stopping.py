@@ -170,7 +170,7 @@ def reaction_times(robot: Robot, settings: DriverSettings) -> dict[str, float]:
     """Returns the reaction time in s of each kind of stop, by kind."""
     cycle = 1.0 / settings.rate
     nodes = list(motor_nodes(robot))
-    response = max((_response_time(bus) for bus, _ in nodes), default=0.0)
+    response = max((bus_response_time(bus) for bus, _ in nodes), default=0.0)
     command = 2.0 * cycle + response
     times = {
         COMMAND_TIMEOUT: settings.command_timeout + command,
@@ -238,14 +238,14 @@ def reachable_speed(distance: float, reaction: float, deceleration: float) -> fl
     return math.sqrt(lost * lost + 2.0 * deceleration * distance) - lost
 
 
-# -- inside ------------------------------------------------------------------------------------
-
-
-def _response_time(bus: Bus) -> float:
+def bus_response_time(bus: Bus) -> float:
     """Returns the worst-case response time in s of the commands, SYNC and periodic reports."""
     kinds = ("pdo", "sync", "heartbeat")
     times = [f.response_time for f in bus.frames if f.kind in kinds and f.period is not None]
     return max((bus.sync_period if time is None else time for time in times), default=0.0)
+
+
+# -- inside ------------------------------------------------------------------------------------
 
 
 def _silence_timeout(bus: Bus, node: Node) -> float:

@@ -10,7 +10,6 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.model.bus import ObjectValue
 from thorvaldc.runtime.can_base.object_readback import (
     ANSWER_TIME,
-    SUPERVISION_INTERVAL,
     TRIES,
     ObjectReadback,
     ObjectSupervision,
@@ -123,10 +122,10 @@ def test_supervision_reads_all_nodes_in_turn() -> None:
     supervision = ObjectSupervision(nodes)
     sequence = []
     for k in range(6):
-        now = 1.0 + k * 1.01 * SUPERVISION_INTERVAL
+        now = 1.0 + k * 0.02
         request = supervision.next_request(now)
         assert request is not None
-        assert supervision.next_request(now + 0.9 * SUPERVISION_INTERVAL) is None
+        assert supervision.next_request(now + 0.01) is None, "a response is awaited"
         index, _ = struct.unpack_from("<HB", request.data, 1)
         sequence.append((request.id, index))
         entry = FIRST if index == FIRST.index else SECOND

@@ -312,9 +312,13 @@ def test_settings_that_do_not_fit(value: float) -> None:
     assert driver.setting_frame("home_count", -(2.0**31)) == CanFrame(0x303, number)
 
 
-def test_only_heartbeat_and_identity_are_compared() -> None:
-    objects = list(steered().expected_objects())
-    assert [(o.index, o.subindex, o.value) for o in objects] == [
-        (0x1017, 0, 100),
-        (0x1018, 1, 1129),
-    ]
+def test_all_required_objects_but_the_periods_of_reports_are_compared() -> None:
+    """The driver changes the periods of the reports itself, by RPDO 2."""
+    driver = steered()
+    compared = {(o.index, o.subindex): o.value for o in driver.expected_objects()}
+    required = {(o.index, o.subindex): o.value for o in driver.node.objects if o.value is not None}
+    assert compared.items() <= required.items()
+    periods = {(0x1800 + k, 5) for k in range(4)}
+    assert required.keys() - compared.keys() == periods & required.keys()
+    assert compared[0x1017, 0] == 100
+    assert compared[0x1018, 1] == 1129

@@ -9,6 +9,7 @@ import socket
 import stat
 import tempfile
 import threading
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -23,12 +24,13 @@ from thorvaldc.runtime.control.control_client import ControlClient
 from thorvaldc.runtime.control.control_server import (
     LONGEST_LINE,
     MOST_CLIENTS,
+    MOST_REQUESTS,
     ControlServer,
     control_path,
 )
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.pace import SimulatedTime
-from thorvaldc.runtime.service_table import Argument, Service, ServiceError, Services
+from thorvaldc.runtime.service_table import LOCAL, Argument, Caller, Service, ServiceError, Services
 from thorvaldc.simulation.bus.bus_server import BusServer
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import Wire as CanWire
@@ -383,6 +385,58 @@ def test_a_flood_of_requests_does_not_delay_the_cycle(
     second.stream.close()
     for _ in range(1000):
         assert client.answer()["ok"]
+
+
+class CountingServices(Services):
+    """The services of a driver, with the number of calls of each connection."""
+
+    def __init__(self, services: Services) -> None:
+        super().__init__(services._services.values())
+        self.calls: Counter[str] = Counter()
+
+    def call(self, name: str, arguments: Any, now: float, caller: Caller = LOCAL) -> Any:
+        self.calls[caller.name] += 1
+        return super().call(name, arguments, now, caller)
+
+
+def test_clients_that_flood_together_do_not_delay_the_cycle(running: RunningDriver) -> None:
+    """All clients share the limit of a cycle, in turns, and a stop is answered in the next one."""
+    services = running.server.services = CountingServices(running.services)
+    flooding = [RawClient(running) for _ in range(MOST_CLIENTS - 1)]
+    guard = RawClient(running)
+    running.cycles(MOST_CLIENTS)
+    for client in flooding:
+        client.send(b'{"call": "state"}\n' * 300)
+    for cycle in range(10):
+        services.calls.clear()
+        if cycle == 5:
+            guard.send(b'{"call": "safety_stop"}\n')
+        running.cycles()
+        assert services.calls.total() == MOST_REQUESTS, cycle
+        counts = services.calls.values()
+        assert max(counts) - min(counts) <= 1 + (cycle == 5)
+        assert ("safety_stop" in running.multiplexer.active_locks(running.now)) is (cycle >= 5)
+    services.calls.clear()
+    running.cycles(31)
+    assert max(services.calls.values()) - min(services.calls.values()) <= 1, "fair over cycles"
+    for client in [*flooding, guard]:
+        client.stream.close()
+
+
+def test_clients_that_send_long_requests_do_not_delay_the_cycle(running: RunningDriver) -> None:
+    services = running.server.services = CountingServices(running.services)
+    clients = [RawClient(running) for _ in range(10)]
+    running.cycles(10)
+    request = b'{"call": "state", "arguments": {}, "id": "' + b"x" * (LONGEST_LINE // 2) + b'"}\n'
+    for client in clients:
+        client.send(request)
+    for _ in range(5):
+        services.calls.clear()
+        running.cycles()
+        assert services.calls.total() == 2
+    for client in clients:
+        assert client.answer()["ok"]
+        client.stream.close()
 
 
 def test_too_many_clients_are_refused(running: RunningDriver) -> None:

@@ -276,6 +276,27 @@ def test_watchdog_lost_of_a_cia402_drive() -> None:
     assert run.master.number(1, 0x1016, 1) > 0, "the stored value holds after power-on"
 
 
+def test_an_object_is_overwritten_until_the_next_reset() -> None:
+    """The drive sends heartbeats at half the rate, until its power is cut."""
+    written = fault("object_written", index=0x1017, value=200)
+    too_large = fault("object_written", index=0x1017, value=1 << 16)
+    unknown = fault("object_written", index=0x5FFF, value=1)
+    run = Run(written, too_large, unknown, fault("power_cut", at=3.0, duration=0.1))
+    run.simulated.run(1.1)
+    run.master.interface.received.clear()
+    assert run.beats(1, 1.0) == 5
+    run.simulated.run(1.5)
+    run.master.interface.received.clear()
+    assert run.beats(1, 1.0) == 10
+
+
+def test_an_object_is_overwritten_for_a_time() -> None:
+    run = Run(fault("object_written", index=0x1017, value=200, duration=1.1))
+    run.simulated.run(2.3)
+    run.master.interface.received.clear()
+    assert run.beats(1, 1.0) == 10
+
+
 @pytest.mark.parametrize("lost", [False, True])
 def test_watchdog_lost_of_a_script(lost: bool) -> None:
     robot = example_robot("4wd4ws_wide")
@@ -353,6 +374,10 @@ def test_the_example_is_read() -> None:
         ),
         ("  - {fault: battery_charge, node: battery, charge: 2, at: 0}", "out-of-range"),
         ("  - {fault: watchdog_lost, node: battery, at: 0}", "bus-fault-unsuited"),
+        (
+            "  - {fault: object_written, node: battery, at: 0, index: 1, value: 1}",
+            "bus-fault-unsuited",
+        ),
         ("  - {fault: late_frames, share: 0.5, at: 0}", "missing-key"),
         ("  - {fault: mute, bus: other, node: fl_controller, at: 1 s}", "can-bus-unknown"),
         ("  - {fault: explode, node: fl_controller, at: 1 s}", "unknown-value"),
@@ -386,6 +411,7 @@ def test_every_kind_of_fault_can_be_injected() -> None:
     more: dict[str, Any] = {
         "id": 9, "cob_id": 0x400, "period": 0.01, "code": 0x1000, "channel": "steering",
         "bitrate": 125_000, "share": 0.5, "latency": 0.01, "angle": 0.1, "charge": 0.1,
+        "index": 0x1017, "value": 200,
     }  # fmt: skip
     faults = [
         fault(

@@ -12,7 +12,7 @@ from tests.examples import example_robot
 from tests.simulation.test_scenario_run import HEAD, simulation
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.diagnostics import Report
-from thorvaldc.model import Robot
+from thorvaldc.model import ParameterSet, Robot
 from thorvaldc.runtime.se2 import ORIGIN, Twist
 from thorvaldc.simulation.control_loop import ControlLoop
 from thorvaldc.simulation.manoeuvre import Segment

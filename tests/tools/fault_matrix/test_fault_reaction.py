@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from dataclasses import replace
@@ -10,8 +11,11 @@ from dataclasses import replace
 import pytest
 
 from tests.runtime.can_base.fault_matrix import ROBOTS
+from tests.runtime.can_base.test_even_stop import DRIVES, robot
 from tests.runtime.control.test_runner_services import TWO_BUSES
 from tests.simulation.bus.robots import cia402_robot, compiled
+from thorvaldc.model.swerve import swerve_bounds
+from thorvaldc.runtime.se2 import Twist
 from thorvaldc.tools.fault_matrix.fault_cases import (
     DRIVING,
     IDLE,
@@ -24,6 +28,7 @@ from thorvaldc.tools.fault_matrix.fault_cases import (
 from thorvaldc.tools.fault_matrix.fault_limits import broken_limits, rest_limit
 from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix
 from thorvaldc.tools.fault_matrix.fault_reaction import Reaction
+from thorvaldc.tools.fault_matrix.fault_table import markdown, matrix_json
 from thorvaldc.tools.fault_matrix.rehearsal import Rehearsal
 
 ROBOT = ROBOTS["Thorvald script"]
@@ -137,3 +142,33 @@ def test_phases_of_the_cases() -> None:
     assert cases["power of a drive cut"].phases == (START, IDLE, DRIVING, STOPPING)
     assert cases["client hangs"].phases == (DRIVING, STOPPING)
     assert {"battery empty", "driver process killed", "another master sends SYNC"} <= set(cases)
+
+
+@pytest.mark.parametrize("drives", DRIVES)
+def test_one_bus_of_several(drives: str) -> None:
+    """The page states the yaw, and the robot stops as for a dead driver."""
+    model = robot(drives)
+    cases = [case for case in fault_cases(model) if "of several" in case.name]
+    assert [case.name for case in cases] == [
+        "the driver loses the bus port of several",
+        "the bus port of several is silent",
+    ]
+    matrix = FaultMatrix(model, cases=cases, twist=Twist(0.8, 0.0, 0.0))
+    rows = matrix.rows()
+    assert [row.broken for row in rows] == [{}, {}]
+    assert rows[0].reactions[DRIVING].reason == (
+        "the CAN controller of the bus `port` is off the bus (bus-off)"
+    )
+    lines = [line for line in markdown(matrix, rows, "robot.yaml") if line.startswith("- Yaw")]
+    assert len(lines) == 2
+    for bound, line in zip(swerve_bounds(model), lines, strict=True):
+        assert f" {math.ceil(math.degrees(bound.yaw))} deg if " in line
+        assert bound.kind in matrix_json(matrix, rows, "robot.yaml")["swerve"]
+    assert not any("of several" in case.name for case in fault_cases(ROBOT()))
+
+
+def test_objects_that_a_service_tool_overwrites() -> None:
+    names = {case.name for case in fault_cases(ROBOTS["CiA 402"]())}
+    assert "a deceleration of a drive is overwritten (0x6084)" in names
+    assert "two drives swap their reports (0x1800)" in names
+    assert {f"{form} frames with the id of a command" for form in ("extended", "remote")} <= names

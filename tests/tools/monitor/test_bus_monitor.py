@@ -155,7 +155,7 @@ def test_states_of_cia_402_drives() -> None:
     states = {key: state for key, state in drive.items() if state is not None}
     assert set(states.values()) == {"operation enabled"}, drive
     assert before != drive
-    monitored.rig.runner.safety_stop()
+    monitored.rig.driven.safety_stop()
     monitored.rig.run(2.0)
     stopped = {state for state in monitored.node(name)["drive"].values() if state is not None}
     assert "operation enabled" not in stopped

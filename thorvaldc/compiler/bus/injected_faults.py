@@ -92,6 +92,10 @@ class _Reader:
             numbers(node, "latency", "time", least=0.0, most=LONGEST),
             numbers(node, "angle", "angle"),
             numbers(node, "charge", "number", least=0.0, most=1.0),
+            _integer(node, "index") or 0,
+            _integer(node, "subindex") or 0,
+            _integer(node, "value") or 0,
+            str(form.value) if (form := node.get("format")) is not None else "standard",
         )
 
     def _bus_and_device(self, node: Node, kind: FaultKind) -> tuple[Bus | None, Device | None]:
@@ -170,6 +174,8 @@ class _Reader:
             reason = "has no id"
         elif name == "watchdog_lost" and not device.channels:
             reason = "is no motor controller"
+        elif name == "object_written" and not any(f.kind == "sdo" for f in frames):
+            reason = "has no object dictionary"
         elif name == "battery_charge" and all(
             battery.node != device.name for battery in self.robot.batteries
         ):

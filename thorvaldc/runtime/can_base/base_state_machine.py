@@ -42,6 +42,7 @@ from thorvaldc.can.canopen import NmtCommand, NmtState
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
+from thorvaldc.runtime.can_base.even_stop import hold_time
 from thorvaldc.runtime.can_base.frame_rates import OBSERVATION
 from thorvaldc.runtime.can_base.motor_controller import Intent, MotorController
 
@@ -111,6 +112,9 @@ class BaseStateMachine:
         self._homed_now = False
         self._to_restart: list[tuple[BusConnection, MotorController]] = []
         self._reported_problem = ""
+        self._now = -math.inf
+        self._hold_until = -math.inf
+        """Time (s) until which the wheels keep their speed in FAULT; see ``even_stop``."""
 
     @property
     def controllers(self) -> list[MotorController]:
@@ -205,6 +209,7 @@ class BaseStateMachine:
 
         ``update`` must be called in each control cycle, after all received CAN frames are decoded.
         """
+        self._now = now
         if self.since == -math.inf:
             self._enter(BaseState.INIT, now)
         self._check_problems(now)
@@ -235,11 +240,18 @@ class BaseStateMachine:
     @property
     def intent(self) -> Intent:
         """Request of the base to all motor controllers in this control cycle."""
+        if self.holds_speed:
+            return Intent.FOLLOW
         if self.ending or self.state in (BaseState.STANDBY, BaseState.FAULT, BaseState.ESTOP):
             return Intent.QUICK_STOP
         if self.state.drives or self._enabling_since is not None:
             return Intent.FOLLOW
         return Intent.HOME if self.state is BaseState.HOMING else Intent.OFF
+
+    @property
+    def holds_speed(self) -> bool:
+        """``True`` while the wheels keep their speed after the loss of a bus."""
+        return self._now < self._hold_until
 
     @property
     def may_send(self) -> bool:
@@ -268,6 +280,7 @@ class BaseStateMachine:
     def _enter(self, state: BaseState, now: float, reason: str = "") -> None:
         self.state, self.since, self.reason = state, now, reason
         self._enabling_since, self._homed_now = None, False
+        self._hold_until = -math.inf
         if state in (BaseState.INIT, BaseState.PREOP):
             self._operational = self._verified = self.mismatch = False
             for connection in self.connections:
@@ -301,7 +314,7 @@ class BaseStateMachine:
         for connection in self.connections:
             problem = problem or connection.impostor() or connection.receiver.lost
         if problem:
-            self._enter(BaseState.FAULT, now, problem)
+            self._enter_fault(now, problem)
             return
         checked = self.state.drives or self.state in (BaseState.STANDBY, BaseState.HOMING)
         if self.ending or not checked:
@@ -317,8 +330,14 @@ class BaseStateMachine:
             if not problem and self.state.drives:
                 problem = _not_following(connection.controllers)
             if problem:
-                self._enter(BaseState.FAULT, now, problem)
+                self._enter_fault(now, problem)
                 return
+
+    def _enter_fault(self, now: float, reason: str) -> None:
+        drove = self.state.drives
+        self._enter(BaseState.FAULT, now, reason)
+        if drove:
+            self._hold_until = now + hold_time(self.connections)
 
     def _longer_than(self, limit: float, now: float) -> bool:
         """Returns ``True`` if the base has been in the present state for more than ``limit``

@@ -87,7 +87,7 @@ class BusConnection:
         self.readbacks: dict[str, ObjectReadback] = {}
         """Comparison of the objects of a node with the robot file, by name of the node."""
         self.supervision = ObjectSupervision(())
-        """Repeated reading of the safety objects of the motor controllers."""
+        """Repeated reading of the required objects of the motor controllers."""
         self._unanswered: dict[str, int] = {}
         """Number of SDO requests without response by name of the node."""
         self._extra_responses: dict[str, float] = {}
@@ -217,6 +217,12 @@ class BusConnection:
             return self.foreign_master
         if not (self.rates.excessive or self._extra_responses or self.watchdog.has_boot_ups):
             return ""
+        if self.rates.missed_time:
+            return (
+                f"the nodes on the bus `{self.bus.name}` have sent the frames of "
+                f"{self.rates.missed_time:.2f} s more than the clock of the computer shows; did it "
+                "sleep, or do all frames arrive twice?"
+            )
         for controller in self.controllers:
             name = controller.node.name
             if self._extra_responses.get(name, 0.0) > EXTRA_RESPONSES:
@@ -230,12 +236,28 @@ class BusConnection:
         return ""
 
     def suspicious_devices(self) -> list[str]:
-        """Returns a message for each battery or IO board that exists twice on the bus."""
-        excessive = self.rates.excessive
-        return [f"{name}: {excessive[name]}" for name in self._device_names() if name in excessive]
+        """Returns a message for each battery or IO board that exists twice on the bus, and one for
+        extended or remote frames with the id of a command.
+
+        No CANopen device obeys such a frame, but a program of another kind is on the bus.
+        """
+        excessive, ignored = self.rates.excessive, self.receiver.ignored_id
+        twice = [f"{name}: {excessive[name]}" for name in self._device_names() if name in excessive]
+        if ignored is None:
+            return twice
+        return [
+            *twice,
+            f"extended or remote frames with the id {ignored:#05x} are on the bus "
+            f"`{self.bus.name}`; they command nothing, but which program sends them?",
+        ]
 
     def _device_names(self) -> list[str]:
         return [b.node.name for b in self.batteries] + [b.node.name for b in self.boards]
+
+    @property
+    def is_lost(self) -> bool:
+        """``True`` if no frame of the driver reaches the bus."""
+        return bool(self.receiver.lost) or self.interface.state is ErrorState.BUS_OFF
 
     def problem(self, now: float) -> str:
         """Returns the first reason to stop the robot, or an empty text if there is no reason."""
@@ -305,7 +327,7 @@ class BusConnection:
         self._extra_responses.clear()
         self.supervision = ObjectSupervision(
             [
-                SupervisedNode(c.node.name, *self._sdo[c.node.name], tuple(c.safety_objects()))
+                SupervisedNode(c.node.name, *self._sdo[c.node.name], tuple(c.expected_objects()))
                 for c in self.controllers
                 if c.node.name in self._sdo
             ]
@@ -327,8 +349,9 @@ class BusConnection:
         NMT commands and other queued CAN frames are sent first.  After the queued CAN frames, SDO
         requests are sent, and then occasional frames and queries of the motor controllers in turn.
         At most ``OCCASIONAL_DRIVING`` CAN frames are yielded if ``driving`` is ``True``, else at
-        most ``OCCASIONAL_AT_REST`` CAN frames.  If ``commands`` is ``False``, no occasional frames
-        of the motor controllers are yielded, only their queries.
+        most ``OCCASIONAL_AT_REST`` CAN frames, and one SDO request of the supervision.  If
+        ``commands`` is ``False``, no occasional frames of the motor controllers are yielded, only
+        their queries.
         """
         room = OCCASIONAL_DRIVING if driving else OCCASIONAL_AT_REST
         while room > 0 and self.outbox:
@@ -342,10 +365,9 @@ class BusConnection:
                 room -= 1
                 self._count_request(name)
                 yield request
-        if room > 0 and commands:
+        if commands:
             request = self.supervision.next_request(received_until)
             if request is not None:
-                room -= 1
                 self._count_request(self._sdo_requests[request.id])
                 yield request
         count = len(self.controllers)

@@ -201,14 +201,15 @@ class CanBase(BaseHandle):
             return
         for connection in self.connections:
             connection.send_until = now + self.period
-        complete = True
-        for connection in self.connections:
-            complete = self._send_cycle(connection, intent, now) and complete
+        sent = [self._send_cycle(connection, intent, now) for connection in self.connections]
+        complete = all(sent)
+        for connection, is_sent in zip(self.connections, sent, strict=True):
+            # Without heartbeats, the watchdogs of the other drives would act before the time.
+            beats = complete or (is_sent and state_machine.holds_speed)
+            if beats and not connection.overdue:
+                connection.send_heartbeat(now, state_machine.operational)
         if complete:
             self.cycles += 1
-            for connection in self.connections:
-                if not connection.overdue:
-                    connection.send_heartbeat(now, state_machine.operational)
         else:
             self.incomplete += 1
 

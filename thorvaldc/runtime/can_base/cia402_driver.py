@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 from thorvaldc.can.cia402 import (
     CHANGE_IMMEDIATELY,
@@ -18,7 +17,7 @@ from thorvaldc.can.cia402 import (
     Mode,
 )
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.model.bus import Bus, Node, ObjectValue
+from thorvaldc.model.bus import Bus, Node
 from thorvaldc.model.robot import Robot
 from thorvaldc.runtime.can_base.motor_controller import Axis, Intent, MotorController
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
@@ -30,12 +29,6 @@ In these cycles a drive may still report the result of the previous homing."""
 RESET_CYCLES = 5
 """Number of cycles in which a drive must leave the state FAULT after a fault reset."""
 
-_DRIVE_OBJECTS, _AXIS_LENGTH = 0x6000, 0x800
-"""First index of the objects of CiA 402, and distance between the indices of two axes."""
-_SAFETY_OBJECTS = frozenset({0x07, 0x5A, 0x5B, 0x5C, 0x5D, 0x5E, 0x85})
-"""Objects of an axis that stop its motor, from the first index of the axis: the options of a lost
-connection (0x6007), quick stop, shutdown, disabling, halt and fault reaction (0x605A to 0x605E),
-and the deceleration of the quick stop (0x6085)."""
 _FAULT_STATES = (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)
 _STEPS_TO_ENABLED = {
     DriveState.SWITCH_ON_DISABLED: ControlWord.SHUTDOWN,
@@ -243,23 +236,6 @@ class Cia402Controller(MotorController):
             if machine.state in with_voltage and not (machine.status_word or 0) & VOLTAGE_ENABLED:
                 return "the power stage has no voltage"
         return ""
-
-    def expected_objects(self) -> Iterator[ObjectValue]:
-        # A drive keeps the last mode of operation that it received, for example that of a homing
-        # during which the base driver ended.  The base driver commands the mode in every cycle.
-        commanded = {f"{m.axis.channel}_mode_of_operation" for _, m in self._commands}
-        return (
-            entry
-            for entry in self.node.objects
-            if entry.value is not None and entry.name not in commanded
-        )
-
-    def safety_objects(self) -> Iterator[ObjectValue]:
-        yield from super().safety_objects()
-        for entry in self.expected_objects():
-            offset = entry.index - _DRIVE_OBJECTS
-            if offset >= 0 and offset % _AXIS_LENGTH in _SAFETY_OBJECTS:
-                yield entry
 
     def handle_restart(self) -> None:
         super().handle_restart()

@@ -24,10 +24,15 @@ therefore does not depend on the load of the computer:
 
 The clock of a device on a CAN bus is more accurate than ``TOLERANCE``; otherwise its bit timing
 would fail.
+
+If all nodes send too many frames at once, it is the clock of the computer that is wrong: it stood
+while the bus went on, because the computer slept.  The watchdogs of the drives may have acted in
+this time, which the driver cannot see as a gap between two control cycles.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping
 
 from thorvaldc.model.bus import Bus, FrameDefinition
@@ -43,6 +48,8 @@ CREDIT_SHARE = 0.75
 """Share of the credit that is left in the next sample."""
 SAMPLE_CYCLES = 5
 """Number of control cycles between two samples of the same identifier."""
+LEAST_MISSED = 0.05
+"""Shortest time (s) by which all nodes exceed the clock of the computer."""
 OBSERVATION = 1.0
 """Shortest time (s) of observation before the motors are enabled.
 
@@ -74,19 +81,26 @@ class _Rate:
 
     def add(self, newest: LatestFrame) -> bool:
         """Takes a sample; returns ``True`` if too many frames were received."""
-        if self.time is not None:
-            credit = LONGEST_BURST * self.per_second
-            excess = self.excess if self.excess > 0.0 else CREDIT_SHARE * self.excess
-            excess += newest.number - self.number - (newest.time - self.time) * self.per_second
-            self.excess = excess if excess > -credit else -credit
+        self.excess = self.excess_with(newest)
         self.number, self.time = newest.number, newest.time
         return self.excess > EXCESS
+
+    def excess_with(self, newest: LatestFrame | None) -> float:
+        """Returns the excess that a sample would have, in frames."""
+        if newest is None or self.time is None:
+            return self.excess
+        credit = LONGEST_BURST * self.per_second
+        excess = self.excess if self.excess > 0.0 else CREDIT_SHARE * self.excess
+        excess += newest.number - self.number - (newest.time - self.time) * self.per_second
+        return excess if excess > -credit else -credit
 
 
 class FrameRates:
     """Counts the periodic CAN frames of all nodes of one CAN bus.
 
     - ``excessive``: description of the first identifier with too many frames by name of the node;
+    - ``missed_time``: time (s) that the clock of the computer has missed, as the frames of all
+      nodes say, at the first identifier with too many frames; 0 if single nodes send too many.
     - ``latest``: newest received frame of each identifier.
     """
 
@@ -112,6 +126,7 @@ class FrameRates:
         self._groups = [rates[i::SAMPLE_CYCLES] for i in range(SAMPLE_CYCLES)]
         self._next_group = 0
         self.excessive: dict[str, str] = {}
+        self.missed_time = 0.0
 
     def change_periods(self, periods: Mapping[str, float]) -> None:
         """Changes the shortest allowed periods (s) of the frames in ``periods``, by frame name."""
@@ -123,6 +138,7 @@ class FrameRates:
     def clear(self) -> None:
         """Forgets all frames that were counted before."""
         self.excessive.clear()
+        self.missed_time = 0.0
         for group in self._groups:
             for rate in group:
                 rate.clear(self._latest.get(rate.cob_id))
@@ -135,10 +151,26 @@ class FrameRates:
             if newest is None or newest.number == rate.number:
                 continue
             if rate.add(newest) and rate.node not in self.excessive:
+                self.missed_time = self.missed_time or self._common_excess()
                 self.excessive[rate.node] = (
                     f"{rate.name} ({rate.cob_id:#05x}) comes more often than the robot file states;"
                     f" {second_device(self._ids[rate.node])}"
                 )
+
+    def _common_excess(self) -> float:
+        """Returns the time (s) by which the frames of every node exceed the clock, or 0.
+
+        A node that sent nothing lately says nothing.  A single node cannot tell a second device
+        from a clock that stands.
+        """
+        times: dict[str, float] = {}
+        for rate in (rate for group in self._groups for rate in group):
+            newest = self._latest.get(rate.cob_id)
+            if newest is not None:
+                excess = rate.excess_with(newest) / rate.per_second
+                times[rate.node] = max(times.get(rate.node, -math.inf), excess)
+        common = min(times.values(), default=0.0)
+        return common if len(times) > 1 and common > LEAST_MISSED else 0.0
 
 
 def second_device(node_id: int) -> str:

@@ -46,6 +46,7 @@ class FrameReceiver:
     - ``received``: number of received data frames with standard identifier;
     - ``dropped``: number of events that were lost because the event queue was full;
     - ``ignored``: number of extended and remote frames, which CANopen does not use;
+    - ``ignored_id``: identifier of the newest of them that has the number of an event, or ``None``;
     - ``drained_until``: time (s) up to which all frames on the bus are in ``latest``, and were
       returned by ``drain``.  Frames that still wait in the CAN interface, because the receiving
       thread runs late, are newer.
@@ -62,6 +63,7 @@ class FrameReceiver:
         self.received = 0
         self.dropped = 0
         self.ignored = 0
+        self.ignored_id: int | None = None
         self.drained_until = -math.inf
         self.lost: str = ""
         """Reason why the CAN interface is lost; empty if the CAN interface works."""
@@ -125,6 +127,8 @@ class FrameReceiver:
             return
         if frame.extended or frame.remote:
             self.ignored += 1
+            if frame.id in self._event_ids:
+                self.ignored_id = frame.id
             return
         self.received += 1
         time = received.time / NANOSECONDS

@@ -12,15 +12,13 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.bus import Bus, Node, ObjectValue
 from thorvaldc.model.plugins import PluginFailure, PluginTable
+from thorvaldc.model.required_objects import required_objects
 from thorvaldc.model.robot import Actuator, Robot
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
 T = TypeVar("T")
 MASTER = "master"
 """Name of the base driver as a producer or consumer of frames."""
-SAFETY_OBJECTS = frozenset({0x1016, 0x1017, 0x1029})
-"""Objects of CiA 301 that stop a node or tell of its failure: the heartbeat consumer, the heartbeat
-producer, and the behaviour after a communication error."""
 STANDING = 0.02
 """Speed (rad/s) below which a wheel or a steering joint counts as standing."""
 IN_POSITION = 0.01
@@ -119,6 +117,7 @@ class MotorController(abc.ABC):
 
     def __init__(self, robot: Robot, bus: Bus, node: Node) -> None:
         self.robot = robot
+        self.bus = bus
         self.node = node
         self.codecs = node_codecs(bus, node)
         self.axes = tuple(_axes(robot, node))
@@ -185,16 +184,12 @@ class MotorController(abc.ABC):
 
     def expected_objects(self) -> Iterator[ObjectValue]:
         """Yields the object dictionary entries whose values in the device must match the robot
-        file."""
-        return iter(())
+        file.
 
-    def safety_objects(self) -> Iterator[ObjectValue]:
-        """Yields those of the expected objects that stop the motors if the base driver or the motor
-        controller fails.
-
-        The base driver reads these objects again and again while the motors are enabled.
+        The base driver compares them at the start-up, and reads them again and again.  A driver
+        that changes some of them at run time leaves these out.
         """
-        return (entry for entry in self.expected_objects() if entry.index in SAFETY_OBJECTS)
+        return required_objects(self.bus, self.node)
 
     def shortest_periods(self) -> Mapping[str, float]:
         """Returns the shortest period (s) of each report that the driver accelerates, by frame

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -14,9 +13,6 @@ from thorvaldc.model.bus import ObjectValue
 ANSWER_TIME = 0.1
 """Time (s) after which a request without a response is repeated."""
 TRIES = 3
-SUPERVISION_INTERVAL = 0.1
-"""Time (s) between two SDO requests of the supervision, which is at least five control cycles at
-50 Hz.  The bus load contains one SDO exchange for each control cycle."""
 
 
 class ObjectReadback:
@@ -110,12 +106,13 @@ class SupervisedNode(NamedTuple):
 
 
 class ObjectSupervision:
-    """Reads the safety objects of all nodes of a bus again and again, one SDO transfer at a time.
+    """Reads the required objects of all nodes of a bus again and again, one in each control cycle.
 
     A drive whose watchdog was changed or switched off after the start-up would not stop if the base
-    driver fails.  A node that restarted without a boot-up message, or another program on the bus,
-    can cause such a change.  With N objects on the bus, each object is read again after ``N *
-    SUPERVISION_INTERVAL`` seconds.
+    driver fails.  A node that restarted without a boot-up message, a tool at another interface of
+    the node, or another program on the bus can cause such a change.  ``required_objects`` states
+    the time in which all objects are read.  The bus load contains one SDO exchange for each control
+    cycle.
     """
 
     def __init__(self, nodes: Sequence[SupervisedNode]) -> None:
@@ -124,11 +121,10 @@ class ObjectSupervision:
         self._nodes = [node for node in nodes if node.objects]
         self._index = -1
         self._readback: ObjectReadback | None = None
-        self._due = -math.inf
 
     def next_request(self, now: float) -> CanFrame | None:
-        """Returns the SDO request that is due at ``now`` (s), or ``None``."""
-        if now < self._due or not self._nodes or self.problem:
+        """Returns the SDO request of the control cycle at ``now`` (s), or ``None``."""
+        if not self._nodes or self.problem:
             return None
         readback = self._readback
         if readback is None or readback.finished:
@@ -137,8 +133,6 @@ class ObjectSupervision:
             readback = ObjectReadback(node.request, node.response, node.objects)
             self._readback = readback
         request = readback.next_request(now)
-        if request is not None:
-            self._due = now + SUPERVISION_INTERVAL
         self._take_problem()
         return request
 

@@ -41,8 +41,6 @@ FAST_CONSTANTS = 100
 """Period (ms) of TPDO 4 while the motors are off or homing; the normal period is seconds."""
 STOP_TIME = 2.0
 """Time (s) after a quick stop after which the motors have no torque, even if a wheel turns."""
-_EXPECTED_OBJECTS = (0x1017, 0x1018)
-"""Compared objects: heartbeat period and identity.  The script fixes all other objects."""
 
 
 class RoboteqScriptController(MotorController):
@@ -191,9 +189,16 @@ class RoboteqScriptController(MotorController):
         return None if "configuration" not in reported else ""
 
     def expected_objects(self) -> Iterator[ObjectValue]:
-        for entry in self.node.objects:
-            if entry.index in _EXPECTED_OBJECTS and entry.value is not None:
-                yield entry
+        """Yields all required objects but the event timers that ``setting_frame`` changes.
+
+        Reports that come too rarely or too often are found without them.
+        """
+        settings = self.setting_names()
+        return (
+            entry
+            for entry in super().expected_objects()
+            if f"{entry.name.removesuffix('_event_timer')}_cycle_time" not in settings
+        )
 
     def shortest_periods(self) -> Mapping[str, float]:
         frame = self.codecs["tpdo4"].frame if "tpdo4" in self.codecs else None

@@ -17,9 +17,15 @@ directly after the last time when nothing was waiting:
 Requests that only read or stop the robot count however old they are, and also if the client has
 closed its connection.
 
-The constants of this module limit the length of lines, the number of requests and the unsent
-answers for each client.  Without the limits, a client could delay a control cycle with long lines,
-too many requests or unread answers.
+Clients could delay a control cycle with long lines, too many requests or unread answers.  Therefore
+all clients together have ``MOST_REQUESTS`` requests and ``LONGEST_LINE`` bytes in a cycle, and they
+take turns.  The next cycle continues with the client whose turn it is:
+
+    client   a   b   c        turn 1     turn 2     turn 3
+    waiting  500 1   500      a1 b1 c1   a2 c2      a3 c3  ...  until the limit
+
+A client that sends one request at a time, such as a stop, is thus answered in the next cycle,
+however many requests the others send.
 """
 
 from __future__ import annotations
@@ -38,10 +44,10 @@ from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.runtime.service_table import Argument, Caller, ServiceError, Services
 
 LONGEST_LINE = 65536
-"""Largest length of a request, in bytes."""
+"""Largest length of a request, and of all requests that begin in a cycle, in bytes."""
 MOST_CLIENTS = 32
-MOST_REQUESTS = 100
-"""Largest number of requests of one client in a cycle; more requests wait for the next cycle."""
+MOST_REQUESTS = 64
+"""Largest number of requests of all clients in a cycle; more requests wait for the next cycle."""
 LONGEST_WAIT = 0.05
 """Longest time (s) for which a request may wait and still count, 2.5 cycles at 50 Hz."""
 _ROUNDING = 1e-9
@@ -76,6 +82,10 @@ class _Client:
         self.out = bytearray()
         self.closed = False
         self.ended = False
+
+    @property
+    def has_request(self) -> bool:
+        return b"\n" in self.unread
 
 
 class ControlServer:
@@ -127,9 +137,13 @@ class ControlServer:
         self._now = now
         clock_time = now if clock_time is None else clock_time
         self._accept(clock_time)
+        emptied = {client for client in self._clients if self._receive(client)}
+        self._answer_in_turns(clock_time)
         for client in list(self._clients):
+            if client in emptied and not client.has_request:
+                client.emptied = clock_time
             try:
-                self._serve(client, clock_time)
+                self._send(client)
             except OSError:  # the client has ended, perhaps in the middle of a line
                 self._drop(client)
         self._last_poll = clock_time
@@ -163,23 +177,33 @@ class ControlServer:
                 name = f"connection {self._connections}{_process(stream)}"
                 self._clients.append(_Client(stream, name, since))
 
-    def _serve(self, client: _Client, now: float) -> None:
-        emptied = self._receive(client)
-        requests = 0
-        while requests < MOST_REQUESTS and b"\n" in client.unread:
-            line, _, client.unread = client.unread.partition(b"\n")
-            client.out += _line(self._answer(line, client, now))
-            requests += 1
-        if emptied and b"\n" not in client.unread:
-            client.emptied = now
-        if len(client.unread) > LONGEST_LINE and b"\n" not in client.unread:
+    def _answer_in_turns(self, now: float) -> None:
+        """Answers one request of each client after another, up to the limits of a cycle."""
+        requests = size = 0
+        waiting = [client for client in self._clients if client.has_request]
+        while waiting:
+            for client in waiting:
+                if requests >= MOST_REQUESTS or size >= LONGEST_LINE:
+                    # The next cycle begins with this client.
+                    first = self._clients.index(client)
+                    self._clients = self._clients[first:] + self._clients[:first]
+                    return
+                line, _, client.unread = client.unread.partition(b"\n")
+                client.out += _line(self._answer(line, client, now))
+                requests += 1
+                size += len(line)
+            waiting = [client for client in waiting if client.has_request]
+
+    def _send(self, client: _Client) -> None:
+        """Sends the answers of a client, and ends its connection if nothing more will come."""
+        if len(client.unread) > LONGEST_LINE and not client.has_request:
             client.out += _line(_refusal(f"a request is longer than {LONGEST_LINE} bytes"))
             client.unread, client.ended = b"", True
         if client.out:
             with contextlib.suppress(BlockingIOError):
                 sent = client.stream.send(client.out)
                 del client.out[:sent]
-        if len(client.out) > LONGEST_BACKLOG or (client.ended and b"\n" not in client.unread):
+        if len(client.out) > LONGEST_BACKLOG or (client.ended and not client.has_request):
             self._drop(client)
 
     @staticmethod

@@ -181,6 +181,17 @@ class CanopenDevice(SimulatedDevice):
             for subindex in range(1, CONSUMERS + 1):
                 self.objects[0x1016, subindex].value = 0
 
+    def overwrite_object(self, index: int, subindex: int, value: int) -> int | None:
+        if self.node_id == lss.UNCONFIGURED or (index, subindex) not in self.objects:
+            return None
+        entry = self.objects[index, subindex]
+        if not entry.can_have(value):
+            return None
+        previous: int = entry.value
+        entry.value = value
+        self._add_configured_handlers()
+        return previous
+
     def reset_node(self) -> None:
         """Restarts the device as after power-on, but keeps the CAN controller on the bus."""
         self._life += 1

@@ -112,6 +112,15 @@ class FaultInjector:
             return self._clone(device)
         elif fault.kind == "watchdog_lost":
             device.lose_watchdog()
+        elif fault.kind == "object_written":
+            key = fault.index, fault.subindex
+            previous = device.overwrite_object(*key, fault.value)
+
+            def restore_object() -> None:
+                if previous is not None:
+                    device.overwrite_object(*key, previous)
+
+            return restore_object
         elif fault.kind == "battery_charge":
             charge = device.set_charge(fault.charge)
 
@@ -212,7 +221,10 @@ class FaultInjector:
         def send() -> None:
             if sender.powered:
                 data = self._random.randbytes(length) if fault.data is None else fault.data
-                sender.send(CanFrame(cob_id, data))
+                if fault.format == "remote":
+                    sender.send(CanFrame(cob_id, remote=True, requested=len(data)))
+                else:
+                    sender.send(CanFrame(cob_id, data, fault.format == "extended"))
                 if fault.period > 0.0:
                     self.simulated.timeline.after(to_ns(fault.period), send)
 

@@ -164,6 +164,15 @@ class SimulatedDevice:
         """
         raise ValueError(f"{self.name} has no watchdog")
 
+    def overwrite_object(self, index: int, subindex: int, value: int) -> int | None:
+        """Changes an object of the object dictionary, as a service tool at another interface does.
+
+        Returns the previous value, or ``None`` if the device refuses an object or a value that it
+        cannot have.  The stored value applies again after a reset of the device.  Raises
+        ``ValueError`` if the device has no object dictionary.
+        """
+        raise ValueError(f"{self.name} has no object dictionary")
+
     def change_bitrate(self, bitrate: int) -> None:
         """Changes the bitrate (bit/s) of the CAN controller until the next power-on."""
         self.controller.bitrate = bitrate

@@ -10,7 +10,9 @@ from typing import Any
 
 from thorvaldc.can.canopen import NMT, SYNC, NmtCommand
 from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus, FrameDefinition, Node
+from thorvaldc.model.bus import Bus, FrameDefinition, Node, ObjectValue
+from thorvaldc.model.bus_faults import FRAME_FORMATS
+from thorvaldc.model.required_objects import reading_time, required_objects
 from thorvaldc.model.statics.unpowered import roll_out
 from thorvaldc.model.stopping import (
     COMMAND_TIMEOUT,
@@ -20,6 +22,7 @@ from thorvaldc.model.stopping import (
     HEARTBEAT_TIMEOUT,
     stop_bounds,
 )
+from thorvaldc.model.swerve import swerve_bounds
 from thorvaldc.runtime.can_base.motor_controller import controller_class
 from thorvaldc.tools.fault_matrix.rehearsal import Rehearsal
 
@@ -108,6 +111,7 @@ def fault_cases(robot: Robot) -> list[FaultCase]:
     first = list(targets.values())[:1]
     sources = (
         (_device_cases, targets.values()),
+        (_object_cases, targets.values()),
         (_identity_cases, targets.values()),
         (_encoder_cases, targets.values()),
         (_forgery_cases, targets.values()),
@@ -134,6 +138,7 @@ class _Target:
         coasts = math.isinf(bounds[DRIVER_DEAD].time)
         self.watchdog = math.inf if coasts else bounds[DRIVER_DEAD].reaction
         self.timeout = bounds[COMMAND_TIMEOUT].reaction
+        self.reading = reading_time(bus, self.cycle) + self.prompt
 
     def _sent(self, kind: str) -> list[FrameDefinition]:
         return [f for f in self.bus.frames if f.producer == self.node.name and f.kind == kind]
@@ -160,6 +165,11 @@ class _Target:
             and any(signal.joint in joints for signal in frame.signals)
         ]
         return min(commands, key=lambda frame: frame.period or 0.0, default=None)
+
+    def object(self, index: int, subindex: int = 0) -> ObjectValue | None:
+        """Returns an object of the motor controller that must have a certain value, or ``None``."""
+        required = required_objects(self.bus, self.node)
+        return next((o for o in required if (o.index, o.subindex) == (index, subindex)), None)
 
     def channel(self, role: str) -> str | None:
         names = (c.name for c in self.node.channels if c.role == role and c.actuator is not None)
@@ -190,8 +200,11 @@ class _Target:
 
         return inject
 
-    def forged(self, cob_id: int, data: bytes, period: float = 0.0) -> Injection:
-        return self.on_node(None, "forged_frames", cob_id=cob_id, data=data, period=period)
+    def forged(
+        self, cob_id: int, data: bytes, period: float = 0.0, form: str = FRAME_FORMATS[0]
+    ) -> Injection:
+        values = {"cob_id": cob_id, "data": data, "period": period, "format": form}
+        return self.on_node(None, "forged_frames", **values)
 
     def repeated(self, frame: FrameDefinition, period: float) -> Injection:
         """Returns the injection of frames from another time.
@@ -236,14 +249,15 @@ def _device_cases(target: _Target) -> Iterator[FaultCase]:
         observed=2.6,
         braking=max(NOT_FOLLOWING, watchdog),
     )
-    detects = target.node.heartbeat_consumer_time or controller_class(target.node).checks_watchdog
-    forgotten = dict.fromkeys((IDLE, DRIVING), SLOW) if detects else {}
+    supervises = target.node.heartbeat_consumer_time is not None
+    detects = supervises or controller_class(target.node).checks_watchdog
+    limit = target.reading if supervises else SLOW
     yield case(
         "a drive forgets its watchdog",
         device("watchdog_lost"),
-        forgotten,
+        dict.fromkeys((IDLE, DRIVING), limit) if detects else {},
         starts_at=1.0,
-        observed=SLOW,
+        observed=limit,
     )
     yield case(
         "a drive floods the bus with top-priority frames",
@@ -251,6 +265,45 @@ def _device_cases(target: _Target) -> Iterator[FaultCase]:
         reports,
         braking=watchdog,
     )
+
+
+def _object_cases(target: _Target) -> Iterator[FaultCase]:
+    """Yields the cases of objects that a service tool overwrites at another interface."""
+
+    def written(*changes: tuple[str, ObjectValue, int]) -> Injection:
+        bus = target.bus.name
+
+        def inject(rehearsal: Rehearsal, phase: str, evidence: Evidence) -> None:
+            for node, entry, value in changes:
+                key = {"index": entry.index, "subindex": entry.subindex}
+                rehearsal.inject("object_written", bus, node, **key, value=value)
+
+        return inject
+
+    limit = target.reading
+    more: dict[str, Any] = {"starts_at": 1.0, "observed": target.reading}
+    deceleration = target.object(0x6084)
+    if deceleration is not None:
+        tiny = written((target.node.name, deceleration, 1))
+        yield target.case("a deceleration of a drive is overwritten (0x6084)", tiny, limit, **more)
+    other = next(
+        (
+            _Target(target.robot, target.bus, node)
+            for node in target.bus.nodes
+            if node.protocol == target.drives and node is not target.node
+        ),
+        None,
+    )
+    if target.report is None or target.report.pdo is None or other is None:
+        return
+    index = 0x1800 + target.report.pdo - 1
+    first, second = target.object(index, 1), other.object(index, 1)
+    if first is not None and second is not None:
+        swap = written(
+            (target.node.name, first, second.value or 0),
+            (other.node.name, second, first.value or 0),
+        )
+        yield target.case("two drives swap their reports (0x1800)", swap, limit, **more)
 
 
 def _identity_cases(target: _Target) -> Iterator[FaultCase]:
@@ -306,6 +359,9 @@ def _forgery_cases(target: _Target) -> Iterator[FaultCase]:
     if target.command is not None:
         other = target.repeated(target.command, target.command.period or cycle)
         yield case("another master sends commands to a drive", other, target.silence)
+        for form in FRAME_FORMATS[1:]:
+            frames = target.forged(target.command.cob_id, bytes(8), cycle, form)
+            yield case(f"{form} frames with the id of a command", frames, None)
     if target.report is not None:
         old = target.repeated(target.report, target.report.period or cycle)
         yield case("false reports of a drive: of another time", old, SECOND_DEVICE)
@@ -323,10 +379,21 @@ def _bus_cases(target: _Target) -> Iterator[FaultCase]:
         rolls_out=True,
         observed=min(roll_out(target.robot).time + 1.0, LONGEST_ROLL),
     )
+    if swerve_bounds(target.robot):
+        name = target.bus.name
+
+        def lose(rehearsal: Rehearsal, phase: str, evidence: Evidence) -> None:
+            rehearsal.lose_bus(name)
+
+        # The wheels of the other buses stop together with those of the lost bus.
+        more: dict[str, Any] = {"phases": (IDLE, *MOVING_PHASES), "braking": target.watchdog}
+        yield case(f"the driver loses the bus {name} of several", lose, prompt, **more)
+        silent = target.on_node(None, "lost_frames", share=1.0)
+        yield case(f"the bus {name} of several is silent", silent, target.silence, **more)
     yield case("one frame in ten is destroyed", target.on_node(None, "noise", share=0.1), None)
-    late = target.on_node(None, "late_frames", share=1.0, latency=1.5 * target.cycle)
+    late_frames = target.on_node(None, "late_frames", share=1.0, latency=1.5 * target.cycle)
     delay = prompt + 1.5 * cycle
-    yield case("all frames arrive 1.5 cycles late", late, None, braking=delay)
+    yield case("all frames arrive 1.5 cycles late", late_frames, None, braking=delay)
     twice = target.on_node(None, "repeated_frames", share=1.0)
     # CANopen nodes send SDO responses and boot-up messages twice, others only too many reports.
     canopen = any(node.is_canopen for node in target.bus.nodes)

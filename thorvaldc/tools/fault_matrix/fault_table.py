@@ -12,6 +12,7 @@ from thorvaldc import __version__
 from thorvaldc.diagnostics.text_table import text_table
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import to_json
+from thorvaldc.model.swerve import BUS_LOST, SwerveBound, swerve_bounds
 from thorvaldc.tools.fault_matrix.fault_cases import DRIVING, MOVING_PHASES, PHASES
 from thorvaldc.tools.fault_matrix.fault_limits import rest_limit
 from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix, FaultRow
@@ -40,6 +41,9 @@ def matrix_json(matrix: FaultMatrix, rows: Sequence[FaultRow], file: str) -> dic
         "simulated": True,
         "note": SIMULATED,
         "driving": twist._asdict(),
+        "swerve": {
+            bound.kind: bound.yaw for bound in swerve_bounds(robot) if math.isfinite(bound.yaw)
+        },
         "passed": all(row.passed for row in rows),
         "faults": [row_json(robot, row) for row in rows],
     }
@@ -86,6 +90,8 @@ def markdown(
     yield f"- SHA-256 of its model.json: `{model_hash(robot)}`"
     yield f"- thorvaldc {__version__}"
     yield f"- Driving: {twist.vx:.2f} m/s in curves of {abs(twist.wz):.2f} rad/s to both sides"
+    for bound in swerve_bounds(robot):
+        yield f"- Yaw, straight ahead: {_swerve_text(bound)}"
     yield ""
     if width is None:
         yield from table(robot, rows)
@@ -101,6 +107,14 @@ def markdown(
             yield f"- {row.case.name} ({row.case.drives}), {phase}: {text}"
     else:
         yield "All promises are kept."
+
+
+def _swerve_text(bound: SwerveBound) -> str:
+    bus = f"the bus `{bound.bus}`"
+    cause = f"the driver loses {bus}" if bound.kind == BUS_LOST else f"{bus} is silent"
+    if math.isinf(bound.yaw):
+        return f"no bound if {cause}, because a drive has no watchdog"
+    return f"at most {math.ceil(math.degrees(bound.yaw))} deg if {cause}"
 
 
 def table(robot: Robot, rows: Sequence[FaultRow]) -> Iterator[str]:

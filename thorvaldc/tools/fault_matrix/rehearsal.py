@@ -128,6 +128,7 @@ class Rehearsal:
             bus.name: self.simulated.interface(bus.name, fifo=True) for bus in robot.buses
         }
         self.base = CanBase(robot, interfaces, threaded=False)
+        self._interfaces = interfaces
         clock = interfaces[robot.buses[0].name]
         self.driven: DrivenRobot = DrivenRobot(robot, self.base, clock, parameters=parameters)
         self.client: ScriptedClient | None = None
@@ -304,6 +305,10 @@ class Rehearsal:
         """Injects a fault now; it lasts until the end of the rehearsal."""
         fault = BusFault(kind, bus, node, 0.0, None, self.robot.span, **values)
         FaultInjector(self.simulated, BusFaults(())).inject(fault)
+
+    def lose_bus(self, bus: str) -> None:
+        """Puts the CAN controller of the base driver off the bus."""
+        self._interfaces[bus].controller.go_bus_off()
 
     def kill_driver(self) -> None:
         """Ends the base driver without a last frame, as the signal SIGKILL does."""

@@ -1,0 +1,53 @@
+"""The clock that counts while the computer is asleep."""
+
+from __future__ import annotations
+
+import importlib
+import time
+
+import pytest
+
+from tests.can.interfaces import bus as bus
+from tests.can.interfaces import open_python_can
+from thorvaldc.can import elapsed_clock
+from thorvaldc.can.elapsed_clock import elapsed, elapsed_ns
+from thorvaldc.can.nanoseconds import NANOSECONDS
+from thorvaldc.model.bus import Bus
+
+BOOTTIME = getattr(time, "CLOCK_BOOTTIME", None)
+
+
+@pytest.mark.skipif(BOOTTIME is None, reason="only Linux has CLOCK_BOOTTIME")
+def test_it_counts_the_sleep_of_the_computer() -> None:
+    """On a computer that has slept, the clock is ahead of ``time.monotonic``."""
+    assert BOOTTIME is not None
+    before = time.clock_gettime_ns(BOOTTIME)
+    assert before <= elapsed_ns() <= time.clock_gettime_ns(BOOTTIME)
+    assert before / 1e9 <= elapsed() <= time.clock_gettime_ns(BOOTTIME) / 1e9
+
+
+@pytest.mark.skipif(BOOTTIME is None, reason="only Linux has CLOCK_BOOTTIME")
+def test_an_hour_of_sleep_is_an_hour_for_a_real_bus(
+    bus: Bus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    interface = open_python_can("virtual:asleep", bus)
+    read = time.clock_gettime_ns
+    before = interface.now
+
+    def after_an_hour(clock: int) -> int:
+        return read(clock) + (3600 * NANOSECONDS if clock == BOOTTIME else 0)
+
+    monkeypatch.setattr(time, "clock_gettime_ns", after_an_hour)
+    assert interface.now - before == pytest.approx(3600.0, abs=1.0)
+    interface.close()
+
+
+def test_a_system_that_refuses_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(clock: int) -> int:
+        raise OSError(1, "Operation not permitted")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(time, "clock_gettime_ns", refuse)
+        module = importlib.reload(elapsed_clock)
+        assert module.elapsed_ns is time.monotonic_ns
+    importlib.reload(elapsed_clock)
