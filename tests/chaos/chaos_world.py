@@ -94,7 +94,6 @@ class ChaosWorld:
         self.driven: DrivenRobot = None  # type: ignore[assignment]
         self.alive = False
         self.listener: MemoryListener | None = None
-        self.control: RunnerControl | None = None
         self.interfaces: dict[str, ChaosInterface] = {}
         self.clients: dict[str, ChaosClient] = {}
         self.problems: dict[int, Problem] = {}
@@ -243,16 +242,14 @@ class ChaosWorld:
             self.interfaces[bus.name] = interface
         base = CanBase(robot, self.interfaces, threaded=False)
         self.driven = DrivenRobot(robot, base, next(iter(self.interfaces.values())))
-        self.driven.pace = self._before_cycle
-        self.control = RunnerControl(self.driven)
+        self.driven.before_cycle = self._before_cycle
         self.listener = MemoryListener()
-        self.control._server = MemoryControlServer(
-            self.control.services,
+        self.driven.channel = MemoryControlServer(
+            self.driven.services,
             self.listener,
             self.driven.driver.time_gaps.normal,
-            self.control._end_program,
+            self.driven.end_program,
         )
-        self.driven.feed = self._feed
         self._note_resets(self.driven.driver)
         self.odometry.invalidate()
         self.permission.driver_restarted()
@@ -270,10 +267,6 @@ class ChaosWorld:
             self.odometry.restart(self.now)
 
         driver.reset_pose = reset  # type: ignore[method-assign]
-
-    def _feed(self, driver: BaseDriver, now: float) -> None:
-        assert self.control is not None
-        self.control.feed(driver, now)
 
     def _before_cycle(self, deadline: float) -> None:
         if self._stall:
@@ -296,11 +289,11 @@ class ChaosWorld:
         self.driver_hangs = False
         self.hung_until = self.now
 
-    def _watch(self, runner: DrivenRobot, state: DriverState) -> None:
+    def _watch(self, driven: DrivenRobot, state: DriverState) -> None:
         now = self.now
-        base_state, base_period = runner.state, runner.period
+        base_state, base_period = self.driven.base.state, driven.period
         self.cycles += 1
-        settings = runner.driver.settings
+        settings = driven.driver.settings
         # After a limit was lowered, the robot ramps down to it.
         ramps = (settings.max_linear_acceleration, settings.max_angular_acceleration)
         new = (settings.max_linear_velocity, settings.max_angular_velocity)
@@ -308,12 +301,13 @@ class ChaosWorld:
             max(limit, previous - 0.5 * ramp * base_period)
             for limit, previous, ramp in zip(new, self.limits, ramps, strict=True)
         )
-        self.permission.cycle_ends(now, base_state.drives, base_state.starts)
+        awaits_homing = not driven.base.is_homed or driven.base.is_homing
+        self.permission.cycle_ends(now, base_state.drives, base_state.starts, awaits_homing)
         for number, problem in list(self.problems.items()):
             problem.noticed = problem.noticed or not base_state.drives
             if problem.ended and (problem.noticed or problem.kind not in LATCHED):
                 del self.problems[number]
-        axes = runner.base._axes
+        axes = self.driven.base._axes
         self._jump_seen |= any(axis.jump for axis in axes)
         if self._jump_seen and all(axis.homed and not axis.jump for axis in axes):
             self._jump_seen = self._encoder_jumped = False
@@ -347,9 +341,7 @@ class ChaosWorld:
             self.permission.disarm()
             self.driven.shutdown()
         else:
-            self.driven.base.close()
-        assert self.control is not None
-        self.control.close()
+            self.driven.close()
         self.alive, self.listener = False, None
         self.hung_until = self.now
         self.permission.driver_restarted()
@@ -357,9 +349,12 @@ class ChaosWorld:
     # -- the mission -------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Runs the start-up until the robot is ready."""
+        """Runs the start-up until the robot is ready; a person homes its steering."""
         self.simulated.power_on()
         self.start_driver()
+        self.run_until(READY_TIME, lambda: self.driven.ready or not self.driven.base.is_homed)
+        if not self.driven.ready:
+            self.driven.home_steering()
         self.run_until(READY_TIME, lambda: self.driven.ready)
         assert self.driven.ready, self.describe()
         self.run_until(self.now + 0.1)
@@ -574,9 +569,12 @@ class ChaosWorld:
             self._call(person, "reset_faults")
             self.run_until(
                 self.now + READY_TIME,
-                lambda: self.driven.ready or self.driven.base.state.value in ("fault", "estop"),
+                lambda: (
+                    self.driven.ready
+                    or self.driven.base.state.value in ("standby", "fault", "estop")
+                ),
             )
-        if self._encoder_jumped:
+        if self._encoder_jumped or not self.driven.base.is_homed:
             self._call(person, "home_steering")
             self.run_until(self.now + READY_TIME, lambda: self.driven.ready)
         self._call(person, "twist", source="teleop_joy")

@@ -4,8 +4,9 @@ A motion is permitted while all of this is true.  The rules are those of docs/dr
 
 - The driver was armed after it became ready, and no fault, stop, restart or long gap came since.
 - The twist was sent by the connection that holds its source, and it is fresh.
-- After a gap in the control cycle, the source has commanded zero before.
-- No stop lock with a higher priority is set.
+- After a gap in the control cycle, the source has commanded zero before.  So has a source that is
+  new, that was silent, or that takes over from one of a higher priority.
+- No stop lock with a higher priority is set, and none was set since the driver was armed.
 
 The rules are permissive where the outcome depends on the order within a control cycle.
 """
@@ -22,6 +23,8 @@ SHORT_GAP = 2.5
 """Periods between two control cycles above which waiting commands are void."""
 ARM_TIME = 0.1
 """s in which the driver processes a request to arm."""
+HOMING_TIME = 40.0
+"""s after which the driver has homed the steering for a request to arm."""
 RANK_OF_STOP = "safety_stop"
 
 
@@ -65,6 +68,10 @@ class Permission:
     """Connections that have set each active lock, by name of the lock."""
     living: set[str] = field(default_factory=set)
     _arming_until: float = -math.inf
+    _arming_client: str = ""
+    """Connection whose request to arm homes the steering first."""
+    _awaits_homing: bool = False
+    _driving: _Source | None = None
     _moves_before_arming: bool = False
     _void_at: float = -math.inf
     _last_motion: float = -math.inf
@@ -97,8 +104,15 @@ class Permission:
         if gap >= self.long_gap:
             self.disarm()
 
-    def cycle_ends(self, now: float, drives: bool, starts: bool) -> None:
-        """``drives``, ``starts``: the base is ready or drives; it is in its start-up."""
+    def cycle_ends(
+        self, now: float, drives: bool, starts: bool, awaits_homing: bool = False
+    ) -> None:
+        """``drives``, ``starts``: the base is ready or drives; it is in its start-up.
+
+        ``awaits_homing``: the base homes the steering when it is armed.
+        """
+        self._awaits_homing = awaits_homing
+        self._note_takeover(now)
         if starts:
             self.must_reset = False
         if not drives:
@@ -119,6 +133,15 @@ class Permission:
             for s in self.sources.values()
         )
 
+    def _note_takeover(self, now: float) -> None:
+        source, last = self._selected(now), self._driving
+        if source is None or source is last:
+            return
+        self._driving = source
+        silent = last is not None and not last.is_held(now)
+        if last is not None and last.priority > source.priority and silent:
+            source.awaits_zero = source.twist != ZERO_TWIST
+
     def _void(self) -> None:
         for source in self.sources.values():
             source.time, source.awaits_zero = -math.inf, True
@@ -130,6 +153,8 @@ class Permission:
         other = entry.client not in ("", client) and entry.client in self.living
         if other and entry.is_held(now):
             return
+        if not entry.is_held(now):
+            entry.awaits_zero = True
         entry.client, entry.attempt = client, now
         if twist == ZERO_TWIST:
             entry.awaits_zero = False
@@ -145,16 +170,21 @@ class Permission:
         if service == "arm" and self.armed and not self.must_reset:
             return  # nothing changes
         if service == "arm":
-            self._arming_until = now + ARM_TIME if self.needs_arming else -math.inf
+            waits = HOMING_TIME if self._awaits_homing else ARM_TIME
+            self._arming_until = now + waits if self.needs_arming else -math.inf
+            self._arming_client = client
             # A motion that comes after the request may be its first motion.
             self._moves_before_arming = self._is_moving(now - self.period)
         elif service == "disarm":
-            self.armed = False
+            self.armed, self._arming_until = False, -math.inf
         elif service in ("safety_stop", "lock"):
             name = str(arguments.get("name", RANK_OF_STOP))
             if service == "safety_stop":
                 self.disarm()
             if arguments.get("locked", True):
+                stops = {lock.name for lock in self.robot.twist_locks if lock.is_stop_lock}
+                if name in stops:
+                    self.armed, self._arming_until = False, -math.inf
                 self.locks.setdefault(name, set()).add(client)
             else:
                 self._release(name, client, bool(arguments.get("force")))
@@ -173,6 +203,8 @@ class Permission:
     def disconnects(self, client: str) -> None:
         """Voids the twists of a connection that was closed."""
         self.living.discard(client)
+        if self._arming_client == client and self._awaits_homing:
+            self._arming_until = -math.inf
         for source in self.sources.values():
             if source.client == client:
                 source.time = source.attempt = -math.inf
@@ -196,7 +228,7 @@ class Permission:
         if (self.needs_arming and not self.armed) or self.must_reset or self.zero_first:
             return ZERO_TWIST
         source = self._selected(now)
-        return ZERO_TWIST if source is None else source.twist
+        return ZERO_TWIST if source is None or source.awaits_zero else source.twist
 
 
 def wheel_speed(robot: Robot, twist: Twist, linear: float, angular: float) -> float:

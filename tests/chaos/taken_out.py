@@ -10,10 +10,10 @@ from typing import Any
 
 from thorvaldc.runtime.can_base.battery_supervision import BatteryLevel, BatterySupervision
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
-from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.can_base.object_readback import ObjectSupervision
 from thorvaldc.runtime.control.control_server import ControlServer
 from thorvaldc.runtime.driven_robot import DrivenRobot
+from thorvaldc.runtime.motion_permission import MotionPermission
 from thorvaldc.runtime.multiplexer import Multiplexer, _Source
 from thorvaldc.runtime.owned_stop import OwnedStop
 from thorvaldc.runtime.service_table import Caller
@@ -22,7 +22,7 @@ from thorvaldc.runtime.time_gap import Gap, TimeGapRule
 
 def _time_gaps() -> None:
     """A gap in time is no fault, and commands stay valid."""
-    _replace(TimeGapRule, "judge", lambda self, elapsed: Gap.NONE)
+    _replace(TimeGapRule, "judge", lambda self, elapsed, now=0.0: Gap.NONE)
 
 
 def _stale_commands() -> None:
@@ -41,7 +41,7 @@ def _second_devices() -> None:
 
 
 def _stop_locks() -> None:
-    """A source with the priority of a stop lock drives through it."""
+    """A stop lock does not disarm, and a source with its priority drives through it."""
     initialise = Multiplexer.__init__
 
     def initialise_below(self: Multiplexer, *inputs: Any) -> None:
@@ -49,6 +49,7 @@ def _stop_locks() -> None:
         self._barriers = {name: lock.settings.priority - 0.5 for name, lock in self._locks.items()}
 
     _replace(Multiplexer, "__init__", initialise_below)
+    _replace(Multiplexer, "active_stop_locks", lambda self, now: ())
 
 
 def _arming() -> None:
@@ -57,11 +58,16 @@ def _arming() -> None:
 
     def cycle_armed(self: DrivenRobot, now: float) -> Any:
         if self.ready:
-            self.base.armed = True
+            self.driver.permission.armed = True
         return cycle(self, now)
 
     _replace(DrivenRobot, "cycle", cycle_armed)
-    _replace(CanBase, "disarm", lambda self, reason="": None)
+    _replace(MotionPermission, "disarm", lambda self, reason="": None)
+
+
+def _zero_first() -> None:
+    """A source that is new or takes over may begin with a motion."""
+    _replace(_Source, "await_zero", lambda self, reason: None)
 
 
 def _owned_sources() -> None:
@@ -98,6 +104,7 @@ TAKEN_OUT: dict[str, Callable[[], None]] = {
     "second_devices": _second_devices,
     "stop_locks": _stop_locks,
     "arming": _arming,
+    "zero_first": _zero_first,
     "owned_sources": _owned_sources,
     "owned_stops": _owned_stops,
     "batteries": _batteries,

@@ -145,7 +145,7 @@ class DrivenRobot:
         """
         gaps = self.driver.time_gaps
         longest_wait = gaps.normal if self.pace.factor is None else gaps.longest_short
-        self.channel = ControlServer(name, self.services, longest_wait, self._end_program)
+        self.channel = ControlServer(name, self.services, longest_wait, self.end_program)
         return self.channel
 
     # -- the loop ----------------------------------------------------------------------------------
@@ -550,7 +550,7 @@ class DrivenRobot:
         """Records an event for the summary of the run, such as ``armed``."""
         self.events.append(RunEvent(self.now, text))
 
-    def _end_program(self, name: str) -> None:
+    def end_program(self, name: str) -> None:
         """Notes that a program has ended: its twists are void, its stops stay engaged."""
         self.multiplexer.release(name)
         if self._arming_owner == name:
