@@ -62,6 +62,8 @@ class BusConnection:
     Only the thread of the control loop may call the methods of a ``BusConnection``.
 
     - ``send_until``: time (s) after which the frames of the present cycle are too old to be sent;
+    - ``starved``: ``True`` if only NMT commands are sent, so that nothing feeds the watchdogs of
+      the nodes, see ``stop_ladder``;
     - ``outbox``: frames that are sent once, when a cycle has room for the frame;
     - ``not_sent``: number of frames that the CAN interface did not accept;
     - ``malformed``: number of received frames that were too short, or had a number that is not
@@ -96,6 +98,7 @@ class BusConnection:
         """Description of a frame of another master on the bus; empty if there is none."""
         self.outbox: deque[CanFrame] = deque()
         self.send_until = math.inf
+        self.starved = False
         self.not_sent = 0
         self.malformed = 0
         self.failures_in_a_row = 0
@@ -230,9 +233,13 @@ class BusConnection:
         return ""
 
     def suspicious_devices(self) -> list[str]:
-        """Returns a message for each battery or IO board that exists twice on the bus."""
+        """Returns a message for each battery or IO board that exists twice on the bus, and for each
+        motor that turns without torque."""
         excessive = self.rates.excessive
-        return [f"{name}: {excessive[name]}" for name in self._device_names() if name in excessive]
+        names = [name for name in self._device_names() if name in excessive]
+        return [f"{name}: {excessive[name]}" for name in names] + [
+            f"{c.node.name}: {c.warning}" for c in self.controllers if c.warning
+        ]
 
     def _device_names(self) -> list[str]:
         return [b.node.name for b in self.batteries] + [b.node.name for b in self.boards]
@@ -390,6 +397,13 @@ class BusConnection:
     def overdue(self) -> bool:
         """``True`` if the frames of the present control cycle are too old to be sent."""
         return self.interface.now > self.send_until
+
+    def send_nmt(self) -> None:
+        """Sends the queued NMT commands, and drops all other queued frames."""
+        while self.outbox:
+            frame = self.outbox.popleft()
+            if frame.id == NMT:
+                self.send(frame)
 
     def send_sync(self, timeout: float = 0.0) -> bool:
         return self._sync is None or self.send(CanFrame(self._sync.cob_id), timeout)

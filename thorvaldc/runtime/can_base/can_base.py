@@ -26,6 +26,7 @@ commands are old.
 The control loop sends all CAN frames; no CAN frame is sent by a timer.  The heartbeat of the master
 stops if the control loop hangs or if the CAN frames of a cycle cannot be sent.  Each motor
 controller has a watchdog that stops the motors if the heartbeat of the master is missing.  The
+control loop also falls silent on a bus with a motor that does not obey (``stop_ladder``).  The
 watchdog of a CiA 402 drive is the heartbeat consumer (object 0x1016).  The script on a Roboteq
 controller stops the motors 0.5 s after the last motor command with a new sequence number.
 """
@@ -93,7 +94,7 @@ class CanBase(BaseHandle):
             for connection in self.connections:
                 connection.receiver.stop()
             raise
-        self.state_machine = BaseStateMachine(self.connections, times)
+        self.state_machine = BaseStateMachine(robot, self.connections, times)
         self.armed = False
         """``True`` if the base accepts motion; see ``arm``."""
         self._disarmed_by = ""
@@ -183,11 +184,15 @@ class CanBase(BaseHandle):
         for connection in self.connections:
             connection.send_until = now + self.period
         complete = True
+        fed = [connection for connection in self.connections if not connection.starved]
         for connection in self.connections:
-            complete = self._send_cycle(connection, intent, now) and complete
+            if connection.starved:
+                connection.send_nmt()
+            else:
+                complete = self._send_cycle(connection, intent, now) and complete
         if complete:
             self.cycles += 1
-            for connection in self.connections:
+            for connection in fed:
                 if not connection.overdue:
                     connection.send_heartbeat(now, state_machine.operational)
         else:
