@@ -39,6 +39,12 @@ FAULT_KINDS = {
     "frozen_encoder": FaultKind("yes", ("channel",)),
     "encoder_jump": FaultKind("yes", ("channel", "angle"), lasts=False),
     "blocked_motor": FaultKind("yes", ("channel",)),
+    "pushed_motor": FaultKind("yes", ("channel", "speed")),
+    "runaway_motor": FaultKind("yes", ("channel", "speed")),
+    "commands_ignored": FaultKind("yes"),
+    "sync_ignored": FaultKind("yes"),
+    "frozen_reports": FaultKind("yes"),
+    "changed_object": FaultKind("yes", ("index", "value"), ("subindex",), lasts=False),
     "wrong_bitrate": FaultKind("yes", ("bitrate",)),
     "bus_off": FaultKind("yes", lasts=False),
     "lost_frames": FaultKind("maybe", ("share",), ("cob_id",)),
@@ -72,6 +78,9 @@ class BusFault:
     - ``latency``: time in s by which late frames arrive late.
     - ``angle``: angle in rad at the joint by which the reading of an encoder jumps.
     - ``charge``: state of charge of the battery, 0 to 1.
+    - ``speed``: speed in rad/s that something else adds to a pushed joint, or with which a runaway
+      motor turns, whatever is commanded.
+    - ``index``, ``subindex``, ``value``: object dictionary entry that changes, and its new value.
     """
 
     kind: str
@@ -94,6 +103,10 @@ class BusFault:
     latency: float = 0.0
     angle: float = 0.0
     charge: float = 0.0
+    speed: float = 0.0
+    index: int = 0
+    subindex: int = 0
+    value: int = 0
 
 
 @dataclass(frozen=True, slots=True)

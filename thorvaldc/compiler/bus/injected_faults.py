@@ -20,6 +20,7 @@ from thorvaldc.model.robot import Robot
 LONGEST = 86400.0
 """Latest start time of an injected fault in s (one day)."""
 _WHEN = ("fault", "bus", "at", "frame", "delay")
+_CANOPEN_FAULTS = ("commands_ignored", "sync_ignored", "frozen_reports", "changed_object")
 _BATTERIES = "kc_battery"
 
 
@@ -92,6 +93,10 @@ class _Reader:
             numbers(node, "latency", "time", least=0.0, most=LONGEST),
             numbers(node, "angle", "angle"),
             numbers(node, "charge", "number", least=0.0, most=1.0),
+            numbers(node, "speed", "angular_velocity"),
+            _integer(node, "index") or 0,
+            _integer(node, "subindex") or 0,
+            _integer(node, "value") or 0,
         )
 
     def _bus_and_device(self, node: Node, kind: FaultKind) -> tuple[Bus | None, Device | None]:
@@ -170,6 +175,8 @@ class _Reader:
             reason = "has no id"
         elif name == "watchdog_lost" and not device.channels:
             reason = "is no motor controller"
+        elif name in _CANOPEN_FAULTS and not device.is_canopen:
+            reason = "is no CANopen device"
         elif name == "battery_charge" and all(
             battery.node != device.name for battery in self.robot.batteries
         ):

@@ -103,10 +103,10 @@ class StopTimes(NamedTuple):
     def longest(self) -> float:
         """Longest time (s) from the command to stop until the last rung.
 
-        A motor that barely slows down as promised stays ``1 / STOP_SHARE`` times as long on each
-        rung.
+        A motor that barely slows down as promised stays ``1 / STOP_SHARE`` times as long on the
+        first rung.
         """
-        return 4.0 * self.stop / STOP_SHARE + self.watchdog + RESET_TIME
+        return self.stop / STOP_SHARE + 2.0 * self.stop + self.watchdog + RESET_TIME
 
 
 class _Climber:
@@ -122,12 +122,26 @@ class _Climber:
         self.has_stood = False
         """``True`` if the motors have stood at least once since the command to stop."""
         self.obedience = Obedience.UNKNOWN
+        self.verdict = ""
+        """Message for the operator about motors that do not obey, or an empty text."""
         self.sent_at = -math.inf
         """Time (s) of the newest NMT command of the rung."""
 
     @property
     def is_at_end(self) -> bool:
         return self.rung in (Rung.RELEASED, Rung.CUT_POWER)
+
+    @property
+    def stands(self) -> bool:
+        """``True`` if all motors stand, or stood when their reports ended."""
+        if self.obedience is Obedience.UNKNOWN:
+            return self.has_stood
+        return self.obedience is Obedience.STANDS
+
+    @property
+    def is_off(self) -> bool:
+        """``True`` if all motors have no torque, or if no command reaches them any more."""
+        return self.controller.is_off or self.connection.starved
 
 
 class StopLadder:
@@ -198,23 +212,20 @@ class StopLadder:
     @property
     def stands(self) -> bool:
         """``True`` if all motors stand, except those that the ladder could not stop."""
-        return self._stopping and all(
-            climber.obedience is Obedience.STANDS or climber.is_at_end for climber in self._climbers
-        )
+        return self._stopping and all(c.stands or c.is_at_end for c in self._climbers)
 
     @property
     def is_finished(self) -> bool:
         """``True`` if all motors stand without torque, except those that could not be stopped."""
-        return self.stands and all(c.controller.is_off or c.is_at_end for c in self._climbers)
+        return self.stands and all(c.is_off or c.is_at_end for c in self._climbers)
 
     @property
     def verdict(self) -> str:
-        """Message about the controllers at the end of the ladder for the operator, or empty."""
-        return "; ".join(
-            self._released(c) if c.rung is Rung.RELEASED else self._cut_power(c)
-            for c in self._climbers
-            if c.is_at_end
-        )
+        """Message for the operator about the motors that do not obey, or an empty text.
+
+        It names each wheel that was seen to disobey, and each one at the end of the ladder.
+        """
+        return "; ".join(climber.verdict for climber in self._climbers if climber.verdict)
 
     def _climb(self, climber: _Climber, now: float) -> None:
         controller, obedience = climber.controller, climber.obedience
@@ -265,6 +276,10 @@ class StopLadder:
 
     def _enter(self, climber: _Climber, rung: Rung, now: float) -> None:
         climber.rung, climber.since, climber.sent_at = rung, now, -math.inf
+        if rung is Rung.QUICK_STOP:
+            climber.verdict = ""
+        elif not climber.verdict and (climber.is_at_end or climber.obedience is Obedience.DISOBEYS):
+            climber.verdict = self._verdict_on(climber)
         reaction = self.times.reaction
         if rung > Rung.QUICK_STOP:
             climber.controller.disobeyed = True
@@ -285,26 +300,16 @@ class StopLadder:
 
     # -- texts -------------------------------------------------------------------------------------
 
-    def _names(self, climber: _Climber) -> str:
-        names = sorted({self.robot.wheels[axis.wheel].name for axis in climber.controller.axes})
-        return f"{' and '.join(names)} ({climber.controller.node.name})"
-
-    def _released(self, climber: _Climber) -> str:
-        return (
-            f"wheel {self._names(climber)} did not stop; its controller was restarted and has no "
-            "torque now; cut the power before you touch the robot"
-        )
-
-    def _cut_power(self, climber: _Climber) -> str:
+    def _verdict_on(self, climber: _Climber) -> str:
+        axes = climber.controller.axes
+        names = sorted({self.robot.wheels[axis.wheel].name for axis in axes})
         if climber.obedience is Obedience.UNKNOWN:
             motion = "may turn, because its controller reports nothing"
         else:
-            axis = max(climber.controller.axes, key=lambda a: abs(a.velocity))
+            axis = max(axes, key=lambda axis: abs(axis.velocity))
             radius = self.robot.wheels[axis.wheel].radius
-            speed = f"{abs(axis.velocity):.2f} rad/s"
-            motion = (
-                f"still steers with {speed}"
-                if axis.steering
-                else f"still turns with {abs(axis.velocity) * radius:.2f} m/s"
-            )
-        return f"cut the power: wheel {self._names(climber)} {motion}"
+            steers = f"steers with {abs(axis.velocity):.2f} rad/s"
+            turns = f"turns with {abs(axis.velocity) * radius:.2f} m/s"
+            motion = f"{steers if axis.steering else turns} and does not obey"
+        wheels = f"{' and '.join(names)} ({climber.controller.node.name})"
+        return f"cut the power: wheel {wheels} {motion}"
