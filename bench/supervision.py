@@ -11,6 +11,7 @@ import itertools
 import math
 import random
 import re
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -79,8 +80,9 @@ def drive(hours: float, seed: int, *, verbose: bool = False) -> tuple[list[str],
 
 def _mission(name: str, cia402: bool, world: str, draw: random.Random) -> tuple[float, str]:
     """Drives one example on one ground; returns the duration (s) and the reason of a fault."""
-    with TemporaryDirectory(dir=ROOT / "examples" / name) as folder:
-        fleet = _fleet(Path(folder), name, cia402, world, draw)
+    with TemporaryDirectory() as folder:
+        copy = Path(shutil.copytree(ROOT / "examples" / name, Path(folder, name)))
+        fleet = _fleet(copy, cia402, world, draw)
     robot = fleet.placements[0].robot
     base = MujocoBase(robot, MujocoScene(emit(fleet, ["mjcf"])), "robot/")
     simulated = SimulatedRobot(robot, seed=draw.randrange(1 << 30), base=base)
@@ -115,8 +117,8 @@ def _mission(name: str, cia402: bool, world: str, draw: random.Random) -> tuple[
     return clock.now - start, reason
 
 
-def _fleet(folder: Path, name: str, cia402: bool, world: str, draw: random.Random) -> Fleet:
-    text = (ROOT / "examples" / name / "robot.yaml").read_text(encoding="utf-8")
+def _fleet(folder: Path, cia402: bool, world: str, draw: random.Random) -> Fleet:
+    text = (folder / "robot.yaml").read_text(encoding="utf-8")
     if cia402:
         text = re.sub(
             r"(type: assembly/steered_drive.*?)(, params: \{(.*?)\})?\}\n",

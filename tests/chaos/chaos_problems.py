@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tests.chaos.invariants import NOTICE, false_reports_notice
+from tests.chaos.invariants import NOTICE, PUSHED, false_reports_notice
 from thorvaldc.can.canopen import HEARTBEAT, NMT, RPDO, SYNC, TPDO
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault
 
 MASTER_BUS_OFF = "master_bus_off"
 FALSE_REPORTS = "false_reports"
+DISOBEDIENT = ("commands_ignored", "sync_ignored", "nmt_ignored", "changed_object")
+"""Kinds of injected faults in which a drive does not do what it receives."""
 IMPEDING = (
     "babble",
     "bus_off",
@@ -23,6 +25,7 @@ IMPEDING = (
     "second_master",
     FALSE_REPORTS,
     MASTER_BUS_OFF,
+    *DISOBEDIENT,
 )
 """Kinds of injected faults in which the drives may not receive what the driver sends."""
 LYING = (
@@ -34,6 +37,9 @@ LYING = (
     "late_frames",
     "repeated_frames",
     "blocked_motor",
+    "frozen_reports",
+    PUSHED,
+    *DISOBEDIENT,
 )
 """Kinds of injected faults that falsify what the motors report, without notice at first."""
 EMPTY_BATTERY = "battery_charge of a device"

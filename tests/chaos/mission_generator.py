@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from tests.chaos.chaos_robots import LOUD_SOURCE, ROBOTS, chaos_robot
+from tests.chaos.invariants import PUSHED
 from tests.chaos.schedule import DELIVERED, POWER_ON, READY, ChaosEvent, Schedule
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import Bus, Node
@@ -373,6 +374,31 @@ class MissionGenerator:
         else:
             yield _inject(at, kind, bus, node, self._duration(), channel=channel)
 
+    def disobedience(self, at: float) -> Iterator[ChaosEvent]:
+        """A drive that does not obey, whose reports freeze, or whose wheel something else turns."""
+        draw = self.draw
+        bus, node = draw.choice(self.controllers)
+        wheels = [c.name for c in node.channels if c.role == "propulsion"]
+        deceleration = [o for o in node.objects if o.name.endswith("_profile_deceleration")]
+        seconds = draw.choice((0.5, 3.0, 10.0))
+        kind = draw.choice(
+            ("commands_ignored", "commands_ignored", "sync_ignored", "frozen_reports", PUSHED)
+            + (("changed_object",) if deceleration else ())
+        )
+        if kind == PUSHED:
+            speed = draw.choice((-1, 1)) * draw.choice((0.5, 2.0))
+            more: dict[str, Any] = {"channel": draw.choice(wheels), "speed": speed}
+            yield _inject(at, kind, bus, node, seconds, **more)
+        elif kind == "changed_object":
+            more = {"index": deceleration[0].index, "value": 1}
+            yield _inject(at, kind, bus, node, seconds, **more)
+        else:
+            yield _inject(at, kind, bus, node, seconds)
+            if kind == "commands_ignored" and draw.random() < 0.5:
+                yield _inject(at, "nmt_ignored", bus, node, seconds)
+        if draw.random() < 0.5:
+            yield _call(at + draw.uniform(0.1, 1.0), "pilot", "safety_stop")
+
     def battery(self, at: float) -> Iterator[ChaosEvent]:
         if self.batteries:
             bus, node = self.draw.choice(self.batteries)
@@ -435,6 +461,7 @@ FAULTS: dict[str, Maker] = {
     "clone": MissionGenerator.clone,
     "moved_id": MissionGenerator.moved_id,
     "motor": MissionGenerator.motor,
+    "disobedience": MissionGenerator.disobedience,
     "battery": MissionGenerator.battery,
     "clock": MissionGenerator.clock,
     "driver_process": MissionGenerator.driver_process,

@@ -81,8 +81,7 @@ def test_ignored_commands_end_with_a_safety_stop(robot: Callable[[], Robot]) -> 
 def test_a_drive_that_ignores_nmt_too_is_starved() -> None:
     """Its watchdog is the last part of it that works."""
     rig = driving(cia402())
-    device = rig.simulated.devices[FL]
-    device.handlers[NMT] = lambda frame: None
+    inject(rig, "nmt_ignored")
     inject(rig, "commands_ignored")
     start = rig.now
     rig.runner.safety_stop()

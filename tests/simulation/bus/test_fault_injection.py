@@ -402,5 +402,5 @@ def test_every_kind_of_fault_can_be_injected() -> None:
     begun = [kind for _, kind, begins in run.reports if begins]
     assert begun == list(FAULT_KINDS)
     assert [f.kind for f in run.faults.active] == [
-        "duplicate_id", "emcy", "watchdog_lost", "encoder_jump", "changed_object", "bus_off",
+        "duplicate_id", "emcy", "watchdog_lost", "encoder_jump", "bus_off",
     ]  # fmt: skip

@@ -20,7 +20,13 @@ from thorvaldc.model.robot import Robot
 LONGEST = 86400.0
 """Latest start time of an injected fault in s (one day)."""
 _WHEN = ("fault", "bus", "at", "frame", "delay")
-_CANOPEN_FAULTS = ("commands_ignored", "sync_ignored", "frozen_reports", "changed_object")
+_CANOPEN_FAULTS = (
+    "commands_ignored",
+    "sync_ignored",
+    "nmt_ignored",
+    "frozen_reports",
+    "changed_object",
+)
 _BATTERIES = "kc_battery"
 
 

@@ -90,6 +90,8 @@ class CanopenDevice(SimulatedDevice):
         """``True`` if received PDOs are ignored, as by a task of the device that hangs."""
         self.sync_ignored = False
         """``True`` if SYNC is ignored."""
+        self.nmt_ignored = False
+        """``True`` if NMT commands are ignored."""
         self.boot_time = BOOT_TIME
         self.objects = ObjectDictionary()
         self.pdos: PdoSet | None = None
@@ -208,7 +210,8 @@ class CanopenDevice(SimulatedDevice):
         if self.node_id == lss.UNCONFIGURED:
             return
         quirks = self._quirks
-        self.commands_ignored = self.sync_ignored = False  # the tasks run again
+        # A restarted device runs all its tasks.
+        self.commands_ignored = self.sync_ignored = self.nmt_ignored = False
         self.objects = objects = ObjectDictionary(length_aborts=Quirk.LENGTH_ABORTS in quirks)
         self._add_standard_objects(objects)
         self.add_objects(objects)
@@ -358,7 +361,7 @@ class CanopenDevice(SimulatedDevice):
     # -- NMT --------------------------------------------------------------------------------------
 
     def _nmt(self, frame: CanFrame) -> None:
-        if len(frame.data) != 2 or frame.data[1] not in (0, self.node_id):
+        if len(frame.data) != 2 or frame.data[1] not in (0, self.node_id) or self.nmt_ignored:
             return
         command = frame.data[0]
         if command == NmtCommand.START:

@@ -16,7 +16,7 @@ from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.bus.timeline import Action
 
-_CANOPEN_FLAGS = ("commands_ignored", "sync_ignored", "frozen_reports")
+_CANOPEN_FLAGS = ("commands_ignored", "sync_ignored", "nmt_ignored", "frozen_reports")
 """Kinds of faults that are switched on and off by a flag of a ``CanopenDevice``."""
 Listener = Callable[[float, BusFault, bool], None]
 """Function with the arguments time (s), injected fault, and ``True`` at the start of the fault.
@@ -144,7 +144,7 @@ class FaultInjector:
         elif fault.kind in _CANOPEN_FLAGS and isinstance(device, CanopenDevice):
             return _set_flag(device, fault.kind)
         elif fault.kind == "changed_object" and isinstance(device, CanopenDevice):
-            device.objects[fault.index, fault.subindex].value = fault.value
+            return _change_object(device, fault)
         elif fault.kind == "babble":
             return self._babble(fault, device)
         return _nothing
@@ -264,6 +264,17 @@ class FaultInjector:
 def _set_flag(device: object, name: str) -> Action:
     setattr(device, name, True)
     return lambda: setattr(device, name, False)
+
+
+def _change_object(device: CanopenDevice, fault: BusFault) -> Action:
+    """Changes the value of an object as a service tool does.  A reset of the node restores it."""
+    entry = device.objects[fault.index, fault.subindex]
+    original, entry.value = entry.value, fault.value
+
+    def restore() -> None:
+        entry.value = original
+
+    return restore
 
 
 def _nothing() -> None:
