@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from tests.chaos.chaos_robots import steered_script as two_buses
 from tests.robots import SPAN
 from tests.runtime.can_base.fault_matrix import ROBOTS, cia402, roboteq
 from tests.runtime.can_base.simulated_rig import Rig
@@ -234,3 +235,44 @@ def test_the_robot_drives_again_after_a_reset() -> None:
     rig.ready()
     rig.drive(FAST, 2.0)
     assert rig.speed() == pytest.approx(0.8, abs=0.02)
+
+
+def test_only_the_bus_of_the_drive_is_starved() -> None:
+    robot = two_buses()
+    rig = Rig(robot)
+    rear: list[tuple[float, int]] = []
+    rig.simulated.wire("rear").observers.append(lambda time, f, _: rear.append((time / 1e9, f.id)))
+    rig.drive(FAST, 3.0)
+    for kind in ("commands_ignored", "nmt_ignored"):
+        fault = BusFault(kind, "front", FL, 0.0, None, SPAN)
+        FaultInjector(rig.simulated, BusFaults(())).inject(fault)
+    rig.simulated.devices[FL].lose_watchdog()
+    rig.runner.safety_stop()
+    start = rig.now
+    rig.run(4.0)
+    commands = [t / 1e9 for t, frame in rig.frames if frame.id == 0x201]
+    assert max(commands) < start + 1.0
+    assert max(t for t, cob_id in rear if cob_id == 0x202) > rig.now - 0.1
+    assert rig.speed() > 0.5, "nothing else can be done"
+    assert "cut the power: wheel fl_wheel" in rig.reason
+
+
+def test_a_power_stage_that_returns_moves_nothing() -> None:
+    """The angle from before the loss of power is old when somebody has turned the joint."""
+    rig = driving(roboteq())
+    device: Any = rig.simulated.devices[FL]
+    device.power_stage_error = True
+    rig.until(lambda: rig.state is BaseState.ESTOP, 0.5)
+    rig.run(2.0)
+    steering = rig.simulated.motors["fl_steering_steering"]
+    steering.disturb(rig.now, push=0.5)
+    rig.run(1.0)
+    steering.disturb(rig.now)
+    rig.run(0.2)
+    turned = steering.read(rig.now).position
+    assert abs(turned) > 0.2
+    device.power_stage_error = False
+    rig.run(1.0)
+    assert steering.read(rig.now).position == pytest.approx(turned, abs=0.01)
+    assert rig.state is BaseState.ESTOP
+    assert all(controller.is_off for controller in rig.base.state_machine.controllers)

@@ -296,7 +296,8 @@ class BaseStateMachine:
             return
         ladder = self.ladder
         ladder.stop(now, self._verified)
-        self._released |= ladder.stands and (self.ending or ladder.holds_without_torque)
+        if ladder.stands and (self.ending or ladder.holds_without_torque or self._has_power_loss):
+            self._released = True
         verdict = ladder.verdict
         if verdict == self._verdict:
             return
@@ -307,6 +308,11 @@ class BaseStateMachine:
             if self.changed is not None:
                 self.changed(now, self.state, self.reason)
         self._verdict = verdict
+
+    @property
+    def _has_power_loss(self) -> bool:
+        """``True`` if a power stage is off; its motors get no torque when the power returns."""
+        return any(controller.power_loss for controller in self.controllers)
 
     def _check_problems(self, now: float) -> None:
         """Puts the base into the state ESTOP if the safety stop is engaged, or into the state FAULT

@@ -39,6 +39,8 @@ STOP_SHARE = 0.5
 """Share of the deceleration of a motor with which it must slow down at least in a quick stop.
 
 A loaded robot brakes more slowly, and more slowly still down a slope."""
+LONGEST_STEP = 0.1
+"""Longest time (s) between two control cycles in which a wheel counts as travelling."""
 SETTLED = 0.1
 """Time (s) at rest after which a motor stands."""
 REPORT_AGE = 0.2
@@ -129,11 +131,11 @@ class _Follower:
         targets.append(_Target(now, target))
         while targets[0].time < now - self.limits.time:
             targets.popleft()
-        dt = max(now - self._updated_at, 0.0)
+        dt = min(max(now - self._updated_at, 0.0), LONGEST_STEP)
         self._updated_at = now
         if not self.stands_by_command or abs(axis.velocity) <= STANDING:
             self._travel = 0.0
-        elif dt < self.limits.time:
+        else:
             self._travel += axis.velocity * dt
         # The newest target is one of the targets, so that a speed near it is accepted.
         return abs(axis.velocity - target) > self.limits.speed and not self._is_between(
@@ -177,7 +179,7 @@ class _Stopper:
         return too_fast or self._travel > REST_TRAVEL
 
     def update(self, now: float) -> None:
-        axis, dt = self.axis, now - self._updated_at
+        axis, dt = self.axis, min(now - self._updated_at, LONGEST_STEP)
         self._updated_at = now
         speed = abs(axis.velocity)
         if speed > STANDING:

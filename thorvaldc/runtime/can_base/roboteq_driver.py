@@ -225,7 +225,8 @@ class RoboteqScriptController(MotorController):
         elif second is not None and second.homed and intent is not Intent.HOME:
             # No steering angle is commanded before the homing, because the zero of the steering
             # angle is unknown.
-            if intent is Intent.OFF:
+            if intent is Intent.OFF or self.power_loss:
+                # A joint that was turned by hand without power does not jump when power returns.
                 second.target = second.position
             codec, top_speed = self.codecs["rpdo4"], second.actuator.max_velocity
             frames.append(CanFrame(codec.cob_id, codec.encode([top_speed, second.target])))
