@@ -30,6 +30,9 @@ START_UP = {
 FLOODED_EVERY, FIRST_FLOODED = 97, 5
 """Every 97th mission ends in a flood of twists. Such a flood is rare in the others, and the next
 drive of their pilot hides what the driver does with the twists that wait."""
+DISOBEDIENT_EVERY, FIRST_DISOBEDIENT = 11, 3
+"""Every 11th mission has a drive that does not obey for a long time; in the others a fault of
+another kind or the end of the mission often comes first."""
 COMMISSIONED = ("steered_cia402", "differential_cia402")
 """Robots whose drives are set up by ``can flash``."""
 STALLS = (0.005, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.55, 0.62, 0.7, 1.0, 2.0, 5.0)
@@ -80,6 +83,8 @@ class MissionGenerator:
         draw = self.draw
         if self.seed % FLOODED_EVERY == FIRST_FLOODED:
             return self._flooded()
+        if self.seed % DISOBEDIENT_EVERY == FIRST_DISOBEDIENT:
+            return self._disobedient()
         if draw.random() < DELIVERED_SHARE and self.name in COMMISSIONED:
             return self._commissioning()
         kinds = draw.sample(list(FAULTS), k=draw.randint(1, 4))
@@ -137,6 +142,33 @@ class MissionGenerator:
         if draw.random() < 0.5:
             events += self.stall(at + draw.uniform(0.0, 0.5))
         return self._schedule(READY, at + draw.uniform(0.5, 2.0), events)
+
+    def _disobedient(self) -> Schedule:
+        """Returns a mission with a drive that does not obey while the robot drives and stops, or
+        whose wheel something else turns while the robot should stand."""
+        draw = self.draw
+        driven = draw.uniform(1.0, 2.5)
+        values = {"source": "teleop_joy", "twist": self.fast_twist(), "seconds": driven}
+        events = [
+            *self.arm(0.1, "pilot"),
+            ChaosEvent(0.3, "drive", {"client": "pilot", **values, "rate": 20.0}),
+        ]
+        bus, node = draw.choice(self.controllers)
+        channel = next(c.name for c in node.channels if c.role == "propulsion")
+        kind = draw.randrange(4)
+        if kind == 0:
+            speed = draw.choice((0.5, -0.5, 2.0))
+            at = 0.3 + driven + draw.uniform(2.0, 3.0)
+            events.append(_inject(at, PUSHED, bus, node, 4.0, channel=channel, speed=speed))
+        else:
+            at = 0.3 + driven * draw.uniform(0.5, 0.9)
+            name = draw.choice(("commands_ignored", "commands_ignored", "sync_ignored"))
+            events.append(_inject(at, name, bus, node, 10.0))
+            if kind > 1:
+                events.append(_inject(at, "nmt_ignored", bus, node, 10.0))
+            if draw.random() < 0.5:
+                events.append(_call(0.3 + driven, "pilot", "safety_stop"))
+        return self._schedule(READY, at + draw.uniform(5.0, 8.0), events)
 
     # -- the mission -------------------------------------------------------------------------------
 
