@@ -154,7 +154,7 @@ class MotorController(abc.ABC):
         self.error_code = 0
         """Error code of the last EMCY message; 0: no error."""
         self.disobeyed = False
-        """``True`` if a motor has not followed its commands since the last start-up."""
+        """``True`` if a motor was seen not to stop when it should, since the last start-up."""
         self.warning = ""
         """Motion that stops nothing, but that the operator should know, or an empty text."""
 

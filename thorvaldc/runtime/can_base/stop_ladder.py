@@ -189,7 +189,6 @@ class StopLadder:
         """Returns a message about a motor that does not follow its target, or an empty text."""
         for climber in self._climbers:
             if problems := climber.supervision.problems:
-                climber.controller.disobeyed = True
                 return f"{climber.controller.node.name}: {', '.join(problems)}"
         return ""
 
@@ -281,7 +280,7 @@ class StopLadder:
         elif not climber.verdict and (climber.is_at_end or climber.obedience is Obedience.DISOBEYS):
             climber.verdict = self._verdict_on(climber)
         reaction = self.times.reaction
-        if rung > Rung.QUICK_STOP:
+        if rung > Rung.QUICK_STOP and climber.obedience is Obedience.DISOBEYS:
             climber.controller.disobeyed = True
         if rung is Rung.STARVE:
             reaction += self.times.watchdog
