@@ -20,7 +20,7 @@ from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 
 FAST = Twist(0.8, 0.0, 0.0)
-NOTICED = 0.75
+NOTICED = 0.95
 """Longest time (s) until a motor that does not follow its target is noticed."""
 FL = "fl_controller"
 every_drive = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)

@@ -60,7 +60,7 @@ def test_a_wheel_may_deviate_by_half_of_its_target(
     velocity: float, target: float, deviates: bool
 ) -> None:
     cycles = Cycles(make_axis("propulsion"))
-    cycles.run(0.1, velocity, target)
+    cycles.run(0.3, velocity, target)
     assert cycles.supervision.deviates is deviates
     assert cycles.supervision.problems == []
     cycles.run(PERIOD, velocity, target)
@@ -142,7 +142,7 @@ def test_reports_that_do_not_change_while_the_target_does(
 
 def test_a_driver_can_only_be_stricter() -> None:
     strict = FollowLimits(0.25, 1.0, 0.1, 3.0, 0.4)
-    assert FollowLimits().stricter(strict) == FollowLimits(0.25, 0.1, 0.1, 0.3, 0.2)
+    assert FollowLimits().stricter(strict) == FollowLimits(0.25, 0.3, 0.1, 0.3, 0.2)
 
 
 class Stop:

@@ -41,6 +41,8 @@ STOP_SHARE = 0.5
 A loaded robot brakes more slowly, and more slowly still down a slope."""
 LONGEST_STEP = 0.1
 """Longest time (s) between two control cycles in which a wheel counts as travelling."""
+TOO_FAST_TIME = 0.15
+"""Time (s) for which a motor may be faster than promised in a stop."""
 SETTLED = 0.1
 """Time (s) at rest after which a motor stands."""
 REPORT_AGE = 0.2
@@ -175,7 +177,7 @@ class _Stopper:
 
     @property
     def disobeys(self) -> bool:
-        too_fast = self.axis.time - self._too_fast_since > LIMITS.speed_time
+        too_fast = self.axis.time - self._too_fast_since > TOO_FAST_TIME
         return too_fast or self._travel > REST_TRAVEL
 
     def update(self, now: float) -> None:

@@ -57,14 +57,14 @@ class FollowLimits(NamedTuple):
     - ``time``: time (s) for which a motor may deviate from its target, longer than ramps and
       delays;
     - ``speed_time``: time (s) for which a wheel speed may match no target of the last ``time``
-      seconds; a bump in the ground disturbs the wheel speed for a shorter time;
+      seconds; a kerb disturbs the wheel speed for up to 0.25 s;
     - ``share``, ``speed``: largest deviation of a wheel speed: share of the target, or speed
       (rad/s) if this is more;
     - ``angle``: largest deviation (rad) of a steering joint that does not turn towards its target.
     """
 
     time: float = 0.5
-    speed_time: float = 0.1
+    speed_time: float = 0.3
     share: float = 0.5
     speed: float = 0.3
     angle: float = 0.2
