@@ -60,10 +60,10 @@ def test_a_wheel_may_deviate_by_half_of_its_target(
     velocity: float, target: float, deviates: bool
 ) -> None:
     cycles = Cycles(make_axis("propulsion"))
-    cycles.run(0.3, velocity, target)
+    cycles.run(0.1, velocity, target)
     assert cycles.supervision.deviates is deviates
     assert cycles.supervision.problems == []
-    cycles.run(PERIOD, velocity, target)
+    cycles.run(1.0, velocity, target)
     expected = ["the propulsion does not follow its target"] if deviates else []
     assert cycles.supervision.problems == expected
 
@@ -105,6 +105,16 @@ def test_a_steering_joint_that_stands_must_be_at_its_target(
     assert bool(cycles.supervision.problems) is deviates
 
 
+def test_a_kerb_may_turn_a_wheel_a_little() -> None:
+    cycles = Cycles(make_axis("propulsion"))
+    cycles.run(1.0, 0.3, 0.3)
+    cycles.run(0.3, -0.9, 0.3)
+    assert cycles.supervision.deviates
+    assert cycles.supervision.problems == []
+    cycles.run(0.25, -0.9, 0.3)
+    assert cycles.supervision.problems != []
+
+
 @pytest.mark.parametrize("velocity", [0.5, -0.5])
 def test_a_steering_joint_may_turn_only_towards_its_target(velocity: float) -> None:
     cycles = Cycles(make_axis("steering"))
@@ -141,8 +151,8 @@ def test_reports_that_do_not_change_while_the_target_does(
 
 
 def test_a_driver_can_only_be_stricter() -> None:
-    strict = FollowLimits(0.25, 1.0, 0.1, 3.0, 0.4)
-    assert FollowLimits().stricter(strict) == FollowLimits(0.25, 0.3, 0.1, 0.3, 0.2)
+    strict = FollowLimits(0.25, 2.0, 1.0, 0.1, 3.0, 0.4)
+    assert FollowLimits().stricter(strict) == FollowLimits(0.25, 1.0, 0.3, 0.1, 0.3, 0.2)
 
 
 class Stop:

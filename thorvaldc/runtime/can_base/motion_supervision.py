@@ -43,6 +43,8 @@ LONGEST_STEP = 0.1
 """Longest time (s) between two control cycles in which a wheel counts as travelling."""
 TOO_FAST_TIME = 0.15
 """Time (s) for which a motor may be faster than promised in a stop."""
+SHORTEST = 0.1
+"""Shortest time (s) of a deviation that counts."""
 SETTLED = 0.1
 """Time (s) at rest after which a motor stands."""
 REPORT_AGE = 0.2
@@ -87,6 +89,8 @@ class _Follower:
         self._reported: tuple[float, float] = (math.nan, math.nan)
         self._target_then = math.nan
         """Target at the newest change of the reports."""
+        self._excess = 0.0
+        """Travel (rad) of the present deviation beyond all recent targets."""
         self._travel = 0.0
         """Travel (rad) since the wheel is commanded to stand."""
         self._updated_at = math.inf
@@ -99,7 +103,10 @@ class _Follower:
     @property
     def problem(self) -> str:
         axis, limits = self.axis, self.limits
-        if axis.time - self.deviating_since > limits.time or abs(self._travel) > REST_TRAVEL:
+        lasts = axis.time - self.deviating_since
+        deviates = lasts > (limits.time if axis.steering else limits.speed_time)
+        deviates |= lasts > SHORTEST and self._excess > limits.excess
+        if deviates or abs(self._travel) > REST_TRAVEL:
             if self.stands_by_command:
                 return f"the {axis.channel} turns, although it is commanded to stand"
             return f"the {axis.channel} does not follow its target"
@@ -110,17 +117,13 @@ class _Follower:
     def update(self, now: float, target: float) -> None:
         """``target``: commanded wheel speed (rad/s) or steering angle (rad)."""
         axis, limits = self.axis, self.limits
-        since = axis.time
         if axis.steering:
             error = target - axis.position
             approaches = axis.velocity * error > 0.0 and abs(axis.velocity) >= STANDING
             deviates = abs(error) > limits.angle and not approaches
         else:
             deviates = self._update_wheel(now, target)
-            # A deviation of a wheel speed may last only `speed_time`, because all target speeds of
-            # the last `time` seconds are already accepted.
-            since -= limits.time - limits.speed_time
-        self.deviating_since = min(self.deviating_since, since) if deviates else math.inf
+        self.deviating_since = min(self.deviating_since, axis.time) if deviates else math.inf
         reported = (axis.position, axis.velocity)
         if reported != self._reported:
             self._reported, self._target_then = reported, target
@@ -139,20 +142,18 @@ class _Follower:
             self._travel = 0.0
         else:
             self._travel += axis.velocity * dt
-        # The newest target is one of the targets, so that a speed near it is accepted.
-        return abs(axis.velocity - target) > self.limits.speed and not self._is_between(
-            axis.velocity
-        )
+        excess = self._excess_of(axis.velocity)
+        self._excess = self._excess + excess * dt if excess > 0.0 else 0.0
+        return excess > 0.0
 
-    def _is_between(self, speed: float) -> bool:
-        """Checks whether ``speed`` (rad/s) is between the lowest and the highest of the recent
-        targets, with a tolerance."""
+    def _excess_of(self, speed: float) -> float:
+        """Returns by how much (rad/s) ``speed`` is beyond the recent targets and a tolerance."""
         limits = self.limits
         lowest = min(value for _, value in self._targets)
         highest = max(value for _, value in self._targets)
         lowest -= max(limits.share * abs(lowest), limits.speed)
         highest += max(limits.share * abs(highest), limits.speed)
-        return lowest <= speed <= highest
+        return max(speed - highest, lowest - speed, 0.0)
 
 
 class _Stopper:

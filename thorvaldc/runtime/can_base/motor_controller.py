@@ -57,14 +57,17 @@ class FollowLimits(NamedTuple):
     - ``time``: time (s) for which a motor may deviate from its target, longer than ramps and
       delays;
     - ``speed_time``: time (s) for which a wheel speed may match no target of the last ``time``
-      seconds; a kerb disturbs the wheel speed for up to 0.25 s;
+      seconds;
+    - ``excess``: travel (rad) by which a wheel may meanwhile exceed, or fall behind, all these
+      targets; a kerb turns a wheel by up to 0.15 rad;
     - ``share``, ``speed``: largest deviation of a wheel speed: share of the target, or speed
       (rad/s) if this is more;
     - ``angle``: largest deviation (rad) of a steering joint that does not turn towards its target.
     """
 
     time: float = 0.5
-    speed_time: float = 0.3
+    speed_time: float = 1.0
+    excess: float = 0.3
     share: float = 0.5
     speed: float = 0.3
     angle: float = 0.2
