@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from tests.chaos.invariants import NOTICE, false_reports_notice
+from tests.chaos.invariants import NOTICE, PUSHED, false_reports_notice
 from thorvaldc.can.canopen import HEARTBEAT, NMT, RPDO, SYNC, TPDO
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault
@@ -13,6 +13,8 @@ from thorvaldc.model.required_objects import reading_time
 
 MASTER_BUS_OFF = "master_bus_off"
 FALSE_REPORTS = "false_reports"
+DISOBEDIENT = ("commands_ignored", "sync_ignored", "nmt_ignored")
+"""Kinds of injected faults in which a drive does not do what it receives."""
 IMPEDING = (
     "babble",
     "bus_off",
@@ -25,6 +27,7 @@ IMPEDING = (
     "second_master",
     FALSE_REPORTS,
     MASTER_BUS_OFF,
+    *DISOBEDIENT,
 )
 """Kinds of injected faults in which the drives may not receive what the driver sends."""
 LYING = (
@@ -36,6 +39,9 @@ LYING = (
     "late_frames",
     "repeated_frames",
     "blocked_motor",
+    "frozen_reports",
+    PUSHED,
+    *DISOBEDIENT,
 )
 """Kinds of injected faults that falsify what the motors report, without notice at first."""
 EMPTY_BATTERY = "battery_charge of a device"

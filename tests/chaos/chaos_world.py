@@ -13,6 +13,7 @@ from tests.chaos.chaos_client import ChaosClient
 from tests.chaos.chaos_commissioning import Technician, delivered_ids
 from tests.chaos.chaos_interface import LONGEST_JUMP, ChaosInterface
 from tests.chaos.chaos_problems import (
+    DISOBEDIENT,
     EMPTY_BATTERY,
     FALSE_REPORTS,
     IMPEDING,
@@ -28,6 +29,8 @@ from tests.chaos.chaos_robots import chaos_robot, wrong_file
 from tests.chaos.control_streams import MemoryControlServer, MemoryListener
 from tests.chaos.invariants import (
     CHECK_PERIOD,
+    DISOBEDIENCE,
+    PUSHED,
     MotionInvariant,
     OdometryInvariant,
     StateInvariant,
@@ -61,6 +64,8 @@ REST_TIME = 0.3
 """s between the end of all faults and the first act of the person; devices boot in this time."""
 LATE_FRAME_TIME = 0.04
 """s until the next command replaces a command that was sent late."""
+PUSH_ENDS = 0.5
+"""s after the end of a push in which the wheel comes to rest."""
 RECOVERIES = 4
 RECOVERY_TWIST = Twist(0.3, 0.0, 0.0)
 RECOVERED_SPEED = 0.15
@@ -108,6 +113,8 @@ class ChaosWorld:
         self.violation: Violation | None = None
         self._ends: dict[int, Callable[[], None]] = {}
         self._targets: dict[int, tuple[object, ...]] = {}
+        self._pushes: dict[int, float] = {}
+        """Speeds (m/s) that something else may add to a wheel, by number of the problem."""
         self._stall, self._stall_in_sending = 0.0, 0.0
         self._end = ""
         self._start_wrong = False
@@ -151,6 +158,11 @@ class ChaosWorld:
         """Returns the speed (m/s) of the fastest wheel."""
         now = self.now
         return max(abs(motor.read(now).velocity) * wheel.radius for wheel, motor, _ in self._motors)
+
+    @property
+    def pushed_speed(self) -> float:
+        """Speed (m/s) that something else may add to the fastest wheel."""
+        return sum(self._pushes.values())
 
     def true_twist(self) -> Twist:
         """Returns the twist of the robot that fits the motion of the wheels best."""
@@ -488,6 +500,11 @@ class ChaosWorld:
             self.problems[number].holds = lambda: (
                 key in written.objects and written.objects[key].value == fault.value
             )
+        tiny_deceleration = kind == OBJECT_WRITTEN and fault.value == 1
+        if kind in DISOBEDIENT or tiny_deceleration:
+            self.problems[number].delay = DISOBEDIENCE
+        elif kind == PUSHED:
+            self._pushes[number] = 1.1 * abs(fault.speed) * max(w.radius for w in self.robot.wheels)
         self._encoder_jumped |= kind == "encoder_jump"
         self._targets[number] = target
         device = self.simulated.devices.get(node or "")
@@ -502,6 +519,8 @@ class ChaosWorld:
                 return
             remove()
             del self._targets[number]
+            if number in self._pushes:
+                self.after(PUSH_ENDS, lambda: self._pushes.pop(number, None))
             if kind == "duplicate_id" and device is not None and original is not None:
                 device.change_node_id(original)
             self._close_problem(number)

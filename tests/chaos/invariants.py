@@ -29,7 +29,11 @@ AFTER_IMPEDIMENT = 0.2
 """s after which the driver controls the drives again, when a hindrance has ended."""
 SPEED_TOLERANCE, SPEED_SHARE = 0.04, 1.06
 """Wheel speeds (m/s) that count as standing, and the tolerance of the permitted speed."""
-LONGEST_DELAY = 1.0
+PUSHED = "pushed_motor"
+DISOBEDIENCE = 2.5
+"""s until a drive that ignores its commands brakes: its target must change, which takes a ramp, and
+its motion is compared with the targets of half a second; then it climbs the ladder."""
+LONGEST_DELAY = 2.5
 """Longest time (s) by which an injected fault delays frames."""
 SIGMAS = 5.0
 POSE_TOLERANCE = 0.03
@@ -44,6 +48,7 @@ NOTICE = {
     "clone": 0.6,
     "second_master": 0.15,
     "battery": 3.0,
+    PUSHED: 2.0,
 }
 """Longest time (s) from an injected fault until the driver no longer reports that it can drive."""
 MARGIN = 0.1
@@ -139,7 +144,7 @@ class MotionInvariant:
                 self._ramp_start = self.envelope
             fall = share * self._ramp_start * CHECK_PERIOD / self.ramp_time
             self.envelope = max(highest, self.envelope - fall)
-        speed = world.true_speed()
+        speed = world.true_speed() - world.pushed_speed
         if speed > SPEED_SHARE * self.envelope + SPEED_TOLERANCE:
             raise Violation(
                 "unasked motion",
@@ -166,6 +171,10 @@ class StateInvariant:
             # Objects are read by SDO, which lost and late frames delay without a limit.
             delayed = problem.kind == "object_written" and world.impeded
             delayed = delayed or not problem.holds()
+            # What turns a wheel is noticed while the robot should stand.
+            delayed = delayed or (
+                problem.kind == PUSHED and world.motion.envelope > SPEED_TOLERANCE
+            )
             if delayed or not world.driven.base.state.drives or world.late_cycle:
                 self._since.pop(number, None)
                 continue

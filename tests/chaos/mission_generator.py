@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from tests.chaos.chaos_robots import LOUD_SOURCE, ROBOTS, chaos_robot
+from tests.chaos.invariants import PUSHED
 from tests.chaos.schedule import DELIVERED, POWER_ON, READY, ChaosEvent, Schedule
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import Bus, Node, ObjectValue
@@ -30,6 +31,9 @@ START_UP = {
 FLOODED_EVERY, FIRST_FLOODED = 97, 5
 """Every 97th mission ends in a flood of twists. Such a flood is rare in the others, and the next
 drive of their pilot hides what the driver does with the twists that wait."""
+DISOBEDIENT_EVERY, FIRST_DISOBEDIENT = 11, 3
+"""Every 11th mission has a drive that does not obey for a long time; in the others a fault of
+another kind or the end of the mission often comes first."""
 COMMISSIONED = ("steered_cia402", "differential_cia402")
 """Robots whose drives are set up by ``can flash``."""
 EMCY_INHIBIT_TIME, HEARTBEAT_PRODUCER, DRIVE_PROFILE = 0x1015, 0x1017, 0x6000
@@ -85,6 +89,8 @@ class MissionGenerator:
         draw = self.draw
         if self.seed % FLOODED_EVERY == FIRST_FLOODED:
             return self._flooded()
+        if self.seed % DISOBEDIENT_EVERY == FIRST_DISOBEDIENT:
+            return self._disobedient()
         if draw.random() < DELIVERED_SHARE and self.name in COMMISSIONED:
             return self._commissioning()
         kinds = draw.sample(list(FAULTS), k=draw.randint(1, 4))
@@ -142,6 +148,33 @@ class MissionGenerator:
         if draw.random() < 0.5:
             events += self.stall(at + draw.uniform(0.0, 0.5))
         return self._schedule(READY, at + draw.uniform(0.5, 2.0), events)
+
+    def _disobedient(self) -> Schedule:
+        """Returns a mission with a drive that does not obey while the robot drives and stops, or
+        whose wheel something else turns while the robot should stand."""
+        draw = self.draw
+        driven = draw.uniform(1.0, 2.5)
+        values = {"source": "teleop_joy", "twist": self.fast_twist(), "seconds": driven}
+        events = [
+            *self.arm(0.1, "pilot"),
+            ChaosEvent(0.3, "drive", {"client": "pilot", **values, "rate": 20.0}),
+        ]
+        bus, node = draw.choice(self.controllers)
+        channel = next(c.name for c in node.channels if c.role == "propulsion")
+        kind = draw.randrange(4)
+        if kind == 0:
+            speed = draw.choice((0.5, -0.5, 2.0))
+            at = 0.3 + driven + draw.uniform(2.0, 3.0)
+            events.append(_inject(at, PUSHED, bus, node, 4.0, channel=channel, speed=speed))
+        else:
+            at = 0.3 + driven * draw.uniform(0.5, 0.9)
+            name = draw.choice(("commands_ignored", "commands_ignored", "sync_ignored"))
+            events.append(_inject(at, name, bus, node, 10.0))
+            if kind > 1:
+                events.append(_inject(at, "nmt_ignored", bus, node, 10.0))
+            if draw.random() < 0.5:
+                events.append(_call(0.3 + driven, "pilot", "safety_stop"))
+        return self._schedule(READY, at + draw.uniform(5.0, 8.0), events)
 
     # -- the mission -------------------------------------------------------------------------------
 
@@ -392,6 +425,31 @@ class MissionGenerator:
         key = {"index": entry.index, "subindex": entry.subindex}
         yield _inject(0.5 * at, "object_written", bus, node, seconds, **key, value=value)
 
+    def disobedience(self, at: float) -> Iterator[ChaosEvent]:
+        """A drive that does not obey, whose reports freeze, or whose wheel something else turns."""
+        draw = self.draw
+        bus, node = draw.choice(self.controllers)
+        wheels = [c.name for c in node.channels if c.role == "propulsion"]
+        deceleration = [o for o in node.objects if o.name.endswith("_profile_deceleration")]
+        seconds = draw.choice((0.5, 3.0, 10.0))
+        kind = draw.choice(
+            ("commands_ignored", "commands_ignored", "sync_ignored", "frozen_reports", PUSHED)
+            + (("object_written",) if deceleration else ())
+        )
+        if kind == PUSHED:
+            speed = draw.choice((-1, 1)) * draw.choice((0.5, 2.0))
+            more: dict[str, Any] = {"channel": draw.choice(wheels), "speed": speed}
+            yield _inject(at, kind, bus, node, seconds, **more)
+        elif kind == "object_written":
+            more = {"index": deceleration[0].index, "value": 1}
+            yield _inject(at, kind, bus, node, seconds, **more)
+        else:
+            yield _inject(at, kind, bus, node, seconds)
+            if kind == "commands_ignored" and draw.random() < 0.5:
+                yield _inject(at, "nmt_ignored", bus, node, seconds)
+        if draw.random() < 0.5:
+            yield _call(at + draw.uniform(0.1, 1.0), "pilot", "safety_stop")
+
     def battery(self, at: float) -> Iterator[ChaosEvent]:
         if self.batteries:
             bus, node = self.draw.choice(self.batteries)
@@ -468,6 +526,7 @@ FAULTS: dict[str, Maker] = {
     "moved_id": MissionGenerator.moved_id,
     "motor": MissionGenerator.motor,
     "objects": MissionGenerator.objects,
+    "disobedience": MissionGenerator.disobedience,
     "battery": MissionGenerator.battery,
     "clock": MissionGenerator.clock,
     "driver_process": MissionGenerator.driver_process,

@@ -11,6 +11,7 @@ from typing import Any
 from thorvaldc.runtime.can_base.battery_supervision import BatteryLevel, BatterySupervision
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.object_readback import ObjectSupervision
+from thorvaldc.runtime.can_base.stop_ladder import StopLadder
 from thorvaldc.runtime.control.control_server import ControlServer
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.motion_permission import MotionPermission
@@ -97,6 +98,27 @@ def _object_readback() -> None:
     _replace(ObjectSupervision, "next_request", lambda self, now: None)
 
 
+def _motion_supervision() -> None:
+    """Motors that do not follow their targets are not noticed while the robot drives or stands."""
+    _replace(StopLadder, "problem", lambda self: "")
+
+
+def _stop_ladder() -> None:
+    """No motor controller climbs beyond the quick stop."""
+    _replace(StopLadder, "_climb", lambda self, climber, now: None)
+
+
+def _starving() -> None:
+    """The heartbeat of the driver feeds the watchdogs of drives that do not obey."""
+    enter = StopLadder._enter
+
+    def enter_fed(self: StopLadder, climber: Any, rung: Any, now: float) -> None:
+        enter(self, climber, rung, now)
+        climber.connection.starved = False
+
+    _replace(StopLadder, "_enter", enter_fed)
+
+
 TAKEN_OUT: dict[str, Callable[[], None]] = {
     "time_gaps": _time_gaps,
     "stale_commands": _stale_commands,
@@ -109,5 +131,8 @@ TAKEN_OUT: dict[str, Callable[[], None]] = {
     "owned_stops": _owned_stops,
     "batteries": _batteries,
     "object_readback": _object_readback,
+    "motion_supervision": _motion_supervision,
+    "stop_ladder": _stop_ladder,
+    "starving": _starving,
 }
 """Fixes that can be taken out, by name."""

@@ -188,6 +188,8 @@ def test_the_safety_stop_does_more_than_command_zero() -> None:
         rig.run(2.0)  # motion is still commanded
         assert rig.state is BaseState.ESTOP
         assert rig.speed() == 0.0
+        rig.base.state_machine.ladder.holds_without_torque = True
+        rig.run(0.1)
         assert all(c.is_off for connection in rig.base.connections for c in connection.controllers)
         rig.driven.safety_stop(False)
         rig.run(1.0)

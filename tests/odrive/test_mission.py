@@ -120,6 +120,9 @@ def test_a_safety_stop_brakes_and_then_takes_the_torque_away(robot: Robot) -> No
     assert not requested_states(commands(rig, LEFT, SET_STATE, pressed))
     rig.run(1.0)
     assert rig.speed() == 0.0
+    assert not requested_states(commands(rig, LEFT, SET_STATE, pressed)), "it might roll"
+    rig.base.state_machine.ladder.holds_without_torque = True
+    rig.run(0.1)
     assert set(requested_states(commands(rig, LEFT, SET_STATE, pressed))) == {IDLE}
     assert all(not any(f.data) for f in commands(rig, LEFT, INPUT_VEL, pressed + 0.05))
     assert device(rig).state == IDLE

@@ -40,6 +40,12 @@ FAULT_KINDS = {
     "frozen_encoder": FaultKind("yes", ("channel",)),
     "encoder_jump": FaultKind("yes", ("channel", "angle"), lasts=False),
     "blocked_motor": FaultKind("yes", ("channel",)),
+    "pushed_motor": FaultKind("yes", ("channel", "speed")),
+    "runaway_motor": FaultKind("yes", ("channel", "speed")),
+    "commands_ignored": FaultKind("yes"),
+    "sync_ignored": FaultKind("yes"),
+    "nmt_ignored": FaultKind("yes"),
+    "frozen_reports": FaultKind("yes"),
     "wrong_bitrate": FaultKind("yes", ("bitrate",)),
     "bus_off": FaultKind("yes", lasts=False),
     "lost_frames": FaultKind("maybe", ("share",), ("cob_id",)),
@@ -75,6 +81,8 @@ class BusFault:
     - ``latency``: time in s by which late frames arrive late.
     - ``angle``: angle in rad at the joint by which the reading of an encoder jumps.
     - ``charge``: state of charge of the battery, 0 to 1.
+    - ``speed``: speed in rad/s that something else adds to a pushed joint, or with which a runaway
+      motor turns, whatever is commanded.
     - ``index``, ``subindex``, ``value``: object of the device that another interface of the device
       overwrites, and its new value.
     - ``format``: format of the forged frames, one of ``FRAME_FORMATS``.
@@ -100,6 +108,7 @@ class BusFault:
     latency: float = 0.0
     angle: float = 0.0
     charge: float = 0.0
+    speed: float = 0.0
     index: int = 0
     subindex: int = 0
     value: int = 0

@@ -17,7 +17,7 @@
              RxSdo read, every second        --->
                                              <---   TxSdo
     a stop   Set_Input_Vel 0                 --->   brakes
-             Set_Axis_State idle             --->   when the wheel stands, at most after STOP_TIME
+             Set_Axis_State idle             --->   when the base takes the torque away
 
 The watchdog of the ODrive takes the torque away if no Set_Input_Vel has arrived for
 ``watchdog_timeout``; the motor then coasts.  A robot must not drive without it, and it is off in a
@@ -32,7 +32,6 @@ import struct
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model.bus import Bus, Node
 from thorvaldc.model.robot import Robot
-from thorvaldc.runtime.can_base.motion_supervision import MotionSupervision
 from thorvaldc.runtime.can_base.motor_controller import Intent, MotorController
 from thorvaldc_odrive.protocol import (
     PASSTHROUGH,
@@ -45,8 +44,6 @@ from thorvaldc_odrive.protocol import (
 
 REPEAT = 0.2
 """Time (s) after which a request of a state is repeated, longer than a period of the heartbeat."""
-STOP_TIME = 2.0
-"""Time (s) after a quick stop after which the motor has no torque, even if the wheel turns."""
 CLEAR_TIME = 0.5
 """Time (s) after Clear_Errors in which old reports of errors may still arrive."""
 ANSWER_TIME = 0.1
@@ -76,7 +73,6 @@ class OdriveController(MotorController):
             int(properties["enable_watchdog_endpoint"]),
         )
         self._watchdog_timeout = float(properties["watchdog_timeout"])
-        self._supervision = MotionSupervision(self.axes)
         self._state: int = AxisState.UNDEFINED
         self._active_errors = 0
         self._disarm_reason = 0
@@ -84,7 +80,7 @@ class OdriveController(MotorController):
         self._cleared_at = -math.inf
         self._requested_at = -math.inf
         self._mode_sent = False
-        self._stopped_at: float | None = None
+        self._stopping = False
         self._now = -math.inf
         self._forget_identity()
         for name, handler in (
@@ -154,7 +150,6 @@ class OdriveController(MotorController):
     @property
     def problem(self) -> str:
         problems = [error_names(self._errors)] if self._errors else []
-        problems += self._supervision.problems
         if self._unanswered > TRIES:
             problems.append("it does not answer RxSdo")
         problems.append(self.identity_mismatch() or "")
@@ -214,22 +209,19 @@ class OdriveController(MotorController):
 
     def cyclic_frames(self, intent: Intent, now: float) -> list[CanFrame]:
         self._now = now
-        if intent is not Intent.QUICK_STOP:
-            self._stopped_at = None
-        elif self._stopped_at is None:
-            self._stopped_at = now
+        if intent is Intent.QUICK_STOP and not self._stopping:
             self.hold()
+        self._stopping = intent is Intent.QUICK_STOP
         follows = intent is Intent.FOLLOW and self.follows
         if follows:
             self._reset_allowed = False
-        self._supervision.update(follows, now)
         velocity = self.axes[0].target if follows and self.axes else 0.0
         codec = self.codecs["set_input_vel"]
         return [CanFrame(codec.cob_id, codec.encode_named({"input_vel": velocity}))]
 
     def occasional_frame(self, intent: Intent, now: float) -> CanFrame | None:
         """Returns Clear_Errors, Set_Controller_Mode or Set_Axis_State, or ``None``."""
-        state = self._required_state(intent, now)
+        state = self._required_state(intent)
         if state == self._state:
             self._mode_sent = False
             return None
@@ -249,14 +241,11 @@ class OdriveController(MotorController):
         self._mode_sent = False
         return self._command("set_axis_state", requested_state=state)
 
-    def _required_state(self, intent: Intent, now: float) -> int:
+    def _required_state(self, intent: Intent) -> int:
         if intent is Intent.FOLLOW:
             return AxisState.CLOSED_LOOP_CONTROL
         if intent is Intent.QUICK_STOP and self.follows:
-            # During a stop the motor keeps its torque until the wheel stands.
-            since = now if self._stopped_at is None else self._stopped_at
-            if not self.standing and now - since < STOP_TIME:
-                return AxisState.CLOSED_LOOP_CONTROL
+            return AxisState.CLOSED_LOOP_CONTROL  # the motor keeps its torque
         return AxisState.IDLE
 
     def _command(self, name: str, **values: float) -> CanFrame:

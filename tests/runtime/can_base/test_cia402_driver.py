@@ -73,7 +73,10 @@ def test_steps_to_operation_enabled(state: int, word: int, intent: Intent) -> No
     drive.report(state, state)
     assert drive.words(intent) == (word, word)
     assert drive.words(Intent.OFF) == (0, 0)
-    assert drive.words(Intent.QUICK_STOP) == (0, 0)
+    stop = 0x02 if state == STOPPING else 0x00
+    assert drive.words(Intent.QUICK_STOP) == (stop, stop), (
+        "the ramp goes on until the drive ends it"
+    )
 
 
 def test_targets_count_while_the_drive_follows() -> None:

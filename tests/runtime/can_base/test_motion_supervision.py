@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import pytest
 
 from tests.runtime.can_base.fault_matrix import cia402
-from thorvaldc.runtime.can_base.motion_supervision import MotionSupervision
-from thorvaldc.runtime.can_base.motor_controller import Axis
+from thorvaldc.runtime.can_base.motion_supervision import (
+    REST_TRAVEL,
+    MotionSupervision,
+    Obedience,
+)
+from thorvaldc.runtime.can_base.motor_controller import Axis, FollowLimits
 
 PERIOD = 1 / 64  # s; sums of it are exact
 
@@ -58,7 +63,7 @@ def test_a_wheel_may_deviate_by_half_of_its_target(
     cycles.run(0.1, velocity, target)
     assert cycles.supervision.deviates is deviates
     assert cycles.supervision.problems == []
-    cycles.run(PERIOD, velocity, target)
+    cycles.run(1.0, velocity, target)
     expected = ["the propulsion does not follow its target"] if deviates else []
     assert cycles.supervision.problems == expected
 
@@ -98,6 +103,109 @@ def test_a_steering_joint_that_stands_must_be_at_its_target(
     assert cycles.supervision.problems == []
     cycles.run(PERIOD, velocity, 1.0, position)
     assert bool(cycles.supervision.problems) is deviates
+
+
+def test_a_kerb_may_turn_a_wheel_a_little() -> None:
+    cycles = Cycles(make_axis("propulsion"))
+    cycles.run(1.0, 0.3, 0.3)
+    cycles.run(0.3, -0.9, 0.3)
+    assert cycles.supervision.deviates
+    assert cycles.supervision.problems == []
+    cycles.run(0.25, -0.9, 0.3)
+    assert cycles.supervision.problems != []
+
+
+@pytest.mark.parametrize("velocity", [0.5, -0.5])
+def test_a_steering_joint_may_turn_only_towards_its_target(velocity: float) -> None:
+    cycles = Cycles(make_axis("steering"))
+    cycles.run(0.5 + 2 * PERIOD, velocity, 1.0, 0.5)
+    assert bool(cycles.supervision.problems) is (velocity < 0.0)
+
+
+def test_a_wheel_that_stands_by_command_may_not_travel() -> None:
+    cycles = Cycles(make_axis("propulsion"))
+    cycles.run(0.9 * REST_TRAVEL / 0.25, 0.25, 0.0)
+    assert cycles.supervision.problems == []
+    cycles.run(PERIOD, 0.0, 0.0)
+    cycles.run(0.9 * REST_TRAVEL / 0.25, 0.25, 0.0)
+    assert cycles.supervision.problems == [], "the wheel stood in between"
+    cycles.run(0.2 * REST_TRAVEL / 0.25, 0.25, 0.0)
+    assert cycles.supervision.problems == [
+        "the propulsion turns, although it is commanded to stand"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("change", "moves", "problem"), [(0.2, 0.0, 0), (0.5, 0.0, 1), (0.5, 1e-6, 0)]
+)
+def test_reports_that_do_not_change_while_the_target_does(
+    change: float, moves: float, problem: int
+) -> None:
+    cycles = Cycles(make_axis("propulsion"))
+    cycles.run(1.0, 4.0, 4.0)
+    cycles.run(0.25, 4.0 + moves, 4.0 + change)
+    cycles.run(0.5, 4.0 + 2.0 * moves, 4.0 + change)
+    assert len(cycles.supervision.problems) == problem
+    if problem:
+        assert cycles.supervision.problems[0].endswith("its reports do not change")
+
+
+def test_a_driver_can_only_be_stricter() -> None:
+    strict = FollowLimits(0.25, 2.0, 1.0, 0.1, 3.0, 0.4)
+    assert FollowLimits().stricter(strict) == FollowLimits(0.25, 1.0, 0.3, 0.1, 0.3, 0.2)
+
+
+class Stop:
+    """A motor that is commanded to stop, with the velocity as a function of time."""
+
+    def __init__(self, role: str = "propulsion") -> None:
+        self.axis = make_axis(role)
+        self.rate = self.axis.actuator.max_acceleration
+
+    def judge(self, seconds: float, velocity: Callable[[float], float]) -> Obedience:
+        supervision = MotionSupervision([self.axis])
+        self.axis.update(0.0, 0.0, velocity(0.0))
+        supervision.begin_stop(0.0, 0.05)
+        now, obedience = 0.0, Obedience.UNKNOWN
+        while now < seconds:
+            now += PERIOD
+            self.axis.update(now, 0.0, velocity(now))
+            obedience = supervision.obedience(now)
+        return obedience
+
+
+@pytest.mark.parametrize("role", ["propulsion", "steering"])
+@pytest.mark.parametrize(
+    ("share", "obedience"),
+    [(1.0, Obedience.SLOWS), (0.55, Obedience.SLOWS), (0.3, Obedience.DISOBEYS),
+     (0.0, Obedience.DISOBEYS), (-0.2, Obedience.DISOBEYS)],
+)  # fmt: skip
+def test_a_motor_slows_down_as_promised(role: str, share: float, obedience: Obedience) -> None:
+    stop = Stop(role)
+    top = 1.5 * stop.rate
+    assert stop.judge(1.0, lambda now: top - share * stop.rate * now) is obedience
+
+
+def test_a_motor_that_ignores_a_stop_is_noticed_at_once() -> None:
+    stop = Stop()
+    assert stop.judge(0.2, lambda now: 4.0) is Obedience.SLOWS, "the reaction takes time"
+    assert stop.judge(0.45, lambda now: 4.0) is Obedience.DISOBEYS
+
+
+def test_a_motor_stands_or_creeps_at_the_end_of_a_stop() -> None:
+    stop = Stop()
+    assert stop.judge(3.0, lambda now: max(4.0 - 4.0 * now, 0.0)) is Obedience.STANDS
+    assert stop.judge(3.0, lambda now: max(4.0 - 4.0 * now, 0.1)) is Obedience.SLOWS
+    assert stop.judge(10.0, lambda now: max(4.0 - 4.0 * now, 0.1)) is Obedience.DISOBEYS
+
+
+def test_a_motor_without_reports_is_unknown() -> None:
+    axis = make_axis("propulsion")
+    supervision = MotionSupervision([axis])
+    axis.update(0.0, 0.0, 0.0)
+    supervision.begin_stop(0.0, 0.05)
+    assert supervision.obedience(0.15) is Obedience.STANDS
+    assert supervision.obedience(0.25) is Obedience.UNKNOWN
 
 
 def test_velocity_from_positions() -> None:

@@ -156,20 +156,23 @@ def test_a_home_switch_that_is_not_found() -> None:
     assert driver.problem == "", "the homing before the restart does not count"
 
 
-def test_a_quick_stop_keeps_the_torque_until_the_wheels_stand() -> None:
+def test_a_quick_stop_keeps_the_torque() -> None:
     driver = two_wheels()
     modes(driver, Intent.FOLLOW, 0.0)
     report(driver, "tpdo1", struct.pack("<hhi", 100, 0, 0), 1.0)
     driver.cyclic_frames(Intent.QUICK_STOP, 1.0)
     assert modes(driver, Intent.QUICK_STOP, 1.0) is None
     assert modes(driver, Intent.QUICK_STOP, 2.99) == (DRIVE, DRIVE), "repeated"
-    assert modes(driver, Intent.QUICK_STOP, 3.01) == (OFF, OFF), "after two seconds"
-    modes(driver, Intent.FOLLOW, 4.5)
-    driver.cyclic_frames(Intent.FOLLOW, 4.5)
-    driver.cyclic_frames(Intent.QUICK_STOP, 5.0)
-    assert modes(driver, Intent.QUICK_STOP, 5.0) is None
     report(driver, "tpdo1", bytes(8), 5.0)
-    assert modes(driver, Intent.QUICK_STOP, 5.0) == (OFF, OFF), "all wheels stand"
+    assert modes(driver, Intent.QUICK_STOP, 5.0) == (DRIVE, DRIVE), "repeated"
+    assert modes(driver, Intent.OFF, 5.0) == (OFF, OFF), "the base takes the torque away"
+    assert modes(driver, Intent.QUICK_STOP, 5.0) is None, "no torque is given back"
+
+
+def test_a_quick_stop_ends_a_homing() -> None:
+    driver = steered()
+    assert modes(driver, Intent.HOME, 0.0) == (DRIVE, HOME)
+    assert modes(driver, Intent.QUICK_STOP, 0.1) == (DRIVE, OFF)
 
 
 @pytest.mark.parametrize(
@@ -196,18 +199,6 @@ def test_flags(flags: tuple[int, ...], problem: str, power_loss: str) -> None:
     assert driver.supply_voltage == pytest.approx(51.3)
     driver.handle_restart()
     assert (driver.problem, driver.power_loss) == ("", "")
-
-
-def test_a_wheel_that_does_not_follow_is_a_problem() -> None:
-    driver = two_wheels()
-    modes(driver, Intent.FOLLOW, 0.0)
-    driver.axes[1].target = 2.0
-    for tick in range(1, 15):
-        report(driver, "tpdo1", bytes(8), 0.02 * tick)
-        driver.cyclic_frames(Intent.HOME if tick < 8 else Intent.FOLLOW, 0.02 * tick)
-        if tick <= 8:
-            assert driver.problem == "", "the wheel stands until it is commanded to follow"
-    assert driver.problem == "the right does not follow its target"
 
 
 def test_an_emergency_is_a_problem() -> None:

@@ -411,7 +411,7 @@ def test_every_kind_of_fault_can_be_injected() -> None:
     more: dict[str, Any] = {
         "id": 9, "cob_id": 0x400, "period": 0.01, "code": 0x1000, "channel": "steering",
         "bitrate": 125_000, "share": 0.5, "latency": 0.01, "angle": 0.1, "charge": 0.1,
-        "index": 0x1017, "value": 200,
+        "speed": 0.5, "index": 0x6084, "value": 1,
     }  # fmt: skip
     faults = [
         fault(

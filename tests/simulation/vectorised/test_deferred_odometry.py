@@ -67,9 +67,7 @@ def test_the_odometry_is_deferred_without_samples_and_without_a_callback() -> No
 def test_new_wheel_radii_apply_from_their_tick_on() -> None:
     robot = example_robot("4wd4ws_slim")
     radii = {"fl_wheel": 0.22, "rr_wheel": 0.21}
-    wheels = tuple(
-        replace(w, radii=(("worn", radii.get(w.name, w.radius)),)) for w in robot.wheels
-    )
+    wheels = tuple(replace(w, radii=(("worn", radii.get(w.name, w.radius)),)) for w in robot.wheels)
     worn = ParameterSet("worn", "worn", robot.driver, robot.span)
     robot = replace(robot, wheels=wheels, parameter_sets=(worn,))
 

@@ -20,6 +20,12 @@ from thorvaldc.model.robot import Robot
 LONGEST = 86400.0
 """Latest start time of an injected fault in s (one day)."""
 _WHEN = ("fault", "bus", "at", "frame", "delay")
+_CANOPEN_FAULTS = (
+    "commands_ignored",
+    "sync_ignored",
+    "nmt_ignored",
+    "frozen_reports",
+)
 _BATTERIES = "kc_battery"
 
 
@@ -92,6 +98,7 @@ class _Reader:
             numbers(node, "latency", "time", least=0.0, most=LONGEST),
             numbers(node, "angle", "angle"),
             numbers(node, "charge", "number", least=0.0, most=1.0),
+            numbers(node, "speed", "angular_velocity"),
             _integer(node, "index") or 0,
             _integer(node, "subindex") or 0,
             _integer(node, "value") or 0,
@@ -176,6 +183,8 @@ class _Reader:
             reason = "is no motor controller"
         elif name == "object_written" and not any(f.kind == "sdo" for f in frames):
             reason = "has no object dictionary"
+        elif name in _CANOPEN_FAULTS and not device.is_canopen:
+            reason = "is no CANopen device"
         elif name == "battery_charge" and all(
             battery.node != device.name for battery in self.robot.batteries
         ):

@@ -17,7 +17,8 @@ class BaseState(enum.Enum):
     - ``READY``: the robot stands and waits for a commanded twist;
     - ``ACTIVE``: the robot drives;
     - ``STOPPING``: the robot ramps to rest, because the commanded twist is too old;
-    - ``FAULT``, ``ESTOP``: all motors are in quick stop until ``reset`` is called.
+    - ``FAULT``, ``ESTOP``: all motors are in quick stop until ``reset`` is called; motors that do
+      not obey are stopped by other means, see ``stop_ladder``.
     """
 
     INIT = "init"

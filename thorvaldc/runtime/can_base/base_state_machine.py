@@ -27,6 +27,9 @@ controllers.  Messages between the base driver and a motor controller node durin
                                                 <---  enabled, in position
     READY    PDO: speed 0                       --->
 
+In the states FAULT and ESTOP and at the end of the program, all motors are commanded to stop, and
+those that do not obey are stopped by other means (``stop_ladder``).
+
 The base can enter the states FAULT and ESTOP from every state.  The base leaves the states FAULT
 and ESTOP only when ``reset`` is called.  After ``reset`` the base enters the state PREOP, so that
 all start-up checks are repeated.
@@ -36,15 +39,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from thorvaldc.can.canopen import NmtCommand, NmtState
 from thorvaldc.can.error_state import ErrorState
+from thorvaldc.model.robot import Robot
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.even_stop import hold_time
 from thorvaldc.runtime.can_base.frame_rates import OBSERVATION
 from thorvaldc.runtime.can_base.motor_controller import Intent, MotorController
+from thorvaldc.runtime.can_base.stop_ladder import StopLadder
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +61,8 @@ class Times:
     - ``configure``: longest duration of CONFIG;
     - ``home``: longest duration of the homing;
     - ``enable``: longest time to enable all motors;
-    - ``stop``: longest duration of the quick stop at the shutdown;
+    - ``stop``: longest duration of the shutdown, but not less than the time that the ladder of the
+      robot needs for a motor that does not obey (``StopTimes.longest``);
     - ``repeat``: time after which an NMT command is repeated.
     """
 
@@ -82,6 +88,7 @@ class BaseStateMachine:
 
     def __init__(
         self,
+        robot: Robot,
         connections: Sequence[BusConnection],
         times: Times | None = None,
         *,
@@ -90,7 +97,9 @@ class BaseStateMachine:
         """``homes_at_start``: ``True`` if the steering is homed without a request, see STANDBY."""
         self.connections = connections
         self.homes_at_start = homes_at_start
-        self.times = times or Times()
+        self.ladder = StopLadder(robot, connections)
+        times = times or Times()
+        self.times = replace(times, stop=max(times.stop, self.ladder.times.longest))
         self.state = BaseState.INIT
         self.since = -math.inf
         """Time (s) at which the base entered its present state."""
@@ -115,6 +124,10 @@ class BaseStateMachine:
         self._now = -math.inf
         self._hold_until = -math.inf
         """Time (s) until which the wheels keep their speed in FAULT; see ``even_stop``."""
+        self._released = False
+        """``True`` if all motors stand and need no torque any more."""
+        self._cause, self._verdict = "", ""
+        """Parts of ``reason``: the cause of the state, and the end of the ladder."""
 
     @property
     def controllers(self) -> list[MotorController]:
@@ -199,8 +212,7 @@ class BaseStateMachine:
 
     @property
     def ended(self) -> bool:
-        off = all(c.is_off and c.standing for c in self.controllers)
-        return self.ending and (off or self.state.starts or not self._operational)
+        return self.ending and (not self._verified or self.ladder.is_finished)
 
     # -- the control cycle -------------------------------------------------------------------------
 
@@ -212,6 +224,7 @@ class BaseStateMachine:
         self._now = now
         if self.since == -math.inf:
             self._enter(BaseState.INIT, now)
+        self._supervise_motion(now)
         self._check_problems(now)
         step = {
             BaseState.INIT: self._step_init,
@@ -238,11 +251,19 @@ class BaseStateMachine:
             self._enter(state, now)
 
     @property
+    def stops(self) -> bool:
+        """``True`` if all motors are commanded to stop and do not follow targets."""
+        stopped = self.ending or self.state in (BaseState.FAULT, BaseState.ESTOP)
+        return stopped and not self.holds_speed
+
+    @property
     def intent(self) -> Intent:
         """Request of the base to all motor controllers in this control cycle."""
         if self.holds_speed:
             return Intent.FOLLOW
-        if self.ending or self.state in (BaseState.STANDBY, BaseState.FAULT, BaseState.ESTOP):
+        if self.stops:
+            return Intent.OFF if self._released else Intent.QUICK_STOP
+        if self.state is BaseState.STANDBY:
             return Intent.QUICK_STOP
         if self.state.drives or self._enabling_since is not None:
             return Intent.FOLLOW
@@ -279,6 +300,7 @@ class BaseStateMachine:
 
     def _enter(self, state: BaseState, now: float, reason: str = "") -> None:
         self.state, self.since, self.reason = state, now, reason
+        self._cause, self._verdict = reason, ""
         self._enabling_since, self._homed_now = None, False
         self._hold_until = -math.inf
         if state in (BaseState.INIT, BaseState.PREOP):
@@ -291,6 +313,7 @@ class BaseStateMachine:
             self._may_send = True
             for controller in self.controllers:
                 controller.allow_reset()
+                controller.disobeyed = False
             self._nmt_sent_at, self._repeat_at = now, -math.inf
         elif state is BaseState.CONFIG:
             for connection in self.connections:
@@ -300,6 +323,34 @@ class BaseStateMachine:
             self.was_ready = True
         if self.changed is not None:
             self.changed(now, state, reason)
+
+    def _supervise_motion(self, now: float) -> None:
+        """Compares the motion of all motors with the commands of the last cycle."""
+        if not self.stops:
+            self._released = False
+            intent = self.intent
+            powered = intent in (Intent.FOLLOW, Intent.HOME)
+            self.ladder.follow(now, powered, intent is Intent.HOME)
+            return
+        ladder = self.ladder
+        ladder.stop(now, self._verified)
+        if ladder.stands and (self.ending or ladder.holds_without_torque or self._has_power_loss):
+            self._released = True
+        verdict = ladder.verdict
+        if verdict == self._verdict:
+            return
+        if self.state not in (BaseState.FAULT, BaseState.ESTOP):
+            self._enter(BaseState.FAULT, now, verdict)
+        else:
+            self.reason = "; ".join(text for text in (self._cause, verdict) if text)
+            if self.changed is not None:
+                self.changed(now, self.state, self.reason)
+        self._verdict = verdict
+
+    @property
+    def _has_power_loss(self) -> bool:
+        """``True`` if a power stage is off; its motors get no torque when the power returns."""
+        return any(controller.power_loss for controller in self.controllers)
 
     def _check_problems(self, now: float) -> None:
         """Puts the base into the state ESTOP if the safety stop is engaged, or into the state FAULT
@@ -329,6 +380,7 @@ class BaseStateMachine:
             problem = connection.problem(now)
             if not problem and self.state.drives:
                 problem = _not_following(connection.controllers)
+            problem = problem or self.ladder.problem()
             if problem:
                 self._enter_fault(now, problem)
                 return

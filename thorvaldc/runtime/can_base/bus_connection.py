@@ -62,6 +62,8 @@ class BusConnection:
     Only the thread of the control loop may call the methods of a ``BusConnection``.
 
     - ``send_until``: time (s) after which the frames of the present cycle are too old to be sent;
+    - ``starved``: ``True`` if only NMT commands are sent, so that nothing feeds the watchdogs of
+      the nodes, see ``stop_ladder``;
     - ``outbox``: frames that are sent once, when a cycle has room for the frame;
     - ``not_sent``: number of frames that the CAN interface did not accept;
     - ``malformed``: number of received frames that were too short, or had a number that is not
@@ -96,6 +98,7 @@ class BusConnection:
         """Description of a frame of another master on the bus; empty if there is none."""
         self.outbox: deque[CanFrame] = deque()
         self.send_until = math.inf
+        self.starved = False
         self.not_sent = 0
         self.malformed = 0
         self.failures_in_a_row = 0
@@ -236,17 +239,20 @@ class BusConnection:
         return ""
 
     def suspicious_devices(self) -> list[str]:
-        """Returns a message for each battery or IO board that exists twice on the bus, and one for
-        extended or remote frames with the id of a command.
+        """Returns warnings about the devices of the bus.
 
-        No CANopen device obeys such a frame, but a program of another kind is on the bus.
+        A battery or an IO board may exist twice, and a motor may turn without torque.  No CANopen
+        device obeys an extended or remote frame with the id of a command, but a program of another
+        kind is on the bus.
         """
         excessive, ignored = self.rates.excessive, self.receiver.ignored_id
-        twice = [f"{name}: {excessive[name]}" for name in self._device_names() if name in excessive]
+        names = [name for name in self._device_names() if name in excessive]
+        warnings = [f"{name}: {excessive[name]}" for name in names]
+        warnings += [f"{c.node.name}: {c.warning}" for c in self.controllers if c.warning]
         if ignored is None:
-            return twice
+            return warnings
         return [
-            *twice,
+            *warnings,
             f"extended or remote frames with the id {ignored:#05x} are on the bus "
             f"`{self.bus.name}`; they command nothing, but which program sends them?",
         ]
@@ -412,6 +418,13 @@ class BusConnection:
     def overdue(self) -> bool:
         """``True`` if the frames of the present control cycle are too old to be sent."""
         return self.interface.now > self.send_until
+
+    def send_nmt(self) -> None:
+        """Sends the queued NMT commands, and drops all other queued frames."""
+        while self.outbox:
+            frame = self.outbox.popleft()
+            if frame.id == NMT:
+                self.send(frame)
 
     def send_sync(self, timeout: float = 0.0) -> bool:
         return self._sync is None or self.send(CanFrame(self._sync.cob_id), timeout)

@@ -26,6 +26,7 @@ commands are old.
 The control loop sends all CAN frames; no CAN frame is sent by a timer.  The heartbeat of the master
 stops if the control loop hangs or if the CAN frames of a cycle cannot be sent.  Each motor
 controller has a watchdog that stops the motors if the heartbeat of the master is missing.  The
+control loop also falls silent on a bus with a motor that does not obey (``stop_ladder``).  The
 watchdog of a CiA 402 drive is the heartbeat consumer (object 0x1016).  The script on a Roboteq
 controller stops the motors 0.5 s after the last motor command with a new sequence number.
 """
@@ -123,7 +124,7 @@ class CanBase(BaseHandle):
             raise
         homes_at_start = robot.driver.homing == AT_START
         self.state_machine = BaseStateMachine(
-            self.connections, times, homes_at_start=homes_at_start
+            robot, self.connections, times, homes_at_start=homes_at_start
         )
         self.state_machine.changed = self._note_change
         self.changes: list[StateChange] = []
@@ -201,12 +202,12 @@ class CanBase(BaseHandle):
             return
         for connection in self.connections:
             connection.send_until = now + self.period
-        sent = [self._send_cycle(connection, intent, now) for connection in self.connections]
-        complete = all(sent)
-        for connection, is_sent in zip(self.connections, sent, strict=True):
+        sent = {c.bus.name: self._send_on(c, intent, now) for c in self.connections}
+        complete = all(sent.values())
+        for connection in self.connections:
             # Without heartbeats, the watchdogs of the other drives would act before the time.
-            beats = complete or (is_sent and state_machine.holds_speed)
-            if beats and not connection.overdue:
+            beats = complete or (sent[connection.bus.name] and state_machine.holds_speed)
+            if beats and not connection.starved and not connection.overdue:
                 connection.send_heartbeat(now, state_machine.operational)
         if complete:
             self.cycles += 1
@@ -354,6 +355,13 @@ class CanBase(BaseHandle):
         for axis, target in zip(self._axes, targets, strict=True):
             axis.target = target
         return True
+
+    def _send_on(self, connection: BusConnection, intent: Intent, now: float) -> bool:
+        """Sends what a bus gets in this cycle; a bus that is starved gets NMT commands only."""
+        if connection.starved:
+            connection.send_nmt()
+            return True
+        return self._send_cycle(connection, intent, now)
 
     def _send_cycle(self, connection: BusConnection, intent: Intent, now: float) -> bool:
         """Sends the CAN frames of a control cycle on one bus.

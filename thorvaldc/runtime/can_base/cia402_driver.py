@@ -102,7 +102,10 @@ class _AxisStateMachine:
         if intent is Intent.OFF or self.in_fault:
             return ControlWord.DISABLE_VOLTAGE, mode
         if intent is Intent.QUICK_STOP:
-            return ControlWord.QUICK_STOP if self.enabled else ControlWord.DISABLE_VOLTAGE, mode
+            # The control word is repeated until the drive itself ends the stop (object 0x605A).
+            # `DISABLE_VOLTAGE` would take the torque from a motor that still turns.
+            stops = self.enabled or self.state is DriveState.QUICK_STOP_ACTIVE
+            return ControlWord.QUICK_STOP if stops else ControlWord.DISABLE_VOLTAGE, mode
         if self.state in _STEPS_TO_ENABLED:
             return _STEPS_TO_ENABLED[self.state], mode
         if not self.enabled:  # after a quick stop the drive must first return to SWITCH_ON_DISABLED

@@ -6,7 +6,7 @@ import abc
 import enum
 import math
 from collections.abc import Callable, Iterator, Mapping
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.diagnostics.error import DiagnosticError
@@ -39,13 +39,40 @@ class Intent(enum.Enum):
     - ``HOME``: the steering motors search their home positions and the wheels stand;
     - ``FOLLOW``: wheel speeds and steering angles follow their targets;
     - ``QUICK_STOP``: the wheels stop with the steepest ramp of the motor controller and the
-      steering angles are held; after the stop the motors have no torque.
+      steering angles are held.  The driver takes no torque from the motors, neither during the
+      stop nor at rest; the motor controller itself may do so after the stop.
     """
 
     OFF = "off"
     HOME = "home"
     FOLLOW = "follow"
     QUICK_STOP = "quick stop"
+
+
+class FollowLimits(NamedTuple):
+    """Limits of the deviation of a motor from its target, see ``MotionSupervision``.
+
+    - ``time``: time (s) for which a motor may deviate from its target, longer than ramps and
+      delays;
+    - ``speed_time``: time (s) for which a wheel speed may match no target of the last ``time``
+      seconds;
+    - ``excess``: travel (rad) by which a wheel may meanwhile exceed, or fall behind, all these
+      targets; a kerb turns a wheel by up to 0.15 rad;
+    - ``share``, ``speed``: largest deviation of a wheel speed: share of the target, or speed
+      (rad/s) if this is more;
+    - ``angle``: largest deviation (rad) of a steering joint that does not turn towards its target.
+    """
+
+    time: float = 0.5
+    speed_time: float = 1.0
+    excess: float = 0.3
+    share: float = 0.5
+    speed: float = 0.3
+    angle: float = 0.2
+
+    def stricter(self, other: FollowLimits) -> FollowLimits:
+        """Returns the smaller one of each two limits."""
+        return FollowLimits(*map(min, self, other))
 
 
 class Axis:
@@ -111,6 +138,9 @@ class MotorController(abc.ABC):
     motor controller node.
     """
 
+    follow_limits = FollowLimits()
+    """Limits of the deviation of a motor from its target.  Only stricter limits than those of all
+    drivers count."""
     checks_watchdog = False
     """``True`` if the driver reads the watchdog of a device that is no CANopen device again and
     again, and reports a problem within 3 s after it was switched off."""
@@ -125,6 +155,10 @@ class MotorController(abc.ABC):
         """Handlers by COB-ID; called once in a cycle with data and time (s) of the newest frame."""
         self.error_code = 0
         """Error code of the last EMCY message; 0: no error."""
+        self.disobeyed = False
+        """``True`` if a motor was seen not to stop when it should, since the last start-up."""
+        self.warning = ""
+        """Motion that stops nothing, but that the operator should know, or an empty text."""
 
     # -- to be implemented -----------------------------------------------------------------------
 
@@ -204,7 +238,7 @@ class MotorController(abc.ABC):
     @property
     def needs_restart(self) -> bool:
         """``True`` if the device error can be cleared only by an NMT reset of the node."""
-        return False
+        return self.disobeyed
 
     # -- common ------------------------------------------------------------------------------------
 

@@ -104,6 +104,8 @@ class NodeWatchdog:
         self._heartbeats: dict[str, Heartbeat] = {}
         self._restarted: set[str] = set()
         self._boot_ups: dict[str, int] = {}
+        self._booted_at: dict[str, float] = {}
+        """Time (s) of the newest boot-up message, by name of the node."""
         self._allowed_boot_ups: dict[str, int] = {}
         self._started_at = math.inf
         self._last_cycle = math.inf
@@ -150,6 +152,7 @@ class NodeWatchdog:
         if state == NmtState.INITIALISING:
             self._controllers[name].handle_restart()
             self._restarted.add(name)
+            self._booted_at[name] = time
             if last is None or last.state != state or time - last.time > BOOT_TIME:
                 self._boot_ups[name] = self._boot_ups.get(name, 0) + 1
         self._heartbeats[name] = Heartbeat(time, state)
@@ -190,6 +193,10 @@ class NodeWatchdog:
         if self._boot_ups.get(name, 0) <= self._allowed_boot_ups.get(name, 1):
             return ""
         return f"it restarted during the start-up; {second_device(controller.node.id)}"
+
+    def has_booted(self, controller: MotorController, since: float) -> bool:
+        """Returns ``True`` if a node has sent a boot-up message after ``since`` (s)."""
+        return self._booted_at.get(controller.node.name, -math.inf) > since
 
     def is_silent(self, controller: MotorController) -> bool:
         """Returns ``True`` if a node that must send heartbeats has never sent a heartbeat."""

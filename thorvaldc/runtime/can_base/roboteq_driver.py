@@ -14,9 +14,8 @@ drive profile CiA 402.  PDOs of the Thorvald script and the script variables tha
     TPDO 4  slow          one of several constants in turn: configuration, version, encoders
 
 The Thorvald script on the Roboteq controller does not confirm motor commands.  The Thorvald script
-stops the wheels 0.5 s after the last motor command with a new sequence number.  To detect a motor
-that does not follow its commands, the driver compares the measured joint motion with the commands
-(``MotionSupervision``).
+stops the wheels 0.5 s after the last motor command with a new sequence number.  A motor
+that does not follow its commands is detected by its measured motion (``MotionSupervision``).
 """
 
 from __future__ import annotations
@@ -27,7 +26,6 @@ from collections.abc import Iterator, Mapping
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model.bus import Bus, Node, ObjectValue
 from thorvaldc.model.robot import Robot
-from thorvaldc.runtime.can_base.motion_supervision import MotionSupervision
 from thorvaldc.runtime.can_base.motor_controller import Axis, Intent, MotorController
 
 # Operating modes of a channel of the Roboteq motor controller.
@@ -39,8 +37,6 @@ MODE_REPEAT = 1.0
 """Time (s) after which the modes are sent again, because the script does not report modes."""
 FAST_CONSTANTS = 100
 """Period (ms) of TPDO 4 while the motors are off or homing; the normal period is seconds."""
-STOP_TIME = 2.0
-"""Time (s) after a quick stop after which the motors have no torque, even if a wheel turns."""
 
 
 class RoboteqScriptController(MotorController):
@@ -58,9 +54,8 @@ class RoboteqScriptController(MotorController):
         self._home_commanded = False
         self._home_reports_from = -math.inf
         self._homing_failed = False
-        self._stopped_at: float | None = None
+        self._stopping = False
         self._home_count = 0
-        self._supervision = MotionSupervision(self.axes)
         self._set_periods: dict[str, float] = {}
         """Periods (s) of reports that were set by ``setting_frame``, by frame name."""
         channels: list[Axis | None] = [self.axis_of(channel.name) for channel in node.channels]
@@ -132,7 +127,7 @@ class RoboteqScriptController(MotorController):
     @property
     def problem(self) -> str:
         flagged = any(self._flags.values())
-        if not (flagged or self._supervision.deviates or self._homing_failed or self.error_code):
+        if not (flagged or self._homing_failed or self.error_code):
             return ""  # the normal case, which is asked several times in each cycle
         problems = [
             name.replace("_", " ")
@@ -143,7 +138,6 @@ class RoboteqScriptController(MotorController):
             problems = ["controller not ok"]
         if self._homing_failed:
             problems.append("the home switch was not found")
-        problems += self._supervision.problems
         if self.error_code:
             problems.append(f"emergency {self.error_code:#06x}")
         return ", ".join(problems)
@@ -158,7 +152,7 @@ class RoboteqScriptController(MotorController):
 
     @property
     def needs_restart(self) -> bool:
-        return bool(self.problem)
+        return self.disobeyed or bool(self.problem)
 
     def identity_mismatch(self) -> str | None:
         """Compares the script version, the script type and the encoder pulses with the robot
@@ -225,12 +219,9 @@ class RoboteqScriptController(MotorController):
 
     def cyclic_frames(self, intent: Intent, now: float) -> list[CanFrame]:
         follows = intent is Intent.FOLLOW
-        if intent is not Intent.QUICK_STOP:
-            self._stopped_at = None
-        elif self._stopped_at is None:
-            self._stopped_at = now
+        if intent is Intent.QUICK_STOP and not self._stopping:
             self.hold()
-        self._supervision.update(follows and self._modes == (DRIVE, DRIVE), now)
+        self._stopping = intent is Intent.QUICK_STOP
         self._sequence = self._sequence % 0x7FFFFFFF + 1
         frames = [self._speed_frame("rpdo1", self._first, follows)]
         second = self._second
@@ -239,7 +230,8 @@ class RoboteqScriptController(MotorController):
         elif second is not None and second.homed and intent is not Intent.HOME:
             # No steering angle is commanded before the homing, because the zero of the steering
             # angle is unknown.
-            if intent is Intent.OFF:
+            if intent is Intent.OFF or self.power_loss:
+                # A joint that was turned by hand without power does not jump when power returns.
                 second.target = second.position
             codec, top_speed = self.codecs["rpdo4"], second.actuator.max_velocity
             frames.append(CanFrame(codec.cob_id, codec.encode([top_speed, second.target])))
@@ -268,7 +260,7 @@ class RoboteqScriptController(MotorController):
             period = self.codecs["tpdo4"].frame.period or 1.0
             milliseconds = FAST_CONSTANTS if fast else period * 1000.0
             return self.setting_frame("tpdo4_cycle_time", milliseconds)
-        modes = self._required_modes(intent, now)
+        modes = self._required_modes(intent)
         homing = HOME in modes
         repeat = now - self._modes_sent_at > MODE_REPEAT and not homing
         if modes == self._modes and not repeat:
@@ -285,7 +277,7 @@ class RoboteqScriptController(MotorController):
         used = [mode for mode, axis in zip(modes, axes, strict=True) if axis is not None]
         return CanFrame(codec.cob_id, codec.encode([float(mode) for mode in used]))
 
-    def _required_modes(self, intent: Intent, now: float) -> tuple[int, int]:
+    def _required_modes(self, intent: Intent) -> tuple[int, int]:
         if intent is Intent.FOLLOW:
             return DRIVE, DRIVE
         if intent is Intent.HOME:
@@ -294,11 +286,9 @@ class RoboteqScriptController(MotorController):
                 return DRIVE, HOME
             return DRIVE, DRIVE
         if intent is Intent.QUICK_STOP and self._modes is not None:
-            # During a stop the motors keep the torque until all wheels stand still, but at most for
-            # STOP_TIME seconds.
-            since = now if self._stopped_at is None else self._stopped_at
-            if not self.standing and now - since < STOP_TIME:
-                return self._modes
+            # The motors keep the torque that they have, but a homing ends.
+            first, steering = self._modes
+            return first, DECOUPLED if steering == HOME else steering
         return DECOUPLED, DECOUPLED
 
     # -- settings ----------------------------------------------------------------------------------

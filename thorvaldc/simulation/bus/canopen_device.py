@@ -86,6 +86,12 @@ class CanopenDevice(SimulatedDevice):
         self.node_id = lss.UNCONFIGURED
         self.state = NmtState.INITIALISING
         self.heartbeat_stopped = False
+        self.commands_ignored = False
+        """``True`` if received PDOs are ignored, as by a task of the device that hangs."""
+        self.sync_ignored = False
+        """``True`` if SYNC is ignored."""
+        self.nmt_ignored = False
+        """``True`` if NMT commands are ignored."""
         self.boot_time = BOOT_TIME
         self.objects = ObjectDictionary()
         self.pdos: PdoSet | None = None
@@ -215,6 +221,8 @@ class CanopenDevice(SimulatedDevice):
         if self.node_id == lss.UNCONFIGURED:
             return
         quirks = self._quirks
+        # A restarted device runs all its tasks.
+        self.commands_ignored = self.sync_ignored = self.nmt_ignored = False
         self.objects = objects = ObjectDictionary(length_aborts=Quirk.LENGTH_ABORTS in quirks)
         self._add_standard_objects(objects)
         self.add_objects(objects)
@@ -340,17 +348,31 @@ class CanopenDevice(SimulatedDevice):
                 self.handlers[cob_id] = self._pdo
 
     def _pdo(self, frame: CanFrame) -> None:
-        if self.state is NmtState.OPERATIONAL and self.pdos is not None:
+        if self.state is not NmtState.OPERATIONAL or self.commands_ignored:
+            return
+        if self.pdos is not None:
             self.pdos.receive(frame)
 
     def _sync(self, frame: CanFrame) -> None:
-        if self.state is NmtState.OPERATIONAL and self.pdos is not None:
+        if self.state is not NmtState.OPERATIONAL or self.sync_ignored:
+            return
+        if self.pdos is not None:
             self.pdos.synchronise()
+
+    @property
+    def frozen_reports(self) -> bool:
+        """``True`` if all sent PDOs repeat their last data."""
+        return self.pdos is not None and self.pdos.frozen
+
+    @frozen_reports.setter
+    def frozen_reports(self, frozen: bool) -> None:
+        if self.pdos is not None:
+            self.pdos.frozen = frozen
 
     # -- NMT --------------------------------------------------------------------------------------
 
     def _nmt(self, frame: CanFrame) -> None:
-        if len(frame.data) != 2 or frame.data[1] not in (0, self.node_id):
+        if len(frame.data) != 2 or frame.data[1] not in (0, self.node_id) or self.nmt_ignored:
             return
         command = frame.data[0]
         if command == NmtCommand.START:

@@ -16,6 +16,8 @@ from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.bus.timeline import Action
 
+_CANOPEN_FLAGS = ("commands_ignored", "sync_ignored", "nmt_ignored", "frozen_reports")
+"""Kinds of faults that are switched on and off by a flag of a ``CanopenDevice``."""
 Listener = Callable[[float, BusFault, bool], None]
 """Function with the arguments time (s), injected fault, and ``True`` at the start of the fault.
 
@@ -144,9 +146,22 @@ class FaultInjector:
         elif fault.kind == "blocked_motor":
             _, motor = self._channel_motor(device, fault.channel)
             return _set_flag(motor, "blocked") if motor is not None else _nothing
+        elif fault.kind == "pushed_motor":
+            return self._set_motor(device, fault, "push")
+        elif fault.kind == "runaway_motor":
+            return self._set_motor(device, fault, "runaway")
+        elif fault.kind in _CANOPEN_FLAGS and isinstance(device, CanopenDevice):
+            return _set_flag(device, fault.kind)
         elif fault.kind == "babble":
             return self._babble(fault, device)
         return _nothing
+
+    def _set_motor(self, device: SimulatedDevice, fault: BusFault, name: str) -> Action:
+        _, motor = self._channel_motor(device, fault.channel)
+        if motor is None:
+            return _nothing
+        motor.disturb(device.now, **{name: fault.speed})
+        return lambda: motor.disturb(device.now)
 
     def _devices(self, fault: BusFault) -> list[SimulatedDevice]:
         if fault.node is not None:

@@ -171,7 +171,8 @@ class _ConfiguredPdo:
 class PdoSet:
     """The PDOs of a simulated CANopen device.
 
-    ``received`` has the RPDOs of the device, and ``sent`` has the TPDOs of the device.
+    ``received`` has the RPDOs of the device, and ``sent`` has the TPDOs of the device.  If
+    ``frozen`` is true, each TPDO repeats the data that was sent last.
     """
 
     def __init__(
@@ -186,11 +187,19 @@ class PdoSet:
         The function ``send`` sends a CAN frame and has the arguments identifier and data.
         """
         self._objects = objects
-        self._send = send
+        self._transmit = send
+        self.frozen = False
+        self._newest: dict[int, bytes] = {}
+        """Data that was sent last, by COB-ID."""
         self.received = [_ConfiguredPdo(pdo, False, objects) for pdo in received]
         self.sent = [_ConfiguredPdo(pdo, True, objects) for pdo in sent]
         self._next_event = [0.0] * len(self.sent)
         self._sent_at = [-math.inf] * len(self.sent)
+
+    def _send(self, cob_id: int, data: bytes) -> None:
+        if not self.frozen:
+            self._newest[cob_id] = data
+        self._transmit(cob_id, self._newest.get(cob_id, data))
 
     def apply_quirks(self, quirks: frozenset[Quirk]) -> None:
         """Changes the factory settings of the PDOs as the quirks of the device say."""

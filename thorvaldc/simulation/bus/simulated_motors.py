@@ -39,9 +39,19 @@ class MotorModel(abc.ABC):
     Positions are in rad, speeds in rad/s and torques in N m, all at the joint behind the gear.
     Times are in s and never decrease.  A motor command applies until the next motor command.  If
     ``blocked`` is true, the joint of the motor cannot move.
+
+    - ``push``: speed (rad/s) that something else adds to the joint, such as a slope.
+    - ``runaway``: speed (rad/s) with which the motor turns whatever is commanded, or ``None``.
     """
 
     blocked = False
+    push = 0.0
+    runaway: float | None = None
+
+    def disturb(self, now: float, *, push: float = 0.0, runaway: float | None = None) -> None:
+        """Sets ``push`` and ``runaway`` from the time ``now`` (s) on."""
+        self.read(now)
+        self.push, self.runaway = push, runaway
 
     @abc.abstractmethod
     def read(self, now: float) -> MotorState:
@@ -123,6 +133,9 @@ class IdealMotor(MotorModel):
         if dt <= 0.0:
             return
         self._time = now
+        if self.runaway is not None or self.push:
+            self._advance_disturbed(dt)
+            return
         if self._speed == 0.0 and self._velocity == 0.0:  # at rest, as most motors mostly are
             self._torque = 0.0
             return
@@ -157,6 +170,19 @@ class IdealMotor(MotorModel):
             self._velocity = 0.0
             position = start if self.blocked else position
         self._position = position
+
+    def _advance_disturbed(self, dt: float) -> None:
+        """Moves a joint that does not only move as commanded."""
+        if self.runaway is not None:
+            velocity = self.runaway
+        else:
+            commanded = 0.0 if self._speed is None else self._speed
+            velocity = min(max(commanded, -self.max_velocity), self.max_velocity) + self.push
+        step = self.max_acceleration * dt
+        change = min(max(velocity - self._velocity, -step), step)
+        self._velocity += change
+        self._position += self._velocity * dt
+        self._goal = None if self._goal is None else self._goal + self._velocity * dt
 
 
 class DrivenWheels:
@@ -300,6 +326,8 @@ class _BaseMotor(MotorModel):
     def _write(self, value: float, now: float) -> None:
         if self.blocked:  # the closest that a base offers: a command to stay
             value = self._motors.states(now).angles[self._wheel] if self._steering else 0.0
+        elif not self._steering:
+            value = value + self.push if self.runaway is None else self.runaway
         if value != self._commanded:
             self._commanded = value
             self._motors.write(self._wheel, self._steering, value, now)

@@ -34,6 +34,13 @@ FROZEN_STEERING, FROZEN_WHEEL = 1.8, 0.7
 """Longest time (s) until a frozen encoder of a turning motor is detected."""
 NOT_FOLLOWING = 1.8
 """Longest time (s) until a drive that ignores its commands is detected."""
+CREEPING = 1.2
+"""Longest time (s) until a wheel that turns at rest is detected."""
+CLIMB = 0.5
+"""Longest time (s) from the stop by the base driver until the next rung of ``stop_ladder``, for a
+motor that is seen to disobey, or whose motion is unknown."""
+CREEP, ROLL, FULL_SPEED = 0.5, 2.0, 12.0
+"""Speeds (rad/s) of a wheel that creeps, that a slope turns, and that runs away."""
 SECOND_DEVICE = 0.6
 """Longest time (s) until a second device or false reports are detected."""
 LONGEST_ROLL = 60.0
@@ -77,6 +84,7 @@ class FaultCase:
     - ``rolls_out``: ``True`` if all drives lose their power, so that only friction and brakes stop
       the robot.
     - ``must_stop``: ``True`` if the robot must stop although the base driver cannot react.
+    - ``motion``: speed (m/s) with which the fault itself moves a wheel, whatever is commanded.
     - ``starts_at``: time (s) of the fault in the phase ``start-up``.
     - ``observed``: time (s) of the observation after the fault.
     """
@@ -90,6 +98,7 @@ class FaultCase:
     by_ramp: bool = False
     rolls_out: bool = False
     must_stop: bool = False
+    motion: float = 0.0
     starts_at: float = 0.0
     observed: float = 1.0
 
@@ -114,6 +123,7 @@ def fault_cases(robot: Robot) -> list[FaultCase]:
         (_object_cases, targets.values()),
         (_identity_cases, targets.values()),
         (_encoder_cases, targets.values()),
+        (_disobedience_cases, targets.values()),
         (_forgery_cases, targets.values()),
         (_bus_cases, on_buses.values()),
         (_battery_cases, on_buses.values()),
@@ -170,6 +180,13 @@ class _Target:
         """Returns an object of the motor controller that must have a certain value, or ``None``."""
         required = required_objects(self.bus, self.node)
         return next((o for o in required if (o.index, o.subindex) == (index, subindex)), None)
+
+    def sends_at_sync(self) -> bool:
+        """Returns ``True`` if the motor controller sends a report after each SYNC."""
+        return any(
+            0x1800 <= entry.index < 0x1A00 and entry.subindex == 2 and (entry.value or 255) <= 240
+            for entry in self.node.objects
+        )
 
     def channel(self, role: str) -> str | None:
         names = (c.name for c in self.node.channels if c.role == role and c.actuator is not None)
@@ -352,6 +369,55 @@ def _encoder_cases(target: _Target) -> Iterator[FaultCase]:
             target.prompt,
             phases=driving,
         )
+
+
+def _disobedience_cases(target: _Target) -> Iterator[FaultCase]:
+    case, device, cycle = target.case, target.device, target.cycle
+    wheel = target.channel("propulsion")
+    if wheel is None:
+        return
+    climbed = NOT_FOLLOWING + CLIMB
+    later: dict[str, Any] = {"phases": PHASES[1:], "braking": climbed, "observed": climbed + 0.5}
+    moving = dict.fromkeys(MOVING_PHASES, NOT_FOLLOWING)
+    if target.node.is_canopen:
+        # A motor that its own command watchdog stops is not seen to disobey when it should stop.
+        noticed = {DRIVING: NOT_FOLLOWING} if target.node.command_watchdog else moving
+        yield case("a drive ignores its commands", device("commands_ignored"), noticed, **later)
+        yield case("reports of a drive freeze", device("frozen_reports"), moving, **later)
+    if target.sends_at_sync():
+        silence = target.silence
+        hangs = {**later, "braking": silence + CLIMB}
+        yield case("a drive ignores SYNC", device("sync_ignored"), silence, **hangs)
+    for entry in target.node.objects:
+        if entry.name == f"{wheel}_profile_deceleration":
+            tiny = device("object_written", index=entry.index, subindex=entry.subindex, value=1)
+            promise = {STOPPING: NOT_FOLLOWING}
+            yield case(
+                "deceleration of a drive made tiny",
+                tiny,
+                promise,
+                **{**later, "phases": (IDLE, STOPPING)},
+            )
+    radius = max(w.radius for w in target.robot.wheels if w.driven)
+    for name, speed in (("a wheel creeps at rest", CREEP), ("a slope turns a wheel at rest", ROLL)):
+        pushed = device("pushed_motor", channel=wheel, speed=speed)
+        yield case(
+            name,
+            pushed,
+            {IDLE: CREEPING},
+            phases=(IDLE,),
+            motion=1.1 * speed * radius,
+            observed=CREEPING + 20.0 * cycle,
+        )
+    yield case(
+        "a wheel runs away at full speed",
+        device("runaway_motor", channel=wheel, speed=FULL_SPEED),
+        {IDLE: CREEPING, DRIVING: NOT_FOLLOWING},
+        phases=(IDLE, DRIVING),
+        braking=math.inf,
+        motion=math.inf,
+        observed=climbed,
+    )
 
 
 def _forgery_cases(target: _Target) -> Iterator[FaultCase]:
