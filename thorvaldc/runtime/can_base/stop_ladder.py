@@ -148,16 +148,11 @@ class _Climber:
 class StopLadder:
     """Supervises the motion of all motors, and stops those that do not obey.
 
-    ``holds_without_torque``: ``True`` if the robot stays at rest wherever it may stand when all
+    ``holds_without_torque``: ``True`` if the robot stays at rest on its design slope when all
     motors lose their torque.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        connections: Sequence[BusConnection],
-        *,
-    ) -> None:
+    def __init__(self, robot: Robot, connections: Sequence[BusConnection]) -> None:
         self.robot = robot
         self.holds_without_torque = holds_without_torque(robot)
         self.times = StopTimes.of(robot)
