@@ -75,7 +75,7 @@ def driving(robot: Robot) -> tuple[Rig, StandingClock]:
     rig.base = CanBase(robot, {"main": clock}, threaded=False)  # type: ignore[dict-item]
     rig.interface = clock  # type: ignore[assignment]
     rig.driven = DrivenRobot(robot, rig.base, clock)  # type: ignore[arg-type]
-    rig.driven.feed = rig._command
+    rig.driven.feed, rig.driven.before_cycle = rig._command, rig._operate
     rig.drive(Twist(0.8, 0.0, 0.0), 1.0)
     return rig, clock
 
