@@ -41,6 +41,7 @@ from tests.chaos.invariants import (
 from tests.chaos.permission import Permission, wheel_speed
 from tests.chaos.schedule import DELIVERED, POWER_ON, READY, ChaosEvent, Schedule
 from tests.robots import SPAN
+from thorvaldc.can.canopen import NmtState
 from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.model.bus_faults import BusFault, BusFaults
 from thorvaldc.model.robot import AUTOMATIC
@@ -52,6 +53,7 @@ from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.cia402_device import Cia402Drive
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 from thorvaldc.simulation.bus.roboteq_device import RoboteqController
+from thorvaldc.simulation.bus.simulated_device import SimulatedDevice
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 CONTROL_PERIOD = 0.01
@@ -135,6 +137,13 @@ class ChaosWorld:
             for wheel in self.robot.wheels
             if (spin := self.robot.actuator_of(wheel.spin_joint)) is not None
         ]
+        nodes = {c.actuator: n.name for b in self.robot.buses for n in b.nodes for c in n.channels}
+        self._drives = [
+            self.simulated.devices[nodes[spin.name]]
+            for wheel in self.robot.wheels
+            if (spin := self.robot.actuator_of(wheel.spin_joint)) is not None
+        ]
+        """Devices that drive the wheels of ``_motors``."""
         self.technician = Technician(self) if delivered else None
         self.motion = MotionInvariant(self)
         self.state_check = StateInvariant(self)
@@ -158,6 +167,19 @@ class ChaosWorld:
         """Returns the speed (m/s) of the fastest wheel."""
         now = self.now
         return max(abs(motor.read(now).velocity) * wheel.radius for wheel, motor, _ in self._motors)
+
+    def driven_speed(self) -> float:
+        """Returns the speed (m/s) of the fastest wheel that its drive moves or should brake.
+
+        A wheel whose drive has no power, or has left the NMT state operational, only rolls out.
+        """
+        now = self.now
+        speeds = [
+            abs(motor.read(now).velocity) * wheel.radius
+            for (wheel, motor, _), drive in zip(self._motors, self._drives, strict=True)
+            if motor.has_power or _is_operational(drive)
+        ]
+        return max(speeds, default=0.0)
 
     @property
     def pushed_speed(self) -> float:
@@ -606,6 +628,14 @@ class ChaosWorld:
     def _call(self, client: ChaosClient, service: str, **arguments: Any) -> None:
         client.call(service, arguments)
         self.run_until(self.now + CALL_TIME)
+
+
+def _is_operational(device: SimulatedDevice) -> bool:
+    return (
+        device.powered
+        and isinstance(device, CanopenDevice)
+        and device.state is NmtState.OPERATIONAL
+    )
 
 
 def _never() -> bool:

@@ -144,7 +144,7 @@ class MotionInvariant:
                 self._ramp_start = self.envelope
             fall = share * self._ramp_start * CHECK_PERIOD / self.ramp_time
             self.envelope = max(highest, self.envelope - fall)
-        speed = world.true_speed() - world.pushed_speed
+        speed = world.driven_speed() - world.pushed_speed
         if speed > SPEED_SHARE * self.envelope + SPEED_TOLERANCE:
             raise Violation(
                 "unasked motion",

@@ -160,6 +160,9 @@ class BaseStateMachine:
             return "the safety stop is engaged; release it first"
         if commanded:
             return "a motion is commanded; command zero first"
+        turning = [c.node.name for c in self.controllers if c.turns(now)]
+        if turning:  # the start-up takes the torque, so that the wheels would roll on
+            return f"wheels of {', '.join(turning)} turn; wait until they stand"
         for connection in self.connections:
             if connection.receiver.lost:
                 return f"the CAN interface of the bus `{connection.bus.name}` is lost"

@@ -21,6 +21,8 @@ MASTER = "master"
 """Name of the base driver as a producer or consumer of frames."""
 STANDING = 0.02
 """Speed (rad/s) below which a wheel or a steering joint counts as standing."""
+FRESH = 0.2
+"""Age (s) up to which a report tells the present motion of a wheel."""
 IN_POSITION = 0.01
 """Largest deviation (rad) of a steering joint that has reached its target angle."""
 
@@ -253,6 +255,14 @@ class MotorController(abc.ABC):
         Wheels without a measured speed are ignored.
         """
         return all(not abs(axis.velocity) > STANDING for axis in self.axes if not axis.steering)
+
+    def turns(self, now: float) -> bool:
+        """Checks whether a report that is not older than ``FRESH`` says that a wheel turns."""
+        return any(
+            abs(axis.velocity) > STANDING and now - axis.time < FRESH
+            for axis in self.axes
+            if not axis.steering
+        )
 
     @property
     def in_position(self) -> bool:

@@ -142,7 +142,7 @@ class Rehearsal:
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._last_cycle = math.nan
         self._asked_until = -math.inf
-        self.driven.before_cycle = lambda _: self._run_client()
+        self.driven.before_cycle = lambda _: self._act()
         self.wheels = [
             (self.simulated.motors[actuator.name], wheel.radius)
             for wheel in robot.wheels
@@ -215,6 +215,12 @@ class Rehearsal:
         if self.observe is not None:
             self.observe()
 
+    def _act(self) -> None:
+        """A person homes the steering as soon as the robot has started, and the client acts."""
+        if self.state is BaseState.STANDBY:
+            self.driven.home_steering()
+        self._run_client()
+
     def _run_client(self) -> None:
         if self.client is None:
             return
@@ -233,16 +239,10 @@ class Rehearsal:
         self.simulated.power_on()
 
     def become_ready(self) -> None:
-        """Runs the robot until it is ready.  A person homes its steering.
+        """Runs the robot until it is ready.
 
         Raises ``RehearsalError`` if the robot does not become ready.
         """
-        self.run(
-            LONGEST_START,
-            lambda: self.state in (BaseState.STANDBY, BaseState.READY, BaseState.FAULT),
-        )
-        if self.state is BaseState.STANDBY:
-            self.driven.home_steering()
         self.run(LONGEST_START, lambda: self.driven.ready or self.state is BaseState.FAULT)
         if not self.driven.ready:
             raise RehearsalError(
