@@ -15,6 +15,7 @@ from thorvaldc.model.statics.tip_over import support_of
 from thorvaldc.model.statics.unpowered import (
     coasting_deceleration,
     holds_without_torque,
+    roll_out,
     standing_slopes,
 )
 
@@ -122,6 +123,20 @@ def test_nothing_holds_on_unknown_ground_or_without_a_stand() -> None:
     two = make_robot([(0.0, 0.4, "fixed"), (0.0, -0.4, "fixed")])
     assert standing_slopes(two) is None
     assert not holds_without_torque(replace(two, design_slope=0.0))
+
+
+def test_the_way_on_which_a_robot_rolls_out_without_power() -> None:
+    """c g decelerates a wheel from its top speed; a brake acts after its closing time."""
+    robot = robot_of(rolling=0.05)
+    top = robot.actuators[0].max_velocity * robot.wheels[0].radius
+    speed, seconds, distance = roll_out(robot)
+    assert speed == pytest.approx(top)
+    assert seconds == pytest.approx(top / (0.05 * GRAVITY))
+    assert distance == pytest.approx(top**2 / (2 * 0.05 * GRAVITY))
+    _, braked, shorter = roll_out(robot_of(friction=0.4, brake=Brake(5000.0, 0.1)))
+    assert braked == pytest.approx(0.1 + top / (0.4 * GRAVITY))
+    assert shorter == pytest.approx(0.1 * top + top**2 / (2 * 0.4 * GRAVITY))
+    assert math.isinf(roll_out(robot_of()).distance)
 
 
 @pytest.mark.parametrize("name", ROBOTS)

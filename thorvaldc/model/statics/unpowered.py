@@ -135,11 +135,11 @@ def _steepest(robot: Robot, drives: list[_Drive], *, braked: bool) -> float:
     def limit(backwards: bool) -> float:
         def excess(angle: float) -> float:
             loads = statics.loads(angle, backwards=backwards)
-            held = float_sum(
+            resistance = float_sum(
                 _resistance(*drive, max(load, 0.0), braked)
                 for drive, load in zip(drives, loads, strict=True)
             )
-            return held - weight * math.sin(angle)
+            return resistance - weight * math.sin(angle)
 
         tips = support_of(robot).tip_over_angle(0.0 if backwards else math.pi)
         rolls = steepest_angle(excess)
