@@ -109,6 +109,30 @@ def test_a_file_does_not_get_the_descriptor_of_a_closed_stream(folder: Path) -> 
     assert (folder / "file").read_text() == "content"
 
 
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_messages_are_written_at_once(unbuffered: str) -> None:
+    script = (
+        "import os, sys, thorvaldc.cli.main as main\n"
+        "def body():\n"
+        "    print('one', end=' ')\n"
+        "    print('message', file=sys.stderr)\n"
+        "    os.write(2, b'written later\\n')\n"
+        "    return 0\n"
+        "main.run_command = body\n"
+        "main.run()\n"
+    )
+    process = ChildProcess(
+        [sys.executable, "-c", script],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+        text=True,
+    )
+    out, _ = process.communicate(timeout=30)
+    first, last = ("one ", "") if unbuffered else ("", "one ")
+    assert out == f"{first}message\nwritten later\n{last}"
+
+
 def test_a_connection_that_breaks_is_no_reader_that_has_ended(folder: Path) -> None:
     script = (
         "import thorvaldc.cli.commands.targets as command\n"

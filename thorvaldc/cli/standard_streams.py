@@ -91,8 +91,10 @@ def _text_stream(kind: type[_Output], descriptor: int, old: Any) -> TextIO:
     """Returns a text stream with the encoding and the buffering of another one, or a new one."""
     if old is None:
         old = open(descriptor, "w", closefd=False)  # noqa: SIM115
+    # With PYTHONUNBUFFERED, Python has no buffer between the text stream and the raw stream.
+    file: Any = kind(old)
     return io.TextIOWrapper(
-        io.BufferedWriter(kind(old)),
+        io.BufferedWriter(file) if hasattr(old.buffer, "raw") else file,
         encoding=old.encoding,
         errors="backslashreplace",
         line_buffering=old.line_buffering,
