@@ -35,6 +35,7 @@ HOMED, HOMING = 0x01, 0x02
 
 MODE_REPEAT = 1.0
 """Time (s) after which the modes are sent again, because the script does not report modes."""
+_ROUNDING = 1e-6
 FAST_CONSTANTS = 100
 """Period (ms) of TPDO 4 while the motors are off or homing; the normal period is seconds."""
 
@@ -315,6 +316,24 @@ class RoboteqScriptController(MotorController):
         signal = self.codecs["rpdo2"].frame.signals[0]
         return tuple(name for _, name in signal.choices)
 
+    def _check_bound(self, name: str, value: float) -> None:
+        """Raises ``ValueError`` for a value that makes a stop longer than the robot file promises.
+
+        The script brakes with its acceleration limit, so that the limit must not be below that of
+        the robot file.  Speeds are in rpm and accelerations in rpm/s, at the motor shaft.
+        """
+        steering = "_steering_" in name
+        axis = next((axis for axis in self.axes if axis.steering is steering), None)
+        if axis is None or not name.startswith("max_"):
+            return
+        rpm = axis.actuator.gear_ratio * 60.0 / (2.0 * math.pi)
+        if name.endswith("_acceleration"):
+            least = axis.actuator.max_acceleration * rpm
+            if value < (1.0 - _ROUNDING) * least:
+                raise ValueError(f"{name} is {value:g}; it must be at least {least:.0f} rpm/s")
+        elif value > (1.0 + _ROUNDING) * (most := axis.actuator.max_velocity * rpm):
+            raise ValueError(f"{name} is {value:g}; it must be at most {most:.0f} rpm")
+
     def setting_frame(self, name: str, value: float) -> CanFrame:
         if name not in self.setting_names():
             return super().setting_frame(name, value)
@@ -322,6 +341,7 @@ class RoboteqScriptController(MotorController):
         number = next(raw for raw, known in codec.frame.signals[0].choices if known == name)
         if not math.isfinite(value) or not -(2**31) <= round(value) < 2**31:
             raise ValueError(f"{name} cannot be {value:g}")
+        self._check_bound(name, value)
         report = self.codecs.get(name.removesuffix("_cycle_time"))
         if report is not None and value >= 1.0:
             self._set_periods[report.frame.name] = value / 1000.0
