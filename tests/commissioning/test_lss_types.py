@@ -49,7 +49,7 @@ def test_lss_takes_the_id_from_a_device_of_another_type() -> None:
     robot = of_type(four_drives(), 0x191)
     bench.configuration = configuration_of(robot, robot.buses[0])
     assert not bench.plan().problems
-    with pytest.raises(DiagnosticError, match="not 0x191; it has no id again"):
+    with pytest.raises(DiagnosticError, match="not 0x191; it gets no id"):
         bench.apply()
     bench.simulated.run(1.0)
     assert bench.devices()[LSS_DRIVE].node_id == 255

@@ -111,15 +111,15 @@ class NodeConfiguration:
         device would match."""
         return self.vendor is not None and self.product is not None
 
-    def has_type_of(self, device_type: int | None, is_readable: bool) -> bool:
+    def has_type_of(self, device_type: int | None, device_id: int | None) -> bool:
         """Returns ``True`` if the device type (object 0x1000) of a device matches the robot file.
 
-        ``device_type``: ``None`` if it is unknown.  ``is_readable``: ``True`` if the device has
-        been asked for it, so that an unknown type does not match.
+        ``device_type``: ``None`` if it is unknown.  It may be unknown for a device at another id
+        than its own, and for one without an id, which cannot be asked.
         """
         if self.device_type is None or not self.sdo or device_type == self.device_type:
             return True
-        return device_type is None and not is_readable
+        return device_type is None and (device_id != self.id or device_id == UNCONFIGURED)
 
     @property
     def by_hand(self) -> bool:

@@ -154,7 +154,7 @@ def _find_obstacles(
         elif entry.device is None and node.lss:
             problems.append(f"{node.name} is missing: {entry.detail}")
         elif entry.device is not None and not node.has_type_of(
-            entry.device.device_type, entry.device.id == node.id
+            entry.device.device_type, entry.device.id
         ):
             problems.append(f"{node.name}: {entry.detail}")
         elif entry.verdict == MISSING:

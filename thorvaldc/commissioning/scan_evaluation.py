@@ -182,7 +182,7 @@ class ScanEvaluation:
             return ScanEntry(node.name, DUPLICATE, node_id, device, evidence[device.id])
         if node_id in evidence and node_id is not None:
             return ScanEntry(node.name, DUPLICATE, node_id, device, evidence[node_id])
-        if device is not None and not node.has_type_of(device.device_type, device.id == node_id):
+        if device is not None and not node.has_type_of(device.device_type, device.id):
             actual = "none" if device.device_type is None else f"{device.device_type:#x}"
             detail = f"its device type is {actual}, not {node.device_type:#x}"
             return ScanEntry(node.name, WRONG_IDENTITY, node_id, device, detail)
