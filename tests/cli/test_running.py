@@ -58,7 +58,7 @@ def test_a_virtual_robot_drives_for_a_time(thorvaldc: Command) -> None:
     assert (status, err) == (0, "")
     summary = json.loads(out)
     assert 1.3 < summary["pose"]["x"] < 1.6
-    started = ["init", "preop", "config", "homing", "ready", "active"]
+    started = ["init", "preop", "config", "standby", "homing", "ready", "active"]
     assert states(summary)[: len(started)] == started
     assert summary["state"] == "ready"
     assert summary["buses"]["main"]["not_sent"] == 0
@@ -79,7 +79,7 @@ def test_changes_of_state_go_to_stderr(thorvaldc: Command) -> None:
     assert status == 0
     assert len(out.splitlines()) == 1
     lines = [line.split() for line in err.splitlines()]
-    assert [line[2] for line in lines] == ["init", "preop", "config", "homing", "ready"]
+    assert [line[2] for line in lines] == ["init", "preop", "config", "standby"]
 
 
 def test_the_model_of_a_build_is_sufficient(thorvaldc: Command) -> None:

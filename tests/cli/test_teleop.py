@@ -181,12 +181,13 @@ def test_teleop_drives_the_robot_of_run(folder: Path, thorvaldc: Command) -> Non
         while not ready and time.monotonic() < limit:
             time.sleep(0.05)
             answer = thorvaldc("call", "good", "state", "--json")
-            ready = answer.status == 0 and json.loads(answer.out)["supervisor"] == "ready"
+            ready = answer.status == 0 and json.loads(answer.out)["supervisor"] == "standby"
         assert ready
         person = at_teleop(folder, "--to", "good")
         try:
-            person.until("ready  drives: nobody  disarmed: press g")
-            person.until("\x1b[2K       arm", typing="g")
+            person.until("standby  drives: nobody  held: not homed")
+            person.until("homing the steering; the robot is armed when it has ended", typing="g")
+            person.until("ready  drives: nobody")
             person.until("active  drives: teleop_joy", typing="i")
             again = thorvaldc("run", "good.yaml", "--bus", "virtual")
             assert again.status == 3
@@ -221,9 +222,9 @@ def test_the_model_of_a_build_drives(folder: Path, thorvaldc: Command) -> None:
 def test_a_robot_on_a_virtual_bus(folder: Path) -> None:
     running = at_teleop(folder, "good.yaml", "--on", "virtual", "--speed", "20")
     try:
-        running.until("homing")
-        running.until("disarmed: press g")
-        running.until("\x1b[2K       arm", typing="g")
+        running.until("not homed; arming homes the steering")
+        running.until("homing the steering; the robot is armed when it has ended", typing="g")
+        running.until("ready  drives: nobody")
         running.until("active  drives: teleop_joy", typing="l")
         running.type("\x03")
         assert running.end() == 0

@@ -175,6 +175,11 @@ class DrivenRobot:
         return self.driver.permission.armed
 
     @property
+    def arming(self) -> bool:
+        """``True`` while an arming waits for the end of the homing."""
+        return self._arming_owner is not None
+
+    @property
     def ready(self) -> bool:
         """``True`` if the base follows joint commands."""
         return not self.base.hold_reason
@@ -492,7 +497,7 @@ class DrivenRobot:
     def call(self, service: str, owner: str = THIS_PROGRAM, **arguments: Any) -> Any:
         """Calls a service and returns its result.  Raises ``ServiceError`` if it is refused."""
         caller = Caller(owner, void=self.void_reason() if owner != THIS_PROGRAM else "")
-        return self.services.call(service, arguments, self.now, caller)
+        return self.services.call(service, arguments, self.input_time, caller)
 
     def state(self) -> dict[str, Any]:
         """Returns the state of the robot as JSON values."""

@@ -176,6 +176,7 @@ def robot_state(robot: DrivenRobot, now: float) -> dict[str, Any]:
         "time": state.time if state.time > 0.0 else 0.0,
         "mode": state.mode.value,
         "armed": robot.armed,
+        "arming": robot.arming,
         "paused": robot.paused,
         "source": selected.source,
         "locks": list(selected.locks),

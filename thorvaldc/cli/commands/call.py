@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_format
+import time
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
@@ -14,6 +15,9 @@ from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.options import Json
 from thorvaldc.runtime.control.control_client import ControlClient
 from thorvaldc.runtime.service_table import ServiceError
+
+POLL_PERIOD = 0.2
+"""Time in s between two looks at a robot that homes its steering."""
 
 
 def call(
@@ -47,6 +51,9 @@ def call(
     client = ControlClient(name)
     try:
         result = client.call(service or "services", **values)
+        if service == "arm" and result:
+            message(result)
+            result = _wait_until_armed(client)
     except ServiceError as error:
         message(f"error: {error}")
         return INPUT
@@ -61,6 +68,18 @@ def call(
     else:
         _print_services(result)
     return DONE
+
+
+def _wait_until_armed(client: ControlClient) -> None:
+    """Waits until a robot that homes its steering first is armed.
+
+    The connection stays open meanwhile, because the robot ends disarmed without it.  Raises
+    ``ServiceError`` if the robot is not armed at the end of the homing.
+    """
+    while (state := client.call("state"))["arming"]:
+        time.sleep(POLL_PERIOD)
+    if not state["armed"]:
+        raise ServiceError(state["held"] or state["fault"] or "the robot is not armed")
 
 
 def _parse_argument(text: str) -> tuple[str, Any]:
