@@ -120,7 +120,7 @@ INTEGER_SUMS = frozenset(
         "sum((self.executor.nodes_at[node] for node in ids))",
         "sum(groups.values())",
         "sum(map(robots_of, entries))",
-        "sum(runner.relay_drops().values())",
+        "sum(base.nodes.relay_drops().values())",
         "sum(sizes)",
     ]
 )

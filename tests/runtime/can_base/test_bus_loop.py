@@ -561,7 +561,10 @@ def test_a_cause_that_remains_leads_to_the_fault_again() -> None:
     device(rig).heartbeat_stopped = True
     rig.until(lambda: rig.state is BaseState.FAULT)
     rig.twist = ZERO_TWIST
-    rig.run(0.1)
+    rig.run(0.04)
+    with pytest.raises(RequestRefused, match=r"wheels of .* turn; wait until they stand"):
+        rig.driven.reset()
+    rig.until(lambda: rig.base.standing)
     rig.driven.reset()
     rig.until(lambda: rig.state is BaseState.FAULT)
     assert "fl_controller" in rig.reason

@@ -53,7 +53,8 @@ def call(
         result = client.call(service or "services", **values)
         if service == "arm" and result:
             message(result)
-            result = _wait_until_armed(client)
+            _wait_until_armed(client)
+            result = None
     except ServiceError as error:
         message(f"error: {error}")
         return INPUT

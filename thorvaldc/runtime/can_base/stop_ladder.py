@@ -24,8 +24,8 @@ The ladder is the same for every kind of motor controller.  Each controller clim
                     |       v           after RESET_TIME
                     +--  CUT POWER      the wheel is named: a person must cut the power
 
-The times are those of the robot (``StopTimes``).  A motor that obeys is never asked to climb, so
-that the ladder takes its torque only together with that of its bus, when another motor turns.  Only
+The times are those of the robot (``StopTimes``).  A motor that obeys is never asked to climb.  The
+bus of a drive whose watchdog only takes the torque is silenced when its obedient motors stand.  Only
 ``reset`` leads back down.
 
 ``STARVE`` and all later rungs silence the bus, so that nothing feeds the watchdogs of its
@@ -243,10 +243,24 @@ class StopLadder:
         failed = obedience is Obedience.DISOBEYS
         if obedience is Obedience.UNKNOWN and not climber.has_stood:
             failed = now - climber.since > self._patience(climber.rung)
-        if failed:
+        if failed and not self._would_release_others(climber):
             self._enter(climber, self._next(climber), now)
         elif obedience is not Obedience.STANDS:
             self._repeat(climber, now)
+
+    def _would_release_others(self, climber: _Climber) -> bool:
+        """Checks whether the next rung would take the torque from a wheel that slows down.
+
+        Silence on the bus reaches all its controllers.  One whose watchdog only takes the torque
+        must stand before; it is on the ladder too, so that it stands or climbs in a bounded time.
+        """
+        if self._next(climber) < Rung.STARVE or climber.connection.starved:
+            return False
+        return any(
+            other.obedience is Obedience.SLOWS and other.controller.node.watchdog_coasts
+            for other in self._climbers
+            if other is not climber and other.connection is climber.connection
+        )
 
     def _patience(self, rung: Rung) -> float:
         """Returns the time (s) after which a controller without reports climbs."""

@@ -331,7 +331,10 @@ def _identity_cases(target: _Target) -> Iterator[FaultCase]:
     drives = [n.id for n in bus.nodes if n.id in others and n.channels]
     for other in (drives or others)[:1]:
         taken = target.device("duplicate_id", id=other)
-        yield target.case("a drive takes the id of another one", taken, target.silence)
+        # The drive does not hear its own commands any more; a watchdog may only take its torque.
+        braking = math.inf if math.isinf(target.watchdog) else None
+        name = "a drive takes the id of another one"
+        yield target.case(name, taken, target.silence, braking=braking)
     clone = target.device("clone")
     yield target.case("a second drive with the id of another one", clone, SECOND_DEVICE)
 

@@ -15,6 +15,7 @@ from thorvaldc.compiler.extras.xacro_expand import remembered_expansions
 from thorvaldc.compiler.geometry.meshes import shared_mesh_workers
 from thorvaldc.compiler.library import Library, ModuleType
 from thorvaldc.compiler.lock_update import read_robot_lock
+from thorvaldc.compiler.modules.design_requirements import read_design
 from thorvaldc.compiler.modules.elaborate import elaborate
 from thorvaldc.compiler.modules.instance import Instance
 from thorvaldc.compiler.modules.resolve import Resolver
@@ -134,9 +135,10 @@ class RobotProbe:
             lock=self._lock,
             trust=self.trust,
         )
+        design = read_design(document, report)
         if report.has_errors or robot is None:
             return None, report.errors
-        return robot, []
+        return replace(robot, design_slope=design.slope), []
 
     def _calibration_name(self) -> str | None:
         node = self.document.get("calibration")
