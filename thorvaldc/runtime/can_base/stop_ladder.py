@@ -25,8 +25,8 @@ The ladder is the same for every kind of motor controller.  Each controller clim
                     +--  CUT POWER      the wheel is named: a person must cut the power
 
 The times are those of the robot (``StopTimes``).  A motor that obeys is never asked to climb.  The
-bus of a drive whose watchdog only takes the torque is silenced when its obedient motors stand.  Only
-``reset`` leads back down.
+bus of a drive whose watchdog only takes the torque is silenced when its obedient motors stand.
+Only ``reset`` leads back down.
 
 ``STARVE`` and all later rungs silence the bus, so that nothing feeds the watchdogs of its
 controllers any more.  Only the NMT reset is still sent.
