@@ -76,7 +76,7 @@ def with_ros(model_file: str) -> tuple[list[tuple[float, float]], float]:
         elapsed += time.thread_time() - begin
         while received["clock"].sec + received["clock"].nanosec * 1e-9 < robot.now - 1e-6:
             executor.spin_once(timeout_sec=1.0)
-        path.append(robot.driver.base.base.true_pose()[:2])
+        path.append(robot.driver.base.true_pose()[:2])
     assert node.inputs.refused == {}, node.inputs.refused
     assert abs(robot.now - start - CYCLES * robot.period) < 1e-6
     client.destroy_node()
@@ -98,7 +98,7 @@ def without_ros(model_file: str, start: float) -> tuple[list[tuple[float, float]
         robot.multiplexer.publish(SOURCE, twist_at(cycle), robot.input_time, "ROS")
         robot.cycle()
         elapsed += time.thread_time() - begin
-        path.append(robot.driver.base.base.true_pose()[:2])
+        path.append(robot.driver.base.true_pose()[:2])
     return path, elapsed / CYCLES
 
 
