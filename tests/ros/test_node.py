@@ -166,7 +166,9 @@ def test_stamped_twists(distro: str, build: Path, tmp_path: Path) -> None:
 
 
 def test_two_robots_in_one_process(distro: str, build: Path, tmp_path: Path) -> None:
-    command = [python_of(distro), "-m", "tests.ros.two_nodes", str(build / "model.json")]
+    model = tmp_path / "one_of_many.json"  # the name of the file does not matter
+    model.write_bytes((build / "model.json").read_bytes())
+    command = [python_of(distro), "-m", "tests.ros.two_nodes", str(model)]
     process = ChildProcess(command, env=variables(tmp_path), stderr=subprocess.PIPE, text=True)
     try:
         run_client(distro, "drive_one_of_two", tmp_path)
