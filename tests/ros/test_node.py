@@ -212,7 +212,7 @@ def test_mission_over_topics_follows_the_path_of_the_mission_without_ros(
     [
         ({"model_file": ""}, "error: the parameter model_file is missing: --ros-args -p model"),
         ({"model_file": "/nowhere/model.json"}, "error: cannot read /nowhere/model.json: No such"),
-        ({"model_file": "/"}, "error: model_file is /, a folder; expected the model.json of a build"),
+        ({"model_file": "/"}, "error: model_file is /, a folder; expected the model.json of"),
         ({"base": "gazebo"}, "error: base is 'gazebo'; expected ideal, mujoco, virtual, bus"),
         ({"base": "bus", "bus": "sim:nobody"}, "error: cannot use the bus `sim:nobody`: "),
         ({"rate": 10.0}, "error: rate is 10 Hz; the model has 50 Hz: change `driver.rate`"),
