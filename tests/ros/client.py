@@ -142,22 +142,31 @@ class Client:
         self.publish(topic, Bool(data=locked))
 
     def arm(self) -> None:
-        """Arms the robot; on a busy computer a gap in time may refuse it for a moment."""
+        """Arms the robot, and waits for the homing of its steering.
+
+        On a busy computer a gap in time may refuse it for a moment.
+        """
         end = time.monotonic() + TIMEOUT
-        while not (answer := self.switch("enable"))[0]:
+        while not (answer := self.switch("enable"))[0] or answer[1].startswith("homing"):
             assert time.monotonic() < end, answer
             self.send(0.0)
             self.spin(0.05)
 
-    def drive(self, vx: float, source: str = "auto_nav") -> None:
-        """Drives until the odometry shows the speed; a gap in time needs a zero in between."""
+    def start(self, source: str = "auto_nav") -> None:
+        """Commands zero for a moment, which a source must do before it moves the robot."""
+        self.keep(0.0, 0.1, source=source)
 
-        tries = iter(range(1, 100_000))
+    def drive(self, vx: float, **options: Any) -> None:
+        """Drives until the odometry shows the speed, with zero first, as for a new source.
+
+        A gap in time, or another source that falls silent, needs a zero in between.
+        """
+        tries = iter(range(100_000))
 
         def send() -> None:
-            self.send(0.0 if next(tries) % 60 == 0 else vx, source=source)
+            self.send(0.0 if next(tries) % 60 == 0 else vx, **options)
 
-        self.wait(f"{vx} m/s", lambda: abs(self.speed() - vx) < 0.02, send)
+        self.wait(f"{vx} m/s", lambda: abs(self.speed() - vx) < 0.01, send)
 
     def keep(self, vx: float, seconds: float, **options: Any) -> list[float]:
         """Commands a twist for a time, and returns the speeds of the odometry."""

@@ -27,7 +27,7 @@ def main() -> None:
     client.arm()
     client.drive(0.2)
     assert client.values("timing")["cycles"]
-    changes = client.values("timing")["changes"].split("; ")
+    changes = client.values("states")["changes"].split("; ")
     assert len(changes) == 5, changes
     assert changes[-1].endswith("active")
     assert client.values("timing")["events"].split("; ")[-1].endswith("armed")

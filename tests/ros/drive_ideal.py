@@ -92,6 +92,7 @@ def parameters(client: Client) -> None:
     limits(client)
     assert "has no parameter set `rails`; did you mean `rail`?" in client.set(parameter_set="rails")
     assert client.set(max_linear_velocity=0.25) == ""
+    client.start()
     assert max(client.keep(1.0, 1.5)) < 0.2501
     client.wait("0.25 m/s", lambda: client.speed() > 0.249, lambda: client.send(1.0))
     assert client.trigger("use_rail") == (True, "")
@@ -102,7 +103,10 @@ def parameters(client: Client) -> None:
 
 
 def limits(client: Client) -> None:
-    """The values of the robot file are the largest ones: each can be set, but none above it."""
+    """The values of the robot file are the largest ones: each can be set, but none above it.
+
+    A hundredth of it is the smallest one.
+    """
     for name in (
         "max_linear_velocity",
         "max_angular_velocity",
@@ -111,9 +115,10 @@ def limits(client: Client) -> None:
     ):
         largest = client.describe(name).floating_point_range[0].to_value
         assert client.set(**{name: largest}) == ""
-        for value in (1.01 * largest, 99.0, 1e6, math.inf, math.nan):
+        for value in (0.009 * largest, 1.01 * largest, 99.0, 1e6, math.inf, math.nan):
             assert name in client.set(**{name: value}), value
     largest = client.describe("max_linear_velocity").floating_point_range[0].to_value
+    client.start()
     client.wait("full speed", lambda: client.speed() > 0.99 * largest, lambda: client.send(5.0))
     assert max(client.keep(5.0, 1.0)) < largest + 1e-6
     client.rest()
@@ -132,6 +137,9 @@ def stops(client: Client) -> None:
     client.wait("lock", lambda: abs(client.speed()) < 1e-3, lambda: client.send(0.3))
     assert "safety_stop" in client.switch("enable")[1]
     client.lock("safety_stop/lock", False)
+    assert max(map(abs, client.keep(0.3, 0.5))) < 1e-3  # disarmed by the lock
+    client.wait("disarmed", lambda: "stop lock `safety_stop`" in client.status())
+    client.arm()
     client.drive(0.3)
     client.rest()
     client.lock("auto_nav/pause", True)  # a lock that leaves the joystick

@@ -76,7 +76,7 @@ def with_ros(model_file: str) -> tuple[list[tuple[float, float]], float]:
         elapsed += time.thread_time() - begin
         while received["clock"].sec + received["clock"].nanosec * 1e-9 < robot.now - 1e-6:
             executor.spin_once(timeout_sec=1.0)
-        path.append(robot.driver.base.base.true_pose()[:2])
+        path.append(robot.driver.base.true_pose()[:2])
     assert node.inputs.refused == {}, node.inputs.refused
     assert abs(robot.now - start - CYCLES * robot.period) < 1e-6
     client.destroy_node()
@@ -90,15 +90,15 @@ def without_ros(model_file: str, start: float) -> tuple[list[tuple[float, float]
     """As ``with_ros``, after the same rest of ``start`` s."""
     robot = open_robot(load_robot_model(model_file), Path(model_file), "mujoco", "", 0.0)
     while robot.now < start - 1e-6:
-        robot.cycle()
+        robot.run_due_cycle()
     robot.call("arm")
     path, elapsed = [], 0.0
     for cycle in range(CYCLES):
         begin = time.thread_time()
         robot.multiplexer.publish(SOURCE, twist_at(cycle), robot.input_time, "ROS")
-        robot.cycle()
+        robot.run_due_cycle()
         elapsed += time.thread_time() - begin
-        path.append(robot.driver.base.base.true_pose()[:2])
+        path.append(robot.driver.base.true_pose()[:2])
     return path, elapsed / CYCLES
 
 

@@ -166,7 +166,9 @@ def test_stamped_twists(distro: str, build: Path, tmp_path: Path) -> None:
 
 
 def test_two_robots_in_one_process(distro: str, build: Path, tmp_path: Path) -> None:
-    command = [python_of(distro), "-m", "tests.ros.two_nodes", str(build / "model.json")]
+    model = tmp_path / "one_of_many.json"  # the name of the file does not matter
+    model.write_bytes((build / "model.json").read_bytes())
+    command = [python_of(distro), "-m", "tests.ros.two_nodes", str(model)]
     process = ChildProcess(command, env=variables(tmp_path), stderr=subprocess.PIPE, text=True)
     try:
         run_client(distro, "drive_one_of_two", tmp_path)
@@ -210,6 +212,7 @@ def test_mission_over_topics_follows_the_path_of_the_mission_without_ros(
     [
         ({"model_file": ""}, "error: the parameter model_file is missing: --ros-args -p model"),
         ({"model_file": "/nowhere/model.json"}, "error: cannot read /nowhere/model.json: No such"),
+        ({"model_file": "/"}, "error: model_file is /, a folder; expected the model.json of"),
         ({"base": "gazebo"}, "error: base is 'gazebo'; expected ideal, mujoco, virtual, bus"),
         ({"base": "bus", "bus": "sim:nobody"}, "error: cannot use the bus `sim:nobody`: "),
         ({"rate": 10.0}, "error: rate is 10 Hz; the model has 50 Hz: change `driver.rate`"),

@@ -28,9 +28,9 @@ def load_robot_model(path: str) -> Robot:
             "the parameter model_file is missing: --ros-args -p model_file:=PATH/model.json"
         )
     file = Path(path)
-    if file.name != "model.json":
-        raise NodeError(f"model_file is {path}; expected the file model.json of a build")
-    model = load_model(file.parent)
+    if file.is_dir():  # the other files of a build are searched beside the model
+        raise NodeError(f"model_file is {path}, a folder; expected the model.json of a build")
+    model = load_model(file)
     if not isinstance(model, Robot):
         raise NodeError(f"{path} is a fleet; start a node for the model.json of each robot")
     return model

@@ -120,6 +120,8 @@ def _arm(robot: DrivenRobot, clock_problem: str) -> str:
     """
     if clock_problem:
         raise ServiceError(clock_problem)
+    if robot.paused:  # an armed robot does not move either
+        raise ServiceError("the simulation is paused")
     was_armed = robot.armed
     waits_for = robot.call("arm", OWNER)
     reasons = [waits_for] if waits_for else []
