@@ -88,8 +88,13 @@ class ChaosClient:
         else:
             permission.calls(self.connection, service, arguments, now)
 
-    def drive(self, source: str, twist: list[float], seconds: float, rate: float) -> None:
-        """Sends a twist periodically, and zero at the end."""
+    def drive(
+        self, source: str, twist: list[float], seconds: float, rate: float, held: bool = False
+    ) -> None:
+        """Sends zero, then a twist periodically, and zero at the end.
+
+        ``held``: ``True`` for a stick that is held from the start, without the first zero.
+        """
         self._driving += 1
         number, end = self._driving, self.world.now + seconds
         vx, vy, wz = twist
@@ -103,4 +108,8 @@ class ChaosClient:
             self.call("twist", {"source": source, "vx": vx, "vy": vy, "wz": wz})
             self.world.after(1.0 / rate, send)
 
-        send()
+        if not held:
+            self.call("twist", {"source": source})
+            self.world.after(1.0 / rate, send)
+        else:
+            send()

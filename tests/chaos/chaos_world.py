@@ -442,9 +442,15 @@ class ChaosWorld:
         self.client(client).call(service, arguments or {})
 
     def act_drive(
-        self, client: str, source: str, twist: list[float], seconds: float, rate: float = 20.0
+        self,
+        client: str,
+        source: str,
+        twist: list[float],
+        seconds: float,
+        rate: float = 20.0,
+        held: bool = False,
     ) -> None:
-        self.client(client).drive(source, twist, seconds, rate)
+        self.client(client).drive(source, twist, seconds, rate, held)
 
     def act_close(self, client: str) -> None:
         self.client(client).close()

@@ -41,6 +41,8 @@ DECELERATIONS = (0x84, 0x85)
 """Profile deceleration (0x6084) and quick stop deceleration (0x6085), within an axis."""
 ON_EVENT = 255
 """Transmission type of a PDO; 254 means the same."""
+HELD = 0.2
+"""Share of the drives that begin with a motion, as with a stick that is held."""
 STALLS = (0.005, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.55, 0.62, 0.7, 1.0, 2.0, 5.0)
 GARBAGE = (
     "\x00\xff\xfe\n",
@@ -215,6 +217,7 @@ class MissionGenerator:
                     "twist": self.twist(),
                     "seconds": round(seconds, 2),
                     "rate": rate,
+                    **({"held": True} if draw.random() < HELD else {}),
                 },
             )
             at += seconds * draw.uniform(0.5, 1.2)

@@ -261,6 +261,10 @@ class RoboteqScriptController(MotorController):
             period = self.codecs["tpdo4"].frame.period or 1.0
             milliseconds = FAST_CONSTANTS if fast else period * 1000.0
             return self.setting_frame("tpdo4_cycle_time", milliseconds)
+        if intent is Intent.QUICK_STOP and self._modes is None:
+            # The node may have restarted unseen, and has no torque then.  If it has not, a mode
+            # without torque would let a wheel roll that is braking now.
+            return None
         modes = self._required_modes(intent)
         homing = HOME in modes
         repeat = now - self._modes_sent_at > MODE_REPEAT and not homing
