@@ -254,7 +254,10 @@ class MissionGenerator:
             yield ChaosEvent(at + 0.1, "drive", {"client": "nav", **values, "rate": 20.0})
         if draw.random() < 0.7:
             client = draw.choice(("guard", "guard", "stranger"))
-            yield _call(at + draw.uniform(0.05, 1.0), client, "lock", name=name, locked=False)
+            released = at + draw.uniform(0.05, 1.0)
+            yield _call(released, client, "lock", name=name, locked=False)
+            if draw.random() < 0.7:  # a stop lock disarms; the pilot arms and goes on
+                yield from self.arm(released + 0.1, "pilot")
 
     def parameters(self, at: float) -> Iterator[ChaosEvent]:
         limit = round(self.draw.uniform(0.2, 1.0) * self.robot.driver.max_linear_velocity, 2)
