@@ -40,8 +40,8 @@ from tests.chaos.invariants import (
 )
 from tests.chaos.permission import Permission, wheel_speed
 from tests.chaos.schedule import DELIVERED, POWER_ON, READY, ChaosEvent, Schedule
+from tests.chaos.true_motion import TrueMotion
 from tests.robots import SPAN
-from thorvaldc.can.canopen import NmtState
 from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.model.bus_faults import BusFault, BusFaults
 from thorvaldc.model.robot import AUTOMATIC
@@ -53,7 +53,6 @@ from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.cia402_device import Cia402Drive
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 from thorvaldc.simulation.bus.roboteq_device import RoboteqController
-from thorvaldc.simulation.bus.simulated_device import SimulatedDevice
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 CONTROL_PERIOD = 0.01
@@ -132,27 +131,12 @@ class ChaosWorld:
         self._jump_seen = False
         self._battery_empty = 0.0
         self._injector = FaultInjector(self.simulated, BusFaults((), seed=seed))
-        self._motors = [
-            (wheel, self.simulated.motors[spin.name], self._steering_motor(wheel.steering_joint))
-            for wheel in self.robot.wheels
-            if (spin := self.robot.actuator_of(wheel.spin_joint)) is not None
-        ]
-        nodes = {c.actuator: n.name for b in self.robot.buses for n in b.nodes for c in n.channels}
-        self._drives = [
-            self.simulated.devices[nodes[spin.name]]
-            for wheel in self.robot.wheels
-            if (spin := self.robot.actuator_of(wheel.spin_joint)) is not None
-        ]
-        """Devices that drive the wheels of ``_motors``."""
+        self.truth = TrueMotion(self.robot, self.simulated)
         self.technician = Technician(self) if delivered else None
         self.motion = MotionInvariant(self)
         self.state_check = StateInvariant(self)
         self.odometry = OdometryInvariant(self)
         self._digest = hashlib.sha256()
-
-    def _steering_motor(self, joint: str | None) -> Any:
-        actuator = self.robot.actuator_of(joint) if joint is not None else None
-        return self.simulated.motors[actuator.name] if actuator is not None else None
 
     # -- time and truth ----------------------------------------------------------------------------
 
@@ -163,44 +147,10 @@ class ChaosWorld:
     def after(self, seconds: float, action: Callable[[], None]) -> None:
         self.timeline.after(to_ns(seconds), action)
 
-    def true_speed(self) -> float:
-        """Returns the speed (m/s) of the fastest wheel."""
-        now = self.now
-        return max(abs(motor.read(now).velocity) * wheel.radius for wheel, motor, _ in self._motors)
-
-    def driven_speed(self) -> float:
-        """Returns the speed (m/s) of the fastest wheel that its drive moves or should brake.
-
-        A wheel whose drive has no power, or has left the NMT state operational, only rolls out.
-        """
-        now = self.now
-        speeds = [
-            abs(motor.read(now).velocity) * wheel.radius
-            for (wheel, motor, _), drive in zip(self._motors, self._drives, strict=True)
-            if motor.has_power or _is_operational(drive)
-        ]
-        return max(speeds, default=0.0)
-
     @property
     def pushed_speed(self) -> float:
         """Speed (m/s) that something else may add to the fastest wheel."""
         return sum(self._pushes.values())
-
-    def true_twist(self) -> Twist:
-        """Returns the twist of the robot that fits the motion of the wheels best."""
-        now, n = self.now, len(self._motors)
-        sx = sy = squares = sum_c = sum_s = moment = 0.0
-        for wheel, motor, steering in self._motors:
-            angle = wheel.heading
-            if steering is not None:
-                angle += wheel.steering_sign * steering.read(now).position
-            speed = motor.read(now).velocity * wheel.radius
-            c, s = speed * math.cos(angle), speed * math.sin(angle)
-            x, y = wheel.x, wheel.y
-            sx, sy, squares = sx + x, sy + y, squares + x * x + y * y
-            sum_c, sum_s, moment = sum_c + c, sum_s + s, moment + x * s - y * c
-        wz = (moment + sy * sum_c / n - sx * sum_s / n) / (squares - (sx * sx + sy * sy) / n)
-        return Twist((sum_c + sy * wz) / n, (sum_s - sx * wz) / n, wz)
 
     @property
     def impeded(self) -> bool:
@@ -424,7 +374,7 @@ class ChaosWorld:
     def digest(self) -> str:
         """Returns a number that differs if anything on the buses differed."""
         wires = [(w.frames, w.errors, w.busy) for w in self.simulated.wires.values()]
-        twist = self.true_twist()
+        twist = self.truth.twist()
         self._digest.update(repr((self.timeline.now, wires, twist, self.odometry.pose)).encode())
         return self._digest.hexdigest()[:16]
 
@@ -628,20 +578,12 @@ class ChaosWorld:
         self._call(person, "arm")
         person.drive("teleop_joy", list(RECOVERY_TWIST), 2.0, 20.0)
         end = self.now + 2.0
-        self.run_until(end, lambda: self.true_twist().vx > RECOVERED_SPEED)
-        return self.true_twist().vx > RECOVERED_SPEED
+        self.run_until(end, lambda: self.truth.twist().vx > RECOVERED_SPEED)
+        return self.truth.twist().vx > RECOVERED_SPEED
 
     def _call(self, client: ChaosClient, service: str, **arguments: Any) -> None:
         client.call(service, arguments)
         self.run_until(self.now + CALL_TIME)
-
-
-def _is_operational(device: SimulatedDevice) -> bool:
-    return (
-        device.powered
-        and isinstance(device, CanopenDevice)
-        and device.state is NmtState.OPERATIONAL
-    )
 
 
 def _never() -> bool:

@@ -144,7 +144,7 @@ class MotionInvariant:
                 self._ramp_start = self.envelope
             fall = share * self._ramp_start * CHECK_PERIOD / self.ramp_time
             self.envelope = max(highest, self.envelope - fall)
-        speed = world.driven_speed() - world.pushed_speed
+        speed = world.truth.driven_speed() - world.pushed_speed
         if speed > SPEED_SHARE * self.envelope + SPEED_TOLERANCE:
             raise Violation(
                 "unasked motion",
@@ -258,7 +258,7 @@ class OdometryInvariant:
         dt = now - self._time
         self._time = now
         if 0.0 < dt < 1.0:
-            vx, vy, wz = self.world.true_twist()
+            vx, vy, wz = self.world.truth.twist()
             x, y, yaw = self.pose
             heading = yaw + wz * dt / 2.0
             c, s = math.cos(heading), math.sin(heading)
