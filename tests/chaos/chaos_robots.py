@@ -1,4 +1,4 @@
-"""Four small robots for random missions, with both kinds of drives."""
+"""Five small robots for random missions, with both kinds of drives."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from tests.runtime.can_base.fault_matrix import cia402 as steered_cia402
 from tests.simulation.bus.robots import compiled
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import Node, ObjectValue
+from thorvaldc.model.robot import AUTOMATIC
 
 _STEERED_SCRIPT = """
 thorvaldc: 1
@@ -75,6 +76,12 @@ def differential_script() -> Robot:
     return compiled(_DIFFERENTIAL % {"drives": "script", "controllers": _SCRIPT_CONTROLLER})
 
 
+def differential_automatic() -> Robot:
+    """Returns ``differential_cia402``, which arms itself."""
+    robot = differential_cia402()
+    return replace(robot, driver=replace(robot.driver, arming=AUTOMATIC))
+
+
 def differential_cia402() -> Robot:
     """Returns a robot with a controller for each wheel, and a battery."""
     return compiled(_DIFFERENTIAL % {"drives": "cia402", "controllers": _CIA402_CONTROLLERS})
@@ -85,6 +92,7 @@ ROBOTS: dict[str, Callable[[], Robot]] = {
     "steered_script": steered_script,
     "differential_cia402": differential_cia402,
     "differential_script": differential_script,
+    "differential_automatic": differential_automatic,
 }
 """Robots by name.  The steered CiA 402 robot has a battery, and homes faster than usual."""
 

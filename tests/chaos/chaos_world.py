@@ -160,7 +160,7 @@ class ChaosWorld:
         """
         if self.driver_hangs or not self.alive or self.driven.base.state.starts:
             return True
-        return any(problem.kind in IMPEDING for problem in self.problems.values())
+        return any(p.kind in IMPEDING or p.delay > 0.0 for p in self.problems.values())
 
     @property
     def frame_delay(self) -> float:

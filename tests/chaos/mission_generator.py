@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from tests.chaos.chaos_robots import LOUD_SOURCE, ROBOTS, chaos_robot
+from tests.chaos.focused_missions import FOCUSED, TWIST, call
 from tests.chaos.invariants import PUSHED
 from tests.chaos.schedule import DELIVERED, POWER_ON, READY, ChaosEvent, Schedule
 from thorvaldc.model import Robot
@@ -26,14 +27,13 @@ START_UP = {
     "steered_script": (4.3, 5.3),
     "differential_cia402": (1.6, 2.6),
     "differential_script": (3.5, 4.5),
+    "differential_automatic": (1.6, 2.6),
 }
 """Shortest and longest time (s) from the power-on until a person arms the robot."""
-FLOODED_EVERY, FIRST_FLOODED = 97, 5
-"""Every 97th mission ends in a flood of twists. Such a flood is rare in the others, and the next
-drive of their pilot hides what the driver does with the twists that wait."""
-DISOBEDIENT_EVERY, FIRST_DISOBEDIENT = 11, 3
-"""Every 11th mission has a drive that does not obey for a long time; in the others a fault of
-another kind or the end of the mission often comes first."""
+FOCUSED_SHARE = 0.5
+"""Share of the missions that aim at one rule."""
+EXTRA_FAULT_SHARE = 0.25
+"""Share of those with a random fault beside it."""
 COMMISSIONED = ("steered_cia402", "differential_cia402")
 """Robots whose drives are set up by ``can flash``."""
 EMCY_INHIBIT_TIME, HEARTBEAT_PRODUCER, DRIVE_PROFILE = 0x1015, 0x1017, 0x6000
@@ -59,7 +59,6 @@ GARBAGE = (
     '{"call": "send_to_device", "arguments": {"cob_id": 513, "data": "ffffffffffffff"}}\n',
     '{"call": "state", "arguments": {"x": 1}, "id": [[[]]]}\n',
 )
-TWIST = '{"call": "twist", "arguments": {"source": "teleop_joy", "vx": 0.4}}\n'
 DRIVERS = (
     *[("pilot", "teleop_joy")] * 6,
     *[("nav", "auto_nav")] * 2,
@@ -89,10 +88,8 @@ class MissionGenerator:
 
     def schedule(self) -> Schedule:
         draw = self.draw
-        if self.seed % FLOODED_EVERY == FIRST_FLOODED:
-            return self._flooded()
-        if self.seed % DISOBEDIENT_EVERY == FIRST_DISOBEDIENT:
-            return self._disobedient()
+        if draw.random() < FOCUSED_SHARE:
+            return self._focused()
         if draw.random() < DELIVERED_SHARE and self.name in COMMISSIONED:
             return self._commissioning()
         kinds = draw.sample(list(FAULTS), k=draw.randint(1, 4))
@@ -133,50 +130,14 @@ class MissionGenerator:
                 events += draw.choice(makers)(at)
         return self._schedule(DELIVERED, duration, events)
 
-    def _flooded(self) -> Schedule:
-        """Returns a mission whose pilot sends thousands of twists at once and then hangs."""
+    def _focused(self) -> Schedule:
+        """Returns a mission that aims at one rule, at times with a random fault."""
         draw = self.draw
-        seconds, rate = round(draw.uniform(0.5, 1.5), 2), draw.choice((10.0, 20.0, 50.0))
-        twist = self.fast_twist()
-        values = {"client": "pilot", "source": "teleop_joy", "twist": twist, "seconds": seconds}
-        flood = TWIST.replace("0.4", str(twist[0]))
-        at = 0.3 + seconds * draw.uniform(0.4, 1.0)
-        events = [
-            *self.arm(0.1, "pilot"),
-            ChaosEvent(0.3, "drive", {**values, "rate": rate}),
-            ChaosEvent(at, "raw", {"client": "pilot", "text": flood, "times": 5000}),
-            ChaosEvent(at + 0.01, "hang", {"client": "pilot"}),
-        ]
-        if draw.random() < 0.5:
-            events += self.stall(at + draw.uniform(0.0, 0.5))
-        return self._schedule(READY, at + draw.uniform(0.5, 2.0), events)
-
-    def _disobedient(self) -> Schedule:
-        """Returns a mission with a drive that does not obey while the robot drives and stops, or
-        whose wheel something else turns while the robot should stand."""
-        draw = self.draw
-        driven = draw.uniform(1.0, 2.5)
-        values = {"source": "teleop_joy", "twist": self.fast_twist(), "seconds": driven}
-        events = [
-            *self.arm(0.1, "pilot"),
-            ChaosEvent(0.3, "drive", {"client": "pilot", **values, "rate": 20.0}),
-        ]
-        bus, node = draw.choice(self.controllers)
-        channel = next(c.name for c in node.channels if c.role == "propulsion")
-        kind = draw.randrange(4)
-        if kind == 0:
-            speed = draw.choice((0.5, -0.5, 2.0))
-            at = 0.3 + driven + draw.uniform(2.0, 3.0)
-            events.append(_inject(at, PUSHED, bus, node, 4.0, channel=channel, speed=speed))
-        else:
-            at = 0.3 + driven * draw.uniform(0.5, 0.9)
-            name = draw.choice(("commands_ignored", "commands_ignored", "sync_ignored"))
-            events.append(_inject(at, name, bus, node, 10.0))
-            if kind > 1:
-                events.append(_inject(at, "nmt_ignored", bus, node, 10.0))
-            if draw.random() < 0.5:
-                events.append(_call(0.3 + driven, "pilot", "safety_stop"))
-        return self._schedule(READY, at + draw.uniform(5.0, 8.0), events)
+        events, duration = draw.choice(FOCUSED)(self)
+        if draw.random() < EXTRA_FAULT_SHARE:
+            maker = FAULTS[draw.choice(list(FAULTS))]
+            events += maker(self, draw.uniform(0.3, duration))
+        return self._schedule(READY, duration, events)
 
     # -- the mission -------------------------------------------------------------------------------
 
@@ -226,53 +187,53 @@ class MissionGenerator:
                 at += draw.uniform(0.1, 0.8)
 
     def arm(self, at: float, client: str) -> Iterator[ChaosEvent]:
-        yield _call(at, client, "twist", source="teleop_joy")
-        yield _call(at + 0.03, client, "arm")
+        yield call(at, client, "twist", source="teleop_joy")
+        yield call(at + 0.03, client, "arm")
 
     def safety_stop(self, at: float) -> Iterator[ChaosEvent]:
         """Stop, release, reset and arm; the last steps may be left out."""
         draw = self.draw
         client = draw.choice(("pilot", "guard"))
         releaser = client if draw.random() < 0.8 else "stranger"
-        yield _call(at, client, "safety_stop")
+        yield call(at, client, "safety_stop")
         at += draw.uniform(0.05, 0.8)
         if draw.random() < 0.8:
-            yield _call(at, releaser, "release_safety_stop")
+            yield call(at, releaser, "release_safety_stop")
             yield from self.reset(at + draw.uniform(0.03, 0.5))
 
     def reset(self, at: float) -> Iterator[ChaosEvent]:
-        yield _call(at, "pilot", "reset_faults")
+        yield call(at, "pilot", "reset_faults")
         if self.draw.random() < 0.7:
             yield from self.arm(at + self.draw.uniform(0.5, 3.0), "pilot")
 
     def stop_lock(self, at: float) -> Iterator[ChaosEvent]:
         draw = self.draw
         name = draw.choice([lock.name for lock in self.robot.twist_locks])
-        yield _call(at, "guard", "lock", name=name, locked=True)
+        yield call(at, "guard", "lock", name=name, locked=True)
         if draw.random() < 0.4:  # a source as loud as the stop drives
             values = {"source": LOUD_SOURCE, "twist": self.fast_twist(), "seconds": 1.0}
             yield ChaosEvent(at + 0.1, "drive", {"client": "nav", **values, "rate": 20.0})
         if draw.random() < 0.7:
             client = draw.choice(("guard", "guard", "stranger"))
             released = at + draw.uniform(0.05, 1.0)
-            yield _call(released, client, "lock", name=name, locked=False)
+            yield call(released, client, "lock", name=name, locked=False)
             if draw.random() < 0.7:  # a stop lock disarms; the pilot arms and goes on
                 yield from self.arm(released + 0.1, "pilot")
 
     def parameters(self, at: float) -> Iterator[ChaosEvent]:
         limit = round(self.draw.uniform(0.2, 1.0) * self.robot.driver.max_linear_velocity, 2)
-        yield _call(at, "pilot", "set_drive_parameters", max_linear_velocity=limit)
+        yield call(at, "pilot", "set_drive_parameters", max_linear_velocity=limit)
 
     def disarm(self, at: float) -> Iterator[ChaosEvent]:
-        yield _call(at, "pilot", "disarm")
+        yield call(at, "pilot", "disarm")
         if self.draw.random() < 0.6:
             yield from self.arm(at + self.draw.uniform(0.1, 0.6), "pilot")
 
     def home(self, at: float) -> Iterator[ChaosEvent]:
-        yield _call(at, "pilot", "home_steering")
+        yield call(at, "pilot", "home_steering")
 
     def odometry(self, at: float) -> Iterator[ChaosEvent]:
-        yield _call(at, "pilot", "reset_odometry")
+        yield call(at, "pilot", "reset_odometry")
 
     def restart(self, at: float) -> Iterator[ChaosEvent]:
         draw = self.draw
@@ -291,7 +252,7 @@ class MissionGenerator:
             yield ChaosEvent(at + seconds * self.draw.random(), "close", {"client": client})
         elif kind < 0.7:  # zero and a new motion may wait in the control channel
             values = {"source": "teleop_joy", "twist": self.twist(), "seconds": 1.0, "rate": 20.0}
-            yield _call(at + 0.4 * seconds, "pilot", "twist", source="teleop_joy")
+            yield call(at + 0.4 * seconds, "pilot", "twist", source="teleop_joy")
             yield ChaosEvent(at + 0.6 * seconds, "drive", {"client": "pilot", **values})
 
     def dead_client(self, at: float) -> Iterator[ChaosEvent]:
@@ -315,15 +276,15 @@ class MissionGenerator:
             values = {"source": source, "twist": self.fast_twist(), "seconds": 1.0, "rate": 50.0}
             yield ChaosEvent(at, "drive", {"client": "hostile", **values})
         elif kind == 2:
-            yield _call(at, "hostile", "release_safety_stop")
+            yield call(at, "hostile", "release_safety_stop")
             for lock in self.robot.twist_locks:
-                yield _call(at, "hostile", "lock", name=lock.name, locked=False)
+                yield call(at, "hostile", "lock", name=lock.name, locked=False)
         elif kind == 3:
             service = draw.choice(("reset_faults", "reset_odometry", "home_steering", "disarm"))
             for step in range(draw.choice((1, 30))):
-                yield _call(at + 0.01 * step, "hostile", service)
+                yield call(at + 0.01 * step, "hostile", service)
         else:
-            client, text = draw.choice((("hostile", '{"call": "state"}\n'), ("pilot", TWIST)))
+            client, text = draw.choice((("hostile", '{"call": "state"}\n'), ("pilot", TWIST % 0.4)))
             if client == "pilot":
                 yield from self.arm(at - 0.2, "pilot")
             yield ChaosEvent(at, "raw", {"client": client, "text": text, "times": 5000})
@@ -454,7 +415,28 @@ class MissionGenerator:
             if kind == "commands_ignored" and draw.random() < 0.5:
                 yield _inject(at, "nmt_ignored", bus, node, seconds)
         if draw.random() < 0.5:
-            yield _call(at + draw.uniform(0.1, 1.0), "pilot", "safety_stop")
+            yield call(at + draw.uniform(0.1, 1.0), "pilot", "safety_stop")
+
+    def inject_controller(
+        self, at: float, kind: str, seconds: float, *, wheel: bool = False, **more: Any
+    ) -> ChaosEvent:
+        """Returns a fault of a drawn motor controller, with ``wheel`` of its first wheel motor."""
+        bus, node = self.draw.choice(self.controllers)
+        if wheel:
+            more["channel"] = next(c.name for c in node.channels if c.role == "propulsion")
+        return _inject(at, kind, bus, node, seconds, **more)
+
+    def inject_together(
+        self, at: float, kinds: tuple[str, ...], seconds: float
+    ) -> Iterator[ChaosEvent]:
+        """Yields faults of one drawn motor controller."""
+        bus, node = self.draw.choice(self.controllers)
+        for kind in kinds:
+            yield _inject(at, kind, bus, node, seconds)
+
+    def empty_battery(self, at: float) -> Iterator[ChaosEvent]:
+        for bus, node in self.batteries:
+            yield _inject(at, "battery_charge", bus, node, None, charge=0.0)
 
     def battery(self, at: float) -> Iterator[ChaosEvent]:
         if self.batteries:
@@ -490,11 +472,6 @@ def _other_value(entry: ObjectValue) -> int | None:
     if is_communication and entry.subindex == 2 and value == ON_EVENT:
         return ON_EVENT - 1
     return None
-
-
-def _call(at: float, client: str, service: str, **arguments: Any) -> ChaosEvent:
-    values: dict[str, Any] = {"client": client, "service": service}
-    return ChaosEvent(at, "call", {**values, "arguments": arguments} if arguments else values)
 
 
 def _inject(

@@ -52,7 +52,8 @@ class _Source:
 class Permission:
     """The permitted motion, from what was sent to the driver and when.
 
-    - ``needs_arming``: the robot file requires the service ``arm``.
+    - ``needs_arming``: the robot file requires the service ``arm``; without it, the robot arms
+      itself when it is ready, no stop lock is set, and every source is silent or at zero.
     - ``long_gap``: time (s) between two control cycles from which on the driver must be reset.
     """
 
@@ -68,6 +69,7 @@ class Permission:
     """Connections that have set each active lock, by name of the lock."""
     living: set[str] = field(default_factory=set)
     _arming_until: float = -math.inf
+    _disarmed_by_person: bool = False
     _arming_client: str = ""
     """Connection whose request to arm homes the steering first."""
     _awaits_homing: bool = False
@@ -78,6 +80,7 @@ class Permission:
     _last_cycle: float = -math.inf
 
     def __post_init__(self) -> None:
+        self._stops = {lock.name for lock in self.robot.twist_locks if lock.is_stop_lock}
         self.driver_restarted()
 
     # -- what happens ----------------------------------------------------------------------------
@@ -89,6 +92,7 @@ class Permission:
         self.locks = {}
         self.living = set()
         self._last_cycle = math.nan
+        self._disarmed_by_person = False
         self.disarm()
 
     def disarm(self) -> None:
@@ -115,6 +119,7 @@ class Permission:
         self._note_takeover(now)
         if starts:
             self.must_reset = False
+        arms_itself = not self.needs_arming and not self._disarmed_by_person
         if not drives:
             self.armed, self.zero_first, self._void_at = False, True, now
         elif self._arming_until >= now:
@@ -123,6 +128,8 @@ class Permission:
             self.zero_first, self._void_at = self._moves_before_arming, now
             for source in self.sources.values():
                 source.awaits_zero = False
+        elif arms_itself and not self._stops & self.locks.keys() and not self._is_moving(now):
+            self.armed, self.must_reset = True, False
         if drives and not self._is_moving(now):
             self.zero_first = False
 
@@ -175,15 +182,16 @@ class Permission:
             self._arming_client = client
             # A motion that comes after the request may be its first motion.
             self._moves_before_arming = self._is_moving(now - self.period)
+            self._disarmed_by_person = False
         elif service == "disarm":
             self.armed, self._arming_until = False, -math.inf
+            self._disarmed_by_person = True
         elif service in ("safety_stop", "lock"):
             name = str(arguments.get("name", RANK_OF_STOP))
             if service == "safety_stop":
                 self.disarm()
             if arguments.get("locked", True):
-                stops = {lock.name for lock in self.robot.twist_locks if lock.is_stop_lock}
-                if name in stops:
+                if name in self._stops:
                     self.armed, self._arming_until = False, -math.inf
                 self.locks.setdefault(name, set()).add(client)
             else:
@@ -225,7 +233,7 @@ class Permission:
         timeout = self.robot.driver.command_timeout
         if self.zero_first and now - max(self._void_at, self._last_motion) > timeout:
             self.zero_first = False
-        if (self.needs_arming and not self.armed) or self.must_reset or self.zero_first:
+        if not self.armed or self.must_reset or self.zero_first:
             return ZERO_TWIST
         source = self._selected(now)
         return ZERO_TWIST if source is None or source.awaits_zero else source.twist

@@ -14,7 +14,7 @@ from tests.chaos.taken_out import TAKEN_OUT
 
 FOLDER = Path(__file__).parent / "scripts"
 SCRIPTS = sorted(FOLDER.glob("*.json"))
-GROUPS, SEEDS = 4, 10
+GROUPS, SEEDS = 5, 8
 """The sample has ``SEEDS`` missions in each group, one robot per group."""
 
 

@@ -214,7 +214,7 @@ def test_on_the_bus_of_another_process(
         assert "continue with --resume" in err.lower()
         assert '"interrupted"' in journal.read_text().splitlines()[-1]
         refused = thorvaldc("can", "flash", *target, "--apply", "--yes")
-        assert (refused.status, "TV866" in refused.err) == (1, True)
+        assert (refused.status, "TV866" in refused.err) == (1, True), refused.err
         result = thorvaldc("can", "flash", *target, "--resume", "--yes")
         assert result.status == 0, result.err
         verified = thorvaldc("can", "verify", *target)

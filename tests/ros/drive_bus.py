@@ -38,7 +38,8 @@ def main() -> None:
     assert client.switch("safety_stop") == (True, "")
     client.wait("stop", lambda: abs(client.speed()) < 0.01, lambda: client.send(0.2))
     client.wait("stopped", lambda: "stop" in client.status())
-    assert client.switch("safety_stop", False) == (True, "")
+    released = client.switch("safety_stop", False)
+    assert released == (True, ""), released
     client.spin(0.6)  # the sources must be silent or zero
     client.wait("reset", lambda: client.trigger("reset_faults")[0])
     assert max(map(abs, client.keep(0.2, 0.5))) < 0.01

@@ -86,14 +86,7 @@ class Flash:
         ``expected``: required hash of the commissioning plan.  Every plan is accepted if
         ``expected`` is ``None``.
         """
-        unfinished = self.journal.unfinished
-        if unfinished is not None:
-            mode = "rollback" if unfinished.mode == ROLLBACK else "flash"
-            raise DiagnosticError(
-                "journal-mismatch",
-                f"the journal {self.journal.storage.name} contains an unfinished {mode}",
-                hint="continue it with --resume, or undo it with --rollback",
-            )
+        self.journal.refuse_unfinished()
         first, scan = self._scan_and_reset(self.configuration)
         plan = make_plan(self.configuration, scan)
         changed = first.ids() != scan.ids()

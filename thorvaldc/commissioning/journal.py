@@ -192,6 +192,16 @@ class Journal:
         """Last flash run in the journal, or ``None`` if the last run is finished."""
         return self.runs[-1] if self.runs and not self.runs[-1].finished else None
 
+    def refuse_unfinished(self) -> None:
+        """Raises ``DiagnosticError`` (``journal-mismatch``) if the last run is not finished."""
+        if self.unfinished is not None:
+            kind = "rollback" if self.unfinished.mode == ROLLBACK else "flash"
+            raise DiagnosticError(
+                "journal-mismatch",
+                f"the journal {self.storage.name} contains an unfinished {kind}",
+                hint="continue it with --resume, or undo it with --rollback",
+            )
+
     def start(self, mode: str, plan: Plan) -> None:
         self._append(
             {

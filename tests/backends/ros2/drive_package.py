@@ -18,7 +18,7 @@ def main() -> None:
     odometry = client.last["base_raw"]
     assert (odometry.header.frame_id, odometry.child_frame_id) == (odom, frame)
     client.arm()
-    client.drive(0.3, "teleop_joy")
+    client.drive(0.3, source="teleop_joy")
 
 
 if __name__ == "__main__":

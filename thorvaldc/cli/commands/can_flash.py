@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
@@ -111,6 +112,9 @@ def _write(
 ) -> int:
     if mode != "--apply" and not path.exists():
         raise typer.BadParameter(f"there is no journal {path}", param_hint="'--journal'")
+    if mode == "--apply" and path.exists():
+        with closing(_opened(path)) as previous:  # before the scan, which takes some seconds
+            Journal(previous).refuse_unfinished()
     plan = access.make_plan() if mode == "--apply" else None
     if plan is not None:
         message(plan_table(plan))
@@ -130,10 +134,7 @@ def _write(
     if not yes and not agrees(question):
         message("nothing was written")
         return INPUT
-    try:
-        journal_file = JournalFile(path)
-    except OSError as error:
-        raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None
+    journal_file = _opened(path)
     try:
         flash = Flash(
             access.master,
@@ -158,6 +159,13 @@ def _write(
         access.bar.clear()
         journal_file.close()
     return _show_result(json, result, "undone" if mode == "--rollback" else "done")
+
+
+def _opened(path: Path) -> JournalFile:
+    try:
+        return JournalFile(path)
+    except OSError as error:
+        raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None
 
 
 def _show_result(json: bool, plan: Plan, result: str) -> int:
