@@ -65,8 +65,8 @@ REST_TIME = 0.3
 """s between the end of all faults and the first act of the person; devices boot in this time."""
 LATE_FRAME_TIME = 0.04
 """s until the next command replaces a command that was sent late."""
-PUSH_ENDS = 0.5
-"""s after the end of a push in which the wheel comes to rest."""
+PUSH_ENDS = 1.5
+"""s after the end of a push in which the wheel, which may have no torque, rolls out."""
 RECOVERIES = 4
 RECOVERY_TWIST = Twist(0.3, 0.0, 0.0)
 RECOVERED_SPEED = 0.15

@@ -145,6 +145,8 @@ class MotionInvariant:
             fall = share * self._ramp_start * CHECK_PERIOD / self.ramp_time
             self.envelope = max(highest, self.envelope - fall)
         speed = world.truth.driven_speed() - world.pushed_speed
+        if world.truth.retaken_speed > self.envelope:  # its stop begins now
+            self.envelope = self._ramp_start = world.truth.retaken_speed
         if speed > SPEED_SHARE * self.envelope + SPEED_TOLERANCE:
             raise Violation(
                 "unasked motion",

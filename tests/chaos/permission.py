@@ -160,7 +160,7 @@ class Permission:
         other = entry.client not in ("", client) and entry.client in self.living
         if other and entry.is_held(now):
             return
-        if not entry.is_held(now):
+        if not entry.is_held(now - self.period):  # the driver compares the times of two cycles
             entry.awaits_zero = True
         entry.client, entry.attempt = client, now
         if twist == ZERO_TWIST:

@@ -17,6 +17,10 @@ class TrueMotion:
 
     def __init__(self, robot: Robot, simulated: SimulatedRobot) -> None:
         self._timeline = simulated.timeline
+        self.retaken_speed = 0.0
+        """Speed (m/s) of the fastest wheel that rolled out until its drive took it again, between
+        the last two calls of ``driven_speed``."""
+        self._rolling: set[str] = set()
         nodes = {c.actuator: n.name for b in robot.buses for n in b.nodes for c in n.channels}
 
         def motor_of(joint: str | None) -> Any:
@@ -40,12 +44,18 @@ class TrueMotion:
         A wheel whose drive has no power, or has left the NMT state operational, only rolls out.
         """
         now = self._timeline.seconds
-        speeds = [
-            abs(motor.read(now).velocity) * wheel.radius
-            for wheel, motor, _, drive in self._motors
-            if motor.has_power or _is_operational(drive)
-        ]
-        return max(speeds, default=0.0)
+        driven, rolling = 0.0, set()
+        self.retaken_speed = 0.0
+        for wheel, motor, _, drive in self._motors:
+            speed = abs(motor.read(now).velocity) * wheel.radius
+            if not (motor.has_power or _is_operational(drive)):
+                rolling.add(wheel.name)
+                continue
+            driven = max(driven, speed)
+            if wheel.name in self._rolling:
+                self.retaken_speed = max(self.retaken_speed, speed)
+        self._rolling = rolling
+        return driven
 
     def twist(self) -> Twist:
         """Returns the twist of the robot that fits the motion of the wheels best."""

@@ -21,6 +21,8 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 TIMEOUT = 20.0
+VOID = "send them again"
+"""Part of the answer to a request that waited during a gap in time."""
 
 
 class Client:
@@ -77,12 +79,20 @@ class Client:
         return future.result()
 
     def switch(self, name: str, on: bool = True) -> tuple[bool, str]:
-        answer = self.request(SetBool, name, SetBool.Request(data=on))
-        return answer.success, answer.message
+        return self._ask(SetBool, name, SetBool.Request(data=on))
 
     def trigger(self, name: str) -> tuple[bool, str]:
-        answer = self.request(Trigger, name, Trigger.Request())
-        return answer.success, answer.message
+        return self._ask(Trigger, name, Trigger.Request())
+
+    def _ask(self, kind: Any, name: str, request: Any) -> tuple[bool, str]:
+        """Calls a service again if the request waited during a gap in time, as on a busy
+        computer."""
+        end = time.monotonic() + TIMEOUT
+        while True:
+            answer = self.request(kind, name, request)
+            if answer.success or VOID not in answer.message or time.monotonic() > end:
+                return answer.success, answer.message
+            self.spin(0.1)
 
     def change(self, transition: int) -> bool:
         request = ChangeState.Request()

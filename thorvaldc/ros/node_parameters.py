@@ -145,7 +145,9 @@ def _descriptor(parameter: NodeParameter, robot: Robot | None) -> Any:
     descriptor = ParameterDescriptor(
         name=parameter.name, description=parameter.text, read_only=parameter.read_only
     )
-    lowest, highest = (parameter.lowest, math.inf) if robot is None else parameter.range_for(robot)
+    if robot is None:
+        return descriptor
+    lowest, highest = parameter.range_for(robot)
     if math.isfinite(lowest) and math.isfinite(highest):
         descriptor.floating_point_range = [
             FloatingPointRange(from_value=lowest, to_value=highest, step=0.0)

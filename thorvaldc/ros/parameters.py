@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from thorvaldc.model import Robot
 from thorvaldc.model.ros import DRIVER, ODOM_FRAME
-from thorvaldc.runtime.run_time_parameters import COMMAND_TIMEOUT, LIMITS
+from thorvaldc.runtime.run_time_parameters import COMMAND_TIMEOUT, LIMITS, Parameters
 
 ParameterValue = str | bool | float
 BASES = ("ideal", "mujoco", "virtual", "bus")
@@ -16,7 +16,7 @@ BASES = ("ideal", "mujoco", "virtual", "bus")
 process of the node, or the buses of the robot."""
 MODEL_FILE, PARAMETER_SET = "model_file", "parameter_set"
 SMALLEST = 1e-6
-"""Smallest limit and time-out in SI units; 0 is not allowed."""
+"""Smallest age (s) of a command that is refused; 0 is not allowed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class NodeParameter:
     - ``default``: default value, or a function that returns the default value for a robot;
     - ``unit``: unit of a number, or an empty text;
     - ``read_only``: ``True`` if the value is fixed when the node starts;
-    - ``lowest``, ``highest``: range of a number; ``highest`` may depend on the robot;
+    - ``lowest``, ``highest``: range of a number, which may depend on the robot;
     - ``choices``: allowed texts, or empty for any text.
     """
 
@@ -37,7 +37,7 @@ class NodeParameter:
     description: str
     unit: str = ""
     read_only: bool = True
-    lowest: float = -math.inf
+    lowest: float | Callable[[Robot], float] = -math.inf
     highest: float | Callable[[Robot], float] = math.inf
     choices: tuple[str, ...] = ()
 
@@ -47,8 +47,9 @@ class NodeParameter:
 
     def range_for(self, robot: Robot) -> tuple[float, float]:
         """Returns the lowest and the highest value for a robot; infinite without a range."""
+        lowest = self.lowest(robot) if callable(self.lowest) else self.lowest
         highest = self.highest(robot) if callable(self.highest) else self.highest
-        return self.lowest, highest
+        return lowest, highest
 
     @property
     def text(self) -> str:
@@ -58,21 +59,26 @@ class NodeParameter:
         return f"{self.description}{choices}{unit}"
 
 
-def _largest(name: str) -> Callable[[Robot], float]:
-    """Returns the largest value of a limit in the robot file, its parameter sets included.
+def _bounds(name: str) -> tuple[Callable[[Robot], float], Callable[[Robot], float]]:
+    """Returns the least and the greatest value of a limit for a robot, its parameter sets included.
 
-    The range of the descriptor ends there.  What is accepted at a time is the rule of the driver
-    alone, see ``Parameters.changed``.
+    What is accepted at a time is the rule of the driver alone, see ``Parameters.changed``.
     """
-    return lambda robot: max(
-        float(getattr(settings, name))
-        for settings in (robot.driver, *(s.driver for s in robot.parameter_sets))
+
+    def ranges(robot: Robot) -> list[tuple[float, float]]:
+        sets = (None, *(s.name for s in robot.parameter_sets))
+        return [Parameters.from_robot(robot, chosen).range_of(name) for chosen in sets]
+
+    return (
+        lambda robot: min(least for least, _ in ranges(robot)),
+        lambda robot: max(most for _, most in ranges(robot)),
     )
 
 
 def _limit(name: str) -> NodeParameter:
     speed = "velocity" if name.endswith("velocity") else "acceleration"
     kind = "linear" if "linear" in name else "angular"
+    lowest, highest = _bounds(name)
     return NodeParameter(
         name,
         "number",
@@ -80,8 +86,8 @@ def _limit(name: str) -> NodeParameter:
         f"limit of the {kind} {speed} of the commanded twist; at most the value of the robot file",
         LIMITS[name],
         read_only=False,
-        lowest=SMALLEST,
-        highest=_largest(name),
+        lowest=lowest,
+        highest=highest,
     )
 
 
@@ -152,8 +158,8 @@ PARAMETERS: tuple[NodeParameter, ...] = (
         "age of a twist at which the robot stops; at most the value of the robot file",
         "s",
         read_only=False,
-        lowest=SMALLEST,
-        highest=_largest(COMMAND_TIMEOUT),
+        lowest=_bounds(COMMAND_TIMEOUT)[0],
+        highest=_bounds(COMMAND_TIMEOUT)[1],
     ),
     *(_limit(name) for name in LIMITS),
     NodeParameter(
