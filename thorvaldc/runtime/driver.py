@@ -291,15 +291,16 @@ class BaseDriver:
         self._apply_staged_parameters()
         mode, commanded_twist, hold_reason = self._mode(now, gap, unusable)
         restarts = self._restart_ramp(mode, gap, elapsed, None if unusable else joints)
-        normal = elapsed <= LONGEST_INTERVAL and gap is Gap.NONE
-        period = elapsed if normal else 1.0 / self.settings.rate
+        # After a gap the ramp has gone on already, and the wheels have had the whole time to follow.
+        wheel_period = elapsed if elapsed <= LONGEST_INTERVAL else 1.0 / self.settings.rate
+        period = wheel_period if gap is Gap.NONE else 1.0 / self.settings.rate
         last = None if restarts else previous.command
         infeasible = ZERO_TWIST
         if unusable:
             # Without joint states the motion of the wheels is unknown, and the twist ramps down to
             # zero.
             ramped = self._ramp.follow(ZERO_TWIST, period, last)
-            command = self.calculator.command(ramped, None, period)
+            command = self.calculator.command(ramped, None, wheel_period)
         else:
             if first_joints or restarts or previous.mode is DriveMode.HELD:
                 # Steering joints may have moved since the last tick in which they were held.
@@ -312,7 +313,7 @@ class BaseDriver:
                     commanded_twist.wz - feasible.wz,
                 )
             ramped = self._ramp.follow(self._limited(feasible), period, last)
-            command = self.calculator.command(ramped, joints, period)
+            command = self.calculator.command(ramped, joints, wheel_period)
         self.base.write(command.joints, now)
         self.state = DriverState(
             now,

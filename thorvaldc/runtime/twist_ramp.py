@@ -61,8 +61,17 @@ class Ramp:
         if last.must_stop != self._turns_around:
             self._turns_around = last.must_stop
             self.restart(last.twist if last.must_stop else ZERO_TWIST)
-        self.limit_lead(last.target, last.twist, last.aligned, last.infeasible)
+        if goal != ZERO_TWIST or self._is_ahead(last.twist):
+            self.limit_lead(last.target, last.twist, last.aligned, last.infeasible)
         return self.step(ZERO_TWIST if self._turns_around else goal, dt, last.scale == 1.0)
+
+    def _is_ahead(self, actual: Twist) -> bool:
+        """Checks whether the twist ramp is faster than the wheels.
+
+        A stop does not wait for wheels that are late: after a gap in time, the ramp would go back
+        to their speed, and the stop would take longer than the ramp.
+        """
+        return self._product(actual, actual) <= self._product(self.twist, self.twist)
 
     def confirm(self, measured: Twist) -> None:
         """Continues after a gap in time from the ``measured`` twist if the ramp is faster."""
