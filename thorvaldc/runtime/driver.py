@@ -291,7 +291,7 @@ class BaseDriver:
         self._apply_staged_parameters()
         mode, commanded_twist, hold_reason = self._mode(now, gap, unusable)
         restarts = self._restart_ramp(mode, gap, elapsed, None if unusable else joints)
-        # After a gap the ramp has gone on already, and the wheels have had the whole time to follow.
+        # After a gap the ramp has gone on already, and the wheels have had all that time to follow.
         wheel_period = elapsed if elapsed <= LONGEST_INTERVAL else 1.0 / self.settings.rate
         period = wheel_period if gap is Gap.NONE else 1.0 / self.settings.rate
         last = None if restarts else previous.command

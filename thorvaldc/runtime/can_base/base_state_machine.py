@@ -43,13 +43,18 @@ from dataclasses import dataclass, replace
 
 from thorvaldc.can.canopen import NmtCommand, NmtState
 from thorvaldc.can.error_state import ErrorState
+from thorvaldc.model.required_objects import required_objects
 from thorvaldc.model.robot import Robot
+from thorvaldc.model.stopping import motor_nodes
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.even_stop import hold_time
 from thorvaldc.runtime.can_base.frame_rates import OBSERVATION
 from thorvaldc.runtime.can_base.motor_controller import Intent, MotorController
 from thorvaldc.runtime.can_base.stop_ladder import StopLadder
+
+READING_SHARE = 2.0
+"""Longest time of the reading of all objects, as a multiple of the time without a lost frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +63,8 @@ class Times:
 
     - ``listen``: duration of INIT;
     - ``gather``: longest duration of PREOP;
-    - ``configure``: longest duration of CONFIG;
+    - ``configure``: longest duration of CONFIG, but not less than ``READING_SHARE`` times the time
+      in which all objects are read, one of each motor controller per control cycle;
     - ``home``: longest duration of the homing;
     - ``enable``: longest time to enable all motors;
     - ``stop``: longest duration of the shutdown, but not less than the time that the ladder of the
@@ -99,7 +105,11 @@ class BaseStateMachine:
         self.homes_at_start = homes_at_start
         self.ladder = StopLadder(robot, connections)
         times = times or Times()
-        self.times = replace(times, stop=max(times.stop, self.ladder.times.longest))
+        self.times = replace(
+            times,
+            configure=max(times.configure, READING_SHARE * _reading_time(robot)),
+            stop=max(times.stop, self.ladder.times.longest),
+        )
         self.state = BaseState.INIT
         self.since = -math.inf
         """Time (s) at which the base entered its present state."""
@@ -523,3 +533,9 @@ def _not_following(controllers: Sequence[MotorController]) -> str:
         if not controller.follows or not controller.homed:
             return f"{controller.node.name}: it is no longer enabled and homed"
     return ""
+
+
+def _reading_time(robot: Robot) -> float:
+    """Returns the time (s) in which the objects of all motor controllers are read at the start."""
+    counts = [len(list(required_objects(bus, node))) for bus, node in motor_nodes(robot)]
+    return max(counts, default=0) / robot.driver.rate

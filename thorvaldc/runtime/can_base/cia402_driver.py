@@ -89,7 +89,7 @@ class _AxisStateMachine:
             self.homing_failed = True
         elif status_word & HOMING_ATTAINED and status_word & TARGET_REACHED:
             self.axis.homed = True
-            self.axis.target = self.axis.position
+            self.axis.hold()
 
     def command(self, intent: Intent) -> tuple[int, int]:
         """Returns the control word and the mode of operation to send to the drive."""
@@ -263,7 +263,7 @@ class Cia402Controller(MotorController):
                 # The target steering angle is the measured angle while the drive is not enabled.
                 # The steering joint therefore does not jump to an old target angle when the drive
                 # is enabled.
-                axis.target = axis.position
+                axis.hold()
             target = axis.target if axis.steering or follows else 0.0
             values = [
                 _signal_value(signal.name, axis.channel, word, mode, target)

@@ -121,6 +121,14 @@ class Axis:
             velocity = (position - self.position) / dt if 0.0 < dt < 1.0 else 0.0
         self.time, self.position, self.velocity = time, position, velocity
 
+    def hold(self) -> None:
+        """Sets the target angle of a steering motor to the measured angle, and a target speed to 0.
+
+        Before the first report of the position the target is 0, and is not sent.
+        """
+        known = self.steering and math.isfinite(self.position)
+        self.target = self.position if known else 0.0
+
     def lose_reference(self) -> None:
         """Marks a steering motor as not homed after a restart of the motor controller."""
         self.homed = not self.steering
@@ -300,10 +308,7 @@ class MotorController(abc.ABC):
     def hold(self) -> None:
         """Sets the target angles to the measured steering angles and the target speeds to 0."""
         for axis in self.axes:
-            if axis.steering:
-                axis.target = axis.position if math.isfinite(axis.position) else 0.0
-            else:
-                axis.target = 0.0
+            axis.hold()
 
     def straighten(self) -> None:
         """Sets all target steering angles and all target wheel speeds to 0."""

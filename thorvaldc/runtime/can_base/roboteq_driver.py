@@ -113,7 +113,7 @@ class RoboteqScriptController(MotorController):
         for axis in self.axes:
             if axis.steering and axis.homed != homed:
                 axis.homed = homed
-                axis.target = axis.position
+                axis.hold()
 
     # -- state -----------------------------------------------------------------------------------
 
@@ -228,12 +228,18 @@ class RoboteqScriptController(MotorController):
         second = self._second
         if second is not None and not second.steering:
             frames.append(self._speed_frame("rpdo4", second, follows))
-        elif second is not None and second.homed and intent is not Intent.HOME:
+        elif (
+            second is not None
+            and second.homed
+            and math.isfinite(second.position)
+            and intent is not Intent.HOME
+        ):
             # No steering angle is commanded before the homing, because the zero of the steering
-            # angle is unknown.
+            # angle is unknown, nor before the first report of the angle: a controller that keeps
+            # its home can report that first.
             if intent is Intent.OFF or self.power_loss:
                 # A joint that was turned by hand without power does not jump when power returns.
-                second.target = second.position
+                second.hold()
             codec, top_speed = self.codecs["rpdo4"], second.actuator.max_velocity
             frames.append(CanFrame(codec.cob_id, codec.encode([top_speed, second.target])))
         return frames
