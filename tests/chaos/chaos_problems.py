@@ -13,8 +13,10 @@ from thorvaldc.model.required_objects import reading_time
 
 MASTER_BUS_OFF = "master_bus_off"
 FALSE_REPORTS = "false_reports"
-DISOBEDIENT = ("commands_ignored", "sync_ignored", "nmt_ignored")
-"""Kinds of injected faults in which a drive does not do what it receives."""
+DISOBEDIENT = ("commands_ignored", "sync_ignored", "nmt_ignored", "frozen_encoder")
+"""Kinds of injected faults in which a drive does not do what it receives.
+
+A drive whose encoder is frozen cannot, until it notices that."""
 IMPEDING = (
     "babble",
     "bus_off",
@@ -35,7 +37,6 @@ LYING = (
     "duplicate_id",
     "encoder_jump",
     FALSE_REPORTS,
-    "frozen_encoder",
     "late_frames",
     "repeated_frames",
     "blocked_motor",

@@ -123,12 +123,12 @@ class ChaosWorld:
         self._forged_until = -math.inf
         self._late_frame, self._late_frame_until = 0.0, -math.inf
         self._recovering = False
-        self._encoder_jumped = False
-        """``True`` from a jump until the driver that has seen it has homed the joint.
+        self._jumped: set[str] = set()
+        """Actuators from a jump of their encoder until the driver that has seen it has homed them.
 
         Nobody notices a jump of a frozen encoder, or while no driver runs, before the next homing,
         and no later driver knows what an earlier one has seen."""
-        self._jump_seen = False
+        self._seen_jumps: set[str] = set()
         self._battery_empty = 0.0
         self._injector = FaultInjector(self.simulated, BusFaults((), seed=seed))
         self.truth = TrueMotion(self.robot, self.simulated)
@@ -173,7 +173,7 @@ class ChaosWorld:
 
     @property
     def encoders_lie(self) -> bool:
-        return self._encoder_jumped or any(
+        return bool(self._jumped) or any(
             problem.kind in LYING for problem in self.problems.values()
         )
 
@@ -237,7 +237,8 @@ class ChaosWorld:
         self._note_resets(self.driven.driver)
         self.odometry.invalidate()
         self.permission.driver_restarted()
-        self.alive, self.driver_hangs, self._jump_seen = True, False, False
+        self.alive, self.driver_hangs = True, False
+        self._seen_jumps = set()
         self.hung_until = self.now
         for client in self.clients.values():
             client.stream = None
@@ -292,9 +293,10 @@ class ChaosWorld:
             if problem.ended and (problem.noticed or problem.kind not in LATCHED):
                 del self.problems[number]
         axes = self.driven.base._axes
-        self._jump_seen |= any(axis.jump for axis in axes)
-        if self._jump_seen and all(axis.homed and not axis.jump for axis in axes):
-            self._jump_seen = self._encoder_jumped = False
+        self._seen_jumps |= {axis.actuator.name for axis in axes if axis.jump}
+        homed = {axis.actuator.name for axis in axes if axis.homed and not axis.jump}
+        self._jumped -= self._seen_jumps & homed
+        self._seen_jumps -= homed
         for client in self.clients.values():
             client.notice_end()
         self.state_check.check(now)
@@ -483,7 +485,10 @@ class ChaosWorld:
             self.problems[number].delay = DISOBEDIENCE
         elif kind == PUSHED:
             self._pushes[number] = 1.1 * abs(fault.speed) * max(w.radius for w in self.robot.wheels)
-        self._encoder_jumped |= kind == "encoder_jump"
+        if kind == "encoder_jump":
+            nodes = {n.name: n for b in self.robot.buses for n in b.nodes}
+            channels = {c.name: c.actuator for c in nodes[node or ""].channels}
+            self._jumped.add(str(channels[more["channel"]]))
         self._targets[number] = target
         device = self.simulated.devices.get(node or "")
         original = device.nonvolatile.get("node_id") if device is not None else None
@@ -571,7 +576,7 @@ class ChaosWorld:
                     or self.driven.base.state.value in ("standby", "fault", "estop")
                 ),
             )
-        if self._encoder_jumped or not self.driven.base.is_homed:
+        if self._jumped or not self.driven.base.is_homed:
             self._call(person, "home_steering")
             self.run_until(self.now + READY_TIME, lambda: self.driven.ready)
         self._call(person, "twist", source="teleop_joy")

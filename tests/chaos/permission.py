@@ -244,6 +244,8 @@ def wheel_speed(robot: Robot, twist: Twist, linear: float, angular: float) -> fl
 
     ``linear``, ``angular``: limits of the driver in m/s and rad/s.
     """
+    if all(wheel.steering_joint is None for wheel in robot.wheels):
+        twist = Twist(twist.vx, 0.0, twist.wz)  # the wheels cannot roll sideways
     scale = 1.0
     if twist.speed > linear:
         scale = linear / twist.speed

@@ -41,18 +41,20 @@ class TrueMotion:
     def driven_speed(self) -> float:
         """Returns the speed (m/s) of the fastest wheel that its drive moves or should brake.
 
-        A wheel whose drive has no power, or has left the NMT state operational, only rolls out.
+        A wheel whose drive has no power, or has left the NMT state operational, only rolls out,
+        until its motor has torque again.
         """
         now = self._timeline.seconds
         driven, rolling = 0.0, set()
         self.retaken_speed = 0.0
         for wheel, motor, _, drive in self._motors:
             speed = abs(motor.read(now).velocity) * wheel.radius
-            if not (motor.has_power or _is_operational(drive)):
+            has_rolled = wheel.name in self._rolling
+            if not motor.has_power and (has_rolled or not _is_operational(drive)):
                 rolling.add(wheel.name)
                 continue
             driven = max(driven, speed)
-            if wheel.name in self._rolling:
+            if has_rolled:
                 self.retaken_speed = max(self.retaken_speed, speed)
         self._rolling = rolling
         return driven

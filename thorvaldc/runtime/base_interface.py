@@ -149,8 +149,11 @@ class BaseHandle(abc.ABC):
         """Returns the reasons of the base against arming the robot at ``now`` (s)."""
         return (self.hold_reason,) if self.hold_reason else ()
 
-    def home(self, now: float) -> str:
-        """Starts to home the steering joints.  Returns the reason if this is refused."""
+    def home(self, now: float, *, again: bool = False) -> str:
+        """Starts to home the steering joints, with ``again`` also those that are homed.
+
+        Returns the reason if this is refused.
+        """
         return "this base has no joints to home"
 
     def cancel_homing(self, now: float) -> None:

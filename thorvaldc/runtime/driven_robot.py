@@ -395,7 +395,7 @@ class DrivenRobot:
         """
         stops = self.multiplexer.active_stop_locks(self.now)
         _raise_if(f"the stop lock `{stops[0]}` is active" if stops else "")
-        _raise_if(self.base.home(self.now))
+        _raise_if(self.base.home(self.now, again=True))
 
     def _accept_motion(self, now: float) -> None:
         self.driver.permission.arm()

@@ -193,8 +193,8 @@ class BaseStateMachine:
         self._enter(BaseState.PREOP, now)
         return ""
 
-    def home(self, now: float) -> str:
-        """Starts a homing of all steering motors.  In READY, motors that are homed home again.
+    def home(self, now: float, again: bool) -> str:
+        """Starts a homing of the steering motors, with ``again`` also of those that are homed.
 
         Returns the reason if the homing is refused, or an empty text if the homing starts.
         """
@@ -202,7 +202,7 @@ class BaseStateMachine:
             return "the safety stop is engaged"
         if self.state not in (BaseState.STANDBY, BaseState.READY):
             return f"the base is {self.state.value}, not ready"
-        if self.state is BaseState.READY:
+        if again:
             for controller in self.controllers:
                 controller.discard_home(now)
         self._enter(BaseState.HOMING, now)

@@ -260,8 +260,8 @@ class CanBase(BaseHandle):
     def arming_reasons(self, now: float) -> Iterator[str]:
         return arming_reasons(self, now)
 
-    def home(self, now: float) -> str:
-        return self.state_machine.home(now)
+    def home(self, now: float, *, again: bool = False) -> str:
+        return self.state_machine.home(now, again)
 
     def cancel_homing(self, now: float) -> None:
         self.state_machine.cancel_homing(now)
