@@ -33,9 +33,9 @@ from thorvaldc.model.robot import (
 from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.contact_point import contact_point
 
-# Least and greatest cycle rate of the base driver in Hz.  In a longer cycle the reports of a motor are
-# too old to supervise its motion (``motion_supervision``).  A CAN bus is too slow for control cycles
-# shorter than 1 ms.
+# Least and greatest cycle rate of the base driver in Hz.  In a longer cycle the reports of a motor
+# are too old to supervise its motion (``motion_supervision``).  A CAN bus is too slow for control
+# cycles shorter than 1 ms.
 MIN_RATE, MAX_RATE = 5.0, 1000.0
 # Default cycle rate of the base driver in Hz.  The base driver of the original system has the same
 # default cycle rate.
