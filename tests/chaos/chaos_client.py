@@ -110,8 +110,8 @@ class ChaosClient:
 
         if not held:
             self.call("twist", {"source": source})
-            if self.floods:  # the zero waits behind the flood, and counts then
-                self.tell("twist", {"source": source})
+            if self.floods:
+                self.world.permission.sends_late_zero(source)
             self.world.after(1.0 / rate, send)
         else:
             send()

@@ -173,6 +173,11 @@ class Permission:
         elif self._selected(now) is entry:
             self.zero_first = False
 
+    def sends_late_zero(self, source: str) -> None:
+        """Notes a zero twist that waits behind a flood of motions, which move the robot first."""
+        self.sources[source].awaits_zero = False
+        self.zero_first = False
+
     def calls(self, client: str, service: str, arguments: dict[str, object], now: float) -> None:
         if service == "arm" and self.armed and not self.must_reset:
             return  # nothing changes
