@@ -74,7 +74,9 @@ class ChaosClient:
         if not self.send(line):
             return
         if service == "twist" and self.floods and not any(map(arguments.get, ("vx", "vy", "wz"))):
-            return  # the zero waits behind the flood, and the last motion ends with its time-out
+            # The zero may wait behind the flood, and the last motion then ends with its time-out.
+            self.world.permission.sends_late_zero(str(arguments["source"]))
+            return
         self.tell(service, arguments)
 
     def tell(self, service: str, arguments: dict[str, Any]) -> None:
@@ -110,8 +112,6 @@ class ChaosClient:
 
         if not held:
             self.call("twist", {"source": source})
-            if self.floods:
-                self.world.permission.sends_late_zero(source)
             self.world.after(1.0 / rate, send)
         else:
             send()
