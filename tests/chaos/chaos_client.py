@@ -75,7 +75,7 @@ class ChaosClient:
             return
         if service == "twist" and self.floods and not any(map(arguments.get, ("vx", "vy", "wz"))):
             # The zero may wait behind the flood, and the last motion then ends with its time-out.
-            self.world.permission.sends_late_zero(str(arguments["source"]))
+            self.world.permission.sends_late_zero(str(arguments["source"]), self.world.now)
             return
         self.tell(service, arguments)
 

@@ -173,10 +173,10 @@ class Permission:
         elif self._selected(now) is entry:
             self.zero_first = False
 
-    def sends_late_zero(self, source: str) -> None:
-        """Notes a zero twist that waits behind a flood of motions, which move the robot first."""
-        self.sources[source].awaits_zero = False
-        self.zero_first = False
+    def sends_late_zero(self, source: str, now: float) -> None:
+        """Notes a zero twist that may wait behind a flood of motions, which move the robot first."""
+        self.sources[source].awaits_zero = self.zero_first = False
+        self.sources[source].attempt = now
 
     def calls(self, client: str, service: str, arguments: dict[str, object], now: float) -> None:
         if service == "arm" and self.armed and not self.must_reset:
