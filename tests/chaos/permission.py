@@ -174,7 +174,7 @@ class Permission:
             self.zero_first = False
 
     def sends_late_zero(self, source: str, now: float) -> None:
-        """Notes a zero twist that may wait behind a flood of motions, which move the robot first."""
+        """Notes a zero twist that may wait behind a flood of motions, which count first."""
         self.sources[source].awaits_zero = self.zero_first = False
         self.sources[source].attempt = now
 
