@@ -16,21 +16,21 @@ errors with the variance q is
 For T << tau, the factor is 2 tau / T.  For tau = 0, the errors are white and the factor is 1.
 
 Errors that last for the whole drive: a wrong radius or steering zero with the standard deviation 1
-causes the twist error k_b.  After a drive of the duration D, the variance of the sum is
-(D k_b / T)^2, and N independent errors never have it for all D: N = D / T.  With the factor
-2 tau_d / T, the filter has the variance 2 tau_d D k_b^2 / T^2 and is right for D = 2 tau_d.  It
-still needs other values for position and yaw together.  For constant k_b and the sensitivity S =
-integral of Ad(pose) dt, the mean of the squared error in units of the filter's covariance is
+causes the twist error k_b.  After a drive of the duration D, the sum has the variance
+(D k_b / T)^2, which grows with D^2.  The variance of D / T independent errors grows with D, so that
+no factor is right for all D.  With the factor 2 tau_d / T, as if the errors lasted for tau_d, the
+filter is right about the yaw for D = 2 tau_d.  For position and yaw together, with constant k_b and
+S = integral of Ad(pose) dt, the mean of the squared error in units of the filter's covariance is
 
     NEES / 3 = tr((2 tau_d integral of Ad k k' Ad' dt)^-1 S k k' S') / 3 = c D / (2 tau_d)
 
 with c = 2/3 on a straight line, where the errors of x and yaw add up and those of y do so by the
 yaw, and c = 1/3 on circles, where only the yaw error adds up and the position error stays bounded.
 (The matrix inequality of Cauchy and Schwarz gives c <= 1 for every path.)  D = 4 tau_d is between
-both: NEES/3 is 4/3 on a straight line and 2/3 on circles.  ``DRIVE_ERROR_TIME`` makes this the
-value after 60 s.  Shorter drives are safer than the filter says.  After drives that are much longer
-without another sensor, the filter says too little: its variance grows with D, the true one with
-D^2.  ``LastingErrors`` has the right covariance of the pose at all times.
+both: NEES/3 is 4/3 on a straight line and 2/3 on circles.  ``DRIVE_ERROR_TIME`` gives these values
+after 60 s.  After less time, the covariance of the filter is too large.  After much more time
+without another sensor, it is too small.  ``LastingErrors`` has the right covariance of the pose at
+all times.
 """
 
 from __future__ import annotations
