@@ -111,6 +111,7 @@ golden: $(READY)
 	$(BIN)/python -m tests.runtime.can_base.fault_matrix
 	$(BIN)/python -m tests.commissioning.fault_matrix
 	$(BIN)/python -m tests.docs.tutorial
+	$(BIN)/python examples/odometry_experiment/run.py --write
 
 pictures: $(READY)
 	PYTHONPATH=. $(BIN)/python tools/render_examples.py

@@ -41,10 +41,10 @@ KINDS = {
     "lasting 2 s": Noise(correlation=LASTING, radius_error=0.0, steering_offset_error=0.0),
     BIASED: Noise(correlation=0.0, radius_error=0.008, steering_offset_error=math.radians(0.4)),
 }
-"""The settings that describe each kind of errors.
-
-Of wrong radii and zeros, 0.8 % and 0.4 deg last, and 0.6 % and 0.3 deg are white.
-"""
+"""The settings that describe each kind of errors."""
+SHARES = {"white": (1.0, 0.0, 0.0), "lasting 2 s": (0.0, 1.0, 0.0), BIASED: (0.6, 0.0, 0.8)}
+"""Shares of the standard deviations, 1 % and 0.5 deg, that are white, last ``LASTING`` s, and last
+for the whole drive, by the kind of errors."""
 SECONDS = {"2WD": 16.0}
 """Duration of the drive.  Two wheels that are 1 % wrong turn the robot by 80 deg in 77 s."""
 NOISE = Noise()
@@ -92,7 +92,8 @@ def study(robot: str, kind: str, settings: list[Noise], seconds: float) -> list[
     """Returns the results of runs with errors of a kind, for each setting of the noise."""
     geometry, dt = geometry_of(robot), DT * STRIDE
     rng = np.random.default_rng(7)
-    twists, speeds, angles = _runs(geometry, kind, round(seconds / dt), rng)
+    nominal = paper_drive()[:, : round(seconds / dt) * STRIDE : STRIDE].T
+    twists, speeds, angles = noisy_runs(geometry, SHARES[kind], nominal, dt, RUNS, rng)
     means = (twists[1:] + twists[:-1]) / 2.0
     ends = [_end(run, dt) for run in means.transpose(2, 0, 1).tolist()]
     positions = np.zeros_like(speeds)
@@ -133,18 +134,26 @@ def study(robot: str, kind: str, settings: list[Noise], seconds: float) -> list[
     return results
 
 
-def _runs(
-    geometry: BaseGeometry, kind: str, n: int, rng: np.random.Generator
+def noisy_runs(
+    geometry: BaseGeometry,
+    shares: tuple[float, float, float],
+    nominal: Array,
+    dt: float,
+    runs: int,
+    rng: np.random.Generator,
 ) -> tuple[Array, Array, Array]:
-    """Returns true twists (n, 3, runs), and wheel speeds and steering angles (n, wheels, runs)."""
-    wheels = geometry.wheels
+    """Returns true twists (n, 3, runs), and wheel speeds and steering angles (n, wheels, runs).
+
+    - ``shares``: shares of the errors, as in ``SHARES``.
+    - ``nominal``: commanded twists (n, 3), one every ``dt`` s.
+    """
+    wheels, n = geometry.wheels, len(nominal)
     fixed = FixedWheels(wheels)
-    nominal = paper_drive()[:, : n * STRIDE : STRIDE].T.tolist()
-    drive = np.array([fixed.feasible(Twist(*twist)) for twist in nominal])
-    twists = np.repeat(drive[:, :, np.newaxis], RUNS, axis=2)
-    rolling, direction = (_Errors(kind, n, len(wheels), rng) for _ in range(2))
+    drive = np.array([fixed.feasible(Twist(*twist)) for twist in nominal.tolist()])
+    twists = np.repeat(drive[:, :, np.newaxis], runs, axis=2)
+    rolling, direction = (_Errors(shares, (n, len(wheels), runs), dt, rng) for _ in range(2))
     if fixed.rows:  # fixed wheels on one axle slip sideways together
-        slip, information = np.zeros((2, n, RUNS))
+        slip, information = np.zeros((2, n, runs))
         for i, w in enumerate(wheels):
             if w.fixed:
                 roll = _rolling(w, twists)
@@ -152,7 +161,7 @@ def _runs(
                 slip += weight * direction.of(i, NOISE.angle * roll, NOISE.slip_floor)
                 information += weight
         twists[:, :2] += np.multiply.outer(fixed.rows[0][:2], slip / information).swapaxes(0, 1)
-    speeds, angles = np.zeros((2, n, len(wheels), RUNS))
+    speeds, angles = np.zeros((2, n, len(wheels), runs))
     for i, w in enumerate(wheels):
         if w.swivel:
             continue
@@ -178,23 +187,40 @@ def _rolling(wheel: WheelGeometry, twists: Array) -> Array:
 class _Errors:
     """Errors of one measurement of all wheels, with the standard deviation 1: (n, wheels, runs)."""
 
-    def __init__(self, kind: str, n: int, wheels: int, rng: np.random.Generator) -> None:
-        shape = (n, wheels, RUNS)
+    def __init__(
+        self,
+        shares: tuple[float, float, float],
+        shape: tuple[int, int, int],
+        dt: float,
+        rng: np.random.Generator,
+    ) -> None:
+        white, lasting, drive = shares
         self._ratio, self._floor = rng.standard_normal(shape), rng.standard_normal(shape)
-        if kind == BIASED:
-            self._ratio *= 0.6
-            self._ratio += 0.8 * rng.standard_normal((wheels, RUNS))
-        elif kind != "white":
-            left = math.exp(-DT * STRIDE / LASTING)
-            for errors in (self._ratio, self._floor):
-                errors[1:] *= math.sqrt(1.0 - left * left)
-                for k in range(1, n):
-                    errors[k] += left * errors[k - 1]
+        if lasting and not white:  # the floor lasts too
+            _make_lasting(self._ratio, dt)
+            _make_lasting(self._floor, dt)
+            self._ratio *= lasting
+        else:
+            self._ratio *= white
+            if lasting:
+                errors = rng.standard_normal(shape)
+                _make_lasting(errors, dt)
+                self._ratio += lasting * errors
+        if drive:
+            self._ratio += drive * rng.standard_normal(shape[1:])
 
     def of(self, wheel: int, ratio: Array, floor: float) -> Array:
         """Returns the errors (m/s) of a wheel, for the standard deviations ratio and floor."""
         errors: Array = ratio * self._ratio[:, wheel] + floor * self._floor[:, wheel]
         return errors
+
+
+def _make_lasting(errors: Array, dt: float) -> None:
+    """Gives white errors (n, ...) the time constant ``LASTING``."""
+    left = math.exp(-dt / LASTING)
+    errors[1:] *= math.sqrt(1.0 - left * left)
+    for k in range(1, len(errors)):
+        errors[k] += left * errors[k - 1]
 
 
 def _twist_nees(

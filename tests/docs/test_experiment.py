@@ -37,29 +37,19 @@ def test_the_table_has_every_case(experiment: ModuleType) -> None:
     assert sorted(shown()) == sorted(names)
 
 
-def agrees(row: tuple[str, float, float, float, float]) -> None:
-    name, *values = row
-    true, odometry, end_error, pairs = shown()[name]
-    assert values[:2] == pytest.approx([true, odometry], abs=0.05)
-    # The last millimetres depend on the machine.
-    assert values[2] == pytest.approx(end_error, rel=0.1, abs=0.01)
-    # So do a few decimetres of the random pairs.
-    assert values[3] == pytest.approx(pairs, abs=0.5)
-
-
-def test_with_ideal_sensors_odometry_ends_within_50_mm_of_80_m(experiment: ModuleType) -> None:
-    row, _, samples = experiment.drive(FOLDER / "ideal.yaml", experiment.CASES["ideal"])
-    agrees(row)
-    assert row.true == pytest.approx(80.0, abs=1.0)
-    assert row.end_error <= 0.05
+@pytest.mark.parametrize("case", ["ideal", "radii", "offsets", "rough"])
+def test_the_script_prints_the_rows_of_the_table(experiment: ModuleType, case: str) -> None:
+    rows, _, samples = experiment.experiment(case)
+    for name, true, odometry, end_error, random_pairs in rows:
+        expected = shown()[name]
+        assert [true, odometry] == pytest.approx(expected[:2], abs=0.01)
+        # The contacts of MuJoCo are not equal to the last bit on every machine.
+        assert end_error == pytest.approx(expected[2], rel=0.02, abs=0.001)
+        # Almost parallel axles enlarge these last bits, and the mean is that of ten runs.
+        assert random_pairs == pytest.approx(expected[3], rel=0.2, abs=0.01)
     assert samples[-1].time == pytest.approx(77.0)
-
-
-def test_calibration_removes_the_offsets(experiment: ModuleType, tmp_path: Path) -> None:
-    path, name = FOLDER / "offsets.yaml", experiment.CASES["offsets"]
-    before, _, _ = experiment.drive(path, name)
-    agrees(before)
-    scenario = experiment.calibrated(path, tmp_path)
-    after, _, _ = experiment.drive(scenario, f"{name}, calibrated")
-    agrees(after)
-    assert after.end_error < before.end_error / 20.0
+    if case == "ideal":
+        assert rows[0].true == pytest.approx(80.0, abs=1.0)
+    if len(rows) == 2:
+        before, after = rows
+        assert after.end_error < before.end_error / 20.0

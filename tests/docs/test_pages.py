@@ -24,6 +24,39 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert (page.parent / target).exists(), target
 
 
+MEASUREMENT = re.compile(
+    r"times (?:real time|as (?:fast|long)|faster|slower)|as fast as real time|steps/s|Monte Carlo"
+    r"|steps per second of|robot-seconds|processor time (?:of|per)|wall time|in the median"
+    r"|[Mm]easured (?:on|once|over)\b|Measured in|about \d+ (?:us|µs|ns)\b|\(MuJoCo\)"
+)
+"""Words of a statement that somebody measured or simulated."""
+COMMAND = re.compile(
+    r"python -m bench ([\w ]+)`|\b(bench/\w+\.py|tests/[\w/]+\.py|examples/[\w/]+\.py)"
+    r"|`make bench`[^.]{0,3}`(\w+)`"
+)
+DATE = re.compile(r"easured in [A-Z][a-z]+ 20\d\d on\s")
+"""The source of a statement that no command repeats: when and on which machine."""
+
+
+# Changes are events of their time, decisions have a date, and diagnostics state causes.
+STATING = [p for p in PAGES if not {"CHANGELOG.md", "diagnostics", "adr"} & {*p.parts, p.name}]
+
+
+@pytest.mark.parametrize("page", STATING, ids=lambda page: str(page.relative_to(ROOT)))
+def test_measured_figures_state_where_they_come_from(page: Path) -> None:
+    """The section names a command that exists, or the date and the machine."""
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.S)
+    for section in re.split(r"^(?=#+ )", text, flags=re.M):
+        figures = MEASUREMENT.search(section)
+        commands = COMMAND.findall(section)
+        title = section.partition("\n")[0]
+        assert figures is None or commands or DATE.search(section), (title, figures)
+        for modules, path, module in commands:
+            for name in [*modules.split(), module]:
+                assert not name or (ROOT / f"bench/{name}.py").is_file(), (title, name)
+            assert not path or (ROOT / path).is_file(), (title, path)
+
+
 def test_the_index_leads_to_every_page() -> None:
     docs = ROOT / "docs"
     links = set(re.findall(r"\]\(([^)#]+)", (docs / "index.md").read_text(encoding="utf-8")))

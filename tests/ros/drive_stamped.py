@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from tests.ros.client import Client
 
 
@@ -9,9 +11,16 @@ def main() -> None:
     client = Client(stamped=True)
     client.wait("odometry", lambda: "base_raw" in client.last)
     client.arm()
+    covariance_for_filters(client)
     clock_ahead(client)
     frames(client)
     no_stamp(client)
+
+
+def covariance_for_filters(client: Client) -> None:
+    client.drive(0.3)
+    twist = client.last["base_raw"].twist
+    assert math.sqrt(twist.covariance[0]) > 0.1 * twist.twist.linear.x > 0.01
 
 
 def clock_ahead(client: Client) -> None:

@@ -160,7 +160,8 @@ def test_clock_of_another_node(distro: str, build: Path, tmp_path: Path) -> None
 
 
 def test_stamped_twists(distro: str, build: Path, tmp_path: Path) -> None:
-    with node(distro, build, tmp_path, base="ideal", stamped=True) as process:
+    options = {"base": "ideal", "stamped": True, "twist_covariance": "for_filters"}
+    with node(distro, build, tmp_path, **options) as process:
         run_client(distro, "drive_stamped", tmp_path)
         assert end(process).count("`auto_nav` have a stamp of zero: they count as sent now") == 1
 
@@ -214,6 +215,10 @@ def test_mission_over_topics_follows_the_path_of_the_mission_without_ros(
         ({"model_file": "/nowhere/model.json"}, "error: cannot read /nowhere/model.json: No such"),
         ({"model_file": "/"}, "error: model_file is /, a folder; expected the model.json of"),
         ({"base": "gazebo"}, "error: base is 'gazebo'; expected ideal, mujoco, virtual, bus"),
+        (
+            {"twist_covariance": "best"},
+            "twist_covariance is 'best'; expected measured, for_filters",
+        ),
         ({"base": "bus", "bus": "sim:nobody"}, "error: cannot use the bus `sim:nobody`: "),
         ({"rate": 10.0}, "error: rate is 10 Hz; the model has 50 Hz: change `driver.rate`"),
         ({"max_linear_velocity": 5.0}, "max_linear_velocity"),

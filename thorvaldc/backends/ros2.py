@@ -109,7 +109,7 @@ def package_of(robot: Robot) -> dict[str, bytes]:
 
 def _parameter_files(robot: Robot, parts: Parts) -> dict[str, bytes]:
     files: dict[str, dict[str, Parameters]] = {
-        "base_driver": {"base_driver": base_driver(robot)},
+        "base_driver": {"base_driver": base_driver(robot, parts)},
         "robot_state_publisher": {"robot_state_publisher": robot_state_publisher(robot)},
         "teleop_twist_joy": {
             "game_controller_node": game_controller(robot),

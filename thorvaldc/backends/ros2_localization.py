@@ -1,7 +1,8 @@
 """ROS 2 parameters of the localization: robot_localization and slam_toolbox.
 
 robot_localization takes the covariances of its inputs from the messages: those of the odometry are
-estimated by the base driver. Two filters can run:
+estimated by the base driver, whose parameter `twist_covariance` is `for_filters`. Two filters can
+run:
 
 - ``ekf_odom`` fuses odometry and IMU, and publishes the transform from ``odom`` to ``base_link``,
   if the robot file says ``odom_tf: ekf``;
@@ -23,8 +24,8 @@ from thorvaldc.model import Robot, Sensor
 
 Parameters = dict[str, Value]
 
-# The inputs of an EKF, in the order of robot_localization: position, orientation, velocity,
-# angular velocity, acceleration, each with x, y and z.
+# The state of an EKF, in the order of robot_localization: position, orientation, velocity,
+# angular velocity, acceleration, each with x, y and z. An input measures a part of it.
 _VX, _VY, _YAW_RATE, _YAW, _X, _Y = 6, 7, 11, 5, 0, 1
 
 
@@ -58,7 +59,30 @@ def _ekf(robot: Robot, world_frame: str) -> Parameters:
         "odom_frame": odom_frame(robot),
         "base_link_frame": base_frame(robot),
         "world_frame": world_frame,
+        "process_noise_covariance": process_noise(robot),
     }
+
+
+def process_noise(robot: Robot) -> list[float]:
+    """Return the diagonal of the process noise of an EKF: its growth per second.
+
+    The filter takes the accelerations as white, and the driver's last as long as a ramp: from the
+    largest velocity v to rest with the deceleration a, t = v/a. White noise whose sum has the same
+    variance has the intensity 2 a^2 t = 2 a v (``thorvaldc.runtime.filter_covariance`` derives the
+    factor 2 t). The filter then follows each ramp, and still weighs odometry against an IMU by
+    their covariances.
+
+    All other values are 0. The pose changes only by the velocity, whose errors the twist's
+    covariance has. Nothing measures the accelerations, which stay 0. `two_d_mode` keeps height,
+    roll and pitch at 0.
+    """
+    driver = robot.driver
+    linear = max(driver.max_linear_acceleration, driver.max_linear_deceleration)
+    angular = max(driver.max_angular_acceleration, driver.max_angular_deceleration)
+    linear *= 2.0 * driver.max_linear_velocity
+    angular *= 2.0 * driver.max_angular_velocity
+    growth = {_VX: linear, _VY: linear, _YAW_RATE: angular}
+    return [growth.get(k, 0.0) for k in range(15)]
 
 
 def _sources(robot: Robot, parts: Parts, *, absolute_yaw: bool) -> Parameters:

@@ -7,21 +7,23 @@ The page docs/ros2.md describes each ROS 2 parameter.
 from __future__ import annotations
 
 from thorvaldc.backends.ros2_parameter_file import Value
-from thorvaldc.backends.ros2_parts import base_frame, odom_frame
+from thorvaldc.backends.ros2_parts import Parts, base_frame, odom_frame
 from thorvaldc.model import Robot
-from thorvaldc.model.ros import DRIVER
+from thorvaldc.model.ros import DRIVER, FOR_FILTERS
 
 TELEOP_SHARE = 0.5  # speed without the turbo button, as a fraction of the robot's limits
 
 Parameters = dict[str, Value]
 
 
-def base_driver(robot: Robot) -> Parameters:
+def base_driver(robot: Robot, parts: Parts) -> Parameters:
     """Return the ROS 2 parameters of the base driver.
 
     The launch files set the base, the bus and the path of the model file. The base driver reads
     everything else from the model file.
     """
+    # An EKF takes the errors of the twists as independent.
+    covariance = {"twist_covariance": FOR_FILTERS} if parts.localization else {}
     return {
         "stamped": robot.ros.stamped,
         "enable_odom_tf": robot.ros.odom_tf == DRIVER,
@@ -29,6 +31,7 @@ def base_driver(robot: Robot) -> Parameters:
         "base_frame_id": base_frame(robot),
         "publish_description": False,  # robot_state_publisher publishes it
         "autostart": True,
+        **covariance,
     }
 
 

@@ -12,6 +12,8 @@ DISTROS = ("jazzy", "kilted", "lyrical")
 """Distributions of ROS 2 for which packages are written, oldest first."""
 DRIVER, EKF = "driver", "ekf"
 """Values of ``RosSettings.odom_tf``."""
+MEASURED, FOR_FILTERS = "measured", "for_filters"
+"""Values of the parameter ``twist_covariance`` of the base driver."""
 ODOM_FRAME, MAP_FRAME = "odom", "map"
 """Frames that the nodes of the package add to those of the robot's links."""
 RESERVED_TOPICS = {

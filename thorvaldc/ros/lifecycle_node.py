@@ -26,6 +26,7 @@ from std_msgs.msg import Bool, String
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model.ros import FOR_FILTERS
 from thorvaldc.ros.bases import NodeError, description_text, open_robot
 from thorvaldc.ros.clock_watch import ClockWatch
 from thorvaldc.ros.guarded_node import GuardedLifecycleNode
@@ -41,6 +42,7 @@ from thorvaldc.ros.node_parameters import NodeParameters
 from thorvaldc.ros.node_services import create_services
 from thorvaldc.ros.topic_twists import TwistInputs
 from thorvaldc.runtime.driven_robot import DrivenRobot
+from thorvaldc.runtime.filter_covariance import filter_covariance
 from thorvaldc.runtime.run_session import UNTESTED
 from thorvaldc.runtime.service_table import ServiceError
 
@@ -322,7 +324,11 @@ class BaseDriverNode(GuardedLifecycleNode):
         if self._clock_topic is not None:
             self._clock_topic.publish(Clock(clock=stamp))
         frames = values["odom_frame_id"], values["base_frame_id"]
-        self._odometry.publish(odometry_message(state, stamp, *frames))
+        covariance = state.odometry.covariance
+        if values["twist_covariance"] == FOR_FILTERS:
+            estimator, period = robot.driver.calculator.estimator, 1.0 / values["rate"]
+            covariance = filter_covariance(estimator, state.joints, state.odometry, period)
+        self._odometry.publish(odometry_message(state, covariance, stamp, *frames))
         if self._tf is not None and values["enable_odom_tf"]:
             transform = transform_message(state, stamp, *frames)
             self._tf.publish(self._tf_type(transforms=[transform]))

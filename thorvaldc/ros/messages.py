@@ -20,6 +20,7 @@ from thorvaldc.runtime.ros_numbers import (
     recorded_joints,
     twist_numbers,
 )
+from thorvaldc.runtime.se2 import Cov3
 
 OK, WARN, ERROR = (b"\x00", b"\x01", b"\x02")
 _MOVABLE = ("continuous", "revolute", "prismatic")
@@ -33,7 +34,9 @@ def optional_type(package: str, name: str) -> Any | None:
         return None
 
 
-def odometry_message(state: DriverState, stamp: Any, odom_frame: str, base_frame: str) -> Any:
+def odometry_message(
+    state: DriverState, twist_covariance: Cov3, stamp: Any, odom_frame: str, base_frame: str
+) -> Any:
     """Returns the odometry: the pose in ``odom_frame``, the twist in ``base_frame``.
 
     The covariance of the pose is in the axes of ``odom_frame``, that of the twist in the axes of
@@ -48,7 +51,7 @@ def odometry_message(state: DriverState, stamp: Any, odom_frame: str, base_frame
     linear, angular = twist.linear, twist.angular
     numbers = twist_numbers(state.odometry.twist)
     linear.x, linear.y, linear.z, angular.x, angular.y, angular.z = numbers
-    message.twist.covariance = covariance_numbers(state.odometry.covariance)
+    message.twist.covariance = covariance_numbers(twist_covariance)
     return message
 
 

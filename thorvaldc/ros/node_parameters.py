@@ -14,7 +14,7 @@ from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import load_model
 from thorvaldc.ros.bases import NodeError
-from thorvaldc.ros.parameters import BASES, MODEL_FILE, PARAMETER_SET, PARAMETERS, NodeParameter
+from thorvaldc.ros.parameters import MODEL_FILE, PARAMETER_SET, PARAMETERS, NodeParameter
 from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.run_time_parameters import COMMAND_TIMEOUT, LIMITS, Parameters
 
@@ -62,8 +62,9 @@ class NodeParameters:
             descriptor = _descriptor(parameter, robot)
             default = parameter.default_for(robot)
             self.values[name] = node.declare_parameter(name, default, descriptor).value
-        if self.values["base"] not in BASES:
-            raise NodeError(f"base is {self.values['base']!r}; expected {', '.join(BASES)}")
+            if parameter.choices and self.values[name] not in parameter.choices:
+                choices = ", ".join(parameter.choices)
+                raise NodeError(f"{name} is {self.values[name]!r}; expected {choices}")
         if self.values["rate"] != robot.driver.rate:
             raise NodeError(
                 f"rate is {self.values['rate']:g} Hz; the model has {robot.driver.rate:g} Hz:"

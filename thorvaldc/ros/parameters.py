@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from thorvaldc.model import Robot
-from thorvaldc.model.ros import DRIVER, ODOM_FRAME
+from thorvaldc.model.ros import DRIVER, FOR_FILTERS, MEASURED, ODOM_FRAME
 from thorvaldc.runtime.run_time_parameters import COMMAND_TIMEOUT, LIMITS, Parameters
 
 ParameterValue = str | bool | float
@@ -143,6 +143,14 @@ PARAMETERS: tuple[NodeParameter, ...] = (
         "flag",
         False,
         "publish the URDF on robot_description, where no robot_state_publisher does",
+    ),
+    NodeParameter(
+        "twist_covariance",
+        "text",
+        MEASURED,
+        "covariance of the twist of the odometry: of one twist, or for filters that take the errors"
+        " of the twists as independent",
+        choices=(MEASURED, FOR_FILTERS),
     ),
     NodeParameter(
         "rate",

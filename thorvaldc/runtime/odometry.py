@@ -13,7 +13,7 @@ from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, ZERO_TWIST, Cov3, Pose2
 
 LONGEST_INTERVAL = 0.5
 """Longest interval (s) between two joint states over which the odometry integrates the motion."""
-_LOW_RANK_CORRELATION = 10.0
+LOW_RANK_CORRELATION = 10.0
 """Correlation time (s) of the velocity errors in directions that no wheel measures."""
 
 
@@ -80,7 +80,7 @@ class Odometry:
             return
         self.calculator.estimator.check(joints)
         estimate = self.calculator.odometry(mean_states(previous, joints, elapsed))
-        correlation = _LOW_RANK_CORRELATION if estimate.rank < 3 else 0.0
+        correlation = LOW_RANK_CORRELATION if estimate.rank < 3 else 0.0
         motion, covariance = se2.integrate(
             self.covariance_at_joints, estimate.twist, estimate.covariance, elapsed, correlation
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import pytest
@@ -60,7 +61,36 @@ def test_base_driver_has_only_what_the_model_does_not_have(distro: str, owner: s
         "base_frame_id": "base_link",
         "publish_description": False,
         "autostart": True,
+        "twist_covariance": "for_filters",
     }
+
+
+def test_only_a_package_with_an_ekf_has_a_twist_covariance_for_filters() -> None:
+    name = "2wd0ws_greenhouse"
+    without = parameters(variant(name, odom_tf="driver"))
+    assert not [node for node in without if "ekf" in node]
+    assert "twist_covariance" not in without["/base_driver"]
+    assert parameters(variant(name, odom_tf="ekf"))["/base_driver"]["twist_covariance"] == (
+        "for_filters"
+    )
+
+
+def test_process_noise_of_the_ekf_follows_from_the_limits_of_the_driver() -> None:
+    robot = variant("4wd4ws_wide", odom_tf="ekf")
+    driver = dataclasses.replace(
+        robot.driver,
+        max_linear_velocity=1.5,
+        max_linear_acceleration=1.0,
+        max_linear_deceleration=2.0,
+        max_angular_velocity=0.5,
+        max_angular_acceleration=3.0,
+        max_angular_deceleration=3.0,
+    )
+    nodes = parameters(dataclasses.replace(robot, driver=driver))
+    for name in ("/ekf_odom", "/ekf_map"):
+        growth = nodes[name]["process_noise_covariance"]
+        # The velocities x, y and yaw are the states 6, 7 and 11 of 15.
+        assert growth == [0.0] * 6 + [6.0, 6.0, 0.0, 0.0, 0.0, 3.0] + [0.0] * 3
 
 
 def test_teleoperation_has_priority_over_navigation() -> None:

@@ -1,0 +1,240 @@
+"""Consistency of a filter that fuses the published odometry, with the equations of
+robot_localization.
+
+The filter is the EKF of the package robot_localization (``Ekf::predict`` and ``Ekf::correct`` of
+the version 3.6) in ``two_d_mode``: 15 states, of which height, roll, pitch, their velocities and
+the vertical acceleration are measured as 0 in each message.  At roll = pitch = 0 their rows of the
+transfer function have no entries for the other states, so that x, y, yaw, their velocities and the
+accelerations along x and y are a filter of their own.  NEES/3 is that of x, y and yaw after 60 s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.consistency import BIASED, KINDS, LASTING, NOISE, SHARES, noisy_runs
+from bench.figure import ROOT, Figure
+from bench.wheel_noise import ROBOTS, Array
+from thorvaldc.backends.ros2_localization import process_noise
+from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.model import Robot
+from thorvaldc.model.ros import FOR_FILTERS, MEASURED
+from thorvaldc.runtime import se2
+from thorvaldc.runtime.base_interface import CheckedJointStates
+from thorvaldc.runtime.calculators import BaseGeometry, Noise
+from thorvaldc.runtime.calculators.general import General
+from thorvaldc.runtime.filter_covariance import filter_covariance
+from thorvaldc.runtime.se2 import ORIGIN, Twist
+from thorvaldc.simulation.vectorised.calculator_batch import CalculatorBatch
+
+SECONDS, RUNS = 60.0, 200
+SPEED = 0.4
+"""Speed (m/s) of the drives.
+
+An EKF is linear in the yaw error.  Radii that are 1 % wrong turn the robot by 0.005 rad per metre:
+after 60 m, the error of x by the cosine of the yaw error is larger than the linear one.  The drive
+``FAST`` shows it.
+"""
+_THIRD = math.sqrt(1.0 / 3.0)
+MIXED, DRIVE = "mixed", "drive"
+CASES: dict[str, tuple[tuple[float, float, float], Noise]] = {
+    **{kind: (SHARES[kind], noise) for kind, noise in KINDS.items()},
+    DRIVE: ((0.0, 0.0, 1.0), Noise(correlation=0.0)),
+    MIXED: (
+        (_THIRD, _THIRD, _THIRD),
+        Noise(
+            correlation=LASTING / 3.0,
+            radius_error=_THIRD * NOISE.speed_ratio,
+            steering_offset_error=_THIRD * NOISE.angle,
+        ),
+    ),
+}
+"""Shares of the errors, and the settings that describe them, by the kind of the errors.
+
+A third of the mixed variance lasts for ``LASTING`` s: the sum of the autocorrelation of the whole
+error is that of a third of this time.
+"""
+BOUNDED, FAST = ("straight", "circles", "curves"), "straight, 1 m/s"
+DRIVES: dict[str, Callable[[float], tuple[float, float, float]]] = {
+    "straight": lambda t: (SPEED, 0.0, 0.0),
+    FAST: lambda t: (1.0, 0.0, 0.0),
+    "circles": lambda t: (SPEED, 0.0, SPEED / 2.0),
+    "curves": lambda t: (SPEED, 0.1 * math.cos(0.7 * t), 0.3 * math.sin(0.4 * t)),
+}
+"""Twist at a time (s); circles have a radius of 2 m."""
+DEFAULT_PROCESS_NOISE = [
+    *(0.05, 0.05, 0.06, 0.03, 0.03, 0.06, 0.025, 0.025, 0.04, 0.01, 0.01, 0.02),
+    *(0.01, 0.01, 0.015),
+]
+"""Process noise of robot_localization if the parameter is missing: diagonal of 15 states."""
+_KEPT = [0, 1, 5, 6, 7, 11, 12, 13]
+"""Indices of the states of the planar filter among the 15 states."""
+
+
+class PlanarEkf:
+    """The planar states of the EKF of robot_localization, for many runs at once.
+
+    - ``state``: (runs, 8): x, y, yaw, vx, vy, yaw rate, ax, ay.
+    - ``covariance``: (runs, 8, 8).
+    - ``process_noise``: growth of the variances of the 15 states per second.
+    """
+
+    def __init__(self, runs: int, process_noise: list[float]) -> None:
+        self.state = np.zeros((runs, 8))
+        self.covariance = np.tile(1e-9 * np.eye(8), (runs, 1, 1))
+        self._process_noise = np.diag([process_noise[k] for k in _KEPT])
+        self._started = False
+
+    def measure(self, twists: Array, covariances: Array, dt: float) -> None:
+        """Fuses twists (runs, 3) with covariances (1, 3, 3), ``dt`` s after the last ones."""
+        if not self._started:  # the first measurement is the state
+            self._started = True
+            self.state[:, 3:6] = twists
+            self.covariance[:, 3:6, 3:6] = covariances
+            return
+        self._predict(dt)
+        p = self.covariance
+        gain = p[:, :, 3:6] @ np.linalg.inv(p[:, 3:6, 3:6] + covariances)
+        self.state += (gain @ (twists - self.state[:, 3:6])[:, :, np.newaxis])[:, :, 0]
+        rest = np.tile(np.eye(8), (len(p), 1, 1))
+        rest[:, :, 3:6] -= gain
+        self.covariance = _of(rest, p) + _of(gain, covariances)
+
+    def _predict(self, dt: float) -> None:
+        _, _, yaw, vx, vy, _, ax, ay = self.state.T
+        c, s = np.cos(yaw), np.sin(yaw)
+        f = np.tile(np.eye(8), (len(yaw), 1, 1))
+        f[:, 0, 3], f[:, 0, 4] = c * dt, -s * dt
+        f[:, 1, 3], f[:, 1, 4] = s * dt, c * dt
+        f[:, :2, 6:8] = 0.5 * dt * f[:, :2, 3:5]
+        f[:, 2, 5] = f[:, 3, 6] = f[:, 4, 7] = dt
+        jacobian = f.copy()
+        dx, dy = vx * dt + 0.5 * ax * dt * dt, vy * dt + 0.5 * ay * dt * dt
+        jacobian[:, 0, 2], jacobian[:, 1, 2] = -s * dx - c * dy, c * dx - s * dy
+        self.state = (f @ self.state[:, :, np.newaxis])[:, :, 0]
+        self.covariance = _of(jacobian, self.covariance) + dt * self._process_noise
+
+
+def _of(matrices: Array, covariances: Array) -> Array:
+    product: Array = matrices @ covariances @ matrices.swapaxes(1, 2)
+    return product
+
+
+class Result(NamedTuple):
+    """NEES/3 of x, y and yaw at the end, and root mean squares of the end error and of its standard
+    deviation by the filter, m."""
+
+    nees: float
+    distance: float
+    sigma: float
+
+
+def commanded(drive: str, seconds: float, rate: float) -> Array:
+    """Returns the twists (n, 3) of a drive, which starts and ends at rest."""
+    times = np.arange(round(seconds * rate) + 1) / rate
+    ramp = np.clip(np.minimum(times, seconds - 1.0 - times), 0.0, 1.0)
+    return ramp[:, np.newaxis] * np.array([DRIVES[drive](t) for t in times.tolist()])
+
+
+def study(
+    robot: Robot,
+    drive: str,
+    kind: str,
+    covariance: str = FOR_FILTERS,
+    growth: list[float] | None = None,
+    rate: float | None = None,
+    runs: int = RUNS,
+) -> Result:
+    """Returns the result of a filter after drives with errors of a kind.
+
+    All runs have the covariances of the first one, which depend little on the errors.
+
+    - ``covariance``: parameter `twist_covariance` of the node.
+    - ``growth``: process noise of the 15 states; by default that of the generated files.
+    - ``rate``: twists per second; by default the rate of the driver.
+    """
+    shares, noise = CASES[kind]
+    rate = rate or robot.driver.rate
+    geometry, dt = BaseGeometry.from_robot(robot), 1.0 / rate
+    rng = np.random.default_rng(1)
+    nominal = commanded(drive, SECONDS, rate)
+    true, speeds, angles = noisy_runs(geometry, shares, nominal, dt, runs, rng)
+    calculator = General(geometry, None, noise)
+    estimator = calculator.estimator
+    ekf = PlanarEkf(runs, process_noise(robot) if growth is None else growth)
+    still = [0.0] * len(geometry.wheels)
+    for k, twists in enumerate(_estimates(calculator, speeds, angles)):
+        first = speeds[k, :, 0].tolist(), angles[k, :, 0].tolist()
+        joints = CheckedJointStates(k * dt, *first, still)
+        estimate = calculator.odometry(joints)
+        published = estimate.covariance
+        if covariance == FOR_FILTERS:
+            published = filter_covariance(estimator, joints, estimate, dt)
+        ekf.measure(twists, np.array([published]), dt)
+    means = ((true[1:] + true[:-1]) / 2.0).transpose(2, 0, 1).tolist()
+    ends = np.array([_end(run, dt) for run in means])
+    errors = ends - ekf.state[:, :3]
+    errors[:, 2] = (errors[:, 2] + math.pi) % (2.0 * math.pi) - math.pi
+    pose = ekf.covariance[:, :3, :3]
+    solved = np.linalg.solve(pose, errors[:, :, np.newaxis])[:, :, 0]
+    return Result(
+        float(np.einsum("ni,ni->n", errors, solved).mean()) / 3.0,
+        math.sqrt(float((errors[:, :2] ** 2).sum(1).mean())),
+        math.sqrt(float((pose[:, 0, 0] + pose[:, 1, 1]).mean())),
+    )
+
+
+def _estimates(calculator: General, speeds: Array, angles: Array) -> Array:
+    """Returns the estimated twists (n, runs, 3) of joint states (n, wheels, runs)."""
+    n, wheels, runs = speeds.shape
+    columns = [a.swapaxes(0, 1).reshape(wheels, n * runs) for a in (speeds, angles)]
+    twists = np.empty((3, n * runs))
+    CalculatorBatch(calculator).estimate(*columns, twists, np.empty((6, n * runs)))
+    return twists.T.reshape(n, runs, 3)
+
+
+def _end(twists: list[list[float]], dt: float) -> se2.Pose2:
+    pose = ORIGIN
+    for twist in twists:
+        pose = pose.moved(se2.exp(Twist(*twist), dt))
+    return pose
+
+
+def robot_of(name: str) -> Robot:
+    """Returns an example."""
+    model = compile_file(ROOT / "examples" / ROBOTS[name] / "robot.yaml").model
+    if not isinstance(model, Robot):
+        raise SystemExit(f"the example {ROBOTS[name]} does not compile to a robot")
+    return model
+
+
+def figures() -> Iterator[Figure]:
+    for name in ("4WD4WS", "6WD6WS asymmetric"):
+        robot = robot_of(name)
+        for kind in ("white", "lasting 2 s", BIASED, DRIVE, MIXED):
+            for drive in BOUNDED:
+                result = study(robot, drive, kind)
+                title = f"filter NEES/3, {name}, {kind}, {drive}"
+                yield Figure(title, result.nees, "", 2.0, "lower", _how(result))
+                yield Figure(f"{title}, at least", result.nees, "", 0.5, "higher", _how(result))
+    robot = robot_of("4WD4WS")
+    for kind in ("lasting 2 s", DRIVE):
+        result = study(robot, FAST, kind)
+        title = f"filter NEES/3, 4WD4WS, {kind}, {FAST}"
+        yield Figure(title, result.nees, "", None, "lower", _how(result))
+    before = "the twist's own covariance, process noise of robot_localization"
+    tuned = "the twist's own covariance, derived process noise"
+    for title, growth in ((before, DEFAULT_PROCESS_NOISE), (tuned, None)):
+        result = study(robot, "straight", DRIVE, MEASURED, growth)
+        yield Figure(f"filter sigma, {title}", result.sigma, "m", None, "lower", _how(result))
+
+
+def _how(result: Result) -> str:
+    return (
+        f"{RUNS} runs of {SECONDS:g} s; end error {result.distance:.3f} m, standard deviation by"
+        f" the filter {result.sigma:.3f} m"
+    )

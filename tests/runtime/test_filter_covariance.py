@@ -1,0 +1,80 @@
+"""A filter that sums the published twists has the right covariance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from bench.filters import BOUNDED, DRIVE, MIXED, study
+from tests.examples import example_robot
+from thorvaldc.model.ros import FOR_FILTERS, MEASURED
+from thorvaldc.runtime.base_interface import JointStates
+from thorvaldc.runtime.calculators import BaseGeometry, Noise
+from thorvaldc.runtime.calculators.general import General
+from thorvaldc.runtime.filter_covariance import DRIVE_ERROR_TIME, filter_covariance
+
+PERIOD = 0.02
+WHITE = Noise(correlation=0.0, radius_error=0.0, steering_offset_error=0.0)
+LASTING = Noise(correlation=2.0, radius_error=0.0, steering_offset_error=0.0)
+DRIVE_LONG = Noise(correlation=0.0)
+
+
+def covariances(noise: Noise) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns the covariances of one twist, for filters, and of the errors of the drive."""
+    calculator = General(BaseGeometry.from_robot(example_robot("4wd4ws_wide")), None, noise)
+    joints = JointStates(0.0, [5.0] * 4, [0.1, -0.1, 0.05, 0.0], [0.0] * 4)
+    estimate = calculator.odometry(joints)
+    published = filter_covariance(calculator.estimator, joints, estimate, PERIOD)
+    errors = calculator.estimator.lasting_errors(joints, estimate, estimate.twist)
+    drive = np.array(errors).reshape(-1, 3)
+    return np.array(estimate.covariance), np.array(published), drive.T @ drive
+
+
+def test_white_errors_are_published_as_they_are() -> None:
+    single, published, _ = covariances(WHITE)
+    assert published == pytest.approx(single)
+
+
+def test_errors_that_last_seconds_count_as_their_sum() -> None:
+    single, published, _ = covariances(LASTING)
+    left = math.exp(-PERIOD / 2.0)
+    errors = 50_000
+    lags = np.arange(1, errors)
+    variance_of_sum = errors + 2.0 * np.sum((errors - lags) * left**lags)
+    assert published == pytest.approx(single * variance_of_sum / errors, rel=0.01)
+    assert published == pytest.approx(single * 2.0 * 2.0 / PERIOD, rel=1e-4)
+
+
+def test_errors_that_last_the_drive_count_by_the_time_of_a_filter() -> None:
+    single, published, drive = covariances(DRIVE_LONG)
+    assert published == pytest.approx(single + 2.0 * DRIVE_ERROR_TIME / PERIOD * drive)
+    assert np.linalg.eigvalsh(drive)[0] > 0.0
+
+
+def test_before_the_first_joint_states_the_covariance_is_that_of_the_estimate() -> None:
+    calculator = General(BaseGeometry.from_robot(example_robot("4wd4ws_wide")))
+    estimate = calculator.odometry(JointStates(0.0, [0.0] * 4, [0.0] * 4, [0.0] * 4))
+    published = filter_covariance(calculator.estimator, None, estimate, PERIOD)
+    assert published is estimate.covariance
+
+
+@pytest.mark.parametrize("drive", BOUNDED)
+@pytest.mark.parametrize("kind", ["white", "lasting 2 s", DRIVE, MIXED])
+def test_the_filter_is_consistent_after_60_s(kind: str, drive: str) -> None:
+    # White errors are as small as the error of the filter's Euler steps: they need short ones.
+    rate, runs = (50.0, 50) if kind == "white" else (10.0, 200)
+    result = study(example_robot("4wd4ws_wide"), drive, kind, rate=rate, runs=runs)
+    assert 0.5 < result.nees < 2.0
+
+
+def test_with_the_covariance_of_one_twist_the_filter_is_wrong_and_sure() -> None:
+    results = [
+        study(example_robot("4wd4ws_wide"), "straight", DRIVE, covariance, rate=10.0, runs=50)
+        for covariance in (MEASURED, FOR_FILTERS)
+    ]
+    wrong, right = results
+    assert wrong.nees > 100.0 * right.nees
+    assert wrong.sigma < wrong.distance / 10.0
+    assert right.sigma == pytest.approx(right.distance, rel=0.5)
