@@ -23,6 +23,7 @@ import math
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import dist
 from statistics import NormalDist
 from typing import NamedTuple
 
@@ -43,16 +44,21 @@ from thorvaldc.runtime.calculators.twist_fit import (
     Noise,
     NormalEquations,
     WheelConstants,
+    add_rolling_speed,
     chi_squares,
     fit_twist,
     misfit,
     unweighted_normal_equations,
 )
 from thorvaldc.runtime.calculators.wheel_rejection import (
+    Fits,
     HypothesisSearch,
+    Suspicion,
+    covering,
     faulty_wheels,
+    following_error,
     mixture,
-    suspect_wheels,
+    suspicion,
 )
 from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.runtime.se2 import Cov3, Row3, Twist
@@ -170,6 +176,7 @@ class TwistEstimator:
         gate2, gate1 = -2.0 * math.log(share), NormalDist().inv_cdf(1.0 - share / 2.0) ** 2
         self.gates = tuple(gate2 if w.flags == ROLL_AND_SIDE else gate1 for w in wheels)
         self._price = gate1
+        self._least_deviation = 0.02 / max([w.radius for w in wheels if w.radius > 0], default=1.0)
         self._all_measure = len(wheels) == self._n
         self.inverse = self._constant_inverse()
 
@@ -236,12 +243,14 @@ class TwistEstimator:
         for _ in range(self.options.polish):
             fit = fit_twist(measurements, fit.vx, fit.vy, fit.wz, noise, prior, yaw_rate)
         tests = chi_squares(fit)
-        if self.options.faulty and any(map(operator.gt, tests, self.gates)):
-            suspects: tuple[int, ...] = ()
-            if commanded is not None:
-                speeds = [commanded[wheel.number] * wheel.radius for wheel in self.wheels]
-                suspects = suspect_wheels(measurements, speeds)
-            return self._reject_wheels(measurements, fit, tests, prior, yaw_rate, rank, suspects)
+        if self.options.faulty:
+            disagree = any(map(operator.gt, tests, self.gates))
+            if disagree or (
+                commanded is not None and dist(states.speeds, commanded) > self._least_deviation
+            ):
+                return self._reject_wheels(
+                    measurements, fit, tests, prior, yaw_rate, rank, commanded, disagree
+                )
         return self._result(fit, tests, rank)
 
     def least_squares(self, states: JointStates) -> Twist:
@@ -465,7 +474,8 @@ class TwistEstimator:
         prior: tuple[float, float],
         yaw_rate: float | None,
         rank: int,
-        suspects: tuple[int, ...],
+        commanded: Sequence[float] | None,
+        disagree: bool,
     ) -> TwistEstimate:
         """Returns the estimate without the faulty wheels.
 
@@ -473,6 +483,11 @@ class TwistEstimator:
         a larger covariance.
         """
         steps = 1 + self.options.polish
+        doubts = Suspicion()
+        if commanded is not None:
+            doubts = suspicion(
+                measurements, [commanded[wheel.number] * wheel.radius for wheel in self.wheels]
+            )
 
         def refit(some: list[Measurement], previous: Fit, steps: int = steps) -> Fit:
             for _ in range(steps):
@@ -485,8 +500,34 @@ class TwistEstimator:
             first, _ = self._solve(unweighted_normal_equations(some), yaw_rate)
             return refit(some, fit_twist(some, *first, self.squares, prior, yaw_rate))
 
+        def with_commands(some: list[Measurement], faulty: Sequence[int]) -> Fit:
+            speeds = doubts.commanded
+            # The weights need a twist that the faulty encoders do not influence.
+            expected = [
+                (m[0] | USE_ROLL, *m[1:5], speeds[k], *m[6:]) if k in faulty else m
+                for k, m in enumerate(some)
+            ]
+            first, _ = self._solve(unweighted_normal_equations(expected), yaw_rate)
+            result = fit_twist(some, *first, self.squares, self.prior, yaw_rate)
+            for k in faulty:
+                result = add_rolling_speed(result, k, speeds[k], following_error(speeds[k]) ** 2)
+            return result
+
+        if not disagree:
+            wrong = (*doubts.suspects, *doubts.deviating)
+            if not wrong:
+                return self._result(fit, tests, rank)
+            remaining = [
+                (m[0] & ~USE_ROLL, *m[1:]) if k in wrong else m for k, m in enumerate(measurements)
+            ]
+            covered = covering(fit, [1.0], [with_commands(remaining, wrong)])
+            return self._result(covered, tests, rank)
         search = HypothesisSearch(
-            self.gates, self._price, self.options.faulty, suspects, fit_anew, refit
+            self.gates,
+            self._price,
+            self.options.faulty,
+            doubts,
+            Fits(fit_anew, refit, with_commands),
         )
         hypotheses = search.likely_hypotheses(measurements, fit)
         if not hypotheses:

@@ -52,16 +52,37 @@ _NEGLIGIBLE = 9.2
 """A hypothesis has a weight below 1 % if its cost exceeds the smallest cost by this difference."""
 _SUSPECT_PRICE = 6.0
 """Cost of a hypothesis that trusts the speed of a suspect wheel: odds of 1 to 20."""
-_SUSPECT_SPEED = 0.05
-"""Commanded speed (m/s) from which a wheel that does not turn is suspect."""
-_SUSPECT_SHARE = 0.2
-"""A wheel does not turn if its speed is below this share of the commanded speed."""
+_DEVIATION_PRICE = 3.0
+"""Cost of a rejected wheel that turns as commanded in sign, but not in size: odds of 1 to 4.5."""
+_COMMANDED_SPEED = 0.05
+"""Commanded speed (m/s) from which a wheel can contradict its command."""
+_FOLLOWING = 0.2
+"""Error of a wheel that follows its command, relative to the commanded speed."""
+_FOLLOWING_FLOOR = 0.02
+"""Error (m/s) of a wheel that follows its command, in addition to the relative error."""
+_LEAST_WEIGHT = 0.1
+"""Least weight of a likely hypothesis in the covariance: the truth is within 3.2 sigma."""
 _MIN_PROBABILITY = 0.6
 """Least probability at which a single faulty wheel is named: it exceeds all others clearly."""
 _MIN_PAIR_PROBABILITY = 0.97
 """Least probability at which two faulty wheels are named."""
 _PAIR_SEEDS = 3
 """Number of the most likely single faulty wheels that the search extends to pairs of wheels."""
+
+
+class Fits(NamedTuple):
+    """Functions that fit the twist.
+
+    - ``anew``: fits with weights from the unweighted fit of the same measurements, so that the
+      weights of the healthy wheels are independent of the faulty wheels.
+    - ``refit``: fits with weights from a previous fit.
+    - ``with_commands``: fits where the encoders of the given wheels are faulty.  Their commands
+      measure the speeds of these wheels, with the errors of ``following_error``.
+    """
+
+    anew: Callable[[list[Measurement]], Fit]
+    refit: Callable[[list[Measurement], Fit], Fit]
+    with_commands: Callable[[list[Measurement], Sequence[int]], Fit]
 
 
 class Hypothesis(NamedTuple):
@@ -84,6 +105,20 @@ class Hypothesis(NamedTuple):
     cost: float
     misfit: float
     worst_ratio: float
+    by_commands: bool = False
+
+
+class Suspicion(NamedTuple):
+    """Measured wheels whose speeds contradict the commands.
+
+    - ``commanded``: commanded speed of each measured wheel, m/s.
+    - ``suspects``: indices of the wheels that stand or turn backwards although commanded.
+    - ``deviating``: indices of the wheels that turn in the commanded direction at a wrong speed.
+    """
+
+    commanded: tuple[float, ...] = ()
+    suspects: tuple[int, ...] = ()
+    deviating: tuple[int, ...] = ()
 
 
 class HypothesisSearch:
@@ -92,12 +127,10 @@ class HypothesisSearch:
     - ``gates``: for each measured wheel, the chi-square above which the wheel disagrees.
     - ``price``: cost of a rejected wheel, as explained in the documentation of the module
       ``wheel_rejection``.
-    - ``max_rejected``: largest number of faulty wheels, 0 to 2.
-    - ``suspects``: indices of the measured wheels that do not turn although commanded.
-    - ``fit_anew``: function that fits the twist, with weights from the unweighted fit of the same
-      measurements.  With ``fit_anew``, the weights of the healthy wheels are independent of the
-      faulty wheels.
-    - ``refit``: function that fits the twist with weights from a previous fit.
+    - ``max_rejected``: largest number of faulty wheels that the search rejects against their
+      commands, 0 to 2.
+    - ``suspicion``: wheels that contradict their commands.
+    - ``fits``: functions that fit the twist.
     """
 
     def __init__(
@@ -105,16 +138,14 @@ class HypothesisSearch:
         gates: Sequence[float],
         price: float,
         max_rejected: int,
-        suspects: Sequence[int],
-        fit_anew: Callable[[list[Measurement]], Fit],
-        refit: Callable[[list[Measurement], Fit], Fit],
+        suspicion: Suspicion,
+        fits: Fits,
     ) -> None:
         self._gates = gates
         self._price = price
         self._max_rejected = max_rejected
-        self._suspects = suspects
-        self._fit_anew = fit_anew
-        self._refit = refit
+        self._suspicion = suspicion
+        self._fits = fits
 
     def likely_hypotheses(self, measurements: list[Measurement], fit: Fit) -> list[Hypothesis]:
         """Returns all likely hypotheses about faulty wheels, the most likely hypothesis first.
@@ -126,7 +157,7 @@ class HypothesisSearch:
         all_healthy = self._hypothesis((), measurements, fit)
         singles = self._reject_one_more(all_healthy)
         singles.sort(key=_cost)
-        hypotheses = [all_healthy, *singles]
+        hypotheses = [all_healthy, *singles, *self._by_commands(measurements)]
         if singles and self._max_rejected > 1 and min(hypotheses, key=_cost).worst_ratio > 1.0:
             pairs: list[Hypothesis] = []
             for rank, single in enumerate(singles[:_PAIR_SEEDS]):
@@ -139,10 +170,63 @@ class HypothesisSearch:
         if best.worst_ratio > 2.0:  # twice the gate has about the square of the gate's probability
             return []
         return [
-            h._replace(fit=self._refit(h.measurements, h.fit)) if h.rejected else h
+            h._replace(fit=self._fits.refit(h.measurements, h.fit))
+            if h.rejected and not h.by_commands
+            else h
             for h in hypotheses
             if h.cost - best.cost < _NEGLIGIBLE
         ]
+
+    def _by_commands(self, measurements: list[Measurement]) -> list[Hypothesis]:
+        """Returns the hypotheses that all wheels with wrong speeds have faulty encoders.
+
+        The number of these wheels is not limited.  If the other wheels still disagree, one of them
+        is faulty too.
+        """
+        _, suspects, deviating = self._suspicion
+        sets = {suspects, tuple(sorted((*suspects, *deviating)))} - {()}
+        hypotheses: list[Hypothesis] = []
+        for rejected in sorted(sets):
+            first = self._encoders_faulty(rejected, measurements)
+            hypotheses.append(first)
+            if first.worst_ratio > 1.0:
+                hypotheses += [
+                    self._encoders_faulty((*rejected, k), measurements)
+                    for k, m in enumerate(measurements)
+                    if k not in rejected and m[0] & USE_ROLL
+                ]
+        return hypotheses
+
+    def _encoders_faulty(
+        self, rejected: tuple[int, ...], measurements: list[Measurement]
+    ) -> Hypothesis:
+        """Returns the hypothesis that wheels measure their directions, but not their speeds."""
+        remaining = [
+            _with_use(m, m[0] & USE_SIDE) if k in rejected else m
+            for k, m in enumerate(measurements)
+        ]
+        fit = self._fits.with_commands(remaining, rejected)
+        worst_ratio = 0.0
+        for k, (d, gate) in enumerate(zip(chi_squares(fit), self._gates, strict=True)):
+            if k in rejected:
+                d, gate = compare_with_others(fit, fit.measurements[k]).side, self._price
+            worst_ratio = max(worst_ratio, d / gate)
+        disagreement = misfit(fit)
+        cost = disagreement + self._price_of(rejected)
+        return Hypothesis(rejected, remaining, fit, cost, disagreement, worst_ratio, True)
+
+    def _price_of(self, rejected: Sequence[int]) -> float:
+        """Returns the cost of the assumption that the wheels ``rejected`` alone are faulty."""
+        _, suspects, deviating = self._suspicion
+        cost = _SUSPECT_PRICE * sum(1 for k in suspects if k not in rejected)
+        order = 0
+        for k in rejected:
+            if k in deviating:
+                cost += _DEVIATION_PRICE
+            elif k not in suspects:
+                order += 1
+                cost += order * self._price
+        return cost
 
     def _reject_one_more(
         self, hypothesis: Hypothesis, visited: Sequence[int] = ()
@@ -166,7 +250,7 @@ class HypothesisSearch:
                 _with_use(m, 0) if j in rejected else m
                 for j, m in enumerate(hypothesis.measurements)
             ]
-            extended.append(self._hypothesis(rejected, remaining, self._fit_anew(remaining)))
+            extended.append(self._hypothesis(rejected, remaining, self._fits.anew(remaining)))
         return extended
 
     def _hypothesis(
@@ -182,10 +266,9 @@ class HypothesisSearch:
             if k not in rejected:
                 worst_ratio = max(worst_ratio, d / self._gates[k])
         disagreement = misfit(fit)
-        cost = _SUSPECT_PRICE * sum(1 for k in self._suspects if k not in rejected)
+        cost = self._price_of(rejected)
         measurements, current = [*measurements], fit
         for order, k in enumerate(rejected, 1):
-            cost += order * self._price
             if not measurements[k][0] & TEST_ROLL:
                 continue
             comparison = compare_with_others(current, current.measurements[k])
@@ -197,7 +280,7 @@ class HypothesisSearch:
                 row = USE_ROLL if comparison.roll == smaller else USE_SIDE
                 measurements[k] = _with_use(measurements[k], row)
                 if order < len(rejected):
-                    current = self._refit(measurements, current)
+                    current = self._fits.refit(measurements, current)
         cost += disagreement
         return Hypothesis(rejected, measurements, fit, cost, disagreement, worst_ratio)
 
@@ -210,20 +293,26 @@ def _equally_likely(pairs: Sequence[Hypothesis]) -> list[Hypothesis]:
     ]
 
 
-def suspect_wheels(
-    measurements: Sequence[Measurement], commanded: Sequence[float]
-) -> tuple[int, ...]:
-    """Returns the indices of the measured wheels that were commanded to turn, but do not turn.
+def suspicion(measurements: Sequence[Measurement], commanded: Sequence[float]) -> Suspicion:
+    """Returns the wheels whose speeds contradict the commands.
 
     ``commanded``: commanded speed of each measured wheel, m/s.
     """
-    return tuple(
-        k
-        for k, (m, speed) in enumerate(zip(measurements, commanded, strict=True))
-        if m[0] & TEST_ROLL
-        and abs(speed) > _SUSPECT_SPEED
-        and abs(m[5]) < _SUSPECT_SHARE * abs(speed)
-    )
+    suspects, deviating = [], []
+    for k, (m, speed) in enumerate(zip(measurements, commanded, strict=True)):
+        if not m[0] & USE_ROLL or abs(speed) <= _COMMANDED_SPEED:
+            continue
+        share = m[5] / speed
+        if share < _FOLLOWING:
+            suspects.append(k)
+        elif abs(m[5] - speed) > following_error(speed):
+            deviating.append(k)
+    return Suspicion(tuple(commanded), tuple(suspects), tuple(deviating))
+
+
+def following_error(speed: float) -> float:
+    """Returns the largest error (m/s) of a wheel that follows its commanded speed (m/s)."""
+    return _FOLLOWING_FLOOR + _FOLLOWING * abs(speed)
 
 
 def faulty_wheels(hypotheses: Sequence[Hypothesis], probability: float) -> tuple[int, ...]:
@@ -254,8 +343,18 @@ def mixture(hypotheses: Sequence[Hypothesis]) -> tuple[Fit, float]:
     vx = float_sum(p * f.vx for p, f in zip(probabilities, fits, strict=True))
     vy = float_sum(p * f.vy for p, f in zip(probabilities, fits, strict=True))
     wz = float_sum(p * f.wz for p, f in zip(probabilities, fits, strict=True))
+    mean = best.fit._replace(vx=vx, vy=vy, wz=wz)
+    return covering(mean, [max(p, _LEAST_WEIGHT) for p in probabilities], fits), probabilities[0]
+
+
+def covering(mean: Fit, weights: Sequence[float], fits: Sequence[Fit]) -> Fit:
+    """Returns ``mean`` with the covariance sum w_i (P_i + (xi_i - xi) (xi_i - xi)').
+
+    With weights of sum 1 this is the covariance of a mixture.
+    """
+    vx, vy, wz = mean[:3]
     p11 = p12 = p13 = p22 = p23 = p33 = 0.0
-    for p, f in zip(probabilities, fits, strict=True):
+    for p, f in zip(weights, fits, strict=True):
         dx, dy, dw = f.vx - vx, f.vy - vy, f.wz - wz
         p11 += p * (f.p11 + dx * dx)
         p12 += p * (f.p12 + dx * dy)
@@ -263,8 +362,7 @@ def mixture(hypotheses: Sequence[Hypothesis]) -> tuple[Fit, float]:
         p22 += p * (f.p22 + dy * dy)
         p23 += p * (f.p23 + dy * dw)
         p33 += p * (f.p33 + dw * dw)
-    mean = Fit(vx, vy, wz, p11, p12, p13, p22, p23, p33, best.fit.measurements)
-    return mean, probabilities[0]
+    return Fit(vx, vy, wz, p11, p12, p13, p22, p23, p33, mean.measurements)
 
 
 def _cost(hypothesis: Hypothesis) -> float:
