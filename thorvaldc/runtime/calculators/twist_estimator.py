@@ -51,6 +51,7 @@ from thorvaldc.runtime.calculators.twist_fit import (
     unweighted_normal_equations,
 )
 from thorvaldc.runtime.calculators.wheel_rejection import (
+    FOLLOWING_FLOOR,
     Fits,
     HypothesisSearch,
     Suspicion,
@@ -176,7 +177,7 @@ class TwistEstimator:
         gate2, gate1 = -2.0 * math.log(share), NormalDist().inv_cdf(1.0 - share / 2.0) ** 2
         self.gates = tuple(gate2 if w.flags == ROLL_AND_SIDE else gate1 for w in wheels)
         self._price = gate1
-        self._least_deviation = 0.02 / max([w.radius for w in wheels if w.radius > 0], default=1.0)
+        self._least_deviation = FOLLOWING_FLOOR / max((w.radius for w in wheels if w.radius), default=1.0)
         self._all_measure = len(wheels) == self._n
         self.inverse = self._constant_inverse()
 
@@ -503,24 +504,27 @@ class TwistEstimator:
         def with_commands(some: list[Measurement], faulty: Sequence[int]) -> Fit:
             speeds = doubts.commanded
             # The weights need a twist that the faulty encoders do not influence.
-            expected = [
-                (m[0] | USE_ROLL, *m[1:5], speeds[k], *m[6:]) if k in faulty else m
-                for k, m in enumerate(some)
-            ]
+            expected = some
+            if speeds:
+                expected = [
+                    (m[0] | USE_ROLL, *m[1:5], speeds[k], *m[6:]) if k in faulty else m
+                    for k, m in enumerate(some)
+                ]
             first, _ = self._solve(unweighted_normal_equations(expected), yaw_rate)
             result = fit_twist(some, *first, self.squares, self.prior, yaw_rate)
-            for k in faulty:
+            for k in faulty if speeds else ():
                 result = add_rolling_speed(result, k, speeds[k], following_error(speeds[k]) ** 2)
             return result
 
+        def encoders_faulty() -> Fit:
+            encoders = [k for k, m in enumerate(measurements) if m[0] & USE_ROLL]
+            directions = [(m[0] & ~USE_ROLL, *m[1:]) for m in measurements]
+            return with_commands(directions, encoders)
+
         if not disagree:
-            wrong = (*doubts.suspects, *doubts.deviating)
-            if not wrong:
+            if not (doubts.suspects or doubts.deviating):
                 return self._result(fit, tests, rank)
-            remaining = [
-                (m[0] & ~USE_ROLL, *m[1:]) if k in wrong else m for k, m in enumerate(measurements)
-            ]
-            covered = covering(fit, [1.0], [with_commands(remaining, wrong)])
+            covered = covering(fit, [1.0], [encoders_faulty()])
             return self._result(covered, tests, rank)
         search = HypothesisSearch(
             self.gates,
@@ -536,7 +540,8 @@ class TwistEstimator:
             # The reduced chi-square is the factor by which the measured variance exceeds the
             # assumed variance.
             growth = max(1.0, misfit(fit) / max(freedom, 1))
-            return self._result(fit, tests, rank, growth)
+            covered = covering(fit, [growth, 1.0], [fit, encoders_faulty()])
+            return self._result(covered, tests, rank)
         best = hypotheses[0]
         mean, probability = mixture(hypotheses)
         faulty = faulty_wheels(hypotheses, probability)

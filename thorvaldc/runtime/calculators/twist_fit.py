@@ -345,6 +345,21 @@ def add_rolling_speed(fit: Fit, wheel: int, speed: float, variance: float) -> Fi
     )
 
 
+def rolling_leverage(fit: Fit, wheel: int) -> float:
+    """Returns the influence L P L' / sigma_L^2 of a measured rolling speed on its own estimate.
+
+    The influence is 1 if no other measurement confirms the speed, and 0 if the other measurements
+    determine it.
+    """
+    _, _, _, p11, p12, p13, p22, p23, p33, measurements = fit
+    _, c, s, x, y, _, _, v_l, _ = measurements[wheel]
+    turn = s * x - c * y
+    g1 = p11 * c + p12 * s + p13 * turn
+    g2 = p12 * c + p22 * s + p23 * turn
+    g3 = p13 * c + p23 * s + p33 * turn
+    return (c * g1 + s * g2 + turn * g3) / v_l
+
+
 def _mean_square_roll(
     measurements: Sequence[Measurement], vx: float, vy: float, wz: float
 ) -> float:

@@ -41,6 +41,7 @@ from thorvaldc.runtime.calculators.twist_fit import (
     chi_squares,
     compare_with_others,
     misfit,
+    rolling_leverage,
 )
 
 _CREDIBLE = 6.63
@@ -52,14 +53,23 @@ _NEGLIGIBLE = 9.2
 """A hypothesis has a weight below 1 % if its cost exceeds the smallest cost by this difference."""
 _SUSPECT_PRICE = 6.0
 """Cost of a hypothesis that trusts the speed of a suspect wheel: odds of 1 to 20."""
-_DEVIATION_PRICE = 3.0
-"""Cost of a rejected wheel that turns as commanded in sign, but not in size: odds of 1 to 4.5."""
+_DEVIATION_PRICE = 5.0
+"""Cost of a deviating wheel that is rejected, and of a hypothesis that trusts deviating wheels.
+
+Encoders get stuck one by one, but a load delays all wheels at once.
+"""
 _COMMANDED_SPEED = 0.05
 """Commanded speed (m/s) from which a wheel can contradict its command."""
-_FOLLOWING = 0.2
+_SUSPECT_SHARE = 0.2
+"""A wheel stands or turns backwards if its speed is below this share of the commanded speed."""
+_FOLLOWING = 0.04
 """Error of a wheel that follows its command, relative to the commanded speed."""
-_FOLLOWING_FLOOR = 0.02
+FOLLOWING_FLOOR = 0.015
 """Error (m/s) of a wheel that follows its command, in addition to the relative error."""
+_STANDING = 0.005
+"""Speed (m/s) below which a wheel stands."""
+_UNCONFIRMED = 0.75
+"""Share of a measured speed in its own estimate from which no other wheel confirms it."""
 _LEAST_WEIGHT = 0.1
 """Least weight of a likely hypothesis in the covariance: the truth is within 3.2 sigma."""
 _MIN_PROBABILITY = 0.6
@@ -158,6 +168,7 @@ class HypothesisSearch:
         singles = self._reject_one_more(all_healthy)
         singles.sort(key=_cost)
         hypotheses = [all_healthy, *singles, *self._by_commands(measurements)]
+        hypotheses += self._without_commands(measurements)
         if singles and self._max_rejected > 1 and min(hypotheses, key=_cost).worst_ratio > 1.0:
             pairs: list[Hypothesis] = []
             for rank, single in enumerate(singles[:_PAIR_SEEDS]):
@@ -165,37 +176,61 @@ class HypothesisSearch:
                 visited = [s.rejected[0] for s in singles[:rank]]
                 pairs += self._reject_one_more(single, visited)
             hypotheses += _equally_likely(pairs)
-        hypotheses.sort(key=_cost)
+        hypotheses = _distinct(hypotheses)
         best = hypotheses[0]
         if best.worst_ratio > 2.0:  # twice the gate has about the square of the gate's probability
             return []
-        return [
+        likely = [
             h._replace(fit=self._fits.refit(h.measurements, h.fit))
             if h.rejected and not h.by_commands
             else h
             for h in hypotheses
             if h.cost - best.cost < _NEGLIGIBLE
         ]
+        encoders = len(_encoders(measurements))
+        suspicious = self._suspicion.suspects or self._suspicion.deviating
+        if suspicious and any(2 * len(h.rejected) >= encoders or _unconfirmed(h) for h in likely):
+            last = self._encoders_faulty(_encoders(measurements), measurements)
+            likely.append(last._replace(cost=max(last.cost, best.cost + _NEGLIGIBLE)))
+        return likely
 
     def _by_commands(self, measurements: list[Measurement]) -> list[Hypothesis]:
         """Returns the hypotheses that all wheels with wrong speeds have faulty encoders.
 
         The number of these wheels is not limited.  If the other wheels still disagree, one of them
-        is faulty too.
+        is faulty too, or all encoders are.
         """
         _, suspects, deviating = self._suspicion
-        sets = {suspects, tuple(sorted((*suspects, *deviating)))} - {()}
         hypotheses: list[Hypothesis] = []
-        for rejected in sorted(sets):
+        if not (suspects or deviating):
+            return hypotheses
+        encoders = _encoders(measurements)
+        for rejected in sorted({suspects, tuple(sorted((*suspects, *deviating)))} - {()}):
             first = self._encoders_faulty(rejected, measurements)
             hypotheses.append(first)
             if first.worst_ratio > 1.0:
                 hypotheses += [
                     self._encoders_faulty((*rejected, k), measurements)
-                    for k, m in enumerate(measurements)
-                    if k not in rejected and m[0] & USE_ROLL
+                    for k in encoders
+                    if k not in rejected
                 ]
-        return hypotheses
+        return [*hypotheses, self._encoders_faulty(encoders, measurements)]
+
+    def _without_commands(self, measurements: list[Measurement]) -> list[Hypothesis]:
+        """Returns two equally likely hypotheses if at least half of the wheels stand.
+
+        Either the robot stands, and the other wheels spin, or the encoders of the standing wheels
+        are dead.  The agreement of wheels that stand is no evidence.
+        """
+        encoders = _encoders(measurements)
+        standing = tuple(k for k in encoders if abs(measurements[k][5]) < _STANDING)
+        moving = tuple(k for k in encoders if k not in standing)
+        if self._suspicion.commanded or not moving or len(standing) < len(moving):
+            return []
+        return [
+            self._encoders_faulty(rejected, measurements)._replace(cost=self._price)
+            for rejected in (standing, moving)
+        ]
 
     def _encoders_faulty(
         self, rejected: tuple[int, ...], measurements: list[Measurement]
@@ -218,7 +253,9 @@ class HypothesisSearch:
     def _price_of(self, rejected: Sequence[int]) -> float:
         """Returns the cost of the assumption that the wheels ``rejected`` alone are faulty."""
         _, suspects, deviating = self._suspicion
-        cost = _SUSPECT_PRICE * sum(1 for k in suspects if k not in rejected)
+        cost = _SUSPECT_PRICE * len(set(suspects).difference(rejected))
+        if set(deviating).difference(rejected):
+            cost += _DEVIATION_PRICE
         order = 0
         for k in rejected:
             if k in deviating:
@@ -285,6 +322,27 @@ class HypothesisSearch:
         return Hypothesis(rejected, measurements, fit, cost, disagreement, worst_ratio)
 
 
+def _encoders(measurements: Sequence[Measurement]) -> tuple[int, ...]:
+    return tuple(k for k, m in enumerate(measurements) if m[0] & USE_ROLL)
+
+
+def _distinct(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
+    """Returns the hypotheses, the most likely first, with each set of faulty wheels once."""
+    distinct: dict[frozenset[int], Hypothesis] = {}
+    for h in sorted(hypotheses, key=_cost):
+        distinct.setdefault(frozenset(h.rejected), h)
+    return list(distinct.values())
+
+
+def _unconfirmed(hypothesis: Hypothesis) -> bool:
+    """Returns ``True`` if nothing but its command confirms the speed of a trusted encoder."""
+    fit = hypothesis.fit
+    return any(
+        m[0] & USE_ROLL and rolling_leverage(fit, k) > _UNCONFIRMED
+        for k, m in enumerate(hypothesis.measurements)
+    )
+
+
 def _equally_likely(pairs: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Gives all pairs whose remaining wheels agree the smallest misfit of any pair."""
     least = min((h.misfit for h in pairs), default=0.0)
@@ -303,7 +361,7 @@ def suspicion(measurements: Sequence[Measurement], commanded: Sequence[float]) -
         if not m[0] & USE_ROLL or abs(speed) <= _COMMANDED_SPEED:
             continue
         share = m[5] / speed
-        if share < _FOLLOWING:
+        if share < _SUSPECT_SHARE:
             suspects.append(k)
         elif abs(m[5] - speed) > following_error(speed):
             deviating.append(k)
@@ -312,7 +370,7 @@ def suspicion(measurements: Sequence[Measurement], commanded: Sequence[float]) -
 
 def following_error(speed: float) -> float:
     """Returns the largest error (m/s) of a wheel that follows its commanded speed (m/s)."""
-    return _FOLLOWING_FLOOR + _FOLLOWING * abs(speed)
+    return FOLLOWING_FLOOR + _FOLLOWING * abs(speed)
 
 
 def faulty_wheels(hypotheses: Sequence[Hypothesis], probability: float) -> tuple[int, ...]:
