@@ -88,6 +88,8 @@ class TwistEstimate(NamedTuple):
       not test wheels.
     - ``dropped``: indices of the faulty wheels.  The estimator has left out one or both
       measurements of each faulty wheel.
+    - ``suspects``: indices of the wheels that may be faulty, if neither the other wheels nor the
+      commands decide.  The covariance covers all cases.
     """
 
     twist: Twist
@@ -95,6 +97,7 @@ class TwistEstimate(NamedTuple):
     rank: int
     chi_squares: tuple[float, ...] = ()
     dropped: tuple[int, ...] = ()
+    suspects: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +137,8 @@ class TwistEstimator:
     - ``gates``: chi-square above which a wheel is suspect, for each wheel that does not swivel.
     - ``inverse``: upper half of the inverse of the unweighted normal matrix, and the rank of this
       matrix.  ``inverse`` is ``None`` if the matrix depends on the steering angles.
+    - ``least_deviation``: distance (rad/s) of all speeds from the commands below which each wheel
+      follows its command.
     - ``prior``: prior information (inverse variances) about the velocity and the yaw rate.  The
       estimator uses the prior only if the joint states do not determine the whole twist.
     """
@@ -177,7 +182,9 @@ class TwistEstimator:
         gate2, gate1 = -2.0 * math.log(share), NormalDist().inv_cdf(1.0 - share / 2.0) ** 2
         self.gates = tuple(gate2 if w.flags == ROLL_AND_SIDE else gate1 for w in wheels)
         self._price = gate1
-        self._least_deviation = FOLLOWING_FLOOR / max((w.radius for w in wheels if w.radius), default=1.0)
+        self.least_deviation = FOLLOWING_FLOOR / max(
+            (w.radius for w in wheels if w.radius), default=1.0
+        )
         self._all_measure = len(wheels) == self._n
         self.inverse = self._constant_inverse()
 
@@ -246,13 +253,18 @@ class TwistEstimator:
         tests = chi_squares(fit)
         if self.options.faulty:
             disagree = any(map(operator.gt, tests, self.gates))
-            if disagree or (
-                commanded is not None and dist(states.speeds, commanded) > self._least_deviation
-            ):
+            if disagree or self.may_deviate(states.speeds, commanded):
                 return self._reject_wheels(
                     measurements, fit, tests, prior, yaw_rate, rank, commanded, disagree
                 )
         return self._result(fit, tests, rank)
+
+    def may_deviate(self, speeds: Sequence[float], commanded: Sequence[float] | None) -> bool:
+        """Returns whether a wheel may deviate from its command (rad/s).
+
+        A single distance of all speeds is faster than a test of each wheel.
+        """
+        return commanded is not None and dist(speeds, commanded) > self.least_deviation
 
     def least_squares(self, states: JointStates) -> Twist:
         """Returns the twist of an unweighted least-squares fit to the joint states.
@@ -525,7 +537,7 @@ class TwistEstimator:
             if not (doubts.suspects or doubts.deviating):
                 return self._result(fit, tests, rank)
             covered = covering(fit, [1.0], [encoders_faulty()])
-            return self._result(covered, tests, rank)
+            return self._result(covered, tests, rank, (), (*doubts.suspects, *doubts.deviating))
         search = HypothesisSearch(
             self.gates,
             self._price,
@@ -541,24 +553,24 @@ class TwistEstimator:
             # assumed variance.
             growth = max(1.0, misfit(fit) / max(freedom, 1))
             covered = covering(fit, [growth, 1.0], [fit, encoders_faulty()])
-            return self._result(covered, tests, rank)
-        best = hypotheses[0]
+            failed = [k for k, d in enumerate(tests) if d > self.gates[k]]
+            return self._result(covered, tests, rank, (), failed)
         mean, probability = mixture(hypotheses)
         faulty = faulty_wheels(hypotheses, probability)
-        dropped = tuple(sorted(self.wheels[k].number for k in faulty))
-        return self._result(mean, chi_squares(best.fit), rank, 1.0, dropped)
+        suspects = () if faulty else {k for h in hypotheses for k in h.rejected}
+        return self._result(mean, chi_squares(hypotheses[0].fit), rank, faulty, tuple(suspects))
 
     def _result(
         self,
         fit: Fit,
         tests: Sequence[float],
         rank: int,
-        growth: float = 1.0,
-        dropped: tuple[int, ...] = (),
+        dropped: Sequence[int] = (),
+        suspects: Sequence[int] = (),
     ) -> TwistEstimate:
         """Returns the estimate at ``base_link``.
 
-        The covariance of the estimated twist is multiplied by the factor ``growth``.
+        - ``dropped``, ``suspects``: indices of measurements.
 
         A fit about the centroid (xm, ym) with the twist xi and the covariance P is converted to
         ``base_link`` by xi' = A xi and P' = A P A', with A = [1 0 ym; 0 1 -xm; 0 0 1].
@@ -575,9 +587,6 @@ class TwistEstimator:
             p13, p23 = p13 + ym * p33, p23 - xm * p33
         if not math.isfinite(vx + vy + wz + p11 + p22 + p33 + float_sum(tests)):
             raise NotFiniteError(_UNBOUNDED)
-        if growth != 1.0:
-            p11, p12, p13 = growth * p11, growth * p12, growth * p13
-            p22, p23, p33 = growth * p22, growth * p23, growth * p33
         if not self._all_measure:
             per_wheel = [0.0] * self._n
             for wheel, d in zip(self.wheels, tests, strict=True):
@@ -587,4 +596,8 @@ class TwistEstimator:
         # Calling a class of named tuples takes twice as long as making the tuple directly.
         new = tuple.__new__
         twist = new(Twist, (vx, vy, wz))
-        return new(TwistEstimate, (twist, covariance, rank, tuple(tests), dropped))
+        if dropped or suspects:
+            numbers = [wheel.number for wheel in self.wheels]
+            dropped = tuple(sorted(numbers[k] for k in dropped))
+            suspects = tuple(sorted(numbers[k] for k in suspects))
+        return new(TwistEstimate, (twist, covariance, rank, tuple(tests), dropped, suspects))
