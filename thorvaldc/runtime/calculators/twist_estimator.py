@@ -182,9 +182,8 @@ class TwistEstimator:
         gate2, gate1 = -2.0 * math.log(share), NormalDist().inv_cdf(1.0 - share / 2.0) ** 2
         self.gates = tuple(gate2 if w.flags == ROLL_AND_SIDE else gate1 for w in wheels)
         self._price = gate1
-        self.least_deviation = FOLLOWING_FLOOR / max(
-            (w.radius for w in wheels if w.radius), default=1.0
-        )
+        largest_radius = max((w.radius for w in wheels if w.radius), default=1.0)
+        self.least_deviation = FOLLOWING_FLOOR / largest_radius
         self._all_measure = len(wheels) == self._n
         self.inverse = self._constant_inverse()
 

@@ -135,9 +135,9 @@ class CalculatorBatch:
         The parameters are the same as in ``weighted``.  ``commanded`` returns the commanded wheel
         speeds (rad/s) of an array column, if they are known.  Returns a dictionary with the indices
         of the faulty wheels, for each column with faulty wheels.  ``suspects`` receives the indices
-        of the wheels that may be faulty, for each column with such wheels.  The scalar estimator computes the
-        few columns in which a wheel disagrees with the other wheels or with its command.  Raises the same errors as
-        ``least_squares``.
+        of the wheels that may be faulty, for each column with such wheels.  The scalar estimator
+        computes the few columns in which a wheel disagrees with the other wheels or with its
+        command.  Raises the same errors as ``least_squares``.
         """
         return self._estimate(
             speeds,
