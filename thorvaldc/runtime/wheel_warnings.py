@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 
 from thorvaldc.runtime.calculators import TwistEstimate
 
-_TIME_CONSTANT = 0.5
+_TIME_CONSTANT = 2.0
 """Time constant (s) of the share of time in which a wheel is left out or doubted."""
 _WARNED_SHARE = 0.5
 """Share of the time from which a warning is raised.

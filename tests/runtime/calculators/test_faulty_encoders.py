@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -73,11 +74,12 @@ def test_the_covariance_contains_the_command_if_all_wheels_contradict_theirs(sha
 
 
 @pytest.mark.parametrize("motion", MOTIONS, ids=str)
-def test_wheels_that_follow_their_commands_change_nothing(motion: Twist) -> None:
+def test_wheels_that_agree_and_turn_as_commanded_change_nothing(motion: Twist) -> None:
+    """Also while a delay or a load lets them all deviate from their commands."""
     states = joints(FOUR, motion)
     estimator = TwistEstimator(BaseGeometry.from_wheels(FOUR))
-    late = [0.97 * v for v in states.speeds]
-    for commanded in (states.speeds, late):
+    for share in (1.0, 0.9, 1.5):
+        commanded = [share * v for v in states.speeds]
         assert estimator.estimate(states, commanded) == estimator.estimate(states)
 
 
@@ -107,14 +109,14 @@ def test_odometry_warns_of_lasting_faults_only() -> None:
     def warnings_after(ticks: int, speeds: dict[int, float]) -> list[str]:
         for _ in range(ticks):
             time = odometry.joints.time + 0.02 if odometry.joints else 0.0
-            faulty = with_speeds(states, speeds)
-            odometry.update(faulty._replace(time=time), time)
+            measured = with_speeds(states, speeds)
+            odometry.update(replace(measured, time=time), time)
         return odometry.warnings
 
     assert warnings_after(20, {}) == []
-    assert warnings_after(5, {0: 0.0, 2: 0.0}) == []
-    (dropped,) = warnings_after(50, {0: 0.0, 2: 0.0})
+    assert warnings_after(25, {0: 0.0, 2: 0.0}) == []
+    (dropped,) = warnings_after(60, {0: 0.0, 2: 0.0})
     assert "left out w0, w2" in dropped
-    assert warnings_after(100, {}) == []
-    (doubted,) = warnings_after(50, dict.fromkeys(range(3), 0.0))
+    assert warnings_after(120, {}) == []
+    (doubted,) = warnings_after(90, dict.fromkeys(range(3), 0.0))
     assert "w0, w1, w2 may be wrong" in doubted

@@ -56,6 +56,7 @@ from thorvaldc.runtime.calculators.wheel_rejection import (
     HypothesisSearch,
     Suspicion,
     covering,
+    doubted_wheels,
     faulty_wheels,
     following_error,
     mixture,
@@ -302,12 +303,13 @@ class TwistEstimator:
         measurements = self._measurements(states)[0]
         if dropped:
             measurements = [
-                (0, *m[1:]) if w.number in dropped else m
+                (m[0] & ~USE_ROLL, *m[1:]) if w.number in dropped else m
                 for w, m in zip(self.wheels, measurements, strict=True)
             ]
         xm, ym = self._centre
         vx, vy, wz = twist.vx - ym * twist.wz, twist.vy + xm * twist.wz, twist.wz
-        prior = (0.0, 0.0) if estimate.rank == 3 else self.prior
+        # Without the faulty encoders, the wheels may not determine the whole twist.
+        prior = (0.0, 0.0) if estimate.rank == 3 and not dropped else self.prior
         fit = fit_twist(measurements, vx, vy, wz, self.squares, prior, states.yaw_rate)
         _, _, _, p11, p12, p13, p22, p23, p33, weighted = fit
         gradients: list[Row3] = []  # H' W m of each error
@@ -316,13 +318,13 @@ class TwistEstimator:
             turn = s * x - c * y
             roll = c * vx + s * vy + turn * wz
             if wheel.flags & USE_ROLL and (radius_error or scale_error):
-                k = roll / v_l if flags else 0.0
+                k = roll / v_l if flags & USE_ROLL else 0.0
                 s1, s2, s3 = s1 + k * c, s2 + k * s, s3 + k * turn
                 if radius_error:
                     k *= radius_error
                     gradients.append((k * c, k * s, k * turn))
             if wheel.flags & USE_SIDE and offset:
-                k = offset * roll / v_t if flags else 0.0
+                k = offset * roll / v_t
                 gradients.append((-k * s, k * c, k * (c * x + s * y)))
         if scale_error:
             gradients.append((scale_error * s1, scale_error * s2, scale_error * s3))
@@ -533,10 +535,11 @@ class TwistEstimator:
             return with_commands(directions, encoders)
 
         if not disagree:
-            if not (doubts.suspects or doubts.deviating):
+            doubted = doubted_wheels(fit, doubts)
+            if not doubted:
                 return self._result(fit, tests, rank)
             covered = covering(fit, [1.0], [encoders_faulty()])
-            return self._result(covered, tests, rank, (), (*doubts.suspects, *doubts.deviating))
+            return self._result(covered, tests, rank, (), doubted)
         search = HypothesisSearch(
             self.gates,
             self._price,

@@ -62,7 +62,7 @@ _COMMANDED_SPEED = 0.05
 """Commanded speed (m/s) from which a wheel can contradict its command."""
 _SUSPECT_SHARE = 0.2
 """A wheel stands or turns backwards if its speed is below this share of the commanded speed."""
-_FOLLOWING = 0.04
+_FOLLOWING = 0.03
 """Error of a wheel that follows its command, relative to the commanded speed."""
 FOLLOWING_FLOOR = 0.015
 """Error (m/s) of a wheel that follows its command, in addition to the relative error."""
@@ -335,7 +335,7 @@ def _distinct(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
 
 
 def _unconfirmed(hypothesis: Hypothesis) -> bool:
-    """Returns ``True`` if nothing but its command confirms the speed of a trusted encoder."""
+    """Returns ``True`` if no other wheel confirms the speed of a trusted encoder."""
     fit = hypothesis.fit
     return any(
         m[0] & USE_ROLL and rolling_leverage(fit, k) > _UNCONFIRMED
@@ -366,6 +366,16 @@ def suspicion(measurements: Sequence[Measurement], commanded: Sequence[float]) -
         elif abs(m[5] - speed) > following_error(speed):
             deviating.append(k)
     return Suspicion(tuple(commanded), tuple(suspects), tuple(deviating))
+
+
+def doubted_wheels(fit: Fit, doubts: Suspicion) -> tuple[int, ...]:
+    """Returns the wheels that may be faulty although all wheels agree.
+
+    Wheels that all stand or turn backwards agree.  A deviating wheel is doubted only if no other
+    wheel confirms its speed; a load or a delay lets all wheels deviate by the same share.
+    """
+    unconfirmed = (k for k in doubts.deviating if rolling_leverage(fit, k) > _UNCONFIRMED)
+    return (*doubts.suspects, *unconfirmed)
 
 
 def following_error(speed: float) -> float:
