@@ -31,6 +31,7 @@ from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.spatial import symmetric_eigenvalues
 from thorvaldc.runtime.base_interface import CheckedJointStates, JointStates
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
+from thorvaldc.runtime.calculators.hypothesis_fits import FOLLOWING_FLOOR, HypothesisFits
 from thorvaldc.runtime.calculators.linear_algebra import solve3
 from thorvaldc.runtime.calculators.twist_fit import (
     ROLL_AND_SIDE,
@@ -44,21 +45,16 @@ from thorvaldc.runtime.calculators.twist_fit import (
     Noise,
     NormalEquations,
     WheelConstants,
-    add_rolling_speed,
     chi_squares,
     fit_twist,
     misfit,
     unweighted_normal_equations,
 )
 from thorvaldc.runtime.calculators.wheel_rejection import (
-    FOLLOWING_FLOOR,
-    Fits,
     HypothesisSearch,
-    Suspicion,
     covering,
     doubted_wheels,
     faulty_wheels,
-    following_error,
     mixture,
     suspicion,
 )
@@ -496,57 +492,19 @@ class TwistEstimator:
         If no combination of faulty wheels explains the misfit, the estimate uses all wheels and has
         a larger covariance.
         """
-        steps = 1 + self.options.polish
-        doubts = Suspicion()
+        speeds = []
         if commanded is not None:
-            doubts = suspicion(
-                measurements, [commanded[wheel.number] * wheel.radius for wheel in self.wheels]
-            )
-
-        def refit(some: list[Measurement], previous: Fit, steps: int = steps) -> Fit:
-            for _ in range(steps):
-                previous = fit_twist(
-                    some, previous.vx, previous.vy, previous.wz, self.squares, prior, yaw_rate
-                )
-            return previous
-
-        def fit_anew(some: list[Measurement]) -> Fit:
-            first, _ = self._solve(unweighted_normal_equations(some), yaw_rate)
-            return refit(some, fit_twist(some, *first, self.squares, prior, yaw_rate))
-
-        def with_commands(some: list[Measurement], faulty: Sequence[int]) -> Fit:
-            speeds = doubts.commanded
-            # The weights need a twist that the faulty encoders do not influence.
-            expected = some
-            if speeds:
-                expected = [
-                    (m[0] | USE_ROLL, *m[1:5], speeds[k], *m[6:]) if k in faulty else m
-                    for k, m in enumerate(some)
-                ]
-            first, _ = self._solve(unweighted_normal_equations(expected), yaw_rate)
-            result = fit_twist(some, *first, self.squares, self.prior, yaw_rate)
-            for k in faulty if speeds else ():
-                result = add_rolling_speed(result, k, speeds[k], following_error(speeds[k]) ** 2)
-            return result
-
-        def encoders_faulty() -> Fit:
-            encoders = [k for k, m in enumerate(measurements) if m[0] & USE_ROLL]
-            directions = [(m[0] & ~USE_ROLL, *m[1:]) for m in measurements]
-            return with_commands(directions, encoders)
-
+            speeds = [commanded[wheel.number] * wheel.radius for wheel in self.wheels]
+        steps = 1 + self.options.polish
+        fits = HypothesisFits(self._solve, self.squares, prior, self.prior, yaw_rate, steps, speeds)
+        doubts = suspicion(measurements, speeds)
         if not disagree:
             doubted = doubted_wheels(fit, doubts)
             if not doubted:
                 return self._result(fit, tests, rank)
-            covered = covering(fit, [1.0], [encoders_faulty()])
+            covered = covering(fit, [1.0], [fits.without_encoders(measurements)])
             return self._result(covered, tests, rank, (), doubted)
-        search = HypothesisSearch(
-            self.gates,
-            self._price,
-            self.options.faulty,
-            doubts,
-            Fits(fit_anew, refit, with_commands),
-        )
+        search = HypothesisSearch(self.gates, self._price, self.options.faulty, doubts, fits)
         hypotheses = search.likely_hypotheses(measurements, fit)
         if not hypotheses:
             rows = sum((m[0] & USE_ROLL > 0) + (m[0] & USE_SIDE > 0) for m in measurements)
@@ -554,7 +512,7 @@ class TwistEstimator:
             # The reduced chi-square is the factor by which the measured variance exceeds the
             # assumed variance.
             growth = max(1.0, misfit(fit) / max(freedom, 1))
-            covered = covering(fit, [growth, 1.0], [fit, encoders_faulty()])
+            covered = covering(fit, [growth, 1.0], [fit, fits.without_encoders(measurements)])
             failed = [k for k, d in enumerate(tests) if d > self.gates[k]]
             return self._result(covered, tests, rank, (), failed)
         mean, probability = mixture(hypotheses)

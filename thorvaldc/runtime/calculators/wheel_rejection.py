@@ -8,30 +8,60 @@ the largest chi-square.  The search therefore fits the twist without each wheel 
 (leave-one-out).  If no single wheel explains the misfit, the search also leaves out pairs of
 wheels.  Cost of the hypothesis that the wheels of a set F are faulty:
 
-    cost = misfit of the used measurements + sum over the k-th wheel of F of k * price
+    cost = misfit of the used measurements + price of F
 
-Up to a constant, the cost of a hypothesis is -2 log of its likelihood.  ``price`` is the chi-square
-that a healthy wheel exceeds with the permitted rate of false rejections.  Because of the factor k,
-the search assumes that two faulty wheels are less likely than one.  Hypotheses of nearly equal cost
-are averaged with the weights exp(-cost / 2).
+Up to a constant, the cost of a hypothesis is -2 log of its likelihood.  Hypotheses of nearly equal
+cost are averaged with the weights exp(-cost / 2).
 
-Two pairs of wheels of a robot with four wheels can each be consistent: two dead encoders show a
-robot that stands, and the other two encoders show a robot that drives.  The search treats such
-pairs in two ways:
+A vote of the wheels alone is wrong if more than half of them are faulty: two dead encoders of three
+agree that the robot stands.  Only the commands can tell.  With the commanded speed c and the
+measured speed z of an encoder, the wheel
 
-*   Consistent pairs are equally likely.  A smaller misfit is no evidence, because two dead encoders
-    have no noise and therefore the misfit 0.
-*   A wheel that was commanded to turn, but does not turn, is suspect.  A hypothesis that trusts the
-    speed of a suspect wheel has a higher cost.
+*   follows its command if |z - c| is at most the error e(c) of ``following_error``;
+*   is suspect if z / c < 0.2, as of a dead or reversed encoder or a stalled motor;
+*   deviates otherwise, as of a stuck encoder, a delay, or a motor at its limit.
+
+The price of F has these parts (``q`` is the chi-square that a healthy wheel exceeds with the
+permitted rate of false rejections):
+
+*   k q for the k-th wheel of F that follows its command.  Because of the factor k, two faulty
+    wheels are less likely than one.
+*   6 for each suspect wheel outside of F.  A suspect wheel in F costs nothing: the command explains
+    it.
+*   5 for each deviating wheel in F, and 5 once if F leaves a deviating wheel: encoders get stuck
+    one by one, but a load slows down all wheels at once.
+
+The search adds the sets F of all suspect wheels, and of all suspect and deviating wheels, of any
+size.  The wheels of such a set F keep their directions.  A small error of a single trusted encoder
+that nothing else confirms (its leverage L P L' / sigma_L^2 is near 1), or of encoders that are not
+the majority, cannot be seen.  Then the covariance also includes the hypothesis that all encoders
+are wrong and the wheels follow their commands.
+
+In the covariance, each likely hypothesis has at least the weight w = 0.1.  If a hypothesis at the
+distance d from the mean is true, the squared error d' (w d d' + ...)^-1 d is at most 1 / w = 10,
+below the 99.9 % quantile 16.3 of the chi-square distribution with 3 degrees of freedom.
+
+Without redundancy no wheel disagrees: two wheels on an axle, or encoders that are all dead.  If
+a wheel is suspect, or deviates and no other wheel confirms it, the twist stays as measured, and its
+covariance gets the square of the distance to the twist of the commands (``doubted_wheels``).
+Wheels without a command are never suspect: robots are pushed and roll out.
+
+Without commands (``commanded`` is empty), consistent pairs of wheels are equally likely.  A smaller
+misfit is no evidence, because two dead encoders have no noise and therefore the misfit 0.  If at
+least half of the wheels stand, they may all be dead.
+
+A wrong radius agrees with its command.  One of few measurements that is wrong by a few standard
+deviations changes the twist more than the chi-squares, and stays unnoticed.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from thorvaldc.model.float_sum import float_sum
+from thorvaldc.runtime.calculators.hypothesis_fits import HypothesisFits, following_error
 from thorvaldc.runtime.calculators.twist_fit import (
     TEST_ROLL,
     USE_ROLL,
@@ -62,10 +92,6 @@ _COMMANDED_SPEED = 0.05
 """Commanded speed (m/s) from which a wheel can contradict its command."""
 _SUSPECT_SHARE = 0.2
 """A wheel stands or turns backwards if its speed is below this share of the commanded speed."""
-_FOLLOWING = 0.03
-"""Error of a wheel that follows its command, relative to the commanded speed."""
-FOLLOWING_FLOOR = 0.015
-"""Error (m/s) of a wheel that follows its command, in addition to the relative error."""
 _STANDING = 0.005
 """Speed (m/s) below which a wheel stands."""
 _UNCONFIRMED = 0.75
@@ -78,21 +104,6 @@ _MIN_PAIR_PROBABILITY = 0.97
 """Least probability at which two faulty wheels are named."""
 _PAIR_SEEDS = 3
 """Number of the most likely single faulty wheels that the search extends to pairs of wheels."""
-
-
-class Fits(NamedTuple):
-    """Functions that fit the twist.
-
-    - ``anew``: fits with weights from the unweighted fit of the same measurements, so that the
-      weights of the healthy wheels are independent of the faulty wheels.
-    - ``refit``: fits with weights from a previous fit.
-    - ``with_commands``: fits where the encoders of the given wheels are faulty.  Their commands
-      measure the speeds of these wheels, with the errors of ``following_error``.
-    """
-
-    anew: Callable[[list[Measurement]], Fit]
-    refit: Callable[[list[Measurement], Fit], Fit]
-    with_commands: Callable[[list[Measurement], Sequence[int]], Fit]
 
 
 class Hypothesis(NamedTuple):
@@ -121,14 +132,14 @@ class Hypothesis(NamedTuple):
 class Suspicion(NamedTuple):
     """Measured wheels whose speeds contradict the commands.
 
-    - ``commanded``: commanded speed of each measured wheel, m/s.
+    - ``known``: ``True`` if the commands are known.
     - ``suspects``: indices of the wheels that stand or turn backwards although commanded.
     - ``deviating``: indices of the wheels that turn in the commanded direction at a wrong speed.
     """
 
-    commanded: tuple[float, ...] = ()
-    suspects: tuple[int, ...] = ()
-    deviating: tuple[int, ...] = ()
+    known: bool
+    suspects: tuple[int, ...]
+    deviating: tuple[int, ...]
 
 
 class HypothesisSearch:
@@ -140,7 +151,7 @@ class HypothesisSearch:
     - ``max_rejected``: largest number of faulty wheels that the search rejects against their
       commands, 0 to 2.
     - ``suspicion``: wheels that contradict their commands.
-    - ``fits``: functions that fit the twist.
+    - ``fits``: fits of the twist under a hypothesis.
     """
 
     def __init__(
@@ -149,7 +160,7 @@ class HypothesisSearch:
         price: float,
         max_rejected: int,
         suspicion: Suspicion,
-        fits: Fits,
+        fits: HypothesisFits,
     ) -> None:
         self._gates = gates
         self._price = price
@@ -225,7 +236,7 @@ class HypothesisSearch:
         encoders = _encoders(measurements)
         standing = tuple(k for k in encoders if abs(measurements[k][5]) < _STANDING)
         moving = tuple(k for k in encoders if k not in standing)
-        if self._suspicion.commanded or not moving or len(standing) < len(moving):
+        if self._suspicion.known or not moving or len(standing) < len(moving):
             return []
         return [
             self._encoders_faulty(rejected, measurements)._replace(cost=self._price)
@@ -354,18 +365,18 @@ def _equally_likely(pairs: Sequence[Hypothesis]) -> list[Hypothesis]:
 def suspicion(measurements: Sequence[Measurement], commanded: Sequence[float]) -> Suspicion:
     """Returns the wheels whose speeds contradict the commands.
 
-    ``commanded``: commanded speed of each measured wheel, m/s.
+    ``commanded``: commanded speed (m/s) of each measured wheel, or empty if they are unknown.
     """
     suspects, deviating = [], []
-    for k, (m, speed) in enumerate(zip(measurements, commanded, strict=True)):
-        if not m[0] & USE_ROLL or abs(speed) <= _COMMANDED_SPEED:
+    for k, speed in enumerate(commanded):
+        flags, measured = measurements[k][0], measurements[k][5]
+        if not flags & USE_ROLL or abs(speed) <= _COMMANDED_SPEED:
             continue
-        share = m[5] / speed
-        if share < _SUSPECT_SHARE:
+        if measured / speed < _SUSPECT_SHARE:
             suspects.append(k)
-        elif abs(m[5] - speed) > following_error(speed):
+        elif abs(measured - speed) > following_error(speed):
             deviating.append(k)
-    return Suspicion(tuple(commanded), tuple(suspects), tuple(deviating))
+    return Suspicion(bool(commanded), tuple(suspects), tuple(deviating))
 
 
 def doubted_wheels(fit: Fit, doubts: Suspicion) -> tuple[int, ...]:
@@ -376,11 +387,6 @@ def doubted_wheels(fit: Fit, doubts: Suspicion) -> tuple[int, ...]:
     """
     unconfirmed = (k for k in doubts.deviating if rolling_leverage(fit, k) > _UNCONFIRMED)
     return (*doubts.suspects, *unconfirmed)
-
-
-def following_error(speed: float) -> float:
-    """Returns the largest error (m/s) of a wheel that follows its commanded speed (m/s)."""
-    return FOLLOWING_FLOOR + _FOLLOWING * abs(speed)
 
 
 def faulty_wheels(hypotheses: Sequence[Hypothesis], probability: float) -> tuple[int, ...]:
