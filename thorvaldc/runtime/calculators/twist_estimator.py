@@ -51,6 +51,7 @@ from thorvaldc.runtime.calculators.twist_fit import (
     unweighted_normal_equations,
 )
 from thorvaldc.runtime.calculators.wheel_rejection import (
+    COMMANDED_SPEED,
     HypothesisSearch,
     covering,
     doubted_wheels,
@@ -102,8 +103,8 @@ class EstimatorOptions:
     """Options of the twist estimator.
 
     - ``gate``: share of the ticks in which the estimator may reject a wheel of a healthy robot.
-    - ``faulty``: largest number of faulty wheels to leave out, 0 to 2. If ``faulty`` is 0, wheels
-      are tested but never left out.
+    - ``faulty``: largest number of faulty wheels to leave out although they follow their commands,
+      0 to 2.  If ``faulty`` is 0, wheels are tested but never left out.
     - ``polish``: number of additional Gauss-Newton steps.  Each additional Gauss-Newton step brings
       the estimated twist closer to the maximum-likelihood estimate.
     """
@@ -136,6 +137,7 @@ class TwistEstimator:
       matrix.  ``inverse`` is ``None`` if the matrix depends on the steering angles.
     - ``least_deviation``: distance (rad/s) of all speeds from the commands below which each wheel
       follows its command.
+    - ``least_command``: speed (rad/s) below which no wheel can contradict its command.
     - ``prior``: prior information (inverse variances) about the velocity and the yaw rate.  The
       estimator uses the prior only if the joint states do not determine the whole twist.
     """
@@ -181,6 +183,7 @@ class TwistEstimator:
         self._price = gate1
         largest_radius = max((w.radius for w in wheels if w.radius), default=1.0)
         self.least_deviation = FOLLOWING_FLOOR / largest_radius
+        self.least_command = COMMANDED_SPEED / largest_radius
         self._all_measure = len(wheels) == self._n
         self.inverse = self._constant_inverse()
 

@@ -88,7 +88,7 @@ _DEVIATION_PRICE = 5.0
 
 Encoders get stuck one by one, but a load delays all wheels at once.
 """
-_COMMANDED_SPEED = 0.05
+COMMANDED_SPEED = 0.05
 """Commanded speed (m/s) from which a wheel can contradict its command."""
 _SUSPECT_SHARE = 0.2
 """A wheel stands or turns backwards if its speed is below this share of the commanded speed."""
@@ -370,7 +370,7 @@ def suspicion(measurements: Sequence[Measurement], commanded: Sequence[float]) -
     suspects, deviating = [], []
     for k, speed in enumerate(commanded):
         flags, measured = measurements[k][0], measurements[k][5]
-        if not flags & USE_ROLL or abs(speed) <= _COMMANDED_SPEED:
+        if not flags & USE_ROLL or abs(speed) <= COMMANDED_SPEED:
             continue
         if measured / speed < _SUSPECT_SHARE:
             suspects.append(k)

@@ -291,12 +291,12 @@ def _deviating(
 ) -> NDArray[np.bool_]:
     """Returns in which columns a wheel may deviate from its command (rad/s)."""
     rows = [commanded(k) for k in range(piece.start, piece.stop)]
-    deviations = np.array(
-        [column if row is None else row for row, column in zip(rows, speeds.T, strict=True)]
-    )
-    deviations -= speeds.T
-    squares: Array = np.einsum("nw,nw->n", deviations, deviations)
-    return squares > estimator.least_deviation**2
+    none = [0.0] * len(speeds)
+    commands = np.array([none if row is None else row for row in rows]).T
+    deviating: NDArray[np.bool_] = np.abs(speeds - commands) > estimator.least_deviation
+    deviating &= np.abs(commands) > estimator.least_command
+    result: NDArray[np.bool_] = np.any(deviating, axis=0)
+    return result
 
 
 def _indices(mask: NDArray[np.bool_] | None) -> list[int]:
