@@ -53,6 +53,7 @@ from thorvaldc.runtime.calculators.twist_fit import (
 from thorvaldc.runtime.calculators.wheel_rejection import (
     COMMANDED_SPEED,
     HypothesisSearch,
+    Suspicion,
     covering,
     doubted_wheels,
     faulty_wheels,
@@ -254,7 +255,7 @@ class TwistEstimator:
             disagree = any(map(operator.gt, tests, self.gates))
             if disagree or self.may_deviate(states.speeds, commanded):
                 return self._reject_wheels(
-                    measurements, fit, tests, prior, yaw_rate, rank, commanded, disagree
+                    measurements, fit, tests, prior, states, rank, commanded, disagree
                 )
         return self._result(fit, tests, rank)
 
@@ -485,7 +486,7 @@ class TwistEstimator:
         fit: Fit,
         tests: list[float],
         prior: tuple[float, float],
-        yaw_rate: float | None,
+        states: JointStates,
         rank: int,
         commanded: Sequence[float] | None,
         disagree: bool,
@@ -495,12 +496,20 @@ class TwistEstimator:
         If no combination of faulty wheels explains the misfit, the estimate uses all wheels and has
         a larger covariance.
         """
-        speeds = []
+        yaw_rate = states.yaw_rate
+        doubts, speeds = Suspicion(False, (), ()), []
         if commanded is not None:
-            speeds = [commanded[wheel.number] * wheel.radius for wheel in self.wheels]
+            turning = [
+                (w.radius, states.speeds[w.number], commanded[w.number]) for w in self.wheels
+            ]
+            doubts = suspicion([(r * v, r * target) for r, v, target in turning])
+            # The contact of a wheel beside its steering axis also moves with the steering joint.
+            speeds = [
+                m[5] + r * (target - v)
+                for m, (r, v, target) in zip(measurements, turning, strict=True)
+            ]
         steps = 1 + self.options.polish
         fits = HypothesisFits(self._solve, self.squares, prior, self.prior, yaw_rate, steps, speeds)
-        doubts = suspicion(measurements, speeds)
         if not disagree:
             doubted = doubted_wheels(fit, doubts)
             if not doubted:

@@ -362,21 +362,20 @@ def _equally_likely(pairs: Sequence[Hypothesis]) -> list[Hypothesis]:
     ]
 
 
-def suspicion(measurements: Sequence[Measurement], commanded: Sequence[float]) -> Suspicion:
+def suspicion(speeds: Sequence[tuple[float, float]]) -> Suspicion:
     """Returns the wheels whose speeds contradict the commands.
 
-    ``commanded``: commanded speed (m/s) of each measured wheel, or empty if they are unknown.
+    ``speeds``: measured and commanded speed (m/s) of each wheel; 0 for a wheel without encoder.
     """
     suspects, deviating = [], []
-    for k, speed in enumerate(commanded):
-        flags, measured = measurements[k][0], measurements[k][5]
-        if not flags & USE_ROLL or abs(speed) <= COMMANDED_SPEED:
+    for k, (measured, speed) in enumerate(speeds):
+        if abs(speed) <= COMMANDED_SPEED:
             continue
         if measured / speed < _SUSPECT_SHARE:
             suspects.append(k)
         elif abs(measured - speed) > following_error(speed):
             deviating.append(k)
-    return Suspicion(bool(commanded), tuple(suspects), tuple(deviating))
+    return Suspicion(True, tuple(suspects), tuple(deviating))
 
 
 def doubted_wheels(fit: Fit, doubts: Suspicion) -> tuple[int, ...]:
