@@ -10,6 +10,8 @@ import pytest
 from bench.faulty_encoders import FAULTS, robots, study
 from tests.conformance.wheels import wheel
 from tests.runtime.calculators.test_wheel_rejection import FOUR, MOTIONS, joints
+from tests.runtime.can_base.simulated_rig import FORWARD
+from tests.runtime.test_driven_robot import Operators
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry
 from thorvaldc.runtime.calculators.differential import Differential
@@ -120,3 +122,23 @@ def test_odometry_warns_of_lasting_faults_only() -> None:
     assert warnings_after(120, {}) == []
     (doubted,) = warnings_after(90, dict.fromkeys(range(3), 0.0))
     assert "w0, w1, w2 may be wrong" in doubted
+
+
+def test_the_state_of_a_robot_shows_the_warnings() -> None:
+    """Three encoders of four die while the robot drives; the ideal base itself is healthy."""
+    operators = Operators()
+    operators.drive()
+    robot = operators.robot
+    assert robot.state()["warnings"] == []
+    read = robot.base.read
+
+    def dead(now: float) -> JointStates:
+        states = read(now)
+        speeds = [*states.speeds[:1], 0.0, 0.0, 0.0]
+        return replace(states, speeds=speeds, positions=None)
+
+    robot.driver.base.read = dead  # type: ignore[method-assign]
+    operators.run(3.0)
+    (warning,) = robot.state()["warnings"]
+    assert warning.startswith("odometry: left out")
+    assert robot.driver.state.odometry.twist.vx == pytest.approx(FORWARD.vx, rel=0.05)

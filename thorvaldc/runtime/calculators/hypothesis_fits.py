@@ -35,8 +35,8 @@ class HypothesisFits(NamedTuple):
     - ``weak_prior``: prior information if the trusted wheels may not determine the twist.
     - ``yaw_rate``: yaw rate (rad/s) that a gyro measures, or ``None`` without a gyro.
     - ``steps``: number of Gauss-Newton steps of ``refit``.
-    - ``commanded``: commanded rolling speed (m/s) of the contact of each measured wheel, or empty if
-      the commands are unknown.
+    - ``commanded``: commanded rolling speed (m/s) of the contact of each measured wheel, or empty
+      if the commands are unknown.
     """
 
     solve: Callable[[NormalEquations, float | None], tuple[Row3, int]]
