@@ -166,6 +166,34 @@ def test_exact_estimates_are_those_of_the_estimator_to_the_last_bit(
 
 @SETTINGS
 @given(wheels=st.one_of(any_wheels(), axle_wheels(), tricycle_wheels()), seed=st.integers(0, 10**6))
+def test_batch_compares_wheels_with_their_commands(wheels: list[WheelGeometry], seed: int) -> None:
+    """In some columns the commands are unknown, and in some an encoder is dead or late."""
+    calculator = make("general", wheels)
+    joints = random_joints(seed, wheels, calculator)
+    speeds, angles, rates = joints
+    factors = np.random.default_rng(seed).choice([-1.0, 0.9, 1.0, 1.0, 1.02], speeds.shape)
+    commands = [None if k % 5 == 0 else (speeds * factors)[:, k].tolist() for k in range(N)]
+    twists, covariances = np.empty((3, N)), np.empty((6, N))
+    tests, suspects = np.empty((len(wheels), N)), dict[int, tuple[int, ...]]()
+    dropped = CalculatorBatch(calculator).estimate(
+        speeds,
+        angles,
+        twists,
+        covariances,
+        tests,
+        rates,
+        commanded=commands.__getitem__,
+        suspects=suspects,
+    )
+    for k in range(N):
+        scalar = calculator.estimator.estimate(state(joints, k), commands[k])
+        same(scalar, twists[:, k], covariances[:, k], tests[:, k])
+        assert dropped.get(k, ()) == scalar.dropped
+        assert suspects.get(k, ()) == scalar.suspects
+
+
+@SETTINGS
+@given(wheels=st.one_of(any_wheels(), axle_wheels(), tricycle_wheels()), seed=st.integers(0, 10**6))
 def test_least_squares_are_those_of_the_estimator(wheels: list[WheelGeometry], seed: int) -> None:
     calculator = make("general", wheels)
     joints = random_joints(seed, wheels, calculator)

@@ -91,6 +91,23 @@ def test_whatever_the_joints_say_the_estimate_is_sound(
 
 @SETTINGS
 @given(wheels=robots, chosen=options, data=st.data())
+def test_whatever_joints_and_commands_say_the_estimate_is_sound(
+    wheels: list[WheelGeometry], chosen: EstimatorOptions, data: st.DataObject
+) -> None:
+    """Also the errors that last for the drive are finite, with any number of wheels left out."""
+    estimator = TwistEstimator(BaseGeometry.from_wheels(wheels), None, chosen)
+    n = len(wheels)
+    states = data.draw(joints(n))
+    commanded = data.draw(st.lists(st.sampled_from([-5.0, 0.0, 0.3, 5.0]), min_size=n, max_size=n))
+    estimate = estimator.estimate(states, commanded)
+    sound(estimate)
+    assert not set(estimate.dropped) & set(estimate.suspects)
+    for errors in estimator.lasting_errors(states, estimate, estimate.twist):
+        assert all(math.isfinite(v) for v in errors)
+
+
+@SETTINGS
+@given(wheels=robots, chosen=options, data=st.data())
 def test_no_size_of_a_joint_state_makes_a_nan(
     wheels: list[WheelGeometry], chosen: EstimatorOptions, data: st.DataObject
 ) -> None:

@@ -10,6 +10,7 @@ from thorvaldc.runtime.base_interface import CheckedJointStates, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, TwistEstimate
 from thorvaldc.runtime.lasting_errors import LastingErrors
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, ZERO_TWIST, Cov3, Pose2
+from thorvaldc.runtime.wheel_warnings import WheelWarnings
 
 LONGEST_INTERVAL = 0.5
 """Longest interval (s) between two joint states over which the odometry integrates the motion."""
@@ -42,6 +43,12 @@ class Odometry:
         self.covariance_at_joints = ZERO_COV
         self._time = -math.inf
         self._lasting_errors = LastingErrors(calculator.estimator)
+        self._wheel_warnings = WheelWarnings()
+
+    @property
+    def warnings(self) -> list[str]:
+        """Warnings about wheels that the odometry leaves out or doubts, for an operator."""
+        return self._wheel_warnings.texts([w.name for w in self.calculator.geometry.wheels])
 
     def reset(self, pose: Pose2 = ORIGIN) -> None:
         """Sets the pose of the odometry and resets its covariance to zero."""
@@ -111,6 +118,7 @@ class Odometry:
             covariance = lasting.end_block(
                 self.calculator.estimator, joints, estimate, pose, covariance
             )
+        self._wheel_warnings.update(estimate, joints.time)
         self.joints = self.calculator.checked_states = joints
         self.estimate = estimate
         self.pose = pose

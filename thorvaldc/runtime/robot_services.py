@@ -191,7 +191,7 @@ def robot_state(robot: DrivenRobot, now: float) -> dict[str, Any]:
         "held": state.hold_reason,
         "limited_by": driver.limit_of(state.commanded_twist),
         "stopped_by": list(robot.stop_owners),
-        "warnings": robot.base.warnings(now),
+        "warnings": [*robot.base.warnings(now), *driver.odometry.warnings],
         "cycles": robot.timing.cycles,
         "overruns": robot.timing.overruns,
     }

@@ -120,9 +120,11 @@ class Differential(BaseCalculator):
 
     @finite_result
     def odometry(self, states: JointStates) -> TwistEstimate:
-        if len(self._wheels) > 2:  # with redundant wheels, the estimator can reject a faulty wheel
-            return super().odometry(states)
         self.estimator.check(states)
+        if len(self._wheels) > 2 or self.estimator.may_deviate(
+            states.speeds, self.commanded_speeds
+        ):  # the estimator can reject a faulty wheel, and compares wheels with their commands
+            return super().odometry(states)
         noise = self.noise
         speeds = states.speeds
         # The weights of the fit depend on the wheel speeds.  An unweighted fit predicts the wheel

@@ -13,6 +13,7 @@ wheel.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Self
 
 from thorvaldc.model.float_sum import float_sum
@@ -96,6 +97,10 @@ class OneWheel(BaseCalculator):
     def limiting_wheels(self, twist: Twist) -> tuple[int, ...]:
         return self._reachable.project(twist).limiting
 
+    @property
+    def commanded_speeds(self) -> Sequence[float]:
+        return self._motors.commanded_speeds
+
     def command(
         self, twist: Twist, states: JointStates | None = None, dt: float | None = None
     ) -> BaseCommand:
@@ -142,6 +147,8 @@ class OneWheel(BaseCalculator):
     @finite_result
     def odometry(self, states: JointStates) -> TwistEstimate:
         self.estimator.check(states)
+        if self.estimator.may_deviate(states.speeds, self.commanded_speeds):
+            return super().odometry(states)
         i, wheel, noise = self._index, self._wheel, self.noise
         turning = wheel.sign * states.angle_rates[i]
         rolls = wheel.radius * states.speeds[i] + wheel.lateral * turning

@@ -23,6 +23,7 @@ import math
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import dist
 from statistics import NormalDist
 from typing import NamedTuple
 
@@ -30,6 +31,7 @@ from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.spatial import symmetric_eigenvalues
 from thorvaldc.runtime.base_interface import CheckedJointStates, JointStates
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
+from thorvaldc.runtime.calculators.hypothesis_fits import FOLLOWING_FLOOR, HypothesisFits
 from thorvaldc.runtime.calculators.linear_algebra import solve3
 from thorvaldc.runtime.calculators.twist_fit import (
     ROLL_AND_SIDE,
@@ -49,10 +51,14 @@ from thorvaldc.runtime.calculators.twist_fit import (
     unweighted_normal_equations,
 )
 from thorvaldc.runtime.calculators.wheel_rejection import (
+    COMMANDED_SPEED,
     HypothesisSearch,
+    Suspicion,
+    covering,
+    doubted_wheels,
     faulty_wheels,
     mixture,
-    suspect_wheels,
+    suspicion,
 )
 from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.runtime.se2 import Cov3, Row3, Twist
@@ -81,6 +87,8 @@ class TwistEstimate(NamedTuple):
       not test wheels.
     - ``dropped``: indices of the faulty wheels.  The estimator has left out one or both
       measurements of each faulty wheel.
+    - ``suspects``: indices of the wheels that may be faulty, if neither the other wheels nor the
+      commands decide.  The covariance covers all cases.
     """
 
     twist: Twist
@@ -88,6 +96,7 @@ class TwistEstimate(NamedTuple):
     rank: int
     chi_squares: tuple[float, ...] = ()
     dropped: tuple[int, ...] = ()
+    suspects: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +104,8 @@ class EstimatorOptions:
     """Options of the twist estimator.
 
     - ``gate``: share of the ticks in which the estimator may reject a wheel of a healthy robot.
-    - ``faulty``: largest number of faulty wheels to leave out, 0 to 2. If ``faulty`` is 0, wheels
-      are tested but never left out.
+    - ``faulty``: largest number of faulty wheels to leave out although they follow their commands,
+      0 to 2.  If ``faulty`` is 0, wheels are tested but never left out.
     - ``polish``: number of additional Gauss-Newton steps.  Each additional Gauss-Newton step brings
       the estimated twist closer to the maximum-likelihood estimate.
     """
@@ -127,6 +136,9 @@ class TwistEstimator:
     - ``gates``: chi-square above which a wheel is suspect, for each wheel that does not swivel.
     - ``inverse``: upper half of the inverse of the unweighted normal matrix, and the rank of this
       matrix.  ``inverse`` is ``None`` if the matrix depends on the steering angles.
+    - ``least_deviation``: distance (rad/s) of all speeds from the commands below which each wheel
+      follows its command.
+    - ``least_command``: speed (rad/s) below which no wheel can contradict its command.
     - ``prior``: prior information (inverse variances) about the velocity and the yaw rate.  The
       estimator uses the prior only if the joint states do not determine the whole twist.
     """
@@ -170,6 +182,9 @@ class TwistEstimator:
         gate2, gate1 = -2.0 * math.log(share), NormalDist().inv_cdf(1.0 - share / 2.0) ** 2
         self.gates = tuple(gate2 if w.flags == ROLL_AND_SIDE else gate1 for w in wheels)
         self._price = gate1
+        largest_radius = max((w.radius for w in wheels if w.radius), default=1.0)
+        self.least_deviation = FOLLOWING_FLOOR / largest_radius
+        self.least_command = COMMANDED_SPEED / largest_radius
         self._all_measure = len(wheels) == self._n
         self.inverse = self._constant_inverse()
 
@@ -236,13 +251,20 @@ class TwistEstimator:
         for _ in range(self.options.polish):
             fit = fit_twist(measurements, fit.vx, fit.vy, fit.wz, noise, prior, yaw_rate)
         tests = chi_squares(fit)
-        if self.options.faulty and any(map(operator.gt, tests, self.gates)):
-            suspects: tuple[int, ...] = ()
-            if commanded is not None:
-                speeds = [commanded[wheel.number] * wheel.radius for wheel in self.wheels]
-                suspects = suspect_wheels(measurements, speeds)
-            return self._reject_wheels(measurements, fit, tests, prior, yaw_rate, rank, suspects)
+        if self.options.faulty:
+            disagree = any(map(operator.gt, tests, self.gates))
+            if disagree or self.may_deviate(states.speeds, commanded):
+                return self._reject_wheels(
+                    measurements, fit, tests, prior, states, rank, commanded, disagree
+                )
         return self._result(fit, tests, rank)
+
+    def may_deviate(self, speeds: Sequence[float], commanded: Sequence[float] | None) -> bool:
+        """Returns whether a wheel may deviate from its command (rad/s).
+
+        A single distance of all speeds is faster than a test of each wheel.
+        """
+        return commanded is not None and dist(speeds, commanded) > self.least_deviation
 
     def least_squares(self, states: JointStates) -> Twist:
         """Returns the twist of an unweighted least-squares fit to the joint states.
@@ -281,12 +303,13 @@ class TwistEstimator:
         measurements = self._measurements(states)[0]
         if dropped:
             measurements = [
-                (0, *m[1:]) if w.number in dropped else m
+                (m[0] & ~USE_ROLL, *m[1:]) if w.number in dropped else m
                 for w, m in zip(self.wheels, measurements, strict=True)
             ]
         xm, ym = self._centre
         vx, vy, wz = twist.vx - ym * twist.wz, twist.vy + xm * twist.wz, twist.wz
-        prior = (0.0, 0.0) if estimate.rank == 3 else self.prior
+        # Without the faulty encoders, the wheels may not determine the whole twist.
+        prior = (0.0, 0.0) if estimate.rank == 3 and not dropped else self.prior
         fit = fit_twist(measurements, vx, vy, wz, self.squares, prior, states.yaw_rate)
         _, _, _, p11, p12, p13, p22, p23, p33, weighted = fit
         gradients: list[Row3] = []  # H' W m of each error
@@ -295,13 +318,13 @@ class TwistEstimator:
             turn = s * x - c * y
             roll = c * vx + s * vy + turn * wz
             if wheel.flags & USE_ROLL and (radius_error or scale_error):
-                k = roll / v_l if flags else 0.0
+                k = roll / v_l if flags & USE_ROLL else 0.0
                 s1, s2, s3 = s1 + k * c, s2 + k * s, s3 + k * turn
                 if radius_error:
                     k *= radius_error
                     gradients.append((k * c, k * s, k * turn))
             if wheel.flags & USE_SIDE and offset:
-                k = offset * roll / v_t if flags else 0.0
+                k = offset * roll / v_t
                 gradients.append((-k * s, k * c, k * (c * x + s * y)))
         if scale_error:
             gradients.append((scale_error * s1, scale_error * s2, scale_error * s3))
@@ -463,31 +486,37 @@ class TwistEstimator:
         fit: Fit,
         tests: list[float],
         prior: tuple[float, float],
-        yaw_rate: float | None,
+        states: JointStates,
         rank: int,
-        suspects: tuple[int, ...],
+        commanded: Sequence[float] | None,
+        disagree: bool,
     ) -> TwistEstimate:
         """Returns the estimate without the faulty wheels.
 
         If no combination of faulty wheels explains the misfit, the estimate uses all wheels and has
         a larger covariance.
         """
+        yaw_rate = states.yaw_rate
+        doubts, speeds = Suspicion(False, (), ()), []
+        if commanded is not None:
+            turning = [
+                (w.radius, states.speeds[w.number], commanded[w.number]) for w in self.wheels
+            ]
+            doubts = suspicion([(r * v, r * target) for r, v, target in turning])
+            # The contact of a wheel beside its steering axis also moves with the steering joint.
+            speeds = [
+                m[5] + r * (target - v)
+                for m, (r, v, target) in zip(measurements, turning, strict=True)
+            ]
         steps = 1 + self.options.polish
-
-        def refit(some: list[Measurement], previous: Fit, steps: int = steps) -> Fit:
-            for _ in range(steps):
-                previous = fit_twist(
-                    some, previous.vx, previous.vy, previous.wz, self.squares, prior, yaw_rate
-                )
-            return previous
-
-        def fit_anew(some: list[Measurement]) -> Fit:
-            first, _ = self._solve(unweighted_normal_equations(some), yaw_rate)
-            return refit(some, fit_twist(some, *first, self.squares, prior, yaw_rate))
-
-        search = HypothesisSearch(
-            self.gates, self._price, self.options.faulty, suspects, fit_anew, refit
-        )
+        fits = HypothesisFits(self._solve, self.squares, prior, self.prior, yaw_rate, steps, speeds)
+        if not disagree:
+            doubted = doubted_wheels(fit, doubts)
+            if not doubted:
+                return self._result(fit, tests, rank)
+            covered = covering(fit, [1.0], [fits.without_encoders(measurements)])
+            return self._result(covered, tests, rank, (), doubted)
+        search = HypothesisSearch(self.gates, self._price, self.options.faulty, doubts, fits)
         hypotheses = search.likely_hypotheses(measurements, fit)
         if not hypotheses:
             rows = sum((m[0] & USE_ROLL > 0) + (m[0] & USE_SIDE > 0) for m in measurements)
@@ -495,24 +524,25 @@ class TwistEstimator:
             # The reduced chi-square is the factor by which the measured variance exceeds the
             # assumed variance.
             growth = max(1.0, misfit(fit) / max(freedom, 1))
-            return self._result(fit, tests, rank, growth)
-        best = hypotheses[0]
+            covered = covering(fit, [growth, 1.0], [fit, fits.without_encoders(measurements)])
+            failed = [k for k, d in enumerate(tests) if d > self.gates[k]]
+            return self._result(covered, tests, rank, (), failed)
         mean, probability = mixture(hypotheses)
         faulty = faulty_wheels(hypotheses, probability)
-        dropped = tuple(sorted(self.wheels[k].number for k in faulty))
-        return self._result(mean, chi_squares(best.fit), rank, 1.0, dropped)
+        suspects = () if faulty else {k for h in hypotheses for k in h.rejected}
+        return self._result(mean, chi_squares(hypotheses[0].fit), rank, faulty, tuple(suspects))
 
     def _result(
         self,
         fit: Fit,
         tests: Sequence[float],
         rank: int,
-        growth: float = 1.0,
-        dropped: tuple[int, ...] = (),
+        dropped: Sequence[int] = (),
+        suspects: Sequence[int] = (),
     ) -> TwistEstimate:
         """Returns the estimate at ``base_link``.
 
-        The covariance of the estimated twist is multiplied by the factor ``growth``.
+        - ``dropped``, ``suspects``: indices of measurements.
 
         A fit about the centroid (xm, ym) with the twist xi and the covariance P is converted to
         ``base_link`` by xi' = A xi and P' = A P A', with A = [1 0 ym; 0 1 -xm; 0 0 1].
@@ -529,9 +559,6 @@ class TwistEstimator:
             p13, p23 = p13 + ym * p33, p23 - xm * p33
         if not math.isfinite(vx + vy + wz + p11 + p22 + p33 + float_sum(tests)):
             raise NotFiniteError(_UNBOUNDED)
-        if growth != 1.0:
-            p11, p12, p13 = growth * p11, growth * p12, growth * p13
-            p22, p23, p33 = growth * p22, growth * p23, growth * p33
         if not self._all_measure:
             per_wheel = [0.0] * self._n
             for wheel, d in zip(self.wheels, tests, strict=True):
@@ -541,4 +568,8 @@ class TwistEstimator:
         # Calling a class of named tuples takes twice as long as making the tuple directly.
         new = tuple.__new__
         twist = new(Twist, (vx, vy, wz))
-        return new(TwistEstimate, (twist, covariance, rank, tuple(tests), dropped))
+        if dropped or suspects:
+            numbers = [wheel.number for wheel in self.wheels]
+            dropped = tuple(sorted(numbers[k] for k in dropped))
+            suspects = tuple(sorted(numbers[k] for k in suspects))
+        return new(TwistEstimate, (twist, covariance, rank, tuple(tests), dropped, suspects))

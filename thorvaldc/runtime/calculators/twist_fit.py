@@ -315,6 +315,51 @@ def fit_twist(
     return tuple.__new__(Fit, (vx, vy, wz, p11, p12, p13, p22, p23, p33, weighted))
 
 
+def add_rolling_speed(fit: Fit, wheel: int, speed: float, variance: float) -> Fit:
+    """Returns ``fit`` with one more measurement of a wheel's rolling speed (m/s).
+
+    A measurement z = L xi + e with the variance r changes a fit with the covariance P by the gain k
+    = P L' / (L P L' + r):
+
+        xi + k (z - L xi),   P - k L P
+    """
+    vx, vy, wz, p11, p12, p13, p22, p23, p33, measurements = fit
+    _, c, s, x, y = measurements[wheel][:5]
+    turn = s * x - c * y
+    g1 = p11 * c + p12 * s + p13 * turn
+    g2 = p12 * c + p22 * s + p23 * turn
+    g3 = p13 * c + p23 * s + p33 * turn
+    scale = 1.0 / (c * g1 + s * g2 + turn * g3 + variance)
+    gain = scale * (speed - c * vx - s * vy - turn * wz)
+    return Fit(
+        vx + g1 * gain,
+        vy + g2 * gain,
+        wz + g3 * gain,
+        p11 - scale * g1 * g1,
+        p12 - scale * g1 * g2,
+        p13 - scale * g1 * g3,
+        p22 - scale * g2 * g2,
+        p23 - scale * g2 * g3,
+        p33 - scale * g3 * g3,
+        measurements,
+    )
+
+
+def rolling_leverage(fit: Fit, wheel: int) -> float:
+    """Returns the influence L P L' / sigma_L^2 of a measured rolling speed on its own estimate.
+
+    The influence is 1 if no other measurement confirms the speed, and 0 if the other measurements
+    determine it.
+    """
+    _, _, _, p11, p12, p13, p22, p23, p33, measurements = fit
+    _, c, s, x, y, _, _, v_l, _ = measurements[wheel]
+    turn = s * x - c * y
+    g1 = p11 * c + p12 * s + p13 * turn
+    g2 = p12 * c + p22 * s + p23 * turn
+    g3 = p13 * c + p23 * s + p33 * turn
+    return (c * g1 + s * g2 + turn * g3) / v_l
+
+
 def _mean_square_roll(
     measurements: Sequence[Measurement], vx: float, vy: float, wz: float
 ) -> float:

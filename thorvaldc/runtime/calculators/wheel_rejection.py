@@ -8,30 +8,60 @@ the largest chi-square.  The search therefore fits the twist without each wheel 
 (leave-one-out).  If no single wheel explains the misfit, the search also leaves out pairs of
 wheels.  Cost of the hypothesis that the wheels of a set F are faulty:
 
-    cost = misfit of the used measurements + sum over the k-th wheel of F of k * price
+    cost = misfit of the used measurements + price of F
 
-Up to a constant, the cost of a hypothesis is -2 log of its likelihood.  ``price`` is the chi-square
-that a healthy wheel exceeds with the permitted rate of false rejections.  Because of the factor k,
-the search assumes that two faulty wheels are less likely than one.  Hypotheses of nearly equal cost
-are averaged with the weights exp(-cost / 2).
+Up to a constant, the cost of a hypothesis is -2 log of its likelihood.  Hypotheses of nearly equal
+cost are averaged with the weights exp(-cost / 2).
 
-Two pairs of wheels of a robot with four wheels can each be consistent: two dead encoders show a
-robot that stands, and the other two encoders show a robot that drives.  The search treats such
-pairs in two ways:
+A vote of the wheels alone is wrong if more than half of them are faulty: two dead encoders of three
+agree that the robot stands.  Only the commands can tell.  With the commanded speed c and the
+measured speed z of an encoder, the wheel
 
-*   Consistent pairs are equally likely.  A smaller misfit is no evidence, because two dead encoders
-    have no noise and therefore the misfit 0.
-*   A wheel that was commanded to turn, but does not turn, is suspect.  A hypothesis that trusts the
-    speed of a suspect wheel has a higher cost.
+*   follows its command if |z - c| is at most the error e(c) of ``following_error``;
+*   is suspect if z / c < 0.2, as of a dead or reversed encoder or a stalled motor;
+*   deviates otherwise, as of a stuck encoder, a delay, or a motor at its limit.
+
+The price of F has these parts (``q`` is the chi-square that a healthy wheel exceeds with the
+permitted rate of false rejections):
+
+*   k q for the k-th wheel of F that follows its command.  Because of the factor k, two faulty
+    wheels are less likely than one.
+*   6 for each suspect wheel outside of F.  A suspect wheel in F costs nothing: the command explains
+    it.
+*   5 for each deviating wheel in F, and 5 once if F leaves a deviating wheel: encoders get stuck
+    one by one, but a load slows down all wheels at once.
+
+The search adds the sets F of all suspect wheels, and of all suspect and deviating wheels, of any
+size.  The wheels of such a set F keep their directions.  A small error of a single trusted encoder
+that nothing else confirms (its leverage L P L' / sigma_L^2 is near 1), or of encoders that are not
+the majority, cannot be seen.  Then the covariance also includes the hypothesis that all encoders
+are wrong and the wheels follow their commands.
+
+In the covariance, each likely hypothesis has at least the weight w = 0.1.  If a hypothesis at the
+distance d from the mean is true, the squared error d' (w d d' + ...)^-1 d is at most 1 / w = 10,
+below the 99.9 % quantile 16.3 of the chi-square distribution with 3 degrees of freedom.
+
+Without redundancy no wheel disagrees: two wheels on an axle, or encoders that are all dead.  If
+a wheel is suspect, or deviates and no other wheel confirms it, the twist stays as measured, and its
+covariance gets the square of the distance to the twist of the commands (``doubted_wheels``).
+Wheels without a command are never suspect: robots are pushed and roll out.
+
+Without commands (``commanded`` is empty), consistent pairs of wheels are equally likely.  A smaller
+misfit is no evidence, because two dead encoders have no noise and therefore the misfit 0.  If at
+least half of the wheels stand, they may all be dead.
+
+A wrong radius agrees with its command.  One of few measurements that is wrong by a few standard
+deviations changes the twist more than the chi-squares, and stays unnoticed.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from thorvaldc.model.float_sum import float_sum
+from thorvaldc.runtime.calculators.hypothesis_fits import HypothesisFits, following_error
 from thorvaldc.runtime.calculators.twist_fit import (
     TEST_ROLL,
     USE_ROLL,
@@ -41,6 +71,7 @@ from thorvaldc.runtime.calculators.twist_fit import (
     chi_squares,
     compare_with_others,
     misfit,
+    rolling_leverage,
 )
 
 _CREDIBLE = 6.63
@@ -52,10 +83,21 @@ _NEGLIGIBLE = 9.2
 """A hypothesis has a weight below 1 % if its cost exceeds the smallest cost by this difference."""
 _SUSPECT_PRICE = 6.0
 """Cost of a hypothesis that trusts the speed of a suspect wheel: odds of 1 to 20."""
-_SUSPECT_SPEED = 0.05
-"""Commanded speed (m/s) from which a wheel that does not turn is suspect."""
+_DEVIATION_PRICE = 5.0
+"""Cost of a deviating wheel that is rejected, and of a hypothesis that trusts deviating wheels.
+
+Encoders get stuck one by one, but a load delays all wheels at once.
+"""
+COMMANDED_SPEED = 0.05
+"""Commanded speed (m/s) from which a wheel can contradict its command."""
 _SUSPECT_SHARE = 0.2
-"""A wheel does not turn if its speed is below this share of the commanded speed."""
+"""A wheel stands or turns backwards if its speed is below this share of the commanded speed."""
+_STANDING = 0.005
+"""Speed (m/s) below which a wheel stands."""
+_UNCONFIRMED = 0.75
+"""Share of a measured speed in its own estimate from which no other wheel confirms it."""
+_LEAST_WEIGHT = 0.1
+"""Least weight of a likely hypothesis in the covariance: the truth is within 3.2 sigma."""
 _MIN_PROBABILITY = 0.6
 """Least probability at which a single faulty wheel is named: it exceeds all others clearly."""
 _MIN_PAIR_PROBABILITY = 0.97
@@ -84,6 +126,20 @@ class Hypothesis(NamedTuple):
     cost: float
     misfit: float
     worst_ratio: float
+    by_commands: bool = False
+
+
+class Suspicion(NamedTuple):
+    """Measured wheels whose speeds contradict the commands.
+
+    - ``known``: ``True`` if the commands are known.
+    - ``suspects``: indices of the wheels that stand or turn backwards although commanded.
+    - ``deviating``: indices of the wheels that turn in the commanded direction at a wrong speed.
+    """
+
+    known: bool
+    suspects: tuple[int, ...]
+    deviating: tuple[int, ...]
 
 
 class HypothesisSearch:
@@ -92,12 +148,10 @@ class HypothesisSearch:
     - ``gates``: for each measured wheel, the chi-square above which the wheel disagrees.
     - ``price``: cost of a rejected wheel, as explained in the documentation of the module
       ``wheel_rejection``.
-    - ``max_rejected``: largest number of faulty wheels, 0 to 2.
-    - ``suspects``: indices of the measured wheels that do not turn although commanded.
-    - ``fit_anew``: function that fits the twist, with weights from the unweighted fit of the same
-      measurements.  With ``fit_anew``, the weights of the healthy wheels are independent of the
-      faulty wheels.
-    - ``refit``: function that fits the twist with weights from a previous fit.
+    - ``max_rejected``: largest number of faulty wheels that the search rejects against their
+      commands, 0 to 2.
+    - ``suspicion``: wheels that contradict their commands.
+    - ``fits``: fits of the twist under a hypothesis.
     """
 
     def __init__(
@@ -105,16 +159,14 @@ class HypothesisSearch:
         gates: Sequence[float],
         price: float,
         max_rejected: int,
-        suspects: Sequence[int],
-        fit_anew: Callable[[list[Measurement]], Fit],
-        refit: Callable[[list[Measurement], Fit], Fit],
+        suspicion: Suspicion,
+        fits: HypothesisFits,
     ) -> None:
         self._gates = gates
         self._price = price
         self._max_rejected = max_rejected
-        self._suspects = suspects
-        self._fit_anew = fit_anew
-        self._refit = refit
+        self._suspicion = suspicion
+        self._fits = fits
 
     def likely_hypotheses(self, measurements: list[Measurement], fit: Fit) -> list[Hypothesis]:
         """Returns all likely hypotheses about faulty wheels, the most likely hypothesis first.
@@ -126,7 +178,8 @@ class HypothesisSearch:
         all_healthy = self._hypothesis((), measurements, fit)
         singles = self._reject_one_more(all_healthy)
         singles.sort(key=_cost)
-        hypotheses = [all_healthy, *singles]
+        hypotheses = [all_healthy, *singles, *self._by_commands(measurements)]
+        hypotheses += self._without_commands(measurements)
         if singles and self._max_rejected > 1 and min(hypotheses, key=_cost).worst_ratio > 1.0:
             pairs: list[Hypothesis] = []
             for rank, single in enumerate(singles[:_PAIR_SEEDS]):
@@ -134,15 +187,94 @@ class HypothesisSearch:
                 visited = [s.rejected[0] for s in singles[:rank]]
                 pairs += self._reject_one_more(single, visited)
             hypotheses += _equally_likely(pairs)
-        hypotheses.sort(key=_cost)
+        hypotheses = _distinct(hypotheses)
         best = hypotheses[0]
         if best.worst_ratio > 2.0:  # twice the gate has about the square of the gate's probability
             return []
-        return [
-            h._replace(fit=self._refit(h.measurements, h.fit)) if h.rejected else h
+        likely = [
+            h._replace(fit=self._fits.refit(h.measurements, h.fit))
+            if h.rejected and not h.by_commands
+            else h
             for h in hypotheses
             if h.cost - best.cost < _NEGLIGIBLE
         ]
+        encoders = len(_encoders(measurements))
+        suspicious = self._suspicion.suspects or self._suspicion.deviating
+        if suspicious and any(2 * len(h.rejected) >= encoders or _unconfirmed(h) for h in likely):
+            last = self._encoders_faulty(_encoders(measurements), measurements)
+            likely.append(last._replace(cost=max(last.cost, best.cost + _NEGLIGIBLE)))
+        return likely
+
+    def _by_commands(self, measurements: list[Measurement]) -> list[Hypothesis]:
+        """Returns the hypotheses that all wheels with wrong speeds have faulty encoders.
+
+        The number of these wheels is not limited.  If the other wheels still disagree, one of them
+        is faulty too, or all encoders are.
+        """
+        _, suspects, deviating = self._suspicion
+        hypotheses: list[Hypothesis] = []
+        if not (suspects or deviating):
+            return hypotheses
+        encoders = _encoders(measurements)
+        for rejected in sorted({suspects, tuple(sorted((*suspects, *deviating)))} - {()}):
+            first = self._encoders_faulty(rejected, measurements)
+            hypotheses.append(first)
+            if first.worst_ratio > 1.0:
+                hypotheses += [
+                    self._encoders_faulty((*rejected, k), measurements)
+                    for k in encoders
+                    if k not in rejected
+                ]
+        return [*hypotheses, self._encoders_faulty(encoders, measurements)]
+
+    def _without_commands(self, measurements: list[Measurement]) -> list[Hypothesis]:
+        """Returns two equally likely hypotheses if at least half of the wheels stand.
+
+        Either the robot stands, and the other wheels spin, or the encoders of the standing wheels
+        are dead.  The agreement of wheels that stand is no evidence.
+        """
+        encoders = _encoders(measurements)
+        standing = tuple(k for k in encoders if abs(measurements[k][5]) < _STANDING)
+        moving = tuple(k for k in encoders if k not in standing)
+        if self._suspicion.known or not moving or len(standing) < len(moving):
+            return []
+        return [
+            self._encoders_faulty(rejected, measurements)._replace(cost=self._price)
+            for rejected in (standing, moving)
+        ]
+
+    def _encoders_faulty(
+        self, rejected: tuple[int, ...], measurements: list[Measurement]
+    ) -> Hypothesis:
+        """Returns the hypothesis that wheels measure their directions, but not their speeds."""
+        remaining = [
+            _with_use(m, m[0] & USE_SIDE) if k in rejected else m
+            for k, m in enumerate(measurements)
+        ]
+        fit = self._fits.with_commands(remaining, rejected)
+        worst_ratio = 0.0
+        for k, (d, gate) in enumerate(zip(chi_squares(fit), self._gates, strict=True)):
+            if k in rejected:
+                d, gate = compare_with_others(fit, fit.measurements[k]).side, self._price
+            worst_ratio = max(worst_ratio, d / gate)
+        disagreement = misfit(fit)
+        cost = disagreement + self._price_of(rejected)
+        return Hypothesis(rejected, remaining, fit, cost, disagreement, worst_ratio, True)
+
+    def _price_of(self, rejected: Sequence[int]) -> float:
+        """Returns the cost of the assumption that the wheels ``rejected`` alone are faulty."""
+        _, suspects, deviating = self._suspicion
+        cost = _SUSPECT_PRICE * len(set(suspects).difference(rejected))
+        if set(deviating).difference(rejected):
+            cost += _DEVIATION_PRICE
+        order = 0
+        for k in rejected:
+            if k in deviating:
+                cost += _DEVIATION_PRICE
+            elif k not in suspects:
+                order += 1
+                cost += order * self._price
+        return cost
 
     def _reject_one_more(
         self, hypothesis: Hypothesis, visited: Sequence[int] = ()
@@ -166,7 +298,7 @@ class HypothesisSearch:
                 _with_use(m, 0) if j in rejected else m
                 for j, m in enumerate(hypothesis.measurements)
             ]
-            extended.append(self._hypothesis(rejected, remaining, self._fit_anew(remaining)))
+            extended.append(self._hypothesis(rejected, remaining, self._fits.anew(remaining)))
         return extended
 
     def _hypothesis(
@@ -182,10 +314,9 @@ class HypothesisSearch:
             if k not in rejected:
                 worst_ratio = max(worst_ratio, d / self._gates[k])
         disagreement = misfit(fit)
-        cost = _SUSPECT_PRICE * sum(1 for k in self._suspects if k not in rejected)
+        cost = self._price_of(rejected)
         measurements, current = [*measurements], fit
         for order, k in enumerate(rejected, 1):
-            cost += order * self._price
             if not measurements[k][0] & TEST_ROLL:
                 continue
             comparison = compare_with_others(current, current.measurements[k])
@@ -197,9 +328,30 @@ class HypothesisSearch:
                 row = USE_ROLL if comparison.roll == smaller else USE_SIDE
                 measurements[k] = _with_use(measurements[k], row)
                 if order < len(rejected):
-                    current = self._refit(measurements, current)
+                    current = self._fits.refit(measurements, current)
         cost += disagreement
         return Hypothesis(rejected, measurements, fit, cost, disagreement, worst_ratio)
+
+
+def _encoders(measurements: Sequence[Measurement]) -> tuple[int, ...]:
+    return tuple(k for k, m in enumerate(measurements) if m[0] & USE_ROLL)
+
+
+def _distinct(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
+    """Returns the hypotheses, the most likely first, with each set of faulty wheels once."""
+    distinct: dict[frozenset[int], Hypothesis] = {}
+    for h in sorted(hypotheses, key=_cost):
+        distinct.setdefault(frozenset(h.rejected), h)
+    return list(distinct.values())
+
+
+def _unconfirmed(hypothesis: Hypothesis) -> bool:
+    """Returns ``True`` if no other wheel confirms the speed of a trusted encoder."""
+    fit = hypothesis.fit
+    return any(
+        m[0] & USE_ROLL and rolling_leverage(fit, k) > _UNCONFIRMED
+        for k, m in enumerate(hypothesis.measurements)
+    )
 
 
 def _equally_likely(pairs: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -210,20 +362,30 @@ def _equally_likely(pairs: Sequence[Hypothesis]) -> list[Hypothesis]:
     ]
 
 
-def suspect_wheels(
-    measurements: Sequence[Measurement], commanded: Sequence[float]
-) -> tuple[int, ...]:
-    """Returns the indices of the measured wheels that were commanded to turn, but do not turn.
+def suspicion(speeds: Sequence[tuple[float, float]]) -> Suspicion:
+    """Returns the wheels whose speeds contradict the commands.
 
-    ``commanded``: commanded speed of each measured wheel, m/s.
+    ``speeds``: measured and commanded speed (m/s) of each wheel; 0 for a wheel without encoder.
     """
-    return tuple(
-        k
-        for k, (m, speed) in enumerate(zip(measurements, commanded, strict=True))
-        if m[0] & TEST_ROLL
-        and abs(speed) > _SUSPECT_SPEED
-        and abs(m[5]) < _SUSPECT_SHARE * abs(speed)
-    )
+    suspects, deviating = [], []
+    for k, (measured, speed) in enumerate(speeds):
+        if abs(speed) <= COMMANDED_SPEED:
+            continue
+        if measured / speed < _SUSPECT_SHARE:
+            suspects.append(k)
+        elif abs(measured - speed) > following_error(speed):
+            deviating.append(k)
+    return Suspicion(True, tuple(suspects), tuple(deviating))
+
+
+def doubted_wheels(fit: Fit, doubts: Suspicion) -> tuple[int, ...]:
+    """Returns the wheels that may be faulty although all wheels agree.
+
+    Wheels that all stand or turn backwards agree.  A deviating wheel is doubted only if no other
+    wheel confirms its speed; a load or a delay lets all wheels deviate by the same share.
+    """
+    unconfirmed = (k for k in doubts.deviating if rolling_leverage(fit, k) > _UNCONFIRMED)
+    return (*doubts.suspects, *unconfirmed)
 
 
 def faulty_wheels(hypotheses: Sequence[Hypothesis], probability: float) -> tuple[int, ...]:
@@ -254,8 +416,18 @@ def mixture(hypotheses: Sequence[Hypothesis]) -> tuple[Fit, float]:
     vx = float_sum(p * f.vx for p, f in zip(probabilities, fits, strict=True))
     vy = float_sum(p * f.vy for p, f in zip(probabilities, fits, strict=True))
     wz = float_sum(p * f.wz for p, f in zip(probabilities, fits, strict=True))
+    mean = best.fit._replace(vx=vx, vy=vy, wz=wz)
+    return covering(mean, [max(p, _LEAST_WEIGHT) for p in probabilities], fits), probabilities[0]
+
+
+def covering(mean: Fit, weights: Sequence[float], fits: Sequence[Fit]) -> Fit:
+    """Returns ``mean`` with the covariance sum w_i (P_i + (xi_i - xi) (xi_i - xi)').
+
+    With weights of sum 1 this is the covariance of a mixture.
+    """
+    vx, vy, wz = mean[:3]
     p11 = p12 = p13 = p22 = p23 = p33 = 0.0
-    for p, f in zip(probabilities, fits, strict=True):
+    for p, f in zip(weights, fits, strict=True):
         dx, dy, dw = f.vx - vx, f.vy - vy, f.wz - wz
         p11 += p * (f.p11 + dx * dx)
         p12 += p * (f.p12 + dx * dy)
@@ -263,8 +435,7 @@ def mixture(hypotheses: Sequence[Hypothesis]) -> tuple[Fit, float]:
         p22 += p * (f.p22 + dy * dy)
         p23 += p * (f.p23 + dy * dw)
         p33 += p * (f.p33 + dw * dw)
-    mean = Fit(vx, vy, wz, p11, p12, p13, p22, p23, p33, best.fit.measurements)
-    return mean, probabilities[0]
+    return Fit(vx, vy, wz, p11, p12, p13, p22, p23, p33, mean.measurements)
 
 
 def _cost(hypothesis: Hypothesis) -> float:

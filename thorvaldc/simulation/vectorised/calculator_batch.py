@@ -128,14 +128,16 @@ class CalculatorBatch:
         rates: Array | None = None,
         yaw_rates: Array | None = None,
         commanded: Callable[[int], Sequence[float] | None] | None = None,
+        suspects: dict[int, tuple[int, ...]] | None = None,
     ) -> dict[int, tuple[int, ...]]:
         """Estimates twists without faulty wheels, as ``TwistEstimator.estimate`` does.
 
         The parameters are the same as in ``weighted``.  ``commanded`` returns the commanded wheel
         speeds (rad/s) of an array column, if they are known.  Returns a dictionary with the indices
-        of the faulty wheels, for each column with faulty wheels.  The scalar estimator computes the
-        few columns in which a wheel disagrees with the other wheels.  Raises the same errors as
-        ``least_squares``.
+        of the faulty wheels, for each column with faulty wheels.  ``suspects`` receives the indices
+        of the wheels that may be faulty, for each column with such wheels.  The scalar estimator
+        computes the few columns in which a wheel disagrees with the other wheels or with its
+        command.  Raises the same errors as ``least_squares``.
         """
         return self._estimate(
             speeds,
@@ -146,6 +148,7 @@ class CalculatorBatch:
             rates,
             yaw_rates,
             commanded,
+            suspects,
             reject=True,
         )
 
@@ -159,6 +162,7 @@ class CalculatorBatch:
         rates: Array | None,
         yaw_rates: Array | None,
         commanded: Callable[[int], Sequence[float] | None] | None = None,
+        suspects: dict[int, tuple[int, ...]] | None = None,
         *,
         reject: bool,
     ) -> dict[int, tuple[int, ...]]:
@@ -197,6 +201,8 @@ class CalculatorBatch:
                 chi_squares[[wheel.number for wheel in estimator.wheels], piece] = tests[:, :size]
             if reject and estimator.options.faulty:
                 suspect: NDArray[np.bool_] = np.any(tests[:, :size] > gates, axis=0)
+                if commanded is not None:
+                    suspect |= _deviating(estimator, speeds[:, piece], piece, commanded)
                 scalar_mask = suspect if scalar_mask is None else suspect | scalar_mask
             for k in _indices(scalar_mask):
                 index = piece.start + k
@@ -210,6 +216,8 @@ class CalculatorBatch:
                     chi_squares[:, index] = estimate.chi_squares
                 if estimate.dropped:
                     dropped[index] = estimate.dropped
+                if estimate.suspects and suspects is not None:
+                    suspects[index] = estimate.suspects
         return dropped
 
     def _estimator_without_rejection(self) -> TwistEstimator:
@@ -273,6 +281,22 @@ def _piece(
     speeds: Array, angles: Array, rates: Array | None, piece: slice
 ) -> tuple[Array, Array, Array | None]:
     return speeds[:, piece], angles[:, piece], None if rates is None else rates[:, piece]
+
+
+def _deviating(
+    estimator: TwistEstimator,
+    speeds: Array,
+    piece: slice,
+    commanded: Callable[[int], Sequence[float] | None],
+) -> NDArray[np.bool_]:
+    """Returns in which columns a wheel may deviate from its command (rad/s)."""
+    rows = [commanded(k) for k in range(piece.start, piece.stop)]
+    none = [0.0] * len(speeds)
+    commands = np.array([none if row is None else row for row in rows]).T
+    deviating: NDArray[np.bool_] = np.abs(speeds - commands) > estimator.least_deviation
+    deviating &= np.abs(commands) > estimator.least_command
+    result: NDArray[np.bool_] = np.any(deviating, axis=0)
+    return result
 
 
 def _indices(mask: NDArray[np.bool_] | None) -> list[int]:

@@ -110,6 +110,7 @@ class OdometryBatch:
         speeds, rates = (end - start) / dt
         angles = (start[1] + end[1]) / 2.0
         twists, noise, tests = np.empty((3, n)), np.empty((6, n)), np.empty((self._wheels, n))
+        suspects: dict[int, tuple[int, ...]] = {}
         dropped = self._batch.estimate(
             speeds,
             angles,
@@ -118,6 +119,7 @@ class OdometryBatch:
             tests,
             rates,
             commanded=lambda i: self._odometries[robots[i]].calculator.commanded_speeds,
+            suspects=suspects,
         )
         dx, dy, angle = twists * dt
         turn = _turn(angle)
@@ -129,7 +131,9 @@ class OdometryBatch:
         self._poses[:, robots], self._covariances[:, robots] = poses, new_covariances
         columns = [array.T.tolist() for array in (twists, noise, tests, poses, new_covariances)]
         for i, (k, twist, q, test, pose, p) in enumerate(zip(robots, *columns, strict=True)):
-            estimate = TwistEstimate(Twist(*twist), _full(q), 3, tuple(test), dropped.get(i, ()))
+            estimate = TwistEstimate(
+                Twist(*twist), _full(q), 3, tuple(test), dropped.get(i, ()), suspects.get(i, ())
+            )
             states, new_pose, covariance = self._copied[k] = joints[k], Pose2(*pose), _full(p)
             self._odometries[k].store(states, now, estimate, new_pose, covariance)
 

@@ -1,0 +1,144 @@
+"""Any number of faulty encoders: the estimate is never wrong and sure, and says what it doubts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from bench.faulty_encoders import FAULTS, robots, study
+from tests.conformance.wheels import wheel
+from tests.runtime.calculators.test_wheel_rejection import FOUR, MOTIONS, joints
+from tests.runtime.can_base.simulated_rig import FORWARD
+from tests.runtime.test_driven_robot import Operators
+from thorvaldc.runtime.base_interface import JointStates
+from thorvaldc.runtime.calculators import BaseGeometry
+from thorvaldc.runtime.calculators.differential import Differential
+from thorvaldc.runtime.calculators.general import General
+from thorvaldc.runtime.calculators.twist_estimator import TwistEstimator
+from thorvaldc.runtime.odometry import Odometry
+from thorvaldc.runtime.se2 import Twist
+
+ROBOTS = robots()
+THREE = list(ROBOTS["3 steered"].wheels)
+
+
+def with_speeds(states: JointStates, speeds: dict[int, float]) -> JointStates:
+    measured = [speeds.get(i, v) for i, v in enumerate(states.speeds)]
+    return JointStates(states.time, measured, states.angles, states.angle_rates)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_estimates_are_not_overconfident(robot: str, fault: str) -> None:
+    """At most 1 % of the motions are outside of the 99.9 % ellipsoid, for any number of faults."""
+    geometry = ROBOTS[robot]
+    samples = 40
+    shares = [study(geometry, fault, k, samples) for k in range(1, len(geometry.wheels) + 1)]
+    assert sum(s.outside for s in shares) <= len(shares) + 100.0 / samples
+    assert max(s.nees for s in shares) <= 1.6
+    # A covariance that is always large would be easy, but useless.
+    if fault == "dead" and "steered" in robot:
+        assert min(s.named for s in shares[:-1]) >= 85.0
+        assert max(s.wrong for s in shares) <= 100.0 / samples
+
+
+@pytest.mark.parametrize("motion", MOTIONS[:3], ids=str)
+def test_two_of_three_dead_encoders_are_named(motion: Twist) -> None:
+    states = joints(THREE, motion)
+    estimator = TwistEstimator(BaseGeometry.from_wheels(THREE))
+    estimate = estimator.estimate(with_speeds(states, {0: 0.0, 2: 0.0}), states.speeds)
+    assert estimate.dropped == (0, 2)
+    assert estimate.suspects == ()
+    assert estimate.twist == pytest.approx(motion, abs=0.01)
+
+
+def test_without_commands_a_minority_that_moves_is_not_left_out() -> None:
+    states = joints(THREE, Twist(0.8, 0.0, 0.0))
+    estimator = TwistEstimator(BaseGeometry.from_wheels(THREE))
+    estimate = estimator.estimate(with_speeds(states, {0: 0.0, 2: 0.0}))
+    assert estimate.dropped == ()
+    assert estimate.suspects == (0, 1, 2)
+    assert math.sqrt(estimate.covariance[0][0]) == pytest.approx(0.4, abs=0.05)
+
+
+@pytest.mark.parametrize("share", [0.0, -1.0])
+def test_the_covariance_contains_the_command_if_all_wheels_contradict_theirs(share: float) -> None:
+    """All encoders are dead or reversed, or the robot stands or rolls back: nothing decides."""
+    states = joints(FOUR, Twist(0.8, 0.0, 0.0))
+    wrong = with_speeds(states, {i: share * v for i, v in enumerate(states.speeds)})
+    estimator = TwistEstimator(BaseGeometry.from_wheels(FOUR))
+    estimate = estimator.estimate(wrong, states.speeds)
+    assert estimate.twist.vx == pytest.approx(0.8 * share, abs=1e-9)
+    assert math.sqrt(estimate.covariance[0][0]) == pytest.approx(0.8 * (1.0 - share), rel=0.02)
+    assert (estimate.dropped, estimate.suspects) == ((), (0, 1, 2, 3))
+
+
+@pytest.mark.parametrize("motion", MOTIONS, ids=str)
+def test_wheels_that_agree_and_turn_as_commanded_change_nothing(motion: Twist) -> None:
+    """Also while a delay or a load lets them all deviate from their commands."""
+    states = joints(FOUR, motion)
+    estimator = TwistEstimator(BaseGeometry.from_wheels(FOUR))
+    for share in (1.0, 0.9, 1.5):
+        commanded = [share * v for v in states.speeds]
+        assert estimator.estimate(states, commanded) == estimator.estimate(states)
+
+
+def test_a_robot_that_is_pushed_is_not_suspect() -> None:
+    states = joints(FOUR, Twist(0.8, 0.0, 0.0))
+    estimator = TwistEstimator(BaseGeometry.from_wheels(FOUR))
+    assert estimator.estimate(states, [0.0] * 4) == estimator.estimate(states)
+
+
+def test_closed_form_of_two_wheels_compares_them_with_their_commands() -> None:
+    wheels = [wheel("left", 0.0, 0.4, "fixed"), wheel("right", 0.0, -0.4, "fixed")]
+    calculator = Differential(BaseGeometry.from_wheels(wheels))
+    joint_commands = calculator.command(Twist(0.8, 0.0, 0.0)).joints
+    states = JointStates(0.0, joint_commands.speeds, joint_commands.angles, [0.0, 0.0])
+    assert calculator.odometry(states).suspects == ()
+    estimate = calculator.odometry(with_speeds(states, {0: 0.0}))
+    assert estimate.suspects == (0,)
+    assert math.sqrt(estimate.covariance[2][2]) == pytest.approx(1.0, rel=0.1)
+
+
+def test_odometry_warns_of_lasting_faults_only() -> None:
+    calculator = General(BaseGeometry.from_wheels(THREE))
+    states = joints(THREE, Twist(0.8, 0.0, 0.0))
+    calculator.command(Twist(0.8, 0.0, 0.0))
+    odometry = Odometry(calculator, (1.5, 1.0))
+
+    def warnings_after(ticks: int, speeds: dict[int, float]) -> list[str]:
+        for _ in range(ticks):
+            time = odometry.joints.time + 0.02 if odometry.joints else 0.0
+            measured = with_speeds(states, speeds)
+            odometry.update(replace(measured, time=time), time)
+        return odometry.warnings
+
+    assert warnings_after(20, {}) == []
+    assert warnings_after(25, {0: 0.0, 2: 0.0}) == []
+    (dropped,) = warnings_after(60, {0: 0.0, 2: 0.0})
+    assert "left out w0, w2" in dropped
+    assert warnings_after(120, {}) == []
+    (doubted,) = warnings_after(90, dict.fromkeys(range(3), 0.0))
+    assert "w0, w1, w2 may be wrong" in doubted
+
+
+def test_the_state_of_a_robot_shows_the_warnings() -> None:
+    """Three encoders of four die while the robot drives; the ideal base itself is healthy."""
+    operators = Operators()
+    operators.drive()
+    robot = operators.robot
+    assert robot.state()["warnings"] == []
+    read = robot.base.read
+
+    def dead(now: float) -> JointStates:
+        states = read(now)
+        speeds = [*states.speeds[:1], 0.0, 0.0, 0.0]
+        return replace(states, speeds=speeds, positions=None)
+
+    robot.driver.base.read = dead  # type: ignore[method-assign]
+    operators.run(3.0)
+    (warning,) = robot.state()["warnings"]
+    assert warning.startswith("odometry: left out")
+    assert robot.driver.state.odometry.twist.vx == pytest.approx(FORWARD.vx, rel=0.05)
