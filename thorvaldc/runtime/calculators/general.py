@@ -367,6 +367,7 @@ class General(BaseCalculator):
             if ticks == math.inf and share < _MIN_SHARE:
                 self._choose_angles(start, angles, speeds)
                 return start, True
+            beyond = slower
             slower = Twist(
                 start.vx + share * (target.vx - start.vx),
                 start.vy + share * (target.vy - start.vy),
@@ -376,6 +377,11 @@ class General(BaseCalculator):
                 slower, limiting = self._reachable.project(slower)
                 if limiting and ticks == math.inf:
                     continue  # unreachable twists separate the two motions
+                if limiting:
+                    # The centre of rotation has to cross the circle of a contact point with trail.
+                    # The projection would stay at its near edge for ever.  The wheels turn to the
+                    # twist beyond it, which no rolling wheel reaches by turning too far.
+                    slower = beyond
             self._choose_angles(slower, angles, speeds)
             if ticks < math.inf:
                 break
