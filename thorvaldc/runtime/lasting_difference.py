@@ -131,7 +131,8 @@ def difference_text(
     causes = []
     if not is_axle_swing(commanded, infeasible):
         wheels = ", ".join(robot.wheels[i].name for i in calculator.limiting_wheels(commanded))
-        causes.append(f"cannot steer {wheels}" if wheels else "its fixed wheels do not allow it")
+        reason = f"{wheels} cannot steer to it" if wheels else "its fixed wheels do not allow it"
+        causes.append(reason)
     if limit:
         causes.append(f"limited by {limit}")
     fast = ", ".join(

@@ -78,7 +78,7 @@ def report_run(
                 "twist-not-followed",
                 f"{loop.name} does not follow its command: {loop.not_followed}",
                 loop.robot.span,
-                hint="command a slower twist, or look for a steering joint that is held",
+                hint="command a slower twist, or free the steering joint that the message names",
             )
         limited = loop.driver.calculator.limiting_wheels(loop.infeasible_twist)
         if (

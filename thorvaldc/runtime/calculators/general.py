@@ -368,19 +368,14 @@ class General(BaseCalculator):
                 self._choose_angles(start, angles, speeds)
                 return start, True
             beyond = slower
-            slower = Twist(
-                start.vx + share * (target.vx - start.vx),
-                start.vy + share * (target.vy - start.vy),
-                start.wz + share * (target.wz - start.wz),
-            )
+            slower = start.towards(target, share)
             if not self._unconstrained:
                 slower, limiting = self._reachable.project(slower)
                 if limiting and ticks == math.inf:
                     continue  # unreachable twists separate the two motions
                 if limiting:
-                    # The centre of rotation has to cross the circle of a contact point with trail.
-                    # The projection would stay at its near edge for ever.  The wheels turn to the
-                    # twist beyond it, which no rolling wheel reaches by turning too far.
+                    # The centre of rotation must cross the circle of a contact point with trail.
+                    # The projection would stay at its near edge for ever.
                     slower = beyond
             self._choose_angles(slower, angles, speeds)
             if ticks < math.inf:
