@@ -17,9 +17,8 @@ therefore produce the twist xi* that causes the least scrub at the present steer
     xi* = argmin sum (T_i(theta_i) xi)^2 + lambda |xi - xi_target|^2
 
 T_i is the side-slip row of wheel i (see ``WheelGeometry.rows``), and lambda is a small weight.
-If xi* is larger than xi_target, xi* is scaled down to the size of xi_target: a contact point with
-trail moves sideways while its wheel turns, and without a limit the robot would follow this motion,
-much faster than commanded.
+If xi* is larger than xi_target, xi* is scaled down to the size of xi_target: the robot would
+otherwise follow the sideways motion of turning contact points with trail, much too fast.
 """
 
 from __future__ import annotations
@@ -110,7 +109,7 @@ class General(BaseCalculator):
 
     Steps of the method ``command``:
 
-    1.  Replace the commanded twist by the nearest twist that the fixed wheels allow.
+    1.  Replace the commanded twist by one that the fixed wheels and the steering limits allow.
     2.  Choose the target angles of all steering joints.
     3.  Reduce the change of the twist if steering joints cannot follow it within one tick.
     4.  Move the commanded steering angles towards the target angles.
