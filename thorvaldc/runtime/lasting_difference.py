@@ -68,8 +68,9 @@ class LastingDifference:
         - ``actual``: twist of the joint commands.
         """
         difference = self._distance(commanded, actual)
-        size = self._distance(commanded, ZERO_TWIST)
-        if difference <= max(NEGLIGIBLE, _NEGLIGIBLE_SHARE * size):
+        if difference <= NEGLIGIBLE or (
+            difference <= _NEGLIGIBLE_SHARE * self._distance(commanded, ZERO_TWIST)
+        ):
             self._commanded = None
             return 0.0
         first = self._commanded
