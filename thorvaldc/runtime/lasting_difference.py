@@ -11,8 +11,8 @@ cause.  A difference lasts from the time on that the change to the commanded twi
 with the commanded twist (v, w), the twist (v', w') of the joint commands when the command changed,
 the lower one of acceleration and deceleration of the robot file (a, alpha), and the time t in which
 the slowest steering joint turns through its range.  The factors 2 are for a robot that has to
-stop, turn its wheels and start again on the way; ``bench.following`` measures the share of T that
-robots need.
+stop, turn its wheels and start again on the way; ``bench.following`` and ``bench.crossing`` count
+reports of twists that the robot makes after all.
 """
 
 from __future__ import annotations
