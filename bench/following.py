@@ -61,6 +61,7 @@ class Conduct:
     - ``backwards``: twists during which the robot moves against their reachable part for more than
       2 s, after the first 2 s.
     - ``limited``: twists that are not reachable as a whole.
+    - ``misreported``: twists that the driver reported as not followed before the robot made them.
     - ``excess``: largest speed (m/s) on the way to a twist above the faster of this twist and the
       last one.
     - ``scrub``: largest speed (m/s) of a contact point across its wheel at the end of a twist.
@@ -75,6 +76,7 @@ class Conduct:
     twitching: int = 0
     backwards: int = 0
     limited: int = 0
+    misreported: int = 0
     excess: float = 0.0
     scrub: float = 0.0
     wrong_twist: float = 0.0
@@ -88,6 +90,7 @@ class Conduct:
         self.twitching += other.twitching
         self.backwards += other.backwards
         self.limited += other.limited
+        self.misreported += other.misreported
         self.excess = max(self.excess, other.excess)
         self.scrub = max(self.scrub, other.scrub)
         self.wrong_twist = max(self.wrong_twist, other.wrong_twist)
@@ -127,12 +130,14 @@ def follow(robot: Robot, sequence: Sequence[Twist], label: str = "") -> Conduct:
     total, now, last_speed = Conduct(), 0.0, 0.0
     for number, twist in enumerate(sequence):
         against, travel, fastest, speed = 0.0, 0.0, 0.0, 0.0
+        report = ""
         ticks = round(HOLD / dt)
         for k in range(ticks):
             now += dt
             driver.command(twist, now)
             state = driver.tick(now)
             command, joints = state.command, state.joints
+            report = report or state.not_followed
             assert command is not None
             assert joints is not None
             reachable = driver.calculator.feasible(twist)
@@ -148,6 +153,9 @@ def follow(robot: Robot, sequence: Sequence[Twist], label: str = "") -> Conduct:
         result.excess = max(fastest - max(speed, last_speed), 0.0)
         if result.excess > EXCESS:
             result.notes.append(f"the robot is {result.excess:.3f} m/s too fast")
+        if report and not state.not_followed:
+            result.misreported = 1
+            result.notes.append(f"the driver reported: {report}")
         last_speed = speed
         result.notes = [f"{label}, twist {number} {tuple(twist)}: {note}" for note in result.notes]
         total.add(result)
@@ -264,7 +272,7 @@ def figures() -> Iterator[Figure]:
         f"{SAMPLE * len(FAMILIES)} random robots of {len(FAMILIES)} families, {total.twists} "
         f"twists of {HOLD:g} s, {total.limited} of them not reachable as a whole"
     )
-    wrong = total.off + total.twitching + total.backwards
+    wrong = total.off + total.twitching + total.backwards + total.misreported
     yield Figure("twists not followed", wrong, "", 0, "lower", how)
     worst = max(total.scrub, total.wrong_twist)
     yield Figure("twist of the commanded joints", worst, "m/s", 1e-9, "lower", "largest error")
@@ -285,6 +293,7 @@ def row(name: str, result: Conduct) -> str:
     return (
         f"{name:<30} {result.twists} twists, {result.limited} limited, {result.standing} standing, "
         f"{result.off} off, {result.twitching} twitching, {result.backwards} backwards, "
+        f"{result.misreported} misreported, "
         f"{result.excess:.2g} m/s too fast, scrub {result.scrub:.2g}, twist "
         f"{result.wrong_twist:.2g}"
     )

@@ -6,6 +6,7 @@ import random
 
 import pytest
 
+from bench import crossing
 from bench.following import Conduct, case, follow, random_twists, study
 from bench.random_robots import FAMILIES, random_robot
 from thorvaldc.runtime.se2 import Twist
@@ -48,4 +49,23 @@ def test_rectangle_with_limits_of_90_degrees_moves_sideways(seed: int) -> None:
 )
 def test_robots_that_were_difficult(family: str, number: int, twists: slice) -> None:
     robot, sequence = case(family, number)
+    blameless(follow(robot, sequence[twists]))
+
+
+@pytest.mark.parametrize(
+    ("family", "number", "twists"),
+    [
+        ("random, +-90 deg, trail", 11, slice(6, 8)),
+        ("random, +-120 deg, trail", 10, slice(4, 6)),
+        ("random, unlimited, trail", 0, slice(0, 4)),
+    ],
+)
+def test_centre_of_rotation_crosses_the_circle_of_a_contact_point(
+    family: str, number: int, twists: slice
+) -> None:
+    """``python -m bench.crossing`` drives 20 robots of each family.
+
+    Two of these robots stopped at the near edge of the circle for ever.
+    """
+    robot, sequence = crossing.case(family, number)
     blameless(follow(robot, sequence[twists]))

@@ -8,9 +8,13 @@ import pytest
 
 from tests.backend_files import files_of
 from tests.robots import FOUR_STEERED, make_robot
+from tests.runtime.test_lasting_difference import HalfAsFast
 from thorvaldc.backends.mjcf import Mjcf
+from thorvaldc.runtime.calculators import BaseGeometry
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.control_loop import ControlLoop, Sample
+from thorvaldc.simulation.manoeuvre import Segment
+from thorvaldc.simulation.physics.sim_base import SimBase
 from thorvaldc.simulation.simulation_run import Simulation
 
 ROBOT = make_robot(FOUR_STEERED)
@@ -48,3 +52,16 @@ def test_true_motion_is_that_of_the_physics_and_yaw_is_not_wrapped() -> None:
     assert last.pose_true == pytest.approx(last.pose_estimated, abs=0.1)
     assert last.pose_true.yaw > 1.2 * math.tau
     assert last.joints is not None
+
+
+def test_a_command_that_is_not_followed_is_counted_as_commanded() -> None:
+    """The wheels aim at half of the ramped twist for ever: only the first seconds are theirs."""
+    loop = ControlLoop("robot", ROBOT, SimBase(ROBOT), [Segment(0.0, Twist(0.6, 0.0, 0.0))])
+    loop.driver.calculator = HalfAsFast(BaseGeometry.from_robot(ROBOT))
+    while loop.next_time < 20.0:
+        loop.tick()
+    assert "cause unknown" in loop.not_followed
+    state, result = loop.driver.state, loop.result()
+    assert state.command is not None
+    assert loop.sample().limited == state.ramped != state.command.target
+    assert result.path_commanded > 1.5 * result.path_true

@@ -11,8 +11,10 @@ import pytest
 from tests.backend_files import files_of
 from tests.backends.plans import ROBOTS
 from tests.robots import FOUR_STEERED, make_robot
+from tests.workshop import Workshop
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.control_loop import ControlLoop, RobotResult
@@ -161,3 +163,28 @@ def test_cambered_wheels_turn_the_robot_by_the_angle_of_their_encoders(twist: Tw
     run = Simulation(robot, files_of(Mjcf, robot)).run(10.0, plan).robots[0]
     assert abs(run.pose_odometry.yaw) > 2.0
     assert run.pose_true.yaw == pytest.approx(run.pose_odometry.yaw, rel=1e-3)
+
+
+def test_robot_with_trail_crosses_the_circle_of_a_contact_point(workshop: Workshop) -> None:
+    """The robot stayed at (0.193, -0.255, 0.553): its wheels never turned to the second twist."""
+    places = [(0.5, 0.4), (0.5, -0.4), (-0.5, 0.4), (-0.5, -0.4), (0.0, 0.35)]
+    legs = "".join(
+        f"w{i}: {{type: t/leg, mount: {{parent: body, xyz: [{x}, {y}, 0]}}, params: "
+        f"{{turns: steers, limit: 90 deg, trail: {-0.05 if x else -0.09}}}}}\n"
+        for i, (x, y) in enumerate(places)
+    )
+    robot = workshop.robot(f"body: {{type: t/plate}}\n{legs}")
+    start = Twist(0.17970416274532544, -0.1908631455250737, 0.5528395293112488)
+    goal = Twist(0.23816973155003257, -0.31440430568275246, 0.5528395293112488)
+    true: list[Twist] = []
+    report = Report()
+    Simulation(robot, files_of(Mjcf, robot)).run(
+        12.0,
+        [Segment(0.0, start), Segment(6.0, goal)],
+        report,
+        on_tick=lambda loop: true.append(loop.sample().true),
+    )
+    last = true[-50:]
+    mean = [sum(component) / len(last) for component in zip(*last, strict=True)]
+    assert mean == pytest.approx(goal, abs=0.01)
+    assert not [d.message for d in report]

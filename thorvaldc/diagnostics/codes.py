@@ -305,6 +305,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV851", "bus-fault-node", "an injected fault names a device that does not exist"),
     _error("TV852", "bus-fault-unsuited", "a device does not support an injected fault"),
     _note("TV853", "twist-limited", "a commanded twist is faster than a speed limit allows"),
+    _warning("TV854", "twist-not-followed", "a robot drives another twist than the commanded one"),
     _error("TV860", "bus-error", "CAN frames are not transmitted on a bus", outside=True),
     _error("TV861", "bus-other-master", "another master is active on the bus", outside=True),
     _error("TV862", "bus-wrong-robot", "the devices on a bus differ from the robot file"),

@@ -341,7 +341,10 @@ class BaseDriverNode(GuardedLifecycleNode):
                 message.header.stamp = stamp
                 message.data[: len(frame.data)] = list(frame.data)
                 self._from_devices.publish(message)
-        summary = state.mode, state.fault, robot.armed, robot.paused, robot.base.hold_reason
+        summary = (
+            *(state.mode, state.fault, bool(state.not_followed)),
+            *(robot.armed, robot.paused, robot.base.hold_reason),
+        )
         if summary != self._reported:
             self._reported = summary
             self._next_report = 0.0

@@ -58,6 +58,8 @@ def _verdict(robot: DrivenRobot, state: dict[str, Any]) -> tuple[bytes, str]:
         return WARN, "the simulation is paused"
     if mode in _REFUSING:
         return WARN, ": ".join(filter(None, (mode.value, state["held"])))
+    if state["not_followed"]:
+        return WARN, str(state["not_followed"])
     return OK, mode.value
 
 

@@ -16,6 +16,11 @@ from thorvaldc.model.float_sum import float_sum
 from thorvaldc.runtime.base_interface import BaseHandle, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, TwistEstimate, for_robot
 from thorvaldc.runtime.errors import ParameterError
+from thorvaldc.runtime.lasting_difference import (
+    LastingDifference,
+    difference_text,
+    is_axle_swing,
+)
 from thorvaldc.runtime.motion_permission import MotionPermission
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL, Odometry
 from thorvaldc.runtime.run_time_parameters import Parameters
@@ -70,6 +75,8 @@ class DriverState:
     - ``pose_covariance``: covariance of ``pose``, expressed as a small motion in ``base_link``.
     - ``fault``: reason of the mode ``FAULT``, or empty in other modes.
     - ``hold_reason``: reason of the modes ``HELD`` and ``WAITING``, or empty in other modes.
+    - ``not_followed``: twist that the robot drives instead of the commanded one, and the cause, if
+      the difference lasts for longer than any ramp takes; else empty, see ``lasting_difference``.
     """
 
     time: float
@@ -84,6 +91,7 @@ class DriverState:
     pose_covariance: Cov3
     fault: str = ""
     hold_reason: str = ""
+    not_followed: str = ""
 
 
 class BaseDriver:
@@ -131,6 +139,7 @@ class BaseDriver:
         self.permission = MotionPermission()
         geometry = self.calculator.geometry
         self._ramp = Ramp(self.settings, geometry.length, geometry.steering_time)
+        self._lasting_difference = LastingDifference(geometry)
         self.odometry = Odometry(self.calculator, self._top_speeds)
         self.state = DriverState(
             -math.inf,
@@ -315,6 +324,11 @@ class BaseDriver:
             ramped = self._ramp.follow(self._limited(feasible), period, last)
             command = self.calculator.command(ramped, joints, wheel_period)
         self.base.write(command.joints, now)
+        not_followed = ""
+        if mode is DriveMode.DRIVING:
+            not_followed = self._not_followed(now, commanded_twist, infeasible, command, joints)
+        else:
+            self._lasting_difference.reset()
         self.state = DriverState(
             now,
             mode,
@@ -328,6 +342,7 @@ class BaseDriver:
             odometry.covariance,
             (unusable or self.permission.fault) if mode is not DriveMode.HELD else "",
             hold_reason,
+            not_followed,
         )
         return self.state
 
@@ -400,6 +415,27 @@ class BaseDriver:
             ramp.confirm(self._limited(self.calculator.odometry(joints).twist))
             return True
         return False
+
+    def _not_followed(
+        self,
+        now: float,
+        commanded: Twist,
+        infeasible: Twist,
+        command: BaseCommand,
+        joints: JointStates,
+    ) -> str:
+        """Returns how the robot differs from the commanded twist for a long time, or nothing."""
+        goal = commanded
+        if infeasible is not ZERO_TWIST and is_axle_swing(commanded, infeasible):
+            goal = Twist(commanded.vx - infeasible.vx, commanded.vy - infeasible.vy, commanded.wz)
+        lasting = self._lasting_difference.update(now, goal, command.twist, self.settings)
+        if not lasting:
+            return ""
+        limit = self.limit_of(commanded)
+        text = difference_text(
+            self.robot, self.calculator, commanded, infeasible, limit, command, joints
+        )
+        return f"for {lasting:.0f} s, the robot {text}"
 
     def limit_of(self, twist: Twist) -> str:
         """Returns the name and the value of the speed limit that scales a commanded twist, or an

@@ -190,6 +190,7 @@ def robot_state(robot: DrivenRobot, now: float) -> dict[str, Any]:
         "fault": state.fault,
         "held": state.hold_reason,
         "limited_by": driver.limit_of(state.commanded_twist),
+        "not_followed": state.not_followed,
         "stopped_by": list(robot.stop_owners),
         "warnings": [*robot.base.warnings(now), *driver.odometry.warnings],
         "cycles": robot.timing.cycles,

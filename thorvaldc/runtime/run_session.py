@@ -215,6 +215,8 @@ class RunSession:
         charges = [battery.charge for battery in batteries if not math.isnan(battery.charge)]
         if charges:
             parts.append(f"battery {100.0 * min(charges):.0f} %")
+        if state.not_followed:
+            parts.append(state.not_followed)
         if driven.timing.overruns:
             parts.append(f"{driven.timing.overruns} overruns")
         drops = sum(base.nodes.relay_drops().values())

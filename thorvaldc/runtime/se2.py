@@ -42,6 +42,11 @@ class Twist(NamedTuple):
         """Returns the twist with each component multiplied by ``factor``."""
         return Twist(self.vx * factor, self.vy * factor, self.wz * factor)
 
+    def towards(self, other: Twist, share: float) -> Twist:
+        """Returns the twist at a share of the straight line from this twist to ``other``."""
+        (ux, uy, uw), (vx, vy, wz) = self, other
+        return Twist(ux + share * (vx - ux), uy + share * (vy - uy), uw + share * (wz - uw))
+
     @property
     def finite(self) -> bool:
         """Whether no component is infinite or nan."""

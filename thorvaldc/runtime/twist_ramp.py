@@ -121,7 +121,7 @@ class Ramp:
             share = linear * dt / dv
         if dw * share > angular * dt:
             share = angular * dt / dw
-        return goal if share >= 1.0 else _interpolate(start, goal, share)
+        return goal if share >= 1.0 else start.towards(goal, share)
 
     def limit_lead(
         self,
@@ -162,8 +162,8 @@ class Ramp:
         if ahead <= LEAD * LEAD:
             return
         share = LEAD / math.sqrt(ahead)
-        self.twist = _interpolate(reference, self.twist, share)
-        self._history = [_interpolate(reference, twist, share) for twist in self._history]
+        self.twist = reference.towards(self.twist, share)
+        self._history = [reference.towards(twist, share) for twist in self._history]
 
     def _product(self, a: Twist, b: Twist) -> float:
         return a.vx * b.vx + a.vy * b.vy + self._length * self._length * a.wz * b.wz
@@ -191,9 +191,3 @@ class Ramp:
         """Sets the twist ramp to ``twist``, as if the twist had been constant before."""
         self.twist = twist
         self._history = [twist] * len(self._history)
-
-
-def _interpolate(a: Twist, b: Twist, share: float) -> Twist:
-    return Twist(
-        a.vx + share * (b.vx - a.vx), a.vy + share * (b.vy - a.vy), a.wz + share * (b.wz - a.wz)
-    )

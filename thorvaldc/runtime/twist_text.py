@@ -1,4 +1,4 @@
-"""Parser of twists in text form, for the command line."""
+"""Twists in text form, for the command line and for messages."""
 
 from __future__ import annotations
 
@@ -21,3 +21,8 @@ def parse_twist(text: str) -> Twist:
         f"{text!r} is not a twist of three finite numbers: forward m/s, leftward m/s and turning"
         " rad/s, such as 1,0,0.3"
     )
+
+
+def twist_text(twist: Twist) -> str:
+    """Returns a twist with its units, such as ``(1 m/s, 0 m/s, 0.3 rad/s)``."""
+    return f"({twist.vx:.3g} m/s, {twist.vy:.3g} m/s, {twist.wz:.3g} rad/s)"

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 from thorvaldc.model import Robot
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import BaseHandle, JointStates
-from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.runtime.driver import BaseDriver, DriverState
+from thorvaldc.runtime.lasting_difference import is_axle_swing
 from thorvaldc.runtime.se2 import ZERO_COV, ZERO_TWIST, Cov3, Pose2, Twist
 from thorvaldc.simulation.manoeuvre import Manoeuvre, twist_at
 from thorvaldc.simulation.physics.ground_truth_base import GroundTruthBase
@@ -65,6 +66,17 @@ class Sample:
     twist_covariance: Cov3 = ZERO_COV
 
 
+def _twist_in_force(state: DriverState) -> Twist:
+    """Returns the commanded twist after the limits and ramps of the driver.
+
+    This is the target twist of the wheels.  If the wheels do not follow for a long time, the result
+    is the twist that they were asked for.
+    """
+    if state.command is None:
+        return ZERO_TWIST
+    return state.ramped if state.not_followed else state.command.target
+
+
 class ControlLoop:
     """Runs the driver of one robot along a manoeuvre and measures how the robot moves.
 
@@ -111,6 +123,8 @@ class ControlLoop:
         """Speed limit that scaled a commanded twist, or empty."""
         self.limited_twist = self.limited_to = ZERO_TWIST
         """Fastest commanded twist beyond a speed limit, and the twist that the limit allows."""
+        self.not_followed = ""
+        """Last lasting difference that neither wheels nor speed limits of the driver explain."""
 
     @property
     def scene(self) -> MujocoScene | None:
@@ -133,8 +147,7 @@ class ControlLoop:
         state = self.driver.tick(now, joints)
         if self.ticks:
             dt = now - previous.time
-            if previous.command is not None:
-                self.path_commanded += previous.command.target.speed * dt
+            self.path_commanded += _twist_in_force(previous).speed * dt
             if self._deferred is None:
                 self.path_estimated += state.odometry.twist.speed * dt
             self._measure_truth()
@@ -146,6 +159,10 @@ class ControlLoop:
             self._last_commanded = state.commanded_twist
             self._note_limit(state.commanded_twist)
         infeasible = state.infeasible
+        if state.not_followed and not self.driver.limit_of(state.commanded_twist):
+            swing = is_axle_swing(state.commanded_twist, infeasible)
+            if swing or largest_component(infeasible) <= NEGLIGIBLE_TWIST:
+                self.not_followed = state.not_followed
         if infeasible is not ZERO_TWIST and (
             largest_component(infeasible) > largest_component(self.infeasible)
         ):
@@ -202,11 +219,10 @@ class ControlLoop:
             true = self._truth.true_twist()
             pose_true = Pose2(self.pose_true.x, self.pose_true.y, self.start.yaw + self.yaw_true)
             posture = self._truth.posture()
-        limited = ZERO_TWIST if state.command is None else state.command.target
         return Sample(
             state.time,
             state.commanded_twist,
-            limited,
+            _twist_in_force(state),
             estimated,
             true,
             pose,

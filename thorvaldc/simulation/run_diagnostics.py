@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from thorvaldc.diagnostics import Report
-from thorvaldc.runtime.se2 import Twist
+from thorvaldc.runtime.lasting_difference import is_axle_swing
+from thorvaldc.runtime.twist_text import twist_text
 from thorvaldc.simulation.control_loop import NEGLIGIBLE_TWIST, ControlLoop, largest_component
 from thorvaldc.simulation.physics.ground_truth_base import GroundTruthBase
 from thorvaldc.simulation.run_result import SimulationResult
@@ -45,7 +46,7 @@ def report_run(
             report.add(
                 "simulation-tipped",
                 f"{loop.name} fell over{_direction(loop)} after {result.simulated:.2f} s; "
-                f"the commanded twist was {_twist_text(loop.driver.state.commanded_twist)}",
+                f"the commanded twist was {twist_text(loop.driver.state.commanded_twist)}",
                 loop.robot.span,
                 hint="lower its speed, accelerations or centre of mass, or widen its track"
                 if in_motion
@@ -55,11 +56,11 @@ def report_run(
             wheels = ", ".join(loop.robot.wheels[i].name for i in loop.unreachable)
             reachable = loop.driver.calculator.feasible(loop.unreachable_twist)
             stands = largest_component(reachable) <= NEGLIGIBLE_TWIST
-            motion = "stands" if stands else f"moves with {_twist_text(reachable)} instead"
+            motion = "stands" if stands else f"moves with {twist_text(reachable)} instead"
             report.add(
                 "steering-unreachable",
                 f"{loop.name} cannot steer {wheels} for the twist "
-                f"{_twist_text(loop.unreachable_twist)} within the joint limits; "
+                f"{twist_text(loop.unreachable_twist)} within the joint limits; "
                 f"it {motion}",
                 loop.robot.span,
                 hint="command another twist, or widen the steering limits",
@@ -67,43 +68,33 @@ def report_run(
         if loop.limit:
             report.add(
                 "twist-limited",
-                f"the commanded twist of {loop.name} is {_twist_text(loop.limited_twist)}; it is"
-                f" limited to {_twist_text(loop.limited_to)} by {loop.limit}",
+                f"the commanded twist of {loop.name} is {twist_text(loop.limited_twist)}; it is"
+                f" limited to {twist_text(loop.limited_to)} by {loop.limit}",
                 loop.robot.span,
                 hint="command a slower twist, or change the limit in `driver` of the robot file",
+            )
+        if loop.not_followed:
+            report.add(
+                "twist-not-followed",
+                f"{loop.name} does not follow its command: {loop.not_followed}",
+                loop.robot.span,
+                hint="command a slower twist, or free the steering joint that the message names",
             )
         limited = loop.driver.calculator.limiting_wheels(loop.infeasible_twist)
         if (
             largest_component(loop.infeasible) > NEGLIGIBLE_TWIST
             and not limited
-            and not _is_axle_swing(loop)
+            and not is_axle_swing(loop.infeasible_twist, loop.infeasible)
         ):
             report.add(
                 "twist-infeasible",
-                f"the commanded twist of {loop.name} is {_twist_text(loop.infeasible_twist)}; "
-                f"its fixed wheels do not allow the part {_twist_text(loop.infeasible)}",
+                f"the commanded twist of {loop.name} is {twist_text(loop.infeasible_twist)}; "
+                f"its fixed wheels do not allow the part {twist_text(loop.infeasible)}",
                 loop.robot.span,
                 hint="a robot with fixed wheels cannot move across them",
             )
 
 
-def _twist_text(twist: Twist) -> str:
-    return f"({twist.vx:.3g} m/s, {twist.vy:.3g} m/s, {twist.wz:.3g} rad/s)"
-
-
 def _direction(loop: ControlLoop) -> str:
     direction = loop.base.leaning() if isinstance(loop.base, GroundTruthBase) else ""
     return f" {direction}" if direction else ""
-
-
-def _is_axle_swing(loop: ControlLoop) -> bool:
-    """Returns true if only the sideways motion of ``base_link`` in a turn is infeasible.
-
-    If a fixed axle is not under ``base_link``, a turn (vx, 0, wz) also moves ``base_link``
-    sideways.  The commanded twist with vy = 0 is then infeasible, but the user made no mistake.
-    In this case the infeasible part of the twist is perpendicular to the commanded velocity, and
-    the yaw rate of the infeasible part is zero.
-    """
-    commanded, infeasible = loop.infeasible_twist, loop.infeasible
-    dot = commanded.vx * infeasible.vx + commanded.vy * infeasible.vy
-    return abs(dot) < 1e-6 and abs(infeasible.wz) < 1e-6

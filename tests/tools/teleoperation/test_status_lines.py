@@ -48,5 +48,17 @@ def test_why_the_robot_is_held_is_said_once(state: dict[str, str], expected: str
     assert status_lines(shown, None, 1.0, "")[3].strip() == expected
 
 
+def test_a_command_that_is_not_followed_is_shown_unless_a_limit_explains_it() -> None:
+    text = (
+        "for 7 s, the robot drives (0.3 m/s, 0 m/s, 0 rad/s) instead of (0.6 m/s, 0 m/s, 0 rad/s)"
+    )
+    state = {**STATE, "not_followed": text}
+    assert text not in " ".join(" ".join(status_lines(state, None, 1.0, "")).split())
+    state["limited_by"] = ""
+    lines = status_lines(state, None, 1.0, "")
+    assert text in " ".join(" ".join(lines).split())
+    assert max(map(len, lines)) < 80
+
+
 def test_the_help_fits_80_columns() -> None:
     assert max(map(len, f"{KEYBOARD_HELP}\n{JOYSTICK_HELP}".splitlines())) < 80

@@ -27,7 +27,7 @@ class BaseCommand:
     """Joint commands for a twist, with the limits and conditions that changed the twist.
 
     - ``joints``: commands of the spin and steering joints of each wheel.
-    - ``target``: feasible twist nearest to the commanded twist, scaled to the wheels' speed limits.
+    - ``target``: feasible twist for the commanded twist, scaled to the wheels' speed limits.
     - ``twist``: twist of the robot under the joint commands.  ``twist`` differs from ``target``
       while wheels steer or accelerate.  When all wheels have reached their steering angles, the
       wheels roll at ``twist`` without slip.  While wheels steer, they also slip sideways.
@@ -119,10 +119,12 @@ class BaseCalculator(abc.ABC):
 
     @abc.abstractmethod
     def feasible(self, twist: Twist) -> Twist:
-        """Returns the feasible twist nearest to ``twist``, without regard to speed limits.
+        """Returns the feasible twist that replaces ``twist``, without regard to speed limits.
 
         A twist is feasible if it causes no side slip on the fixed wheels, and on the steered wheels
-        at steering angles within their limits.
+        at steering angles within their limits.  The replacement of an infeasible twist keeps its
+        yaw rate or its direction, see ``FixedWheels.feasible`` and the module
+        ``reachable_twists``.  It is in general not the nearest feasible twist.
         """
 
     def limiting_wheels(self, twist: Twist) -> tuple[int, ...]:

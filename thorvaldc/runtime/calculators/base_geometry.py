@@ -275,11 +275,12 @@ class FixedWheels:
         return not self.rows
 
     def feasible(self, twist: Twist) -> Twist:
-        """Returns the feasible twist nearest to ``twist``.
+        """Returns the feasible twist with the yaw rate of ``twist``, or zero if there is none.
 
         The feasible twist is a linear function of ``twist``.  With one axle of the normal n and the
-        offset d, the feasible twist has the same yaw rate wz and no side slip: v' = v - n (n . v +
-        d wz).
+        offset d, it has the same yaw rate wz, the same speed along the wheels, and no side slip:
+        v' = v - n (n . v + d wz).  If the axle is not under ``base_link``, |v'| may exceed |v|.
+        With two axles, v' is the velocity of the turn about the intersection, at any |v|.
         """
         if not self.rows:
             return twist

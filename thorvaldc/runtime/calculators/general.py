@@ -17,9 +17,8 @@ therefore produce the twist xi* that causes the least scrub at the present steer
     xi* = argmin sum (T_i(theta_i) xi)^2 + lambda |xi - xi_target|^2
 
 T_i is the side-slip row of wheel i (see ``WheelGeometry.rows``), and lambda is a small weight.
-If xi* is larger than xi_target, xi* is scaled down to the size of xi_target: a contact point with
-trail moves sideways while its wheel turns, and without a limit the robot would follow this motion,
-much faster than commanded.
+If xi* is larger than xi_target, xi* is scaled down to the size of xi_target: the robot would
+otherwise follow the sideways motion of turning contact points with trail, much too fast.
 """
 
 from __future__ import annotations
@@ -110,7 +109,7 @@ class General(BaseCalculator):
 
     Steps of the method ``command``:
 
-    1.  Replace the commanded twist by the nearest twist that the fixed wheels allow.
+    1.  Replace the commanded twist by one that the fixed wheels and the steering limits allow.
     2.  Choose the target angles of all steering joints.
     3.  Reduce the change of the twist if steering joints cannot follow it within one tick.
     4.  Move the commanded steering angles towards the target angles.
@@ -367,15 +366,16 @@ class General(BaseCalculator):
             if ticks == math.inf and share < _MIN_SHARE:
                 self._choose_angles(start, angles, speeds)
                 return start, True
-            slower = Twist(
-                start.vx + share * (target.vx - start.vx),
-                start.vy + share * (target.vy - start.vy),
-                start.wz + share * (target.wz - start.wz),
-            )
+            beyond = slower
+            slower = start.towards(target, share)
             if not self._unconstrained:
                 slower, limiting = self._reachable.project(slower)
                 if limiting and ticks == math.inf:
                     continue  # unreachable twists separate the two motions
+                if limiting:
+                    # The centre of rotation must cross the circle of a contact point with trail.
+                    # The projection would stay at its near edge for ever.
+                    slower = beyond
             self._choose_angles(slower, angles, speeds)
             if ticks < math.inf:
                 break

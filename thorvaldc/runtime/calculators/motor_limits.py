@@ -115,10 +115,7 @@ class DriveMotors:
                     share = max_change / abs(change)
             if share < 1.0:
                 speeds = [u + share * (v - u) for v, u in zip(speeds, last_speeds, strict=True)]
-                (vx, vy, wz), (ux, uy, uw) = twist, self.twist
-                twist = Twist(
-                    ux + share * (vx - ux), uy + share * (vy - uy), uw + share * (wz - uw)
-                )
+                twist = self.twist.towards(twist, share)
         self.twist, self.rolling_speeds, self._pushes = twist, speeds, pushes
         if pushes is not self._zeros:
             speeds = [v + p for v, p in zip(speeds, pushes, strict=True)]

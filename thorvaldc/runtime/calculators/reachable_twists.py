@@ -23,10 +23,16 @@ On the straight line of the twists e + k W, the limits of a wheel exclude two op
 the end of such an interval, the wheel is at a steering limit, T(limit) (e + k W) = 0, or the centre
 of rotation is on the circle of the contact points of a wheel with trail, |u| = |trail wz| for the
 velocity u of the steering axis.  These equations have one or two solutions k, and one of the
-solutions is the nearest reachable twist.  In the other direction, one wheel is at a limit with the
-rotation 0 or w, or two wheels are at their limits: xi is the cross product of their side-slip rows.
+solutions is the nearest reachable twist on this line.  In the other direction, one wheel is at a
+limit with the rotation 0 or w, or two wheels are at their limits: xi is the cross product of their
+side-slip rows.
 
-No candidate moves or turns faster than commanded, or in the opposite direction.
+The nearest of the candidates is used.  It is in general not the nearest reachable twist: that one
+would let a car drive when it is to turn on the spot, and drive faster than commanded in a tight
+turn.  ``bench.nearest_twist`` compares both.
+
+With respect to the feasible twist of the fixed wheels, no candidate moves or turns faster than
+commanded, or in the opposite direction.
 """
 
 from __future__ import annotations

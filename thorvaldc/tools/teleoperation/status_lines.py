@@ -28,7 +28,7 @@ def status_lines(
     source = state.get("source") or "nobody"
     x, y, yaw = (state["pose"][name] for name in ("x", "y", "yaw"))
     in_force = _twist_text(Twist(**state["in_force"]))
-    limit = state.get("limited_by")
+    limit, not_followed = state.get("limited_by"), state.get("not_followed")
     parts = [str(state.get("supervisor") or state["mode"]), f"drives: {source}"]
     if state["locks"]:
         parts.append(f"locked: {', '.join(state['locks'])}")
@@ -40,6 +40,7 @@ def status_lines(
         f"{share * 100:3.0f} %  commanded {command}",
         f"{INDENT}in force  {in_force}",
         *(_wrapped(f"limited by {limit}") if limit else []),
+        *(_wrapped(not_followed) if not_followed and not limit else []),
         f"{INDENT}x {x:.2f} m  y {y:.2f} m  yaw {math.degrees(yaw):.1f} deg",
         *_wrapped("  ".join(parts)),
         *(_wrapped(f"FAULT {state['fault']}") if state["fault"] else []),
