@@ -23,14 +23,15 @@ t_r)) that is enough for a stated stopping distance s.  During the reaction time
 speed, which needs less force.  After the loss of a drive the others brake; a robot without another
 drive then rolls as without power, which ``unpowered`` describes.
 
-The robot is rigid, casters trail, all other joints are at position 0, and sliding friction equals static friction.
+The robot is rigid, casters trail, all other joints are at position 0, the robot keeps its heading,
+and sliding friction equals static friction.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 from thorvaldc.model.float_sum import float_sum
@@ -53,17 +54,6 @@ from thorvaldc.model.stopping import (
 )
 
 _BISECTIONS = 40
-
-
-@dataclass(frozen=True, slots=True)
-class StopSlopes:
-    """The steepest slopes in rad on which a robot stops as it does on level ground.
-
-    - ``forwards``, ``backwards``: direction in which the robot drives straight downhill.
-    """
-
-    forwards: float
-    backwards: float
 
 
 class SlopeStop(NamedTuple):
@@ -161,27 +151,30 @@ class SlopeStops:
             low, high = (middle, high) if possible(middle) else (low, middle)
         return low if possible(low) else 0.0
 
+    def excess(self, angle: float, *, backwards: bool) -> float:
+        """Return the force in N that is left when the robot brakes as its stops need.
+
+        The result is negative if a stop on a slope of ``angle`` rad does not keep its promise.
+        """
+        demands = dict.fromkeys((stop.needed, stop.dead) for stop in self.stops)
+        reserves = (self.reserve(angle, *demand, backwards=backwards) for demand in demands)
+        return min(reserves, default=0.0)
+
     def steepest(self, *, backwards: bool) -> float:
         """Return the steepest slope in rad on which every stop keeps its promise."""
-        demands = dict.fromkeys((stop.needed, stop.dead) for stop in self.stops)
-
-        def excess(angle: float) -> float:
-            return min(self.reserve(angle, *demand, backwards=backwards) for demand in demands)
-
-        angle = steepest_angle(excess) if demands else None
+        angle = steepest_angle(lambda angle: self.excess(angle, backwards=backwards))
         return math.atan(self._tangents[backwards]) if angle is None else angle
 
 
 @once_per_model
-def stop_slopes(robot: Robot) -> StopSlopes | None:
-    """Return the steepest slopes on which a robot stops.
+def steepest_stops(robot: Robot) -> tuple[float, float]:
+    """Return the steepest slopes in rad on which a robot stops as it does on level ground.
 
-    Returns ``None`` for a robot without driven wheels, or one that does not stand.
+    The two slopes are those of a robot that drives downhill forwards and backwards.  They are 0 for
+    a robot that does not stand.
     """
-    if not driven_wheels(robot.wheels, robot.actuators) or not support_of(robot).stands:
-        return None
     stops = SlopeStops(robot)
-    return StopSlopes(stops.steepest(backwards=False), stops.steepest(backwards=True))
+    return stops.steepest(backwards=False), stops.steepest(backwards=True)
 
 
 def _with_trailing_casters(robot: Robot, backwards: bool) -> Robot:
@@ -209,7 +202,7 @@ def _stops_of(robot: Robot) -> Iterator[SlopeStop]:
         if dead and len(dead) < len(motors):
             losses.append(tuple(name for name in dead if name is not None))
     for settings in (robot.driver, *(p.driver for p in robot.parameter_sets)):
-        speed, distance = settings.max_linear_velocity, settings.stopping_distance
+        speed, distance = settings.max_linear_velocity, robot.driver.stopping_distance
         for kind, reaction in reaction_times(robot, settings).items():
             if math.isinf(reaction) or (kind == DRIVER_DEAD and coasting_nodes(robot)):
                 continue
