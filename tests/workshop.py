@@ -202,8 +202,16 @@ class Workshop:
         return [d.code.name for d in diagnostics if d.code.name not in EXPECTED]
 
 
-# Warnings of every cart with fixed wheels and without controllers or motors.
-EXPECTED = ("robot-without-controller", "motor-without-controller", "skid-steering", "no-drive")
+# Warnings of every cart with fixed wheels, without controllers, motors or battery, and of parts
+# without mass.
+EXPECTED = (
+    "robot-without-controller",
+    "motor-without-controller",
+    "skid-steering",
+    "no-drive",
+    "battery-missing",
+    "module-massless",
+)
 
 
 def format_report(compilation: Compilation) -> list[str]:

@@ -21,6 +21,7 @@ modules:
   fr: {type: assembly/steered_drive, mount: frame.front_right, can: 2}
   rl: {type: assembly/steered_drive, mount: frame.rear_left, can: 3}
   rr: {type: assembly/steered_drive, mount: frame.rear_right, can: 4}
+  battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0.285, 0.07]}}
 """
 # Two errors.
 BAD = GOOD.replace("name: good", "name: Bad").replace("can: 2", "cam: 2")

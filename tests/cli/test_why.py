@@ -168,7 +168,7 @@ def test_an_assembly_in_a_module_folder_of_the_user(thorvaldc: Command) -> None:
         "let.half",
         "modules.pole.params.height",
     ]
-    assert chain[0]["place"].startswith("tall.yaml:10:")
+    assert chain[0]["place"].startswith("tall.yaml:11:")
     mass = explained(thorvaldc, "links.tower_pole_body.mass", "tall.yaml")
     assert mass["value"] == pytest.approx(2.8)
     assert sources(mass)["modules.tower.params.height"] == pytest.approx(1.0)

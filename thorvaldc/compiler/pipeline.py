@@ -27,8 +27,11 @@ from typing import TYPE_CHECKING
 
 from thorvaldc import backends
 from thorvaldc.compiler.acceptances import read_acceptances
+from thorvaldc.compiler.bus.stopping_distance import check_stops_on_slope
+from thorvaldc.compiler.bus.wiring_checks import check_sides
 from thorvaldc.compiler.compilation import Compilation, SourceFile
 from thorvaldc.compiler.geometry.meshes import shared_mesh_workers
+from thorvaldc.compiler.geometry.purpose_checks import check_purpose
 from thorvaldc.compiler.geometry.robot_checks import check_robot
 from thorvaldc.compiler.library import Library
 from thorvaldc.compiler.lock_update import read_robot_lock, update_robot_lock
@@ -146,6 +149,10 @@ def compile_robot(source: SourceFile, library: Sequence[Path], trust: bool = Fal
         if model is not None:
             model = replace(model, design_slope=design.slope)
             check_robot(model, design, report)
+            if not report.has_errors:  # the physics of a wrong robot cause false errors
+                check_stops_on_slope(model, design, document.get("driver"), report)
+            check_purpose(model, document, report)
+            check_sides(model, instance, report)
             check_calculator(model, document, report)
             lock_file = update_robot_lock(source, model, compilation)
         compilation.model = model

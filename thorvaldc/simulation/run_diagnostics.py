@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from thorvaldc.diagnostics import Report
+from thorvaldc.model.robot import Robot, Wheel
+from thorvaldc.model.statics.mobility import roll_speeds
 from thorvaldc.runtime.lasting_difference import is_axle_swing
+from thorvaldc.runtime.se2 import Twist
 from thorvaldc.runtime.twist_text import twist_text
 from thorvaldc.simulation.control_loop import NEGLIGIBLE_TWIST, ControlLoop, largest_component
 from thorvaldc.simulation.physics.ground_truth_base import GroundTruthBase
@@ -86,13 +90,25 @@ def report_run(
             and not limited
             and not is_axle_swing(loop.infeasible_twist, loop.infeasible)
         ):
+            turned = _turned_wheel(loop.robot, loop.infeasible_twist)
             report.add(
                 "twist-infeasible",
                 f"the commanded twist of {loop.name} is {twist_text(loop.infeasible_twist)}; "
                 f"its fixed wheels do not allow the part {twist_text(loop.infeasible)}",
-                loop.robot.span,
-                hint="a robot with fixed wheels cannot move across them",
+                loop.robot.span if turned is None else turned.span,
+                hint="a robot with fixed wheels cannot move across them"
+                if turned is None
+                else f"other fixed wheels allow it; turn the mount of `{turned.module}`",
             )
+
+
+def _turned_wheel(robot: Robot, twist: Twist) -> Wheel | None:
+    """Returns the first fixed wheel that blocks a straight motion which other ones allow."""
+    if twist.wz:
+        return None
+    fixed = [w for w in robot.wheels if w.steering_joint is None and w.swivel_joint is None]
+    blocking = [w for w in fixed if roll_speeds(replace(robot, wheels=(w,)), twist) is None]
+    return blocking[0] if 0 < len(blocking) < len(fixed) else None
 
 
 def _direction(loop: ControlLoop) -> str:

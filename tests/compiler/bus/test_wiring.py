@@ -15,12 +15,11 @@ FOREIGN = """\
 foreign_devices:
   sprayer: {frames: {state: {cob_id: 0x300, direction: report, rate: 10 Hz}}}
 """
-BATTERY = "  battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0, 70 mm]}}\n"
-ROBOT = GOOD + BATTERY
+ROBOT = GOOD
 VARIANTS = {
     "the same": ROBOT,
-    "no battery": ROBOT.replace("70 mm]}", "70 mm]}, params: {with_battery: false}"),
-    "another line of the battery": GOOD + "\n" + BATTERY,
+    "no battery": ROBOT.replace("0.07]}", "0.07]}, params: {with_battery: false}"),
+    "another line of the battery": ROBOT.replace("  battery:", "\n  battery:"),
     "another frame": ROBOT.replace("width: 0.9 m", "width: 1.05 m"),
     "another node id": ROBOT.replace("can: 4", "can: 9"),
     "another encoder": ROBOT.replace("can: 4", "can: 4, params: {encoder_ppr: 4096}"),

@@ -19,9 +19,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from thorvaldc.compiler.bus.device_sections import MASTER_HEARTBEAT_PERIOD
+from thorvaldc.compiler.modules.design_requirements import DesignRequirements
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Proposal, Report
+from thorvaldc.diagnostics import Label, Proposal, Report
 from thorvaldc.model.robot import DriverSettings, ParameterSet, Robot
+from thorvaldc.model.statics.stopping_slope import SlopeStops, steepest_stops
 from thorvaldc.model.stopping import (
     COMMAND_TIMEOUT,
     DETECTED_FAULT,
@@ -116,9 +118,71 @@ def check_stopping_distance(robot: Robot, driver: Node, report: Report) -> None:
     worst = max(bounds, key=lambda bound: bound.distance)
     if worst.distance <= distance + _ROUNDING:
         return
-    speed = math.floor(100.0 * min(_speed(robot, bound, distance) for bound in bounds)) / 100.0
     reached = "any distance" if math.isinf(worst.distance) else f"up to {worst.distance:.3g} m"
     fixed = _fixed_watchdog(robot) if worst.kind == DRIVER_DEAD else ""
+    speed = min(_speed(robot, bound, distance) for bound in bounds)
+    report.add(
+        "stopping-distance",
+        f"the robot needs {reached} to stop {_CAUSES[worst.kind]}{fixed}; "
+        f"the stopping distance is {distance:g} m",
+        node.span,
+        hint=_slower(speed, driver),
+    )
+
+
+def check_stops_on_slope(
+    robot: Robot, design: DesignRequirements, driver: Node | None, report: Report
+) -> None:
+    """Reports an error if a stop straight down the design slope is longer than it may be.
+
+    ``driver``: mapping ``driver`` of the robot file.  Without a stated stopping distance, the robot
+    must only stop while all its drives have power.
+    """
+    slope, distance = design.slope, robot.driver.stopping_distance
+    if slope is None or not any(wheel.driven for wheel in robot.wheels):
+        return
+    statics, speed = SlopeStops(robot), math.inf
+    if min(statics.excess(slope, backwards=backwards) for backwards in (False, True)) >= 0.0:
+        return
+    longest, kind, limit, direction = 0.0, "", 0.0, ""
+    for backwards in (False, True):
+        for stop in statics.stops:
+            deceleration = statics.deceleration(slope, stop, backwards=backwards)
+            if distance is not None:
+                speed = min(speed, reachable_speed(distance, stop.reaction, deceleration))
+            elif stop.dead:
+                continue
+            if stop.distance(deceleration) > longest:
+                longest, kind = stop.distance(deceleration), stop.kind
+                limit = steepest_stops(robot)[backwards]
+                direction = "backwards" if backwards else "forwards"
+    stops = math.isfinite(longest)
+    if stops if distance is None else longest <= distance + _ROUNDING:
+        return
+    where, node = design.slope_span or robot.span, driver and driver.get("stopping_distance")
+    motion = f"driving {direction} down {math.degrees(slope):.1f} deg, the robot"
+    if not stops or node is None or driver is None:
+        report.add(
+            "stopping-slope",
+            f"{motion} does not stop {_CAUSES[kind]}: its wheels cannot brake it",
+            where,
+            hint="brake more wheels, or move weight onto those with motors; up to "
+            f"{math.degrees(limit):.1f} deg it stops as on level ground",
+        )
+        return
+    report.add(
+        "stopping-slope",
+        f"{motion} needs up to {longest:.3g} m to stop {_CAUSES[kind]}; "
+        f"the stopping distance is {distance:g} m",
+        node.span,
+        labels=[Label(where, f"it is kept up to {math.degrees(limit):.1f} deg")],
+        hint=_slower(speed, driver),
+    )
+
+
+def _slower(speed: float, driver: Node) -> str:
+    """Returns a hint with the speed (m/s) that keeps the stopping distance."""
+    speed = math.floor(100.0 * speed) / 100.0
     remedy = (
         f"`max_linear_velocity: {speed:g} m/s`"
         if speed > 0.0
@@ -127,14 +191,8 @@ def check_stopping_distance(robot: Robot, driver: Node, report: Report) -> None:
     hint = f"use {remedy}, or a stopping distance that all stops can keep"
     stated_speed = driver.get("max_linear_velocity")
     if speed > 0.0 and stated_speed is not None:
-        hint = Proposal(hint, f"{speed:g} m/s", span=stated_speed.span)
-    report.add(
-        "stopping-distance",
-        f"the robot needs {reached} to stop {_CAUSES[worst.kind]}{fixed}; "
-        f"the stopping distance is {distance:g} m",
-        node.span,
-        hint=hint,
-    )
+        return Proposal(hint, f"{speed:g} m/s", span=stated_speed.span)
+    return hint
 
 
 def _fixed_watchdog(robot: Robot) -> str:

@@ -10,9 +10,16 @@ from thorvaldc.compiler.bus.device_sections import (
     entries,
     listed,
 )
+from thorvaldc.compiler.modules.instance import Instance, name_prefix
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model.robot import Actuator
+from thorvaldc.model.robot import Actuator, Robot
+from thorvaldc.model.statics.contact_point import contact_point
+
+_SIDES = (("left", "right", 1), ("front", "rear", 0))
+"""Words in the names of channels, and the coordinate that is greater for the first of them."""
+_SIDE_TOLERANCE = 1e-3
+"""Difference of positions (m) below which two wheels are on the same side."""
 
 
 def check_wiring(devices: Sequence[Device], actuators: Sequence[Actuator], report: Report) -> None:
@@ -80,6 +87,32 @@ def check_wiring(devices: Sequence[Device], actuators: Sequence[Actuator], repor
                 motor.span,
                 hint="add a controller, or connect one that has a free channel",
             )
+
+
+def check_sides(robot: Robot, root: Instance, report: Report) -> None:
+    """Checks that channels named after two sides drive wheels on these sides.
+
+    ``root``: root of the tree of module instances, with the entries of the channels.
+    """
+    motors = {(motor.node, motor.channel): motor for motor in robot.actuators}
+    wheels = {wheel.spin_joint: contact_point(wheel) for wheel in robot.wheels}
+    for leaf in root.leaves():
+        node = name_prefix(leaf.path)
+        for channel, entry in leaf.wiring.items():
+            for positive, negative, axis in _SIDES:
+                other = channel.replace(positive, negative)
+                pair = [motors.get((node, name)) for name in (channel, other)]
+                here, there = (wheels.get(m.joint) if m is not None else None for m in pair)
+                if here is None or there is None or here[axis] >= there[axis] - _SIDE_TOLERANCE:
+                    continue
+                report.add(
+                    "channel-side",
+                    f"the channel `{channel}` of `{leaf.path}` drives the wheel on the {negative} "
+                    f"side, and `{other}` that on the {positive} side",
+                    entry.where,
+                    labels=[Label(leaf.wiring[other].where, "the other channel")],
+                    hint="swap the two motors, also on the real controller",
+                )
 
 
 def _roles(device: Device) -> dict[str, str]:

@@ -104,6 +104,8 @@ class _HardwareReader:
             node if node is not None and values.is_present(node) else None
             for node in map(document.get, ("wheel", "sensor", "battery"))
         )
+        if sensor or battery or any(link.visuals or link.collisions for link in links):
+            self._check_mass(links)
         return Hardware(
             links,
             joints,
@@ -116,6 +118,19 @@ class _HardwareReader:
             self.scope.quantity(height, "length") if is_stated else None,
             read_purchase(document.get("purchase"), self.scope, self.report),
         )
+
+    def _check_mass(self, links: tuple[LinkPart, ...]) -> None:
+        """Checks that a module that is a body, and not only a frame, has a mass."""
+        if self.report.has_errors:
+            return  # a mass with an error is not missing
+        if links and not any(mass.mass for link in links for mass in link.masses):
+            self.report.add(
+                "module-massless",
+                f"`{self.module.name}` has no mass: the weight, the wheel loads and the tip-over "
+                "angles of the robot leave it out",
+                links[0].span,
+                hint="weigh it and give one of its parts a `mass` with its `source`",
+            )
 
     def _check_mount_link(self, mount: Node | None) -> None:
         """Checks that the key `mount` of a module document names the first link of the module."""

@@ -92,16 +92,18 @@ def _read(document: Node, fleet: Fleet, report: Report) -> Scenario:
     fleet = replace(fleet, name=name, description=description, world=world)
     check_starts(fleet, document, report)
     check_obstacles(fleet, document, report)
-    sections = _SectionReader(fleet, quantities, report)
+    # A missing or wrong duration is an error; then no step is after the end.
+    duration = quantities(
+        document, "duration", "time", math.inf, least=0.0, most=MAX_DURATION, above=True
+    )
+    sections = _SectionReader(fleet, duration, quantities, report)
     record = document.get("record")
     open_loop = document.get("open_loop")
     return Scenario(
         name=name,
         description=description,
         fleet=fleet,
-        duration=quantities(
-            document, "duration", "time", 1.0, least=0.0, most=MAX_DURATION, above=True
-        ),
+        duration=min(duration, MAX_DURATION),
         commands=sections.commands(document.get("script")),
         faults=tuple(sections.wheel_faults(document.get("faults"))),
         noise=sections.noise(document.get("noise")),
@@ -125,8 +127,11 @@ def _record_groups(record: Node | None) -> tuple[str, ...]:
 class _SectionReader:
     """Reads the sections of a scenario document that refer to the robots of the scenario."""
 
-    def __init__(self, fleet: Fleet, quantities: BoundedQuantities, report: Report) -> None:
+    def __init__(
+        self, fleet: Fleet, duration: float, quantities: BoundedQuantities, report: Report
+    ) -> None:
         self.robots = {placement.name: placement.robot for placement in fleet.placements}
+        self.duration = duration
         self.quantities = quantities
         self.report = report
 
@@ -146,6 +151,7 @@ class _SectionReader:
                 node, "at", "time", last_time, least=last_time, most=MAX_DURATION
             )
             last_time = time
+            self._check_time(node, time, "step")
             parameters = node.get("parameters")
             command = Command(
                 time,
@@ -159,6 +165,17 @@ class _SectionReader:
                 commands[name].append(command)
                 self._check_parameter_set(name, parameters)
         return tuple((name, tuple(listed)) for name, listed in commands.items())
+
+    def _check_time(self, node: Node, time: float, what: str) -> None:
+        """Warns about a part of the scenario that begins at ``time`` (s), after the end."""
+        at = node.get("at")
+        if at is not None and time > self.duration:
+            self.report.add(
+                "scenario-step-late",
+                f"the {what} at {time:g} s never happens: the scenario ends at {self.duration:g} s",
+                at.span,
+                hint=f"give it a longer `duration`, or remove the {what}",
+            )
 
     def _check_parameter_set(self, robot: str, node: Node | None) -> None:
         """Checks that a robot has the parameter set that a command names."""
@@ -225,6 +242,7 @@ class _SectionReader:
                     "conflicting-keys", f"the fault `{fault_type}` has no `{key}`", entry.where
                 )
         start = self.quantities(node, "at", "time", least=0.0)
+        self._check_time(node, start, "fault")
         end = self.quantities(node, "until", "time", math.inf, least=start, above=True)
         return WheelFault(fault_type, robot, str(wheel.value), motor, value, start, end, node.span)
 

@@ -215,7 +215,7 @@ def _speed(value: float) -> str:
 
 def _slopes(slopes: Slopes | None) -> FactTable:
     title = "Steepest slopes"
-    columns = ("uphill", "grip", "torque", "tip-over", "steepest")
+    columns = ("uphill", "grip", "torque", "tip-over", "steepest", "stops downhill")
     if slopes is None:
         return FactTable("slopes", title, columns, ())
     rows = tuple(
@@ -228,11 +228,14 @@ def _slopes(slopes: Slopes | None) -> FactTable:
         title,
         columns,
         rows,
-        numeric=(1, 2, 3, 4),
+        numeric=(1, 2, 3, 4, 5),
         notes=(
             f"Straight up at a constant speed, all joints at 0; coefficient of friction"
             f" {_interval(friction)}, rolling resistance {_interval(rolling)}, largest torque of"
             " the motors.",
+            "Stops downhill: up to this slope, a stop while driving straight downhill in this"
+            " direction is no longer than the stopping distance of the robot file, or, without"
+            " one, than on level ground.",
         ),
     )
 
@@ -257,6 +260,7 @@ def _slope_cells(limits: SlopeLimits) -> Iterator[str]:
         yield "over 80 deg" if angle is None else _angle(angle)
     yield _angle(limits.tip_over)
     yield _angle(limits.steepest)
+    yield _angle(limits.stops)
 
 
 def _interval(values: tuple[float, float]) -> str:

@@ -1,4 +1,4 @@
-"""The steepest slopes that a robot climbs."""
+"""The steepest slopes that a robot climbs, and on which it stops."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from thorvaldc.model.facts.stability import DIRECTIONS
 from thorvaldc.model.robot import Robot
 from thorvaldc.model.statics.slope import SlopeForces, SlopeStatics, steepest_angle
+from thorvaldc.model.statics.stopping_slope import steepest_stops
 from thorvaldc.model.statics.tip_over import support_of
 
 
@@ -15,7 +16,8 @@ from thorvaldc.model.statics.tip_over import support_of
 class SlopeLimits:
     """The steepest slopes in rad that a robot climbs straight up at a constant low speed.
 
-    ``model.statics.slope`` states the formulas and the assumptions.
+    ``model.statics.slope`` states the formulas and the assumptions, ``stopping_slope`` those of
+    ``stops``.
 
     - ``grip``: slope at which the driven wheels slip, or ``None`` if it is steeper than 80 degrees.
     - ``torque``: slope at which the motors stall, at their largest torque, or ``None`` if it is
@@ -23,6 +25,9 @@ class SlopeLimits:
     - ``tip_over``: slope at which the robot tips over downhill.
     - ``steepest``: the smallest of the three.
     - ``reason``: name of the smallest: ``grip``, ``torque`` or ``tip_over``.
+    - ``stops``: slope on which every stop keeps the stopping distance, or needs no longer than on
+      level ground if none is stated, while the robot drives in this direction straight downhill
+      at its top speed. The loss of a drive is one of the stops if the robot has others.
     """
 
     grip: float | None
@@ -30,11 +35,12 @@ class SlopeLimits:
     tip_over: float
     steepest: float
     reason: str
+    stops: float
 
 
 @dataclass(frozen=True, slots=True)
 class Slopes:
-    """The steepest slopes that a robot climbs, forwards and backwards.
+    """The steepest slopes that a robot climbs and on which it stops, forwards and backwards.
 
     - ``friction``: smallest and largest coefficient of friction of the driven wheels.
     - ``rolling_resistance``: smallest and largest coefficient of rolling resistance of all wheels.
@@ -76,4 +82,11 @@ def _limits(robot: Robot, statics: SlopeStatics, *, backwards: bool) -> SlopeLim
     }
     known = {name: angle for name, angle in limits.items() if angle is not None}
     reason = min(known, key=lambda name: known[name])
-    return SlopeLimits(limits["grip"], limits["torque"], known["tip_over"], known[reason], reason)
+    return SlopeLimits(
+        limits["grip"],
+        limits["torque"],
+        known["tip_over"],
+        known[reason],
+        reason,
+        steepest_stops(robot)[backwards],
+    )

@@ -48,6 +48,8 @@ def _facts(facts: RobotFacts, has_size: bool) -> Iterator[Fact]:
     if slopes is not None:
         yield "steepest slope forwards", slopes.forwards.steepest, "rad"
         yield "limit of the slope forwards", slopes.forwards.reason, ""
+        yield "stops downhill forwards up to", slopes.forwards.stops, "rad"
+        yield "stops downhill backwards up to", slopes.backwards.stops, "rad"
     if facts.standing is not None:
         yield "stands with its motors off up to", facts.standing.motors_off, "rad"
         yield "stands with its brakes closed up to", facts.standing.braked, "rad"

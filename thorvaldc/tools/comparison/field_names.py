@@ -91,7 +91,7 @@ _UNITS: dict[str, dict[str, str]] = {
         **dict.fromkeys(("x", "y", "radius", "wheel_circle", "outer_circle"), "m"),
         "yaw_rate": "rad/s",
     },
-    "slopes": dict.fromkeys(("grip", "torque", "tip_over", "steepest"), "rad"),
+    "slopes": dict.fromkeys(("grip", "torque", "tip_over", "steepest", "stops"), "rad"),
     "standing": dict.fromkeys(("motors_off", "braked"), "rad"),
     "energy": {
         "voltage": "V",
