@@ -21,6 +21,7 @@ from dataclasses import replace
 from thorvaldc.compiler.bus.device_sections import MASTER_HEARTBEAT_PERIOD
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Proposal, Report
+from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model.robot import DriverSettings, ParameterSet, Robot
 from thorvaldc.model.stopping import (
     COMMAND_TIMEOUT,
@@ -117,7 +118,9 @@ def check_stopping_distance(robot: Robot, driver: Node, report: Report) -> None:
     if worst.distance <= distance + _ROUNDING:
         return
     speed = math.floor(100.0 * min(_speed(robot, bound, distance) for bound in bounds)) / 100.0
-    reached = "any distance" if math.isinf(worst.distance) else f"up to {worst.distance:.3g} m"
+    reached = (
+        "any distance" if math.isinf(worst.distance) else f"up to {plain(worst.distance, 3)} m"
+    )
     fixed = _fixed_watchdog(robot) if worst.kind == DRIVER_DEAD else ""
     remedy = (
         f"`max_linear_velocity: {speed:g} m/s`"
@@ -131,7 +134,7 @@ def check_stopping_distance(robot: Robot, driver: Node, report: Report) -> None:
     report.add(
         "stopping-distance",
         f"the robot needs {reached} to stop {_CAUSES[worst.kind]}{fixed}; "
-        f"the stopping distance is {distance:g} m",
+        f"the stopping distance is {plain(distance)} m",
         node.span,
         hint=hint,
     )
