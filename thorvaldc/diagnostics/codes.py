@@ -169,6 +169,8 @@ _TABLE: tuple[Code, ...] = (
     _error("TV435", "mount-occupied", "two modules are mounted at the same place"),
     _warning("TV436", "slope-not-held", "the robot rolls on its slope while it has no power"),
     _error("TV440", "calibration-value", "a calibration contains an impossible value"),
+    _warning("TV445", "battery-connection", "several batteries without a stated connection"),
+    _error("TV446", "battery-voltages", "batteries in parallel have different voltages"),
     # 5xx: CAN bus
     _error("TV501", "can-id-duplicate", "two devices of one id space use the same id on a bus"),
     _error("TV502", "can-id-range", "an id is outside the range of the device"),
