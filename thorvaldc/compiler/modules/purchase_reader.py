@@ -71,10 +71,10 @@ def parse_money(text: str) -> Money:
                 raise MoneyError(f"`{text}` has no code of a currency", hint)
         numbers = re.findall(r"\d[\d.,]*", text, re.ASCII) or ["1250"]
         example = f"{numbers[0]} EUR"
-        hint: str = "write an amount and a currency, such as `1250 EUR`"
+        advice: str = "write an amount and a currency, such as `1250 EUR`"
         if len(numbers) == 1 and _MONEY.fullmatch(example) is not None:
-            hint = Proposal(hint.replace("1250 EUR", example), example, is_example=True)
-        raise MoneyError(f"`{text}` is no amount with a currency", hint)
+            advice = Proposal(advice.replace("1250 EUR", example), example, is_example=True)
+        raise MoneyError(f"`{text}` is no amount with a currency", advice)
     amount, currency = float(match[1]), match[2]
     if currency not in CURRENCIES:
         near = _currency_hint(currency)
