@@ -81,6 +81,7 @@ def test_bash_completes_the_values_of_options_and_arguments(shell: Path) -> None
     assert bash("thorvaldc", "batch", str(FIELD), "--set", "world.fri") == ["world.friction="]
     Path("deep.yaml").write_text("[" * 100_000 + "]" * 100_000)
     assert bash("thorvaldc", "batch", "deep.yaml", "--set", "") == []
+    assert bash("thorvaldc", "render", "robot.yaml", "--view", "r") == ["rear", "right"]
     assert "virtual" in bash("thorvaldc", "run", "robot.yaml", "--bus", "")
     assert bash("thorvaldc", "teleop", "robot.yaml", "--on", "id") == ["ideal"]
     assert {"mass", "wheels.", "size."} <= set(bash("thorvaldc", "why", str(CAR), ""))

@@ -188,6 +188,16 @@ def test_wrong_inputs(
     assert "Traceback" not in result.err
 
 
+def test_a_revision_without_a_file_hints_at_the_file_in_the_revision(thorvaldc: Command) -> None:
+    commit_all(Path())
+    for arguments in (("HEAD", "good.yaml"), ("good.yaml", "HEAD")):
+        result = thorvaldc("diff", *arguments)
+        assert result.status != 0
+        assert "hint: write `HEAD:good.yaml` for the file in the revision `HEAD`" in result.err
+    assert thorvaldc("diff", "HEAD:good.yaml", "good.yaml").status == 0
+    assert "hint: write `" not in thorvaldc("diff", "HAED", "good.yaml").err
+
+
 def test_a_page_shows_both_robots_and_the_differences(thorvaldc: Command) -> None:
     other = written(
         "other.yaml",

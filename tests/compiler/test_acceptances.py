@@ -71,6 +71,22 @@ def test_an_error_is_never_accepted(tmp_path: Path) -> None:
     assert "accept-code" in names(compiled(tmp_path, unused).report)
 
 
+def test_a_note_is_accepted_like_a_warning(tmp_path: Path) -> None:
+    text = (
+        "thorvaldc: 1\nname: r\nmodules:\n  frame: {type: frame/tube_rectangular}\n"
+        "  l: {type: assembly/fixed_drive, mount: frame.front_left}\n"
+        "  r: {type: assembly/fixed_drive, mount: frame.front_right}\n"
+        "  rear: {type: caster/swivel, mount: frame.rear_center}\n"
+    )
+    assert names(compiled(tmp_path, text).report) == ["robot-without-controller"]
+    accept = "accept: [{code: TV545, reason: the motors have cables only}]\n"
+    report = compiled(tmp_path, text + accept).report
+    assert names(report) == []
+    assert [entry.diagnostic.code.number for entry in report.accepted] == ["TV545"]
+    (unused,) = compiled(tmp_path, GOOD + accept).report
+    assert unused.message == "there is no note TV545 robot-without-controller here any more"
+
+
 def test_beside_errors_no_entry_is_called_unused(tmp_path: Path) -> None:
     text = ACCEPTED.replace("can: 2", "cam: 2")
     assert "accept-unused" not in names(compiled(tmp_path, text).report)

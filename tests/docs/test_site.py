@@ -133,9 +133,10 @@ def test_axe_finds_a_picture_without_a_text(axe: str, browser: Any) -> None:
     assert found == ['page: image-alt: <img src="x.png">']
 
 
-def test_the_search_finds_a_page(address: str, browser: Any) -> None:
+@pytest.mark.parametrize("opened_as", ["http", "file"])
+def test_the_search_finds_a_page(address: str, site: Path, browser: Any, opened_as: str) -> None:
     page = browser.new_page(viewport={"width": 1280, "height": 900})
-    page.goto(f"{address}/index.html")
+    page.goto(f"{address}/index.html" if opened_as == "http" else (site / "index.html").as_uri())
     page.fill("input[name=query]", "least squares")
     page.wait_for_selector(".md-search-result__item", timeout=10_000)
     found = page.inner_text(".md-search-result__list")

@@ -52,4 +52,7 @@ def test_a_mistake_is_named_at_its_line_and_once(
     assert (mistake.get("reported_in", name), mistake["line"]) in places, shown
     if "hint" in mistake:
         assert any(d.fixes and (d.hint or "").startswith(mistake["hint"]) for d in found), shown
+    if "advice" in mistake:
+        hints = [d.hint or "" for d in found if not d.fixes]
+        assert any(hint.startswith(mistake["advice"]) for hint in hints), shown
     assert len(report) == mistake.get("diagnostics", 1), shown

@@ -27,6 +27,7 @@ FINGERPRINTS = {
     7: "77f7cfb0375a3997",
     8: "3b49848e2c94a3b5",
     9: "cae85acd79a59b5c",
+    10: "eeb8ff37e77e8014",
 }
 
 SCHEMA = model_schema()

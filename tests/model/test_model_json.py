@@ -147,6 +147,7 @@ def everything() -> Robot:
             replace(a, back_driving_torque=2.1, brake=Brake(84.0, 0.03)) for a in robot.actuators
         ),
         design_slope=0.25,
+        battery_connection="parallel",
     )
 
 
@@ -346,7 +347,7 @@ def test_other_texts_are_errors(text: str) -> None:
         ("kind", ..., "the field `kind` is missing"),
         ("date", "today", "there is no field `date`"),
         ("format", "urdf", "not a thorvaldc-model file"),
-        ("version", "3", 'version "3"; this program reads 9'),
+        ("version", "3", 'version "3"; this program reads 10'),
     ],
 )
 def test_the_message_names_the_path(path: str, value: Any, message: str) -> None:
@@ -376,5 +377,5 @@ def test_a_path_in_a_fleet() -> None:
 
 
 def test_the_message_of_another_version_names_both() -> None:
-    with pytest.raises(ModelFormatError, match=r"version 1; this program reads 9"):
+    with pytest.raises(ModelFormatError, match=r"version 1; this program reads 10"):
         from_json(changed("version", 1))

@@ -79,6 +79,14 @@ def schema_kinds(ctx: typer.Context, incomplete: str) -> Iterator[str]:
 
 
 @_completer
+def view_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
+    """Proposes the named viewing directions of pictures."""
+    from thorvaldc.simulation.pictures.render import VIEWS
+
+    yield from VIEWS
+
+
+@_completer
 def driver_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes the running drivers of this user."""
     yield from _socket_names("-control")

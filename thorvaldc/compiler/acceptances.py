@@ -6,7 +6,7 @@
 
 An entry accepts the warnings with its code.  With ``at``, it accepts only those at one place of the
 document, or in a module that is mounted there.  The entries of a module file accept the warnings in
-that file.  Errors cannot be accepted.
+that file.  Notes are accepted like warnings.  Errors cannot be accepted.
 """
 
 from __future__ import annotations
@@ -101,20 +101,22 @@ def report_unused(acceptances: Iterable[Acceptance], report: Report) -> None:
     """Reports entries whose warning did not occur in a complete compilation."""
     for entry in acceptances:
         if not entry.is_used and entry.code.number[2] not in _LATER:
+            code = f"{entry.code.severity} {entry.code.number} {entry.code.name}"
             report.add(
                 "accept-unused",
-                f"there is no warning {entry.code.number} {entry.code.name} here any more",
+                f"there is no {code} here any more",
                 entry.span,
                 hint="remove the entry",
             )
 
 
 def _warning_code(node: Node, report: Report) -> Code | None:
-    """Returns the code of a warning by its number or name."""
+    """Returns the code of a warning or note by its number or name."""
     word = str(node.value)
     known = {name: code for code in CODES.values() for name in (code.number, code.name)}
     code = known.get(word)
-    warnings = [name for name, c in known.items() if c.severity == Severity.WARNING.value]
+    error = Severity.ERROR.value
+    warnings = [name for name, c in known.items() if c.severity != error]
     if code is None:
         report.add(
             "accept-code",
@@ -122,14 +124,13 @@ def _warning_code(node: Node, report: Report) -> Code | None:
             node.span,
             hint=did_you_mean(word, warnings, "the code is in the warning, such as `TV408`"),
         )
-    elif code.severity != Severity.WARNING.value or code.name == "accept-unused":
-        kind = "an error" if code.severity == Severity.ERROR.value else f"a {code.severity}"
-        reason = f"is {kind}" if code.name != "accept-unused" else "is about this section"
+    elif code.severity == error or code.name == "accept-unused":
+        reason = "is an error" if code.severity == error else "is about this section"
         report.add(
             "accept-code",
-            f"{code.number} {code.name} {reason}; only warnings can be accepted",
+            f"{code.number} {code.name} {reason}; only warnings and notes can be accepted",
             node.span,
-            hint="correct the cause instead" if kind == "an error" else "remove the entry",
+            hint="correct the cause instead" if code.severity == error else "remove the entry",
         )
         return None
     return code

@@ -203,10 +203,11 @@ class Compilation:
             self.instances.update(part.instances)
         if source.document is not None:
             self.source_sha256 = self._hash_sources(parts, lock_file)
-        later = without_consequences(source.shape, report.excluding_spans_of(source.shape))
-        own = self.acceptances
+        own, invalid = self.acceptances, Report()
         if source.document is not None:
-            own = [*read_acceptances(source.document, later), *own]
+            own = [*read_acceptances(source.document, invalid), *own]
+        later = without_consequences(source.shape, report.excluding_spans_of(source.shape), own)
+        later.extend(invalid)
         self.acceptances = [*own, *(a for part in parts.values() for a in part.acceptances)]
         for stage_report in (source.shape, later):
             self.report.extend(self.located(stage_report))

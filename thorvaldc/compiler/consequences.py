@@ -6,8 +6,10 @@ not a mistake of its own.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
+from thorvaldc.compiler.acceptances import Acceptance
 from thorvaldc.diagnostics import Diagnostic, Label, Report, Severity
 from thorvaldc.diagnostics.codes import STRUCTURE
 
@@ -25,25 +27,59 @@ _PHYSICS = {
     "start-in-obstacle",
 }
 _NO_UNIT = "number-without-unit"
+_TIME = " is a time of "  # in the message about a number that changes no body
 _UNUSED_ARGUMENT = "extra-argument-unused"  # a warning that names the cause of an error
 
 
-def without_consequences(shape: Report, later: Report) -> Report:
+def without_consequences(
+    shape: Report, later: Report, acceptances: Iterable[Acceptance] = ()
+) -> Report:
     """Returns the diagnostics of ``later`` that do not follow from errors in the structure.
 
     - ``shape``: errors of the document against the schema.
     - ``later``: diagnostics of the stages after the schema check.
+    - ``acceptances``: warnings that the document accepts.  An accepted number has no consequences.
     """
+    accepted = tuple(acceptances)
+    numbers = [
+        d for d in later if d.code.name == _NO_UNIT and not any(a.covers(d) for a in accepted)
+    ]
     causes = [d for d in (*shape.errors, *later.errors) if is_structural(d)]
     remaining = Report()
-    if not causes and any(d.code.name == _NO_UNIT for d in later):
-        # A length in the wrong unit changes the whole robot.
-        remaining.extend(d for d in later if d.code.name == _NO_UNIT or not _is_remark(d))
+    if not causes and numbers:
+        remaining.extend(_without_consequences_of(numbers, later))
     elif causes:
         remaining.extend(d for d in later if not _follows(d, causes))
     else:
         remaining.extend(later)
     return _grouped(remaining)
+
+
+def _without_consequences_of(numbers: list[Diagnostic], later: Report) -> Iterator[Diagnostic]:
+    """Yields the diagnostics that do not follow from numbers without a unit.
+
+    A length in the wrong unit changes the whole robot: the wheels that do not reach the ground are
+    those that the user did not touch.  One error about physics remains, at the number.
+    """
+    bodies = [d for d in numbers if _TIME not in d.message]
+    blamed = False
+    for diagnostic in later:
+        if bodies and diagnostic.code.name in _PHYSICS:
+            if not blamed and diagnostic.severity is Severity.ERROR:
+                blamed = True
+                yield _moved(diagnostic, bodies[0])
+        elif diagnostic.code.name == _NO_UNIT or not _is_remark(diagnostic):
+            yield diagnostic
+
+
+def _moved(diagnostic: Diagnostic, number: Diagnostic) -> Diagnostic:
+    """Returns an error about physics at the number without a unit that probably causes it."""
+    labels = diagnostic.labels
+    if diagnostic.span is not None and diagnostic.span != number.span:
+        labels = (Label(diagnostic.span, "the effect is here"),)
+    message = f"with this number, {diagnostic.message}"
+    hint = "first give the number its unit"
+    return Diagnostic(diagnostic.code, message, number.span, hint, labels)
 
 
 def is_structural(diagnostic: Diagnostic) -> bool:

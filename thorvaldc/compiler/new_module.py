@@ -13,6 +13,7 @@ from thorvaldc.compiler.geometry.solids import mesh_triangles
 from thorvaldc.compiler.library import FILE
 from thorvaldc.compiler.new_project import write_new_files
 from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Mesh
 from thorvaldc.model.data_folder import data_folder
 from thorvaldc.schema.documents import schema_text
@@ -80,4 +81,4 @@ def write_module(library: Path, files: dict[str, bytes]) -> None:
 
 
 def _millimetres(values: list[int] | list[float]) -> str:
-    return ", ".join(f"{value:g} mm" if value else "0" for value in values)
+    return ", ".join(f"{plain(value)} mm" if value else "0" for value in values)

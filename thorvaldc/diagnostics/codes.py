@@ -174,6 +174,8 @@ _TABLE: tuple[Code, ...] = (
     _warning("TV442", "motor-without-wheel", "a drive motor turns no wheel"),
     _warning("TV443", "battery-missing", "a robot with drive motors has no battery"),
     _warning("TV444", "module-massless", "a mounted module has no mass"),
+    _warning("TV445", "battery-connection", "several batteries without a stated connection"),
+    _error("TV446", "battery-voltages", "batteries in parallel have different voltages"),
     # 5xx: CAN bus
     _error("TV501", "can-id-duplicate", "two devices of one id space use the same id on a bus"),
     _error("TV502", "can-id-range", "an id is outside the range of the device"),

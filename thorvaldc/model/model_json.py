@@ -38,7 +38,7 @@ from thorvaldc.model.robot import Actuator, Joint, JointServo, Robot, RosSetting
 from thorvaldc.model.ros import DISTROS, DRIVER, EKF
 
 FORMAT = "thorvaldc-model"
-VERSION = 9
+VERSION = 10
 """Version of the JSON format, increased with every change of the model's fields.
 
 The page ``docs/model.md`` lists all versions of the JSON format.

@@ -410,6 +410,10 @@ class Sensor(Element):
     span: Span
 
 
+PARALLEL = "parallel"
+"""Value of ``Robot.battery_connection``."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Battery(Element):
     """A battery enclosure of the robot.
@@ -459,6 +463,8 @@ class Robot(Element):
     - ``modules``: the modules with their types, without the assemblies.
     - ``design_slope``: steepest slope in rad for which the robot is designed, or ``None`` if the
       robot file states none.
+    - ``battery_connection``: ``parallel`` if the batteries are one source, ``separate`` if each
+      supplies its own modules, or ``None`` if the robot file states neither.
     """
 
     name: str
@@ -484,6 +490,7 @@ class Robot(Element):
     ros: RosSettings = DEFAULT_SETTINGS
     modules: tuple[Module, ...] = ()
     design_slope: float | None = None
+    battery_connection: str | None = None
 
     def __repr__(self) -> str:
         wheels = f"{len(self.wheels)} wheel{'' if len(self.wheels) == 1 else 's'}"

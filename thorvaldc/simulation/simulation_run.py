@@ -11,6 +11,7 @@ from pathlib import Path
 
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics.plain_numbers import millimetres
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.model_json import load_model
 from thorvaldc.runtime import se2
@@ -216,8 +217,8 @@ class Simulation:
                     report.add(
                         "parameter-set-scene",
                         f"the parameter set `{self.parameters}` of {name} has a radius of "
-                        f"{radius * 1000:.6g} mm for {wheel.name}; in this scene it rolls on "
-                        f"{wheel.radius * 1000:.6g} mm",
+                        f"{millimetres(radius, 6)} for {wheel.name}; in this scene it rolls on "
+                        f"{millimetres(wheel.radius, 6)}",
                         robot.span,
                         hint="use ideal joints (--ideal), or a parameter set with these radii",
                     )

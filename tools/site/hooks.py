@@ -131,3 +131,10 @@ def on_post_template(output: str, template_name: str, config: Any) -> str:
 def named_search(output: str) -> str:
     """Gives the search box of the theme a name."""
     return output.replace('role="dialog">', 'role="dialog" aria-label="Search">')
+
+
+def on_post_build(config: Any) -> None:
+    """Writes the index of the search as a script too: a page opened as a file can load no JSON."""
+    folder = Path(config.site_dir, "search")
+    index = (folder / "search_index.json").read_text(encoding="utf-8")
+    (folder / "search_index.js").write_text(f"var __index = {index}", encoding="utf-8")

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from thorvaldc.compiler.source.units import QUANTITIES, UnitError, parse_any, parse_quantity
+from thorvaldc.diagnostics import Proposal
 
 
 @pytest.mark.parametrize(
@@ -112,7 +113,14 @@ def test_wrong_dimensions_are_named(text: str, quantity: str, message: str) -> N
         parse_quantity(text, quantity)
     assert message in caught.value.message
     assert caught.value.code == "wrong-dimension"
-    assert QUANTITIES[quantity].example in str(caught.value.hint)
+    hint = caught.value.hint
+    if isinstance(hint, Proposal):  # the fix keeps the number of the user
+        assert hint.replacements[0].split(" ")[0] == text.split(" ")[0]
+        assert hint.is_example
+        parse_quantity(hint.replacements[0], quantity)
+    else:
+        assert QUANTITIES[quantity].example in str(hint)
+    assert isinstance(hint, Proposal) == (":" not in text)
 
 
 @pytest.mark.parametrize(

@@ -140,7 +140,7 @@ def only_diagnostic(text: str, kind: Kind = "robot") -> Diagnostic:
             "wrong-dimension",
             "4:47",
             "`5 kg` is a mass; expected a length",
-            "write it as in `650 mm`",
+            "write a length as in `5 mm`",
         ),
         (
             ROBOT + "driver: {rate: '${50}'}\n",
@@ -172,7 +172,7 @@ def only_diagnostic(text: str, kind: Kind = "robot") -> Diagnostic:
             "wrong-dimension",
             "3:56",
             "`5 kg` is a mass; expected an angle or a length",
-            "write it as in `15 deg`",
+            "write an angle as in `5 deg`",
         ),
         (
             MODULE + "links: {a: {parts: [{shape: {sphere: {radius: 1}}, mass: 1}]}}\n",
@@ -204,7 +204,7 @@ def only_diagnostic(text: str, kind: Kind = "robot") -> Diagnostic:
             "wrong-dimension",
             "3:34",
             "`3 m` is a length; expected an angle",
-            "write it as in `15 deg`",
+            "write an angle as in `3 deg`",
         ),
     ],
 )

@@ -343,6 +343,11 @@ def test_wrong_uses_are_one_line(run: Command) -> None:
     assert json.loads(run("study", "show", "study/track", "--json", "--sql", query).out) == [
         {"n": 2}
     ]
+    again = run("study", "run", "study.yaml", "-o", "other", "--json")
+    assert json.loads(again.out) == json.loads(
+        run("study", "show", "study.yaml", "--results", "other", "--json").out
+    )
+    assert run("study", "show", "other", "--results", "other").status == 2
     for wrong in ("SELECT nothing FROM designs", "COPY designs TO 'x.csv'"):
         result = run("study", "show", "study.yaml", "--sql", wrong)
         assert result.status == 2

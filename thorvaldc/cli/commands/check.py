@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
+from contextlib import ExitStack
 from typing import Annotated
 
 import typer
 
 from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count, has_color
-from thorvaldc.cli.options import Library, ModelFiles, Strict, Trust, library_folders
+from thorvaldc.cli.options import Library, Strict, Trust, library_folders
+from thorvaldc.cli.standard_input import NAME, standard_input
 from thorvaldc.compiler.bus.lock_file import without_lock_files
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.worker_process import containment_gaps
+from thorvaldc.diagnostics import Accepted, Severity
 from thorvaldc.diagnostics.renderers import render_accepted
 from thorvaldc.model import Fleet, Robot
 
 
 def check(
-    files: ModelFiles,
+    files: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FILE", help="A robot.yaml or fleet.yaml; - reads the standard input."
+        ),
+    ],
     format: Annotated[
         str,
         typer.Option(
@@ -37,19 +46,31 @@ def check(
         check_format(format)
     folders = library_folders(library)
     output = DiagnosticOutput(format, sys.stdout)
-    for file in without_lock_files(files):
-        compilation = compile_file(file, library=folders, trust=trust)
-        output.add(compilation.report, compilation.sources)
-        accepted = compilation.report.accepted
-        if accepted and verbose and format == "text":
-            print(render_accepted(compilation.report, color=has_color(sys.stdout)))
-        if compilation.model is not None:
-            more = f"; {count(len(accepted), 'warning')} accepted" if accepted else ""
-            output.result(f"{file}: {compilation.model.name}, {_summary(compilation.model)}{more}")
+    with ExitStack() as inputs:
+        text = inputs.enter_context(standard_input()) if NAME in files else None
+        for file in without_lock_files(files):
+            compilation = compile_file(file, library=folders, trust=trust)
+            if file == NAME and text is not None:
+                compilation.sources[NAME] = text
+            output.add(compilation.report, compilation.sources)
+            accepted = compilation.report.accepted
+            if accepted and verbose and format == "text":
+                print(render_accepted(compilation.report, color=has_color(sys.stdout)))
+            if compilation.model is not None:
+                more = f"; {_accepted(accepted)} accepted" if accepted else ""
+                summary = _summary(compilation.model)
+                output.result(f"{file}: {compilation.model.name}, {summary}{more}")
     if format == "text" and containment_gaps:
         gaps = ", ".join(f"{layer} ({reason})" for layer, reason in containment_gaps.items())
         print(f"note: xacro and mesh files were read without these layers: {gaps}", file=sys.stderr)
     return output.finish(strict)
+
+
+def _accepted(accepted: list[Accepted]) -> str:
+    """Returns the numbers of accepted warnings and notes, such as ``1 warning, 2 notes``."""
+    numbers = Counter(entry.diagnostic.severity for entry in accepted)
+    kinds = (Severity.WARNING, Severity.NOTE)
+    return ", ".join(count(numbers[kind], kind.value) for kind in kinds if numbers[kind])
 
 
 def _summary(model: Robot | Fleet) -> str:

@@ -20,7 +20,12 @@ from thorvaldc.cli.exits import DONE, INPUT
 from thorvaldc.cli.options import ANY_MODEL, Json, Library, ResultFormat, Trust, library_folders
 from thorvaldc.cli.run_pictures import check_output
 from thorvaldc.diagnostics.atomic_file import write_file
-from thorvaldc.tools.comparison.compared_inputs import InputKindError, compare, read_input
+from thorvaldc.tools.comparison.compared_inputs import (
+    InputKindError,
+    compare,
+    read_input,
+    revision_hint,
+)
 from thorvaldc.tools.comparison.difference_text import (
     difference_document,
     difference_markdown,
@@ -62,6 +67,8 @@ def diff(
         for name in (before, after):
             compared = read_input(name, temporary, folders, trust=trust)
             status = show_report(compared.report, compared.sources)
+            if compared.model is None and (hint := revision_hint(before, after)) is not None:
+                message(f"hint: {hint}")
             if compared.model is None:
                 return status or INPUT
             inputs.append(compared)

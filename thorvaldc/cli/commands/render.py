@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from thorvaldc.cli.compiling import compile_and_show
+from thorvaldc.cli.completed_values import view_names
 from thorvaldc.cli.diagnostic_output import show_report
 from thorvaldc.cli.exits import INPUT
 from thorvaldc.cli.options import (
@@ -46,6 +47,7 @@ def render(
         typer.Option(
             "--view",
             metavar="VIEW",
+            autocompletion=view_names,
             help="corner, front, rear, left, right, top, or azimuth,elevation in degrees.",
         ),
     ] = "corner",

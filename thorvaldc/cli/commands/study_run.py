@@ -7,16 +7,16 @@ from typing import Annotated
 
 import typer
 
-from thorvaldc.cli.diagnostic_output import count, message, table_width
+from thorvaldc.cli.diagnostic_output import count, message, print_json, table_width
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
-from thorvaldc.cli.options import Jobs, Library, StudyFile, Trust, parse_count
+from thorvaldc.cli.options import Jobs, Json, Library, StudyFile, Trust, parse_count
 from thorvaldc.cli.study_progress import StudyProgress
 from thorvaldc.cli.study_runs import open_cluster, parse_scheduler, plan_study, results_folder
 from thorvaldc.tools.scenario_batch import processors
 from thorvaldc.tools.study.sample_points import MissingPackageError
 from thorvaldc.tools.study.study_journal import StudyBusyError, StudyJournal
 from thorvaldc.tools.study.study_table import TABLE, StudyTable, load_duckdb
-from thorvaldc.tools.study.study_text import summary_text
+from thorvaldc.tools.study.study_text import summary, summary_text
 
 
 def run_study(
@@ -38,6 +38,7 @@ def run_study(
             help="Evaluate on the workers of this Dask scheduler: tcp://HOST:PORT.",
         ),
     ] = "",
+    json: Json = False,
 ) -> int:
     process_count = parse_count(jobs, "--jobs", 1) or processors()
     address = parse_scheduler(scheduler)
@@ -67,6 +68,10 @@ def run_study(
         journal.close()
         if finished < total:
             message(f"{finished} of {count(total, 'design')} finished; the same command continues")
-    print(summary_text(StudyTable.open(folder), table_width()))
+    table = StudyTable.open(folder)
+    if json:
+        print_json(summary(table))
+    else:
+        print(summary_text(table, table_width()))
     message(f"wrote {folder / TABLE}")
     return DONE

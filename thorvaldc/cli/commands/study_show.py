@@ -9,7 +9,7 @@ import typer
 
 from thorvaldc.cli.diagnostic_output import print_json, table_width
 from thorvaldc.cli.exits import DONE, OutsideError
-from thorvaldc.cli.options import Json
+from thorvaldc.cli.options import Json, StudyResults
 from thorvaldc.cli.study_runs import results_folder
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.diagnostics import Report
@@ -27,9 +27,12 @@ def show_study(
         str,
         typer.Option("--sql", metavar="QUERY", help="Ask the table `designs` in SQL (DuckDB)."),
     ] = "",
+    results: StudyResults = "",
     json: Json = False,
 ) -> int:
     folder = Path(source)
+    if folder.is_dir() and results:
+        raise typer.BadParameter(f"{source} is a folder of results too", param_hint="'--results'")
     if not folder.is_dir():
         document = read_file(folder, source, Report())
         name = document.get("study") if document is not None else None
@@ -37,7 +40,7 @@ def show_study(
             raise typer.BadParameter(
                 f"{source} is neither a study nor a folder", param_hint="'STUDY|DIR'"
             )
-        folder = results_folder(name.value, "")
+        folder = results_folder(name.value, results)
     try:
         table = StudyTable.open(folder)
     except (OSError, ValueError):

@@ -16,7 +16,7 @@ from thorvaldc.compiler.bus.device_sections import (
     Placed,
 )
 from thorvaldc.compiler.bus.node_objects import serial_number
-from thorvaldc.diagnostics import Label, Proposal, Report, Span
+from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model.robot import Bus, FrameDefinition
 
 # First and last identifier of each range that CiA 301 reserves (table "restricted CAN-IDs").
@@ -91,7 +91,7 @@ def check_serials(placed: Sequence[Placed], report: Report) -> None:
                 "device by a number of 32 bits",
                 device.serial_span,
                 labels=[Label(device.module_span, "LSS is stated here")],
-                hint=Proposal('write it as in "0x12ab34cd"', '"0x12ab34cd"', is_example=True),
+                hint='write the number that the device reports, as in "0x12ab34cd"',
             )
         key = (device.node.vendor_id, serial if number is None else number)
         other = first.setdefault(key, device)

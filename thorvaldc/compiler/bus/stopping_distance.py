@@ -22,6 +22,7 @@ from thorvaldc.compiler.bus.device_sections import MASTER_HEARTBEAT_PERIOD
 from thorvaldc.compiler.modules.design_requirements import DesignRequirements
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Proposal, Report
+from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model.robot import DriverSettings, ParameterSet, Robot
 from thorvaldc.model.statics.stopping_slope import SlopeStops, steepest_stops
 from thorvaldc.model.stopping import (
@@ -118,13 +119,15 @@ def check_stopping_distance(robot: Robot, driver: Node, report: Report) -> None:
     worst = max(bounds, key=lambda bound: bound.distance)
     if worst.distance <= distance + _ROUNDING:
         return
-    reached = "any distance" if math.isinf(worst.distance) else f"up to {worst.distance:.3g} m"
+    reached = (
+        "any distance" if math.isinf(worst.distance) else f"up to {plain(worst.distance, 3)} m"
+    )
     fixed = _fixed_watchdog(robot) if worst.kind == DRIVER_DEAD else ""
     speed = min(_speed(robot, bound, distance) for bound in bounds)
     report.add(
         "stopping-distance",
         f"the robot needs {reached} to stop {_CAUSES[worst.kind]}{fixed}; "
-        f"the stopping distance is {distance:g} m",
+        f"the stopping distance is {plain(distance)} m",
         node.span,
         hint=_slower(speed, driver),
     )
@@ -172,8 +175,8 @@ def check_stops_on_slope(
         return
     report.add(
         "stopping-slope",
-        f"{motion} needs up to {longest:.3g} m to stop {_CAUSES[kind]}; "
-        f"the stopping distance is {distance:g} m",
+        f"{motion} needs up to {plain(longest, 3)} m to stop {_CAUSES[kind]}; "
+        f"the stopping distance is {plain(distance)} m",
         node.span,
         labels=[Label(where, f"it is kept up to {math.degrees(limit):.1f} deg")],
         hint=_slower(speed, driver),

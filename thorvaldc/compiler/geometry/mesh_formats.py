@@ -14,6 +14,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
+from thorvaldc.diagnostics.plain_numbers import plain
+
 if TYPE_CHECKING:
     from thorvaldc.model.spatial import Vec3
 
@@ -296,7 +298,7 @@ def _check_shape(triangles: Iterable[Triangle], is_large: bool) -> None:
     is_solid = False
     for corners in triangles:
         if is_large and max(abs(n) for p in corners for n in p) > _MAX_COORDINATE:
-            text = f"has a coordinate of more than {_MAX_COORDINATE:g} m"
+            text = f"has a coordinate of more than {plain(_MAX_COORDINATE)} m"
             raise MeshError("mesh-invalid", text, hint)
         if not is_solid:
             area += 0.5 * math.hypot(*_normal(*corners))

@@ -30,6 +30,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.worker_process import WorkerLimitError, WorkerLimits, WorkerProcess
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.bounded_file import read_bounded
+from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Mesh, Vec3
 
 MAX_FILE_BYTES = 64 * 1024 * 1024
@@ -103,8 +104,8 @@ def load_mesh(
     if checked.size > MAX_EXTENT:
         report.add(
             "mesh-size",
-            f"mesh file `{display}` is {checked.size:g} m long; at most {MAX_EXTENT:g} m are "
-            "plausible",
+            f"mesh file `{display}` is {plain(checked.size)} m long; at most {MAX_EXTENT:g} m "
+            "are plausible",
             span,
             hint="meshes are in metres; for a mesh in millimetres, set scale 0.001",
         )

@@ -7,6 +7,7 @@ import math
 from thorvaldc.compiler.geometry.mobility_checks import check_controllable, check_steering_range
 from thorvaldc.compiler.modules.design_requirements import DesignRequirements
 from thorvaldc.diagnostics import Label, Report
+from thorvaldc.diagnostics.plain_numbers import millimetres, plain
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.robot import Robot, Wheel
 from thorvaldc.model.statics.contact_point import contact_point
@@ -62,7 +63,7 @@ def check_size(robot: Robot, report: Report) -> None:
     if size > LARGEST_SIZE or 0.0 < size < SMALLEST_SIZE:
         report.add(
             "robot-size",
-            f"the robot is {size:.4g} m long, wide or high",
+            f"the robot is {plain(size, 4)} m long, wide or high",
             robot.span,
             hint="look at the lengths in the file; a number without a unit is in m",
         )
@@ -136,13 +137,25 @@ def check_wheels_on_ground(robot: Robot, report: Report) -> None:
         if wheel.contact_height > WHEEL_OFF_GROUND:
             report.add(
                 "wheel-off-ground",
-                f"the wheel of `{wheel.module}` ends {wheel.contact_height * 1000:.3g} mm "
+                f"the wheel of `{wheel.module}` ends {millimetres(wheel.contact_height)} "
                 "above the ground",
                 wheel.span,
                 labels=[Label(lowest.span, "the lowest wheel")],
-                hint=f"lower its mount by {wheel.contact_height * 1000:.3g} mm "
+                hint="turn its mount over (`rpy`): the module is upside down"
+                if _is_upside_down(wheel, robot)
+                else f"lower its mount by {millimetres(wheel.contact_height)} "
                 "(`mount: {port: .., xyz: [0, 0, ..]}`) or use legs of another length",
             )
+
+
+def _is_upside_down(wheel: Wheel, robot: Robot) -> bool:
+    """Returns whether the module that the robot file mounts for a wheel points downwards.
+
+    The first link of a module carries its other links; its z axis points upwards on its mount.
+    """
+    name, pose = wheel.module.partition(".")[0], tree_of(robot).pose
+    root = next(link.name for link in robot.links if link.module.partition(".")[0] == name)
+    return root in pose and pose[root].rotate((0.0, 0.0, 1.0))[2] < -0.5
 
 
 def check_parts_above_ground(robot: Robot, report: Report) -> None:
@@ -159,7 +172,7 @@ def check_parts_above_ground(robot: Robot, report: Report) -> None:
         if height < 0.0:
             report.add(
                 "part-below-ground",
-                f"the centre of mass of link `{link.name}` is {-height * 1000:.3g} mm "
+                f"the centre of mass of link `{link.name}` is {millimetres(-height)} "
                 "below the ground",
                 link.span,
                 hint="raise its mount, or turn it over",
@@ -238,7 +251,7 @@ def check_stability(robot: Robot, design: DesignRequirements, report: Report) ->
     if not support.stands:
         report.add(
             "unstable",
-            f"the centre of mass (x {x:.3f} m, y {y:.3f} m) is {-margin * 1000:.3g} mm outside "
+            f"the centre of mass (x {x:.3f} m, y {y:.3f} m) is {millimetres(-margin)} outside "
             "the area between the wheels: the robot falls over",
             robot.span,
             hint="move a battery or a wheel",

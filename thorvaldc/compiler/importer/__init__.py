@@ -38,6 +38,7 @@ from thorvaldc.compiler.importer.robot_text import (
 from thorvaldc.compiler.importer.tube_frame import read_beams, read_frame
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.plain_numbers import plain
 
 __all__ = ["Conversion", "ImportResult", "import_file", "import_original"]
 
@@ -170,7 +171,9 @@ def _convert(root: OriginalMapping, name: str) -> Robot | None:
     robot.base_calculator = _base_calculator(root, calculator, wheel_modules)
     robot.defaults = share_params(wheel_modules)
     robot.modules = [
-        Module(ROOT_MODULE, "frame/open", comments=[f"height over the ground: {frame.height:g} m"]),
+        Module(
+            ROOT_MODULE, "frame/open", comments=[f"height over the ground: {plain(frame.height)} m"]
+        ),
         *frame.modules,
         *beams,
         *wheel_modules,

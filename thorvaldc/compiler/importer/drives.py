@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from thorvaldc.compiler.importer.original_mapping import OriginalMapping
 from thorvaldc.compiler.importer.robot_text import ROOT_MODULE, Module, Names, Value
 from thorvaldc.diagnostics import Label
+from thorvaldc.diagnostics.plain_numbers import plain
 
 NODE_IDS = (1, 127)  # least and greatest CANopen node id (CiA 301)
 _WHEEL_RADIUS, _WHEEL_WIDTH = 0.2, 0.16  # m, radius and width of the module type wheel/agri_200
@@ -228,7 +229,7 @@ def _unsteered_modules(
         mirror_name = names.make(f"{first.name}_mirrored", "drive_mirrored")
         source.report.add(
             "import-assumed",
-            f"{one_position}: the second wheel is put at y = {-first.y:g} m",
+            f"{one_position}: the second wheel is put at y = {plain(-first.y)} m",
             source.span("type"),
             hint=f"correct `{mirror_name}` in the robot.yaml if it is elsewhere",
         )

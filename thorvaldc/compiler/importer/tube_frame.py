@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from thorvaldc.compiler.importer.drives import Drive, Segment, mount_on_root
 from thorvaldc.compiler.importer.original_mapping import OriginalMapping
 from thorvaldc.compiler.importer.robot_text import Module, Names, angle
+from thorvaldc.diagnostics.plain_numbers import millimetres, plain
 
 _DEFAULT_HEIGHT = 0.65  # m, default height of the robot's frame above the ground
 _SHORTEST = 0.01  # m, least length of a pipe or beam
@@ -66,8 +67,8 @@ def read_frame(
         height = _DEFAULT_HEIGHT
         root.report.add(
             "import-assumed",
-            f"the file has no pipes and no corners: the drives are mounted {height:g} m over the "
-            "ground on a root module without parts",
+            f"the file has no pipes and no corners: the drives are mounted {plain(height)} m over "
+            "the ground on a root module without parts",
             root.span("motor_drives"),
             hint="use a frame module such as `frame/tube_rectangular` in the robot.yaml",
         )
@@ -134,7 +135,7 @@ def _read_pipe(
         return None
     if math.hypot(x2 - x1, y2 - y1) < _SHORTEST:
         mapping.report_error(
-            "import-value", f"`{mapping.path}` is shorter than {_SHORTEST * 1000:g} mm"
+            "import-value", f"`{mapping.path}` is shorter than {millimetres(_SHORTEST, 6)}"
         )
         return None
     return x1, y1, x2, y2, height

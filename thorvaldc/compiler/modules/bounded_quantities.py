@@ -7,6 +7,7 @@ import math
 from thorvaldc.compiler.modules.value_reader import ValueReader, items
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Pose
 
 
@@ -51,12 +52,12 @@ class BoundedQuantities:
             return value
         bounds = []
         if least > -math.inf:
-            bounds.append(f"{'more than' if above else 'at least'} {least:g}")
+            bounds.append(f"{'more than' if above else 'at least'} {plain(least)}")
         if most < math.inf:
-            bounds.append(f"at most {most:g}")
+            bounds.append(f"at most {plain(most)}")
         self.report.add(
             "out-of-range",
-            f"`{key}` is {value:g} in SI units; it must be {' and '.join(bounds)}",
+            f"`{key}` is {plain(value)} in SI units; it must be {' and '.join(bounds)}",
             entry.span,
         )
         return default

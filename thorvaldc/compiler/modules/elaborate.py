@@ -22,6 +22,7 @@ from thorvaldc.compiler.geometry.wheel_geometry import (
     ground_height,
     make_wheels,
 )
+from thorvaldc.compiler.modules.battery_connection import read_battery_connection
 from thorvaldc.compiler.modules.calculator_choice import read_calculator
 from thorvaldc.compiler.modules.driver_settings import DEFAULT_RATE, DriverSettingsReader
 from thorvaldc.compiler.modules.extras_attachment import add_extras
@@ -248,6 +249,7 @@ class _Elaborator:
             actuators=connect_actuators(parts.actuators, buses),
             sensors=tuple(parts.sensors),
             batteries=tuple(parts.batteries),
+            battery_connection=read_battery_connection(self.document, parts.batteries, self.report),
             buses=buses,
             meshes=tuple(parts.meshes.values()),
             calculator=read_calculator(self.document, self.scope),

@@ -9,6 +9,7 @@ from thorvaldc.compiler.modules.module_values import ModuleValues
 from thorvaldc.compiler.modules.scope import hint_of_known
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label
+from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model.robot import Brake
 from thorvaldc.model.spatial import Vec3, norm, scale
 
@@ -124,7 +125,7 @@ class _JointReader:
         if lower is not None and upper is not None and lower >= upper:
             report.add(
                 "joint-limits-reversed",
-                f"joint `{self.name}`: lower {lower:g} is not below upper {upper:g}",
+                f"joint `{self.name}`: lower {plain(lower)} is not below upper {plain(upper)}",
                 self.node.where,
             )
         return lower, upper

@@ -11,6 +11,7 @@ from thorvaldc.compiler.modules.scope import Scope, hint_of_known
 from thorvaldc.compiler.modules.value_reader import items
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Proposal, Report
+from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model.robot import Box, Collision, Cylinder, Mesh, MeshShape, Shape, Sphere, Visual
 from thorvaldc.model.spatial import Inertial, Vec3
 
@@ -131,7 +132,7 @@ class LinkShapeReader:
     def _check_positive(self, sizes: tuple[float, ...], node: Node) -> None:
         """Checks that all sizes of a box, cylinder or sphere are greater than 0."""
         if min(sizes) <= 0.0 and not self.report.has_errors:
-            shown = ", ".join(f"{size:g}" for size in sizes)
+            shown = ", ".join(plain(size) for size in sizes)
             self.report.add(
                 "size-not-positive", f"sizes must be positive, not {shown} m", node.span
             )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from thorvaldc.compiler.modules.instance import Instance, Mount, last_name
+from thorvaldc.compiler.modules.instance import Instance, Mount, last_name, used_by
 from thorvaldc.compiler.modules.references import References
 from thorvaldc.compiler.modules.scope import hint_of_known
 from thorvaldc.compiler.source.edits import removal
@@ -64,19 +64,23 @@ class Mounting:
             if not child.is_leaf:
                 self.mount_parts(child)
             node = child.entry.get("mount")
-            if node is None:
-                continue
-            if not child.is_mechanical and child.is_complete:
-                self.report.add(
-                    "mount-without-hardware",
-                    f"`{child.path}` has no body that could be mounted",
-                    node.where,
-                    hint=removal("leave `mount` out", child.entry, "mount"),
-                )
-                continue
-            mounted_leaf = child if child.is_leaf else self.root_of(child, child.entry)
-            if mounted_leaf is not None:
-                mounted_leaf.mount = self._read_mount(assembly, mounted_leaf, node)
+            if node is not None:
+                # A part that does not fit in an assembly was chosen by a line of the robot file.
+                with self.report.used_by(used_by(child.path, child.span)):
+                    self._mount_part(assembly, child, node)
+
+    def _mount_part(self, assembly: Instance, child: Instance, node: Node) -> None:
+        if not child.is_mechanical and child.is_complete:
+            self.report.add(
+                "mount-without-hardware",
+                f"`{child.path}` has no body that could be mounted",
+                node.where,
+                hint=removal("leave `mount` out", child.entry, "mount"),
+            )
+            return
+        mounted_leaf = child if child.is_leaf else self.root_of(child, child.entry)
+        if mounted_leaf is not None:
+            mounted_leaf.mount = self._read_mount(assembly, mounted_leaf, node)
 
     def _read_mount(self, inside: Instance, mounted_leaf: Instance, node: Node) -> Mount | None:
         """Reads the `mount` entry of a module.

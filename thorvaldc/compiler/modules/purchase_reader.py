@@ -69,8 +69,12 @@ def parse_money(text: str) -> Money:
             if symbol in text and re.fullmatch(r"\d+(\.\d+)?", number, re.ASCII):
                 hint = Proposal(f"write `{number} {code}`", f"{number} {code}")
                 raise MoneyError(f"`{text}` has no code of a currency", hint)
-        hint = Proposal("write an amount and a currency: `1250 EUR`", "1250 EUR", is_example=True)
-        raise MoneyError(f"`{text}` is no amount with a currency", hint)
+        numbers = re.findall(r"\d[\d.,]*", text, re.ASCII) or ["1250"]
+        example = f"{numbers[0]} EUR"
+        advice: str = "write an amount and a currency, such as `1250 EUR`"
+        if len(numbers) == 1 and _MONEY.fullmatch(example) is not None:
+            advice = Proposal(advice.replace("1250 EUR", example), example, is_example=True)
+        raise MoneyError(f"`{text}` is no amount with a currency", advice)
     amount, currency = float(match[1]), match[2]
     if currency not in CURRENCIES:
         near = _currency_hint(currency)

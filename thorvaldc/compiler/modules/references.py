@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 from thorvaldc.compiler.modules.instance import Instance
 from thorvaldc.compiler.modules.scope import hint_of_known
 from thorvaldc.compiler.source.node import Node
@@ -15,6 +17,17 @@ def _port_hint(inside: Instance, reference: str) -> Proposal | None:
             if reference in (port, f"{name}_{port}", f"{name}{port}"):
                 return Proposal(f"did you mean `{name}.{port}`?", f"{name}.{port}")
     return None
+
+
+def _none_hint(inside: Instance, reference: str, section: str, word: str) -> str:
+    """Returns the hint for a reference to a module that has no port or motor at all."""
+    others = (
+        f"`{name}`"
+        for name, child in inside.children.items()
+        if child.type is not None and child.type.section(section)
+    )
+    known = ", ".join(itertools.islice(others, 6))
+    return f"`{reference}` has no {word}s" + (f"; modules with {word}s: {known}" if known else "")
 
 
 class References:
@@ -100,9 +113,11 @@ class References:
             if not rest:
                 first = next(iter(available), None)
                 message = f"`{reference}` is a module, not a {word}"
-                hint = f"name its {word}: `{reference}.{first}`" if first else "it has none"
                 if first:
+                    hint = f"name its {word}: `{reference}.{first}`"
                     hint = Proposal(hint, f"{reference}.{first}", is_example=True)
+                else:
+                    hint = _none_hint(inside, reference, section, word)
             elif rest[0] in available:
                 message = f"`{part.path}.{rest[0]}` is a {word}; nothing can follow it"
                 shorter = reference.removesuffix("." + ".".join(rest[1:]))

@@ -12,6 +12,7 @@ from thorvaldc.compiler.modules.hardware_parts import Hardware
 from thorvaldc.compiler.modules.instance import Instance, name_prefix
 from thorvaldc.compiler.modules.purchase_reader import purchase_of
 from thorvaldc.diagnostics import Label, Report
+from thorvaldc.diagnostics.plain_numbers import millimetres
 from thorvaldc.model.module import Purchase
 from thorvaldc.model.robot import (
     Actuator,
@@ -191,10 +192,10 @@ class RobotParts:
             elif stated is not None and abs(stated - z) > HEIGHT_TOLERANCE:
                 report.add(
                     "frame-height",
-                    f"`{joint.module}` states a height of {stated * 1000:.6g} mm; "
-                    f"on these wheels it is {z * 1000:.6g} mm",
+                    f"`{joint.module}` states a height of {millimetres(stated, 6)}; "
+                    f"on these wheels it is {millimetres(z, 6)}",
                     joint.span,
-                    hint=f"set `height: {z * 1000:.6g} mm`, leave it out, "
+                    hint=f"set `height: {millimetres(z, 6)}`, leave it out, "
                     "or choose legs of another length",
                 )
 

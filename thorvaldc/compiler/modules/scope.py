@@ -26,6 +26,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any
 from thorvaldc.diagnostics import Label, Proposal, Report
+from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.diagnostics.suggest import did_you_mean
 
 NONE = "none"
@@ -390,7 +391,7 @@ class Scope(ValueReader):
                 continue
             limit = self._typed(limit_node, declaration)
             if limit is not INVALID and sign * value < sign * limit:
-                limit_text = f"{limit:g}"
+                limit_text = plain(limit)
                 if isinstance(limit_node.value, str) and not limit_node.value.startswith("${"):
                     # The error message shows the limit of the parameter with the unit.
                     limit_text = limit_node.value

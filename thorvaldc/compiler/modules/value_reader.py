@@ -17,6 +17,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_quantity
 from thorvaldc.diagnostics import Proposal, Report
+from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model.spatial import Pose, Vec3
 
 # Least and greatest absolute value of every physical quantity in SI units, except 0.  Squares and
@@ -251,7 +252,7 @@ def describe_value(node: Node, value: Any) -> str:
     The description of an expression includes the value of the expression.
     """
     if isinstance(node.value, str) and "${" in node.value and isinstance(value, int | float):
-        return f"{value:g} (`{node.value}`)"
+        return f"{plain(value)} (`{node.value}`)"
     return describe_node(node)
 
 

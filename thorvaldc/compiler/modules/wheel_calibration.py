@@ -16,6 +16,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.diagnostics import Label, Proposal, Report, Span
+from thorvaldc.diagnostics.plain_numbers import millimetres
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.robot import Actuator, Joint, Wheel
 from thorvaldc.model.spatial import add, clean
@@ -195,8 +196,8 @@ def _checked_radius(measured: Measured, nominal: float, wheel: str, report: Repo
         return measured.value
     report.add(
         "calibration-value",
-        f"the radius of `{wheel}` is {measured.value * 1000:.6g} mm; its module states "
-        f"{nominal * 1000:.6g} mm, and a difference of more than {MAX_RADIUS_CHANGE:.0%} means "
+        f"the radius of `{wheel}` is {millimetres(measured.value, 6)}; its module states "
+        f"{millimetres(nominal, 6)}, and a difference of more than {MAX_RADIUS_CHANGE:.0%} means "
         "another wheel",
         measured.span,
         hint=_radius_hint(measured.value, nominal),
@@ -207,7 +208,7 @@ def _checked_radius(measured: Measured, nominal: float, wheel: str, report: Repo
 def _radius_hint(radius: float, nominal: float) -> str:
     for factor, reason in ((0.001, "a radius in mm needs its unit"), (0.5, "this is the diameter")):
         if abs(factor * radius - nominal) <= MAX_RADIUS_CHANGE * nominal:
-            text = f"{factor * radius * 1000:.6g} mm"
+            text = f"{millimetres(factor * radius, 6)}"
             return Proposal(f"write `{text}` if {reason}", text)
     return "calibrate again, or correct the wheel's module"
 

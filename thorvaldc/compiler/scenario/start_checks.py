@@ -14,6 +14,7 @@ from typing import NamedTuple
 from thorvaldc.compiler.modules.value_reader import entries, items
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Proposal, Report
+from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Block, Box, Cylinder, Fleet, Placement, Pose, Shape, Sphere
 from thorvaldc.model.spatial import Vec3
 from thorvaldc.model.statics.convex_hull import Point, convex_hull, overlap
@@ -91,7 +92,7 @@ def _report(
         x, y, z = block.pose.xyz[0], block.pose.xyz[1], 0.0
         distance = depth + 0.5
         moved = ", ".join(
-            f"{round(value, 2):g} m"
+            f"{plain(round(value, 2))} m"
             for value in (x + distance * direction[0], y + distance * direction[1], z)
         )
         hint = Proposal(

@@ -11,6 +11,7 @@ from thorvaldc.compiler.scenario.zone_reader import CELLS_PER_WAVE, MAX_CELLS, r
 from thorvaldc.compiler.source.edits import insertion, removal
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Ground, Robot, World
 
 _KEYS_OF_SLOPES = ("angle", "direction")
@@ -107,8 +108,9 @@ def _rough_size(
         return size
     report.add(
         "out-of-range",
-        f"rough ground of {size[0]:g} m x {size[1]:g} m with waves of {wavelength:g} m has "
-        f"{cells:.3g} cells; it must be at least 1 m long and have at most {MAX_CELLS}",
+        f"rough ground of {plain(size[0])} m x {plain(size[1])} m with waves of "
+        f"{plain(wavelength)} m has {cells:.3g} cells; it must be at least 1 m long and have at "
+        f"most {MAX_CELLS}",
         (node.get("size") or node).where,
         hint="choose longer waves, or less ground",
     )

@@ -10,6 +10,7 @@ from thorvaldc.compiler.modules.value_reader import items
 from thorvaldc.compiler.source.edits import removal
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Fleet, Zone
 
 MAX_CELLS = 1_000_000
@@ -32,8 +33,8 @@ def read_zones(node: Node | None, quantities: BoundedQuantities, report: Report)
         if not (min(size) > 0.0 and count <= MAX_CELLS):
             report.add(
                 "out-of-range",
-                f"a zone of {size[0]:g} m x {size[1]:g} m has {count:.3g} cells; it must have "
-                f"an extent, and at most {MAX_CELLS} cells",
+                f"a zone of {plain(size[0])} m x {plain(size[1])} m has {count:.3g} cells; it must "
+                f"have an extent, and at most {MAX_CELLS} cells",
                 (zone_node.get("size") or zone_node).where,
             )
             continue

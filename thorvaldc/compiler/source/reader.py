@@ -19,6 +19,7 @@ from thorvaldc.compiler.source import lookalikes, split_values, yaml_errors
 from thorvaldc.compiler.source.input_file import read_bytes
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.scalars import key_kind, plain_scalar
+from thorvaldc.compiler.source.xml_documents import report_xml
 from thorvaldc.diagnostics import Label, Proposal, Report, Span
 
 MAX_BYTES = 1_000_000
@@ -47,6 +48,8 @@ def read_text(data: bytes, file: str, report: Report) -> Node | None:
 
     If some YAML values have errors, returns the document with the most likely values.
     """
+    if report_xml(data, file, report):
+        return None
     root = compose(data, file, report, hint_if_empty=_EMPTY_HINT)
     if root is None:
         return None

@@ -78,7 +78,7 @@ def parse_quantity(text: str, quantity: str) -> float:
         return value
     raise UnitError(
         f"`{_shorten(text)}` is {describe(unit.dimension)}; expected {kind}",
-        Proposal(f"write it as in `{kind.example}`", kind.example, is_example=True),
+        _in_unit_of(kind, text),
         "wrong-dimension",
     )
 
@@ -118,6 +118,7 @@ _NUMBER_BEFORE_UNIT = re.compile(
     r"([+-]?)(?:(\d+)(?:\.(\d*))?|\.(\d+))(?:[eE]([+-]?\d+))?", re.ASCII
 )
 _QUOTIENT = re.compile(r"/\s*(\d+(?:\.\d*)?)\s*([^\d/].*)?")
+_RATIO_IN_WORDS = re.compile(r"to\s*(\d+(?:\.\d+)?)")
 _SEPARATED = re.compile(r"([+-]?\d+)([,._' ])(\d+)(?![,._'\d])(.*)")
 _OTHER_BRACES = re.compile(r"\$\{([^{}]+)|\{\{([^{}]+)\}\}|\$([a-z_]\w*)")  # of other tools
 _SECOND_NUMBER = re.compile(r"(?!1\s*/)[,._']?\d")
@@ -131,9 +132,9 @@ def _parse(text: str, kind: Quantity | None) -> tuple[float, Unit | None]:
     """
     shown = _shorten(text)
     example_value = kind.example if kind else "650 mm"
-    example = Proposal(
-        f"write a number with a unit, as in `{example_value}`", example_value, is_example=True
-    )
+    example: str = f"write a number with a unit, as in `{example_value}`"
+    if not re.search(r"\d", text):
+        example = Proposal(example, example_value, is_example=True)
     if len(text) > _MAX_TEXT:
         raise UnitError(f"`{shown}` is too long for a quantity", example)
     stripped = text.strip().replace("\N{MINUS SIGN}", "-")
@@ -166,6 +167,9 @@ def _parse(text: str, kind: Quantity | None) -> tuple[float, Unit | None]:
             f"`{shown}` is not a quantity: the number is interrupted after `{number[0]}`",
             _separator_hint(stripped),
         )
+    elif (words := _RATIO_IN_WORDS.fullmatch(rest)) and (kind is None or kind.unit == "1"):
+        ratio = f"{number[0]}:{words[1]}"
+        raise UnitError(f"`{shown}` is not a ratio", Proposal(f"write a ratio as `{ratio}`", ratio))
     unit = _parse_unit_after_number(rest, text, kind)
     return _value(mantissa, exponent, unit, shown), unit
 
@@ -181,10 +185,22 @@ def _parse_unit_after_number(rest: str, text: str, kind: Quantity | None) -> Uni
     except UnitError as error:
         hint = error.hint
         if kind is not None and error.unknown == rest:
-            hint = _unit_hint(rest, kind)
-        if isinstance(hint, Proposal):
-            hint = hint if hint.is_example else hint.within(text)
+            hint = _unit_hint(rest, kind) or _in_unit_of(kind, text)
+        if isinstance(hint, Proposal) and hint.word:
+            hint = hint.within(text)
         raise UnitError(error.message, hint, error.code) from None
+
+
+def _in_unit_of(kind: Quantity, text: str) -> str:
+    """Returns the hint to write the number of ``text`` in a unit of the expected kind.
+
+    The number is that of the user: nobody notices an example that replaces it.
+    """
+    number = _NUMBER_BEFORE_UNIT.match(text.strip())
+    if number is None or ":" in text:
+        return f"write {kind} as in `{kind.example}`"
+    quantity = f"{number[0]} {kind.example.partition(' ')[2]}".strip()
+    return Proposal(f"write {kind} as in `{quantity}`", quantity, is_example=True)
 
 
 def _quotient_hint(number: str, quotient: re.Match[str], kind: Quantity | None) -> str:
@@ -439,10 +455,11 @@ def _one_letter_off(name: str, units: Iterable[str]) -> str | None:
     return None
 
 
-def _unit_hint(name: str, kind: Quantity | None = None) -> str:
+def _unit_hint(name: str, kind: Quantity | None = None) -> str | None:
     """Returns the hint for an unknown unit.
 
-    - ``kind``: expected kind of quantity.  The hint proposes only units of this kind.
+    - ``kind``: expected kind of quantity.  The hint proposes only units of this kind.  Without a
+      similar one, the hint is ``None``.
     """
     common: Iterable[str] = COMMON
     if kind is not None:
@@ -461,6 +478,5 @@ def _unit_hint(name: str, kind: Quantity | None = None) -> str:
     if similar is not None:
         return Proposal(f"did you mean `{similar}`?", similar, word=name)
     if kind is not None:
-        hint = f"write {kind} as in `{kind.example}`"
-        return Proposal(hint, kind.example, is_example=True)
+        return None
     return "write units as in `mm`, `kg`, `deg`, `rpm`, `N m` or `m/s^2`"

@@ -286,6 +286,12 @@ class _Explanation:
         example = _example(self.schema)
         if example is None:
             return None
+        numbers = re.findall(r"\d[\d.]*", str(self.node.plain()))
+        is_whole = len(numbers) == 1 and re.fullmatch(r"\d+(\.0*)?", numbers[0])
+        if is_whole and example.isdigit():
+            example = numbers[0].partition(".")[0]
+        elif numbers:  # only the user knows them: no fix replaces them
+            return f"as in `{example}`"
         return Proposal(f"as in `{example}`", example, is_example=True)
 
     def _enum(self, values: list[Any] | None = None) -> None:

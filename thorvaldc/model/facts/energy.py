@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from thorvaldc.model.float_sum import float_sum
-from thorvaldc.model.robot import Robot, Scalar
+from thorvaldc.model.robot import PARALLEL, Battery, Robot, Scalar
 
 VOLTAGE, CAPACITY = "voltage", "capacity"
 POWER = "power"
@@ -43,17 +43,27 @@ class Energy:
       in motors and gears and the power of the electronics make the real range shorter. ``None`` if
       one of the numbers is missing.
     - ``power``: power of the electronics in W that the modules state, 0 if none states it.
+    - ``connection``: ``parallel``, ``separate`` or ``None``, see ``Robot.battery_connection``.
+    - ``voltage``, ``capacity``: nominal voltage in V and capacity in A s of the whole source: of
+      the only battery, or of batteries in parallel, whose capacities add up. ``None`` if the robot
+      has no common source or a module does not state its number.
     - ``standby``: energy divided by ``power`` in s, or ``None`` if a module does not state its
-      power.
+      power, or if the batteries are no common source.
+    - ``standby_current``: ``power`` divided by ``voltage`` in A, of all batteries together, or
+      ``None`` without a ``standby``.
     - ``missing``: the numbers that no module states, in words.
     """
 
     batteries: tuple[BatteryFacts, ...]
+    connection: str | None
+    voltage: float | None
+    capacity: float | None
     energy: float | None
     rolling_force: float
     range_bound: float | None
     power: float
     standby: float | None
+    standby_current: float | None
     missing: tuple[str, ...]
 
 
@@ -70,6 +80,18 @@ def energy_of(robot: Robot) -> Energy:
     missing = [
         f"voltage or capacity of `{battery.name}`" for battery in present if battery.energy is None
     ]
+    source = present if len(present) == 1 or robot.battery_connection == PARALLEL else []
+    voltages, capacities = {b.voltage for b in source}, [b.capacity for b in source]
+    voltage = voltages.pop() if len(voltages) == 1 else None
+    known = [capacity for capacity in capacities if capacity is not None]
+    capacity = float_sum(known) if known and len(known) == len(source) else None
+    has_standby = bool(source) and energy is not None and power > 0.0 and not silent
+    if len(present) > 1 and not source:
+        missing.append(
+            "which modules each battery supplies"
+            if robot.battery_connection
+            else "whether the batteries are in parallel"
+        )
     if force <= 0.0:
         missing.append("the rolling resistance of the wheels")
     if any(wheel.driven for wheel in robot.wheels):
@@ -78,18 +100,27 @@ def energy_of(robot: Robot) -> Energy:
         missing.append(f"the power of {_listed(silent)}")
     return Energy(
         batteries,
+        robot.battery_connection,
+        voltage,
+        capacity,
         energy,
         force,
         energy / force if energy is not None and force > 0.0 else None,
         power,
-        energy / power if energy is not None and power > 0.0 and not silent else None,
+        energy / power if has_standby and energy is not None else None,
+        power / voltage if has_standby and voltage else None,
         tuple(missing),
     )
 
 
+def battery_voltage(battery: Battery) -> float | None:
+    """Return the nominal voltage of a battery in V, or ``None`` if its module states none."""
+    return _number(battery.properties, VOLTAGE)
+
+
 def _batteries(robot: Robot) -> Iterator[BatteryFacts]:
     for battery in robot.batteries:
-        voltage = _number(battery.properties, VOLTAGE)
+        voltage = battery_voltage(battery)
         capacity = _number(battery.properties, CAPACITY)
         present = battery.node is not None
         energy = voltage * capacity if voltage is not None and capacity is not None else None

@@ -33,8 +33,9 @@ PATTERNS: dict[str, tuple[str, ...]] = {
     "torque": ("wiring.*.max_torque",),
     "energy": ("energy.energy", "energy.batteries.*.energy"),
     "power": ("energy.power",),
-    "voltage": ("energy.batteries.*.voltage",),
-    "charge": ("energy.batteries.*.capacity",),
+    "voltage": ("energy.voltage", "energy.batteries.*.voltage"),
+    "charge": ("energy.capacity", "energy.batteries.*.capacity"),
+    "current": ("energy.standby_current",),
     "time": (
         "energy.standby",
         "buses.*.period",

@@ -17,6 +17,7 @@ from thorvaldc.model.facts.slopes import SlopeLimits, Slopes
 from thorvaldc.model.facts.soil import SoilLoad
 from thorvaldc.model.facts.stability import DIRECTIONS, Stability, WheelLoad
 from thorvaldc.model.module import SourcedMass
+from thorvaldc.model.robot import PARALLEL
 from thorvaldc.model.statics.unpowered import StandingSlopes
 
 Row = tuple[str, ...]
@@ -52,7 +53,10 @@ def fact_tables(facts: RobotFacts) -> tuple[FactTable, ...]:
         _slopes(facts.slopes),
         _standing(facts.standing),
         *_buses(facts.buses),
-        _wiring(facts.wiring, has_battery=bool(facts.energy.batteries)),
+        _wiring(
+            facts.wiring,
+            has_battery=bool(facts.energy.batteries) and facts.energy.connection != PARALLEL,
+        ),
         _modules(facts.modules),
         _bill(facts.bill),
         _purchase(facts.purchase),
@@ -282,6 +286,11 @@ def _energy(energy: Energy) -> FactTable:
         if battery.energy is not None:
             parts.append(f"{battery.energy / 3600.0:.0f} Wh")
         rows.append((battery.name, ", ".join(parts) or "not stated"))
+    if energy.connection and len(energy.batteries) > 1:
+        source = [energy.connection]
+        if energy.voltage is not None and energy.capacity is not None:
+            source.append(f"{energy.voltage:g} V, {energy.capacity / 3600.0:g} Ah")
+        rows.append(("connection", ", ".join(source)))
     if energy.energy is not None:
         rows.append(("energy", f"{energy.energy / 3600.0:.0f} Wh"))
     if energy.rolling_force > 0.0:
@@ -289,7 +298,9 @@ def _energy(energy: Energy) -> FactTable:
     if energy.range_bound is not None:
         rows.append(("range", f"less than {energy.range_bound / 1000.0:.0f} km"))
     if energy.standby is not None:
-        rows.append(("standby", f"{energy.standby / 3600.0:.1f} h at {energy.power:g} W"))
+        current = energy.standby_current
+        shown = f" and {current:.2g} A" if current is not None and len(energy.batteries) > 1 else ""
+        rows.append(("standby", f"{energy.standby / 3600.0:.1f} h at {energy.power:g} W{shown}"))
     notes = []
     if energy.range_bound is not None:
         notes.append(

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 
 from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Inertial
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.tools.audit.audit_facts import Body, Description, Evidence, SolidShape
@@ -83,7 +84,7 @@ def check_inertias(evidence: Evidence, report: Report) -> None:
             report.add(
                 "audit-inertia-size",
                 f"body `{body.name}` has a moment of inertia of {high:.4g} kg m^2, but its"
-                f" {body.mass:g} kg within {reach:.3g} m can have at most"
+                f" {body.mass:g} kg within {plain(reach, 3)} m can have at most"
                 f" {body.mass * reach**2:.4g} kg m^2",
                 body.inertia_span,
                 hint="the unit is kg m^2, about the centre of mass; kg mm^2 are 1e-6 of that",
@@ -173,7 +174,7 @@ def check_lengths(evidence: Evidence, report: Report) -> None:
             if shape.kind not in ("mesh", "plane") and max(shape.size) > MAX_LENGTH:
                 report.add(
                     "audit-length-unit",
-                    f"a {shape.kind} of body `{body.name}` measures {max(shape.size):g} m",
+                    f"a {shape.kind} of body `{body.name}` measures {plain(max(shape.size))} m",
                     shape.span,
                     hint="lengths are in m; is this one in mm?",
                 )
@@ -201,14 +202,14 @@ def check_lengths(evidence: Evidence, report: Report) -> None:
             scale = " with a scale of 0.001" if max(map(abs, shape.size)) > 0.1 else ""
             report.add(
                 "audit-length-unit",
-                f"the mesh `{shape.mesh}` of body `{body.name}` measures {max(edges):.3g} m",
+                f"the mesh `{shape.mesh}` of body `{body.name}` measures {plain(max(edges), 3)} m",
                 shape.span,
                 hint=f"is it in mm? use it{scale}" if scale else "is its scale right?",
             )
         elif max(edges) < 1e-4 and max(edges) > 0.0:
             report.add(
                 "audit-length-unit",
-                f"the mesh `{shape.mesh}` of body `{body.name}` measures {max(edges):.3g} m",
+                f"the mesh `{shape.mesh}` of body `{body.name}` measures {plain(max(edges), 3)} m",
                 shape.span,
                 hint="is it in m already, so that the scale 0.001 is too much?",
             )

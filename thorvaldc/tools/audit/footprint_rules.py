@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.diagnostics.foreign_json import read_json
+from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Pose
 from thorvaldc.model.statics.convex_hull import convex_hull
 from thorvaldc.tools.audit.audit_facts import (
@@ -79,7 +80,7 @@ def _shown(fact: Fact) -> str:
     if isinstance(fact.value, tuple):
         points = ", ".join(f"[{x:g}, {y:g}]" for x, y in fact.value[:8])
         return f"[{points}{', ...' if len(fact.value) > 8 else ''}]"
-    return f"of radius {fact.value:g} m"
+    return f"of radius {plain(fact.value)} m"
 
 
 def check_footprints_cover(evidence: Evidence, report: Report) -> None:
@@ -102,7 +103,8 @@ def check_footprints_cover(evidence: Evidence, report: Report) -> None:
         if distance > margin:
             report.add(
                 "audit-footprint",
-                f"the footprint of {fact.subject} leaves out {distance:.3g} m of body `{body}`",
+                f"the footprint of {fact.subject} leaves out {plain(distance, 3)} m of body "
+                f"`{body}`",
                 fact.span,
                 hint="the planner steers this part into obstacles; enlarge the footprint",
                 labels=[Label(shape.span, "this shape")],

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from thorvaldc.diagnostics import Label, Report
+from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.tools.audit.audit_facts import Description, Evidence, Fact
 from thorvaldc.tools.audit.drive_facts import wheel_center, wheel_radius
 
@@ -20,13 +21,13 @@ def check_wheel_radii(evidence: Evidence, report: Report) -> None:
         percent = 100.0 * (true.value / fact.value - 1.0)
         report.add(
             "audit-wheel-radius",
-            f"{fact.subject} computes with a wheel radius of {fact.value:.6g} m, but {true.subject}"
-            f" has {true.value:.6g} m: the robot drives {abs(percent):.2g} %"
+            f"{fact.subject} computes with a wheel radius of {plain(fact.value)} m, but"
+            f" {true.subject} has {plain(true.value)} m: the robot drives {abs(percent):.2g} %"
             f" {'further' if percent > 0 else 'less far'} than its odometry says",
             fact.span,
             hint="write the measured radius in all files, or keep the geometry and set the"
             " controller's radius multiplier",
-            labels=[Label(true.span, f"{true.value:.6g} m here")],
+            labels=[Label(true.span, f"{plain(true.value)} m here")],
         )
 
 
@@ -36,13 +37,13 @@ def check_wheel_separations(evidence: Evidence, report: Report) -> None:
         percent = 100.0 * (fact.value / true.value - 1.0)
         report.add(
             "audit-wheel-separation",
-            f"{fact.subject} computes with a wheel separation of {fact.value:.6g} m, but"
-            f" {true.subject} has {true.value:.6g} m: the robot turns {abs(percent):.2g} %"
+            f"{fact.subject} computes with a wheel separation of {plain(fact.value)} m, but"
+            f" {true.subject} has {plain(true.value)} m: the robot turns {abs(percent):.2g} %"
             f" {'further' if percent > 0 else 'less far'} than its odometry says",
             fact.span,
             hint="write the true separation; corrections for slip belong in the controller's"
             " separation multiplier",
-            labels=[Label(true.span, f"{true.value:.6g} m here")],
+            labels=[Label(true.span, f"{plain(true.value)} m here")],
         )
 
 

@@ -41,6 +41,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Robot
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
@@ -484,8 +485,8 @@ def _scale(
             hint = "drive straight on, 10 m or more: turns hide the scale"
         report.add(
             "calibration-distance",
-            f"according to the wheels, the run ended {unscaled:.4g} m from where it began; "
-            f"{distance:.4g} m were measured",
+            f"according to the wheels, the run ended {plain(unscaled, 4)} m from where it began; "
+            f"{plain(distance, 4)} m were measured",
             span,
             hint=hint,
         )

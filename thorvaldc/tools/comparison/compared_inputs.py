@@ -17,7 +17,11 @@ from thorvaldc.diagnostics.bounded_file import read_bounded
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.model_json import is_model_file, load_model
-from thorvaldc.tools.comparison.git_revision import exported_revision, split_revision
+from thorvaldc.tools.comparison.git_revision import (
+    exported_revision,
+    is_revision,
+    split_revision,
+)
 from thorvaldc.tools.comparison.module_outline import Outline, outline_of_file
 from thorvaldc.tools.comparison.robot_comparison import compare_fleets, compare_robots
 from thorvaldc.tools.comparison.robot_difference import Difference
@@ -73,6 +77,17 @@ def read_input(
     except DiagnosticError as error:
         compared.report.put(error.diagnostic)
     return compared
+
+
+def revision_hint(before: str, after: str) -> str | None:
+    """Returns the hint if one input is a git revision without the file, such as ``HEAD``."""
+    for revision, file in ((before, after), (after, before)):
+        if os.path.exists(revision) or not os.path.isfile(file):
+            continue
+        if is_revision(revision, Path.cwd()):
+            path = Path(file).as_posix()
+            return f"write `{revision}:{path}` for the file in the revision `{revision}`"
+    return None
 
 
 def compare(before: ComparedInput, after: ComparedInput) -> Difference:

@@ -75,6 +75,14 @@ def exported_revision(revision: str, path: str, folder: Path) -> Iterator[Revisi
         yield RevisionFile(root / name, root, repository, name)
 
 
+def is_revision(text: str, folder: Path) -> bool:
+    """Returns whether a text names a commit of the repository of a folder, such as ``HEAD``."""
+    try:
+        return bool(text) and bool(_commit(folder, text))
+    except DiagnosticError:
+        return False
+
+
 def _commit(folder: Path, revision: str) -> str:
     """Returns the hash of a revision."""
     try:

@@ -11,6 +11,7 @@ from thorvaldc.compiler.source.edits import yaml_text
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any, parse_quantity
 from thorvaldc.diagnostics import Span
+from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.facts import robot_facts
 from thorvaldc.model.float_sum import float_sum
@@ -192,8 +193,8 @@ def _facts(robot: Robot, name: str) -> list[str]:
         kinds = [word for word in ("driven", "steered") if getattr(wheel, word)]
         rows.append(
             f"- wheel `{wheel.name}`: {' and '.join(kinds) or 'follows'}, radius"
-            f" {wheel.radius:.4g} m, at x = {wheel.x:.4g}, y = {wheel.y:.4g} m, load"
-            f" {wheel.load:.4g} N ({wheel.share:.0%} of the weight)"
+            f" {plain(wheel.radius, 4)} m, at x = {plain(wheel.x, 4)}, y = {plain(wheel.y, 4)} m,"
+            f" load {wheel.load:.4g} N ({wheel.share:.0%} of the weight)"
         )
     return rows
 
