@@ -24,7 +24,10 @@ from thorvaldc.compiler.bus.device_sections import (
 from thorvaldc.compiler.bus.frame_checks import check_channels, check_layout, check_scales
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.source.edits import insertion
+from thorvaldc.compiler.source.expression_dimensions import EXPECTED, without_angle
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.unit_table import Dimension
+from thorvaldc.compiler.source.units import UnitError, parse_unit
 from thorvaldc.diagnostics import Label, Proposal, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.bus import OBJECT_TYPES
@@ -52,6 +55,18 @@ def channel_names(device: Device) -> dict[str, dict[str, float | int]]:
         }
         for wire in device.wires
     }
+
+
+CHANNEL_DIMENSIONS = {
+    "gear_ratio": EXPECTED["ratio"],
+    "encoder_ppr": EXPECTED["number"],
+    "motor_max_speed": EXPECTED["angular_velocity"],
+    "max_velocity": EXPECTED["angular_velocity"],
+    "max_acceleration": EXPECTED["angular_acceleration"],
+    "lower": EXPECTED["angle"],
+    "upper": EXPECTED["angle"],
+}
+"""Dimensions of the values of ``channel_names``."""
 
 
 def frames_of(
@@ -253,11 +268,12 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
             # An expression in the section `can` can use the parameters of the motor on a controller
             # channel.  If the controller channel has no motor, the expression cannot be evaluated.
             number = get(key) if wired else None
-            return (
-                otherwise if number is None else scope.quantity(number, "ratio", otherwise or 0.0)
-            )
+            if number is None:
+                return otherwise
+            return scope.quantity(number, "ratio", otherwise or 0.0, *allowed)
 
         wire = wires.get(channel) if channel is not None else None
+        allowed = _si_dimension(scope.text(get("unit")))
         signal = Signal(
             name,
             integer(scope, get("start"), 0),
@@ -278,6 +294,20 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
         if wire is not None and wire.actuator.encoder_offset and signal.unit == "rad":
             signal = _calibrated(signal, wire, commands)
         yield signal, channel
+
+
+def _si_dimension(unit_name: str) -> tuple[Dimension, ...]:
+    """Returns the dimension that a number of a signal may have, beside none.
+
+    A number of a signal is in the unit of the signal.  It may be a quantity in SI if the unit is one
+    of SI, such as `rad/s`; there is no dimension if it is another, such as `rev/s`.
+    """
+    try:
+        unit = parse_unit(unit_name)
+    except UnitError:
+        return ()
+    is_si = unit.numerator == unit.denominator and not unit.pi_power and not unit.offset
+    return (without_angle(unit.dimension),) if is_si else ()
 
 
 def _calibrated(signal: Signal, wire: Wire, commands: bool) -> Signal:
