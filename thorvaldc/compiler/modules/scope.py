@@ -159,6 +159,7 @@ class Scope(ValueReader):
         self._values: dict[str, Any] = {}
         self._name_dimensions: dict[str, Any] = {}
         self._in_evaluation: list[str] = []
+        self._in_inference: list[str] = []
 
     def with_names(self, extra: dict[str, Any], dimensions: dict[str, Any]) -> Scope:
         """Returns a copy of the scope with additional names for expressions.
@@ -217,13 +218,18 @@ class Scope(ValueReader):
         if name not in known:
             if name not in self:
                 raise KeyError(name)
-            known[name] = None  # for a name that depends on itself, which is reported elsewhere
+            # A name that depends on itself, or on a long chain of names, is reported elsewhere.
+            known[name] = None
+            if len(self._in_inference) >= MAX_CHAIN:
+                return None
+            self._in_inference.append(name)
             with contextlib.suppress(ReferenceCycleError):
                 declaration = self._params.get(name)
                 if declaration is None:
                     known[name] = self.dimension_of(self._let[name])
                 else:
                     known[name] = self._parameter_dimension(name, declaration)
+            self._in_inference.pop()
         return known[name]
 
     def _parameter_dimension(self, name: str, declaration: Node) -> Any:
