@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from thorvaldc.can.canopen import EMCY, HEARTBEAT, SDO_REQUEST, SDO_RESPONSE, NmtState
@@ -263,27 +264,19 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
         get = node.value.get
         channel = scope.text(get("channel")) if "channel" in node.value else None
         wired = channel is None or channel in wires
-
-        def value(key: str, otherwise: float | None, get: Any = get, wired: bool = wired) -> Any:
-            # An expression in the section `can` can use the parameters of the motor on a controller
-            # channel.  If the controller channel has no motor, the expression cannot be evaluated.
-            number = get(key) if wired else None
-            if number is None:
-                return otherwise
-            return scope.quantity(number, "ratio", otherwise or 0.0, *allowed)
-
+        unit = scope.text(get("unit"))
+        number_of = partial(_signal_number, scope, node if wired else None, unit)
         wire = wires.get(channel) if channel is not None else None
-        allowed = _si_dimension(scope.text(get("unit")))
         signal = Signal(
             name,
             integer(scope, get("start"), 0),
             integer(scope, get("length"), 1),
             scope.boolean(get("signed"), False),
-            value("scale", 1.0),
-            value("offset", 0.0),
-            scope.text(get("unit")),
-            value("minimum", None),
-            value("maximum", None),
+            number_of("scale", 1.0),
+            number_of("offset", 0.0),
+            unit,
+            number_of("minimum", None),
+            number_of("maximum", None),
             wire.actuator.joint if wire is not None else None,
             scope.boolean(get("multiplexer"), False),
             tuple(integer(scope, item, 0) for item in items(get("selected_by"))),
@@ -296,11 +289,27 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
         yield signal, channel
 
 
+def _signal_number(
+    scope: Scope, signal: Node | None, unit: str, key: str, otherwise: float | None
+) -> Any:
+    """Returns a number of a CAN signal, in the unit of the signal.
+
+    An expression in the section `can` can use the parameters of the motor on a controller channel.
+    If the controller channel has no motor, ``signal`` is ``None``, because the expression cannot be
+    evaluated.
+    """
+    number = signal.get(key) if signal is not None else None
+    if number is None:
+        return otherwise
+    allowed = _si_dimension(unit) if unit and isinstance(number.value, str) else ()
+    return scope.quantity(number, "ratio", otherwise or 0.0, *allowed)
+
+
 def _si_dimension(unit_name: str) -> tuple[Dimension, ...]:
     """Returns the dimension that a number of a signal may have, beside none.
 
-    A number of a signal is in the unit of the signal.  It may be a quantity in SI if the unit is one
-    of SI, such as `rad/s`; there is no dimension if it is another, such as `rev/s`.
+    A number of a signal is in the unit of the signal.  It may be a quantity in SI if the unit is
+    one of SI, such as `rad/s`, but not if the unit is another, such as `rev/s`.
     """
     try:
         unit = parse_unit(unit_name)

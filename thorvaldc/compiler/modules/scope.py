@@ -232,6 +232,9 @@ class Scope(ValueReader):
             self._in_inference.pop()
         return known[name]
 
+    def let_node(self, name: str) -> Node | None:
+        return self._let.get(name)
+
     def _parameter_dimension(self, name: str, declaration: Node) -> Any:
         kind = _kind(declaration)
         if kind == "module":

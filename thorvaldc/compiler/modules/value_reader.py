@@ -9,25 +9,21 @@ from __future__ import annotations
 
 import contextlib
 import math
-import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from thorvaldc.compiler.modules.dimension_hints import dimension_hint, expression_of
 from thorvaldc.compiler.modules.plausible_numbers import probable_unit
 from thorvaldc.compiler.source.expression_dimensions import (
     EXPECTED,
-    NONE,
     DimensionError,
     fits,
     in_words,
-    multiply,
     number_dimension,
-    unit_text,
     written_dimension,
 )
 from thorvaldc.compiler.source.expressions import ExpressionError, evaluate, infer_dimension
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.compiler.source.unit_repair import with_units
 from thorvaldc.compiler.source.unit_table import QUANTITIES, Dimension
 from thorvaldc.compiler.source.units import UnitError, is_bare_number, parse_quantity
 from thorvaldc.diagnostics import Proposal, Report
@@ -87,6 +83,10 @@ class ValueReader(Mapping[str, Any]):
         """
         raise KeyError(name)
 
+    def let_node(self, name: str) -> Node | None:
+        """Returns the node of a `let` value, or ``None`` if there is none."""
+        return None
+
     def __getitem__(self, name: str) -> Any:
         raise KeyError(name)
 
@@ -122,7 +122,7 @@ class ValueReader(Mapping[str, Any]):
         except ExpressionError as error:
             hint = error.hint
             if isinstance(hint, Proposal) and hint.word:
-                whole = hint.within(value)
+                whole = hint.within(str(value))
                 hint = Proposal(hint, *(f'"{text}"' for text in whole.replacements))
             self.report.add(error.code, error.message, node.span, hint=hint)
         except ReferenceCycleError as error:
@@ -132,31 +132,21 @@ class ValueReader(Mapping[str, Any]):
         return INVALID
 
     def _report_dimension(
-        self, node: Node, message: str, expected: Dimension | None, actual: tuple[Dimension, ...]
+        self,
+        node: Node,
+        message: str,
+        expected: Dimension | None,
+        actual: tuple[Dimension, ...],
+        expected_words: str = "",
     ) -> None:
         """Reports a wrong dimension of an expression.
 
-        The hint contains the expression with the units that its numbers need, if there is one.
-        ``expected``, ``actual``: as for ``with_units``.
+        ``expected`` and all after it: as for ``dimension_hint``.
         """
         if self.report.has_error_in(node.span):
             return  # A part that is repeated 1000 times has 1000 scopes and one error.
         text = expression_of(node) or ""
-        goal = expected if expected is not None else actual[-1]
-        wrong = next((d for d in (*actual, NONE) if not fits(d, goal)), NONE)
-        hint = f"{in_words(wrong)} is not {in_words(goal)}"
-        repaired = with_units(text, self, expected, actual)
-        if repaired is None and len(actual) == 1:
-            factor = multiply(goal, actual[0], -1)
-            if fits(actual[0], NONE):
-                repaired = f"{text} * 1 {unit_text(goal)}"
-                if not re.fullmatch(r"[\w.]+", text):
-                    repaired = f"({text}) * 1 {unit_text(goal)}"
-            elif all(power == int(power) for power in factor):
-                hint += f"; a coefficient in `{unit_text(factor)}` would make it one"
-        if repaired is not None and '"' not in repaired:
-            repaired = f"${{{repaired}}}"
-            hint = Proposal(f"{hint}: write `{repaired}`", f'"{repaired}"')
+        hint = dimension_hint(self, text, expected, actual, expected_words)
         self.report.add("wrong-dimension", message, node.span, hint=hint)
 
     def dimension_of(self, node: Node) -> Any:
@@ -189,8 +179,9 @@ class ValueReader(Mapping[str, Any]):
             expected = (EXPECTED[quantity], *allowed)
             if dimension is None or any(fits(dimension, one) for one in expected):
                 continue
-            message = f"`{node.value}` is {in_words(dimension)}; expected {QUANTITIES[quantity]}"
-            self._report_dimension(node, message, expected[-1], (dimension,))
+            words = " or ".join([str(QUANTITIES[quantity]), *map(in_words, allowed)])
+            message = f"`{node.value}` is {in_words(dimension)}; expected {words}"
+            self._report_dimension(node, message, expected[-1], (dimension,), words)
             return False
         return True
 
@@ -342,13 +333,6 @@ class ValueReader(Mapping[str, Any]):
 
     def _report_type(self, expected: str, node: Node) -> None:
         self.report.add("wrong-type", f"expected {expected}, got {describe_node(node)}", node.span)
-
-
-def expression_of(node: Node) -> str | None:
-    """Returns the text between ``${`` and ``}``, or ``None`` if a YAML node is no expression."""
-    value = node.value
-    is_expression = isinstance(value, str) and value.startswith("${") and value.endswith("}")
-    return str(value)[2:-1] if is_expression else None
 
 
 def describe_node(node: Node) -> str:

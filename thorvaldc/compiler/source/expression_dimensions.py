@@ -50,7 +50,6 @@ class DimensionError(ExpressionError):
         super().__init__(message, offset, code="wrong-dimension")
         self.first = first
         self.second = second
-        self.hint = f"{in_words(first)} is not {in_words(second)}"
 
 
 # -- dimensions ---------------------------------------------------------------------
@@ -276,8 +275,15 @@ def _combine(symbol: str, left: Any, right: Any, offset: int) -> Any:
         _require_plain(right, offset, "**", "an exponent without a unit")
         if isinstance(right, int | float):
             return _to_power(left, right, offset)
-        _require_plain(left, offset, "**", "an exponent that is written as a number")
-        return number_dimension(left)
+        base = number_dimension(left)
+        if base is None or fits(base, NONE):
+            return base
+        raise ExpressionError(
+            f"the exponent of {in_words(base)} must be a number of the expression",
+            offset,
+            hint="write it as in `x ** 2`, or divide the base by its unit: `(x / 1 m) ** n`",
+            code="wrong-dimension",
+        )
     first, second = number_dimension(left), number_dimension(right)
     if first is None or second is None:
         return None
