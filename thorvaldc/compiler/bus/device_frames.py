@@ -7,7 +7,7 @@ a device add further CAN frames, such as heartbeats.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -265,7 +265,7 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
         channel = scope.text(get("channel")) if "channel" in node.value else None
         wired = channel is None or channel in wires
         unit = scope.text(get("unit"))
-        number_of = partial(_signal_number, scope, node if wired else None, unit)
+        number_of = partial(_signal_number, scope, get if wired else {}.get, unit)
         wire = wires.get(channel) if channel is not None else None
         signal = Signal(
             name,
@@ -290,15 +290,19 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
 
 
 def _signal_number(
-    scope: Scope, signal: Node | None, unit: str, key: str, otherwise: float | None
+    scope: Scope,
+    get: Callable[[str], Node | None],
+    unit: str,
+    key: str,
+    otherwise: float | None,
 ) -> Any:
     """Returns a number of a CAN signal, in the unit of the signal.
 
     An expression in the section `can` can use the parameters of the motor on a controller channel.
-    If the controller channel has no motor, ``signal`` is ``None``, because the expression cannot be
-    evaluated.
+    If the controller channel has no motor, ``get`` returns nothing, because the expression cannot
+    be evaluated.
     """
-    number = signal.get(key) if signal is not None else None
+    number = get(key)
     if number is None:
         return otherwise
     allowed = _si_dimension(unit) if unit and isinstance(number.value, str) else ()

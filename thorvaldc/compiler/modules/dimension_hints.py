@@ -16,7 +16,7 @@ from thorvaldc.compiler.source.expression_dimensions import (
     unit_text,
 )
 from thorvaldc.compiler.source.expression_tokens import ExpressionError, tokenize
-from thorvaldc.compiler.source.expressions import infer_dimension
+from thorvaldc.compiler.source.expressions import expression_of, infer_dimension
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_repair import with_units
 from thorvaldc.compiler.source.unit_table import Dimension
@@ -28,13 +28,6 @@ class Names(Dimensions, Protocol):
 
     def let_node(self, name: str) -> Node | None:
         """Returns the node of a `let` value."""
-
-
-def expression_of(node: Node) -> str | None:
-    """Returns the text between ``${`` and ``}``, or ``None`` if a YAML node is no expression."""
-    value = node.value
-    is_expression = isinstance(value, str) and value.startswith("${") and value.endswith("}")
-    return str(value)[2:-1] if is_expression else None
 
 
 def dimension_hint(

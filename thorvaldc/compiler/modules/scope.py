@@ -222,14 +222,13 @@ class Scope(ValueReader):
             known[name] = None
             if len(self._in_inference) >= MAX_CHAIN:
                 return None
-            self._in_inference.append(name)
-            with contextlib.suppress(ReferenceCycleError):
-                declaration = self._params.get(name)
-                if declaration is None:
-                    known[name] = self.dimension_of(self._let[name])
-                else:
-                    known[name] = self._parameter_dimension(name, declaration)
-            self._in_inference.pop()
+            declaration = self._params.get(name)
+            if declaration is not None:
+                known[name] = self._parameter_dimension(name, declaration)
+            else:
+                self._in_inference.append(name)
+                known[name] = self.dimension_of(self._let[name])
+                self._in_inference.pop()
         return known[name]
 
     def let_node(self, name: str) -> Node | None:
@@ -238,7 +237,10 @@ class Scope(ValueReader):
     def _parameter_dimension(self, name: str, declaration: Node) -> Any:
         kind = _kind(declaration)
         if kind == "module":
-            choice = self._value_of(name)
+            try:
+                choice = self._value_of(name)
+            except ReferenceCycleError:
+                return None
             return choice.dimension if isinstance(choice, ModuleChoice) else None
         if kind == "integer":
             return NO_DIMENSION

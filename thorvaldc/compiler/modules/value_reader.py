@@ -12,7 +12,6 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from thorvaldc.compiler.modules.dimension_hints import dimension_hint, expression_of
 from thorvaldc.compiler.modules.plausible_numbers import probable_unit
 from thorvaldc.compiler.source.expression_dimensions import (
     EXPECTED,
@@ -22,7 +21,12 @@ from thorvaldc.compiler.source.expression_dimensions import (
     number_dimension,
     written_dimension,
 )
-from thorvaldc.compiler.source.expressions import ExpressionError, evaluate, infer_dimension
+from thorvaldc.compiler.source.expressions import (
+    ExpressionError,
+    evaluate,
+    expression_of,
+    infer_dimension,
+)
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES, Dimension
 from thorvaldc.compiler.source.units import UnitError, is_bare_number, parse_quantity
@@ -106,9 +110,9 @@ class ValueReader(Mapping[str, Any]):
         value = node.value
         if value is None:
             return INVALID  # The schema check has already reported the invalid value.
-        text = expression_of(node)
-        if text is None:
+        if not (isinstance(value, str) and value.startswith("${") and value.endswith("}")):
             return value
+        text = value[2:-1]
         try:
             result = evaluate(text, self)
             if text not in self._dimensions:
@@ -122,7 +126,7 @@ class ValueReader(Mapping[str, Any]):
         except ExpressionError as error:
             hint = error.hint
             if isinstance(hint, Proposal) and hint.word:
-                whole = hint.within(str(value))
+                whole = hint.within(value)
                 hint = Proposal(hint, *(f'"{text}"' for text in whole.replacements))
             self.report.add(error.code, error.message, node.span, hint=hint)
         except ReferenceCycleError as error:
@@ -145,6 +149,8 @@ class ValueReader(Mapping[str, Any]):
         """
         if self.report.has_error_in(node.span):
             return  # A part that is repeated 1000 times has 1000 scopes and one error.
+        from thorvaldc.compiler.modules.dimension_hints import dimension_hint  # of an error only
+
         text = expression_of(node) or ""
         hint = dimension_hint(self, text, expected, actual, expected_words)
         self.report.add("wrong-dimension", message, node.span, hint=hint)
@@ -158,7 +164,7 @@ class ValueReader(Mapping[str, Any]):
         text, value = expression_of(node), node.value
         if text is not None:
             if text not in self._dimensions:
-                with contextlib.suppress(ExpressionError):
+                with contextlib.suppress(ExpressionError, ReferenceCycleError):
                     self._dimensions[text] = infer_dimension(text, self)
             return self._dimensions.get(text)
         if isinstance(value, tuple):
@@ -174,6 +180,8 @@ class ValueReader(Mapping[str, Any]):
         - ``quantity``: expected kind of quantity.
         """
         part = self._dimensions.get(expression_of(node) or "")
+        if part is None or part == EXPECTED[quantity]:
+            return True
         for element in part if isinstance(part, list) else (part,):
             dimension = number_dimension(element)
             expected = (EXPECTED[quantity], *allowed)
@@ -219,7 +227,7 @@ class ValueReader(Mapping[str, Any]):
         elif isinstance(value, str):
             try:
                 number = parse_quantity(value, quantity)
-                if is_bare_number(value):
+                if value[-1] in "0123456789. " and is_bare_number(value):
                     self._judge_bare_number(number, node, quantity)
                 return self._bounded(number, node, default)
             except UnitError as error:

@@ -17,6 +17,7 @@ is a length.  The dimension of a part is one of:
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Iterable
 from typing import Any, Protocol
 
@@ -89,7 +90,7 @@ def fits(first: Dimension, second: Dimension) -> bool:
 
 def multiply(first: Dimension, second: Dimension, sign: int = 1) -> Dimension:
     """Returns the dimension of ``first * second``, or of ``first / second`` if ``sign`` is -1."""
-    return tuple(a + sign * b for a, b in zip(first, second, strict=True))
+    return tuple(map(operator.add if sign > 0 else operator.sub, first, second))
 
 
 def in_words(dimension: Dimension) -> str:

@@ -49,8 +49,8 @@ def syntax_error(message: str, offset: int, hint: str | None = None) -> Expressi
 
 
 _WORD = r"[A-Za-z_][A-Za-z0-9_]*"
-_KEYWORDS = ("and", "or", "not", "if", "else")
-_NOT_KEYWORD = rf"(?!(?:{'|'.join(_KEYWORDS)})\b)"
+KEYWORDS = ("and", "or", "not", "if", "else")
+_NOT_KEYWORD = rf"(?!(?:{'|'.join(KEYWORDS)})\b)"
 # A number token includes all units that follow the number: `20 N m / s` is one token.  A name
 # before `(`, `.` or `[` is a function or a variable and never a unit.  For example, `min` in the
 # expression `60 s/min(2, 3)` is a function and not the unit minute.  The keywords of the expression
@@ -133,7 +133,7 @@ def _make_token(match: re.Match[str]) -> Token:
     if kind == "hexadecimal":
         return Token("number", text, offset, int(text, 16))
     if kind == "word":
-        return Token("keyword" if text in _KEYWORDS else "name", text, offset)
+        return Token("keyword" if text in KEYWORDS else "name", text, offset)
     return Token(kind, text, offset, text[1:-1] if kind == "text" else None)
 
 

@@ -35,17 +35,33 @@ from thorvaldc.compiler.source.expression_dimensions import Dimensions, Infer
 from thorvaldc.compiler.source.expression_operations import Evaluate
 from thorvaldc.compiler.source.expression_tokens import (
     END,
+    KEYWORDS,
     ExpressionError,
     Token,
     syntax_error,
     tokenize,
 )
+from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics.suggest import did_you_mean
 
-__all__ = ["ExpressionError", "evaluate", "evaluate_text", "split_text"]
+__all__ = [
+    "ExpressionError",
+    "evaluate",
+    "evaluate_text",
+    "expression_of",
+    "infer_dimension",
+    "split_text",
+]
 
 MAX_LENGTH = 1000
 MAX_DEPTH = 40
+
+
+def expression_of(node: Node) -> str | None:
+    """Returns the text between ``${`` and ``}``, or ``None`` if a YAML node is no expression."""
+    value = node.value
+    is_expression = isinstance(value, str) and value.startswith("${") and value.endswith("}")
+    return str(value)[2:-1] if is_expression else None
 
 
 def evaluate(text: str, scope: Mapping[str, Any]) -> Any:
@@ -144,6 +160,9 @@ _LEVELS = (
 def _compile(text: str) -> tuple[Evaluate, Infer]:
     if len(text) > MAX_LENGTH:
         raise syntax_error(f"the expression is longer than {MAX_LENGTH} characters", 0)
+    if text.isidentifier() and text.isascii() and text not in KEYWORDS:
+        # Most expressions of modules are a name, which needs no parser.
+        return operations.look_up_name(text, 0), dimensions.look_up_name(text, 0)
     tokens = tokenize(text)
     return _Parser(tokens, operations).expression(), _Parser(tokens, dimensions).expression()
 
