@@ -265,7 +265,7 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
         channel = scope.text(get("channel")) if "channel" in node.value else None
         wired = channel is None or channel in wires
         unit = scope.text(get("unit"))
-        number_of = partial(_signal_number, scope, get if wired else {}.get, unit)
+        number_of = partial(_signal_number, scope, get if wired else _get_nothing, unit)
         wire = wires.get(channel) if channel is not None else None
         signal = Signal(
             name,
@@ -287,6 +287,10 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
         if wire is not None and wire.actuator.encoder_offset and signal.unit == "rad":
             signal = _calibrated(signal, wire, commands)
         yield signal, channel
+
+
+def _get_nothing(key: str) -> None:
+    return None
 
 
 def _signal_number(
