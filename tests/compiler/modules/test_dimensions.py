@@ -205,6 +205,14 @@ def test_a_long_chain_of_values_in_a_branch_that_is_not_computed(workshop: Works
     assert workshop.part_codes(text) == []
 
 
+@pytest.mark.parametrize("mass", ["a0", "1 kg if true else a0"])
+def test_deeply_nested_values_in_a_chain(workshop: Workshop, mass: str) -> None:
+    nested = "abs(" * 38
+    steps = "".join(f"  a{i}: ${{{nested}a{i + 1}{')' * 38}}}\n" for i in range(28))
+    codes = workshop.part_codes(module(quoted(mass), let=f"let:\n{steps}  a28: 1 kg"))
+    assert set(codes) <= {"expression-cycle"}
+
+
 @pytest.mark.parametrize("number", ["700", '"700"', '" 700 "', '"7e2"', "\"${'700'}\""])
 def test_a_quoted_number_is_told_like_an_unquoted_one(workshop: Workshop, number: str) -> None:
     (diagnostic,) = diagnostics(workshop, module(side=number))

@@ -131,6 +131,9 @@ class ValueReader(Mapping[str, Any]):
             self.report.add(error.code, error.message, node.span, hint=hint)
         except ReferenceCycleError as error:
             self.report.add("expression-cycle", f"the value needs {error}", node.span)
+        except RecursionError:
+            message = "the value needs too many nested values"
+            self.report.add("expression-cycle", message, node.span)
         except InvalidNameError:
             pass
         return INVALID
@@ -164,7 +167,7 @@ class ValueReader(Mapping[str, Any]):
         text, value = expression_of(node), node.value
         if text is not None:
             if text not in self._dimensions:
-                with contextlib.suppress(ExpressionError, ReferenceCycleError):
+                with contextlib.suppress(ExpressionError, ReferenceCycleError, RecursionError):
                     self._dimensions[text] = infer_dimension(text, self)
             return self._dimensions.get(text)
         if isinstance(value, tuple):
