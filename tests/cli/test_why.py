@@ -45,7 +45,7 @@ links:
   body:
     parts:
       - shape: {box: [50 mm, 50 mm, "${height}"]}
-        mass: ${height * 2}
+        mass: ${height * 2 kg/m}
         source: "measured: 2 kg for each metre"
 """
 

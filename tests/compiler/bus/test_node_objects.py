@@ -109,7 +109,7 @@ def own(objects: str) -> str:
         ("index: 0x2000, type: unsigned32, value: 4294967295", 4294967295),
         ("index: 0x2000, type: integer32, value: -2147483648", -2147483648),
         ("index: 0x2000, type: integer16, value: 1.6", 2),
-        ('index: 0x2000, type: integer16, value: "${1000 * cycle + id}"', 25),
+        ('index: 0x2000, type: integer16, value: "${cycle / 1 ms + id}"', 25),
         ("index: 0x2000, type: unsigned8, value: 256", "can-object-range"),
         ("index: 0x2000, type: unsigned8, value: -1", "can-object-range"),
         ("index: 0x2000, type: boolean, value: 2", "can-object-range"),

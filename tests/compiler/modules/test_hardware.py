@@ -122,7 +122,7 @@ def test_show_and_collide_select_visuals_and_collisions(workshop: Workshop) -> N
 
 
 def test_for_repeats_a_part_for_each_value(workshop: Workshop) -> None:
-    text = "shape: {box: [0.1, 0.1, '${0.1 * n}']}, xyz: ['${x}', 0, 0], "
+    text = "shape: {box: [0.1, 0.1, '${0.1 m * n}']}, xyz: ['${x}', 0, 0], "
     text += "for: {x: [0, 200 mm], n: [1, 2, 3]}, mass: 1"
     link = workshop.part(body(part(text))).link("part_body")
     shown = [(v.pose.xyz[0], v.shape.size[2]) for v in link.visuals if isinstance(v.shape, Box)]

@@ -32,13 +32,13 @@ def size(workshop: Workshop, module: str, params: str = "") -> tuple[float, ...]
     [
         ("quantity: length", "0.1", "200 mm", "e", 0.2),
         ("quantity: length", "0.1", "0.3", "e", 0.3),
-        ("quantity: ratio", "2:1", "5:2", "e", 2.5),
-        ("quantity: angle", "0", "180 deg", "e / pi", 1.0),
-        ("quantity: angular_velocity", "1", "30 rpm", "e / pi", 1.0),
-        ("type: integer", "1", "3", "e", 3.0),
-        ("type: integer", "1", "3.0", "e", 3.0),
-        ("type: boolean", "false", "true", "7 if e else 8", 7.0),
-        ("type: text", "a", "b", "7 if e == 'b' else 8", 7.0),
+        ("quantity: ratio", "2:1", "5:2", "e * 1 m", 2.5),
+        ("quantity: angle", "0", "180 deg", "e / pi * 1 m", 1.0),
+        ("quantity: angular_velocity", "1", "30 rpm", "e / pi * 1 m s", 1.0),
+        ("type: integer", "1", "3", "e * 1 m", 3.0),
+        ("type: integer", "1", "3.0", "e * 1 m", 3.0),
+        ("type: boolean", "false", "true", "7 m if e else 8 m", 7.0),
+        ("type: text", "a", "b", "7 m if e == 'b' else 8 m", 7.0),
         ("type: list, quantity: length", "[]", "[1, 250 mm]", "e[1] * len(e)", 0.5),
     ],
 )
@@ -75,7 +75,7 @@ def test_let_values_in_any_order_and_with_units(workshop: Workshop) -> None:
   word: "100 mm"
 """
     params = f"  e: {{quantity: length, default: 1, {PARAM}}}"
-    sizes = '["${third}", "${several[1]}", "${1 if word == \'100 mm\' else 2}"]'
+    sizes = '["${third}", "${several[1]}", "${1 m if word == \'100 mm\' else 2 m}"]'
     assert size(workshop, document(params, sizes, let)) == pytest.approx((0.3, 0.02, 1.0))
 
 
@@ -110,7 +110,7 @@ def test_value_of_wrong_type_causes_one_diagnostic(
     written = default.get(kind.split(",")[0].removeprefix("type: "), "1")
     module = document(
         f"  e: {{{kind}, default: {written}, {PARAM}}}",
-        '["${1 if e else 2}", 1, 1]',
+        '["${1 m if e else 2 m}", 1, 1]',
     )
     codes = workshop.part_codes(module, f"e: {given}")
     assert len(codes) == 1, codes
@@ -204,7 +204,7 @@ def test_cyclic_value_is_reported_with_its_chain(workshop: Workshop) -> None:
 def test_length_of_a_chain_of_values_is_limited(workshop: Workshop) -> None:
     def chain(length: int) -> str:
         steps = "".join(f"  a{i}: ${{a{i + 1}}}\n" for i in range(length))
-        let = f"let:\n{steps}  a{length}: 1\n"
+        let = f"let:\n{steps}  a{length}: 1 m\n"
         return document(f"  e: {{type: integer, default: 1, {PARAM}}}", '["${a0}", 1, 1]', let)
 
     assert workshop.part_codes(chain(29)) == []
@@ -235,7 +235,7 @@ def test_a_module_is_chosen_by_name_or_with_parameters(workshop: Workshop) -> No
 
 def test_parameters_of_a_chosen_module_can_be_read(workshop: Workshop) -> None:
     params = f"  held: {{type: module, default: t/block, {PARAM}}}"
-    module = document(params, '["${held.mass / 1000 if held else 5}", 1, 1]')
+    module = document(params, '["${held.mass / 1000 kg * 1 m if held else 5 m}", 1, 1]')
     assert size(workshop, module)[0] == 0.01
     assert size(workshop, module, "held: none")[0] == 5.0
     assert size(workshop, module, "held: {type: t/block, params: {mass: 2 kg}}")[0] == 0.002
@@ -257,5 +257,5 @@ def test_numbers_have_a_range(workshop: Workshop, value: str) -> None:
 
 
 def test_a_parameter_comes_before_a_constant_of_its_name(workshop: Workshop) -> None:
-    module = document(f"  pi: {{quantity: number, default: 3, {PARAM}}}", '["${pi}", 1, 1]')
+    module = document(f"  pi: {{quantity: number, default: 3, {PARAM}}}", '["${pi * 1 m}", 1, 1]')
     assert size(workshop, module)[0] == 3.0

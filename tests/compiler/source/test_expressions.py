@@ -11,7 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from thorvaldc.compiler.source.expressions import ExpressionError, evaluate, evaluate_text
+from thorvaldc.compiler.source.expression_dimensions import EXPECTED
+from thorvaldc.compiler.source.expressions import (
+    ExpressionError,
+    evaluate,
+    evaluate_text,
+    infer_dimension,
+)
 
 SCOPE: dict[str, Any] = {
     "length": 1.1,
@@ -224,5 +230,17 @@ words += ["%", "1", "2.5", "20 mm", "if", "else", "and", "not", "==", "<", ",", 
 
 @given(st.lists(st.sampled_from(words), max_size=12))
 def test_any_words_have_a_value_or_raise_an_error(parts: list[str]) -> None:
-    result = value_or_error(lambda: evaluate(" ".join(parts), SCOPE))
-    assert not isinstance(result, ExpressionError) or result.message
+    text = " ".join(parts)
+    value = value_or_error(lambda: evaluate(text, SCOPE))
+    dimension = value_or_error(lambda: infer_dimension(text, Dimensions()))
+    for result in (value, dimension):
+        assert not isinstance(result, ExpressionError) or result.message
+
+
+class Dimensions:
+    """Dimensions of the names of ``SCOPE``."""
+
+    def dimension(self, name: str) -> Any:
+        length = EXPECTED["length"]
+        others = {"xs": [length], "wheel": {"radius": length}.__getitem__, "side": None}
+        return others.get(name, length) if name in SCOPE else SCOPE[name]

@@ -7,8 +7,9 @@ a device add further CAN frames, such as heartbeats.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from thorvaldc.can.canopen import EMCY, HEARTBEAT, SDO_REQUEST, SDO_RESPONSE, NmtState
@@ -24,7 +25,10 @@ from thorvaldc.compiler.bus.device_sections import (
 from thorvaldc.compiler.bus.frame_checks import check_channels, check_layout, check_scales
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.source.edits import insertion
+from thorvaldc.compiler.source.expression_dimensions import EXPECTED, without_angle
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.unit_table import Dimension
+from thorvaldc.compiler.source.units import UnitError, parse_unit
 from thorvaldc.diagnostics import Label, Proposal, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.bus import OBJECT_TYPES
@@ -52,6 +56,18 @@ def channel_names(device: Device) -> dict[str, dict[str, float | int]]:
         }
         for wire in device.wires
     }
+
+
+CHANNEL_DIMENSIONS = {
+    "gear_ratio": EXPECTED["ratio"],
+    "encoder_ppr": EXPECTED["number"],
+    "motor_max_speed": EXPECTED["angular_velocity"],
+    "max_velocity": EXPECTED["angular_velocity"],
+    "max_acceleration": EXPECTED["angular_acceleration"],
+    "lower": EXPECTED["angle"],
+    "upper": EXPECTED["angle"],
+}
+"""Dimensions of the values of ``channel_names``."""
 
 
 def frames_of(
@@ -248,26 +264,19 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
         get = node.value.get
         channel = scope.text(get("channel")) if "channel" in node.value else None
         wired = channel is None or channel in wires
-
-        def value(key: str, otherwise: float | None, get: Any = get, wired: bool = wired) -> Any:
-            # An expression in the section `can` can use the parameters of the motor on a controller
-            # channel.  If the controller channel has no motor, the expression cannot be evaluated.
-            number = get(key) if wired else None
-            return (
-                otherwise if number is None else scope.quantity(number, "ratio", otherwise or 0.0)
-            )
-
+        unit = scope.text(get("unit"))
+        number_of = partial(_signal_number, scope, get if wired else _get_nothing, unit)
         wire = wires.get(channel) if channel is not None else None
         signal = Signal(
             name,
             integer(scope, get("start"), 0),
             integer(scope, get("length"), 1),
             scope.boolean(get("signed"), False),
-            value("scale", 1.0),
-            value("offset", 0.0),
-            scope.text(get("unit")),
-            value("minimum", None),
-            value("maximum", None),
+            number_of("scale", 1.0),
+            number_of("offset", 0.0),
+            unit,
+            number_of("minimum", None),
+            number_of("maximum", None),
             wire.actuator.joint if wire is not None else None,
             scope.boolean(get("multiplexer"), False),
             tuple(integer(scope, item, 0) for item in items(get("selected_by"))),
@@ -278,6 +287,44 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
         if wire is not None and wire.actuator.encoder_offset and signal.unit == "rad":
             signal = _calibrated(signal, wire, commands)
         yield signal, channel
+
+
+def _get_nothing(key: str) -> None:
+    return None
+
+
+def _signal_number(
+    scope: Scope,
+    get: Callable[[str], Node | None],
+    unit: str,
+    key: str,
+    otherwise: float | None,
+) -> Any:
+    """Returns a number of a CAN signal, in the unit of the signal.
+
+    An expression in the section `can` can use the parameters of the motor on a controller channel.
+    If the controller channel has no motor, ``get`` returns nothing, because the expression cannot
+    be evaluated.
+    """
+    number = get(key)
+    if number is None:
+        return otherwise
+    allowed = _si_dimension(unit) if unit and isinstance(number.value, str) else ()
+    return scope.quantity(number, "ratio", otherwise or 0.0, *allowed)
+
+
+def _si_dimension(unit_name: str) -> tuple[Dimension, ...]:
+    """Returns the dimension that a number of a signal may have, beside none.
+
+    A number of a signal is in the unit of the signal.  It may be a quantity in SI if the unit is
+    one of SI, such as `rad/s`, but not if the unit is another, such as `rev/s`.
+    """
+    try:
+        unit = parse_unit(unit_name)
+    except UnitError:
+        return ()
+    is_si = unit.numerator == unit.denominator and not unit.pi_power and not unit.offset
+    return (without_angle(unit.dimension),) if is_si else ()
 
 
 def _calibrated(signal: Signal, wire: Wire, commands: bool) -> Signal:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from thorvaldc.compiler.bus.device_frames import channel_names, frames_of
+from thorvaldc.compiler.bus.device_frames import CHANNEL_DIMENSIONS, channel_names, frames_of
 from thorvaldc.compiler.bus.device_sections import (
     MASTER_ID,
     BusSpec,
@@ -26,6 +26,7 @@ from thorvaldc.compiler.bus.lock_file import Lock, Pin
 from thorvaldc.compiler.bus.node_objects import objects_of
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.source import node as source
+from thorvaldc.compiler.source.expression_dimensions import EXPECTED
 from thorvaldc.compiler.source.units import UnitError, parse_any
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
@@ -94,8 +95,14 @@ def assign_ids(
         node_id = _id(device, request, pins, taken, report)
         if node_id is None:
             continue
-        names = {"id": node_id, "cycle": sync_period, **channel_names(device)}
-        named = device._replace(scope=device.scope.with_names(names))
+        channels = channel_names(device)
+        names = {"id": node_id, "cycle": sync_period, **channels}
+        dimensions = {
+            "id": EXPECTED["number"],
+            "cycle": EXPECTED["time"],
+            **dict.fromkeys(channels, CHANNEL_DIMENSIONS.__getitem__),
+        }
+        named = device._replace(scope=device.scope.with_names(names, dimensions))
         frames = tuple(frames_of(named, node_id, sync_period, report))
         node = _node(named, node_id, request, frames)
         if node.heartbeat_consumer_time is not None:

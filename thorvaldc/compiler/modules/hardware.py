@@ -22,6 +22,7 @@ from thorvaldc.compiler.modules.module_values import ModuleValues
 from thorvaldc.compiler.modules.purchase_reader import read_purchase
 from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.modules.value_reader import INVALID, entries, items
+from thorvaldc.compiler.source.expression_dimensions import element_of
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.robot import Collision, SourcedMass, Tread, Visual
@@ -179,6 +180,7 @@ class _HardwareReader:
             if not isinstance(values, tuple | list):
                 self.report.add("wrong-type", "expected a list", node.span)
                 values = ()
+            dimensions = self.scope.dimension_of(node) if values else []
             values = [self.values.scalar(v) if isinstance(v, Node) else v for v in values]
             count = len(scopes) * len(values)
             if count > MAX_REPETITIONS:
@@ -188,7 +190,11 @@ class _HardwareReader:
                     loop.where,
                 )
                 return []
-            scopes = [scope.with_names({name: value}) for scope in scopes for value in values]
+            scopes = [
+                scope.with_names({name: value}, {name: element_of(dimensions, index)})
+                for scope in scopes
+                for index, value in enumerate(values)
+            ]
         return scopes
 
     # -- wheel, sensor, battery -------------------------------------------------------------

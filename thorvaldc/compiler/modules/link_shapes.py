@@ -9,6 +9,7 @@ from thorvaldc.compiler.geometry.meshes import load_mesh
 from thorvaldc.compiler.geometry.solids import uniform_solid
 from thorvaldc.compiler.modules.scope import Scope, hint_of_known
 from thorvaldc.compiler.modules.value_reader import items
+from thorvaldc.compiler.source.expression_dimensions import EXPECTED
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.diagnostics.plain_numbers import plain
@@ -160,13 +161,17 @@ class LinkShapeReader:
         return MeshShape(mesh.name, factors)
 
     def _mesh_scale(self, scale: Node | None, scope: Scope) -> Vec3:
-        """Returns the scale factors of a mesh.  One number is the factor of all axes."""
+        """Returns the scale factors of a mesh.  One number is the factor of all axes.
+
+        A scale may be a length, that of one unit of the mesh.
+        """
+        length = EXPECTED["length"]
         if scale is not None and not isinstance(scale.value, tuple):
             value = scope.evaluate(scale)
             if isinstance(value, int | float | str):
-                factor = scope.quantity(scale, "ratio", 1.0)
+                factor = scope.quantity(scale, "ratio", 1.0, length)
                 return (factor, factor, factor)
-        return scope.vector(scale, "ratio", (1.0, 1.0, 1.0))
+        return scope.vector(scale, "ratio", (1.0, 1.0, 1.0), length)
 
     def _color(self, node: Node | None, scope: Scope) -> RGBA:
         """Returns a colour as red, green, blue and alpha, each from 0 to 1.

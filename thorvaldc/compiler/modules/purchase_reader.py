@@ -112,6 +112,8 @@ def _money(section: Node, reader: ValueReader, report: Report) -> Money | None:
         return None
     currency = reader.text(currency_node)
     if isinstance(value, int | float) and not isinstance(value, bool):
+        if not reader.has_dimension(price, quantity="number"):
+            return None
         return _amount(value, currency, section, report)
     if not isinstance(value, str):
         message = f"{describe_node(price)} is no amount with a currency"

@@ -22,6 +22,8 @@ from thorvaldc.compiler.modules.value_reader import (
     items,
 )
 from thorvaldc.compiler.source.edits import insertion
+from thorvaldc.compiler.source.expression_dimensions import EXPECTED
+from thorvaldc.compiler.source.expression_dimensions import NONE as NO_DIMENSION
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any
@@ -102,6 +104,15 @@ class ModuleChoice(Mapping[str, Any]):
     def __len__(self) -> int:
         return len(self.scope)
 
+    def dimension(self, name: str) -> Any:
+        """Returns the dimension of a parameter of the chosen module.
+
+        Raises ``KeyError`` if there is no such parameter.
+        """
+        if name in WHEEL_SIZES and name not in self.scope:
+            return EXPECTED["length"]
+        return self.scope.dimension(name)
+
     # Two ``ModuleChoice`` objects are equal only if both are the same object.  A comparison of two
     # modules by the parameter values would compute the values of all parameters.
     __eq__ = object.__eq__
@@ -126,7 +137,6 @@ class Scope(ValueReader):
         Each value has the scope for the expressions in the value.
     entry : entry of the document that uses the module.  Missing parameters are reported at the
         span of the entry.  ``None``: missing parameters are not reported.
-    extra : additional names and values, such as loop variables.
     """
 
     on_robot = True
@@ -138,7 +148,6 @@ class Scope(ValueReader):
         library: Library,
         report: Report,
         entry: Node | None,
-        extra: dict[str, Any] | None = None,
     ) -> None:
         super().__init__(report)
         self.module = module
@@ -148,13 +157,20 @@ class Scope(ValueReader):
         self._let = module.section("let") if module is not None else {}
         self._arguments = arguments
         self._entry = entry
-        self._values: dict[str, Any] = dict(extra or {})
+        self._values: dict[str, Any] = {}
+        self._name_dimensions: dict[str, Any] = {}
         self._in_evaluation: list[str] = []
+        self._in_inference: list[str] = []
 
-    def with_names(self, extra: dict[str, Any]) -> Scope:
-        """Returns a copy of the scope with additional names for expressions."""
-        inner = Scope(self.module, self._arguments, self.library, self.report, self._entry, extra)
+    def with_names(self, extra: dict[str, Any], dimensions: dict[str, Any]) -> Scope:
+        """Returns a copy of the scope with additional names for expressions.
+
+        ``dimensions``: dimensions of the names, as ``expression_dimensions`` describes them.
+        """
+        inner = Scope(self.module, self._arguments, self.library, self.report, self._entry)
         inner._values = {**self._values, **extra}
+        known = {name: part for name, part in self._name_dimensions.items() if part is not None}
+        inner._name_dimensions = {**known, **dimensions}
         return inner
 
     # -- values of names --------------------------------------------------------
@@ -192,6 +208,45 @@ class Scope(ValueReader):
             chain.pop()
         self._values[name] = value
         return value
+
+    def dimension(self, name: str) -> Any:
+        """Returns the dimension of a parameter, a `let` entry or an additional name.
+
+        The declaration of a parameter states its dimension.  Raises ``KeyError`` if the name is
+        unknown.
+        """
+        known = self._name_dimensions
+        if name not in known:
+            if name not in self:
+                raise KeyError(name)
+            # A name that depends on itself, or on a long chain of names, is reported elsewhere.
+            known[name] = None
+            if len(self._in_inference) >= MAX_CHAIN:
+                return None
+            declaration = self._params.get(name)
+            if declaration is not None:
+                known[name] = self._parameter_dimension(name, declaration)
+            else:
+                self._in_inference.append(name)
+                known[name] = self.dimension_of(self._let[name])
+                self._in_inference.pop()
+        return known[name]
+
+    def let_node(self, name: str) -> Node | None:
+        return self._let.get(name)
+
+    def _parameter_dimension(self, name: str, declaration: Node) -> Any:
+        kind = _kind(declaration)
+        if kind == "module":
+            try:
+                choice = self._value_of(name)
+            except ReferenceCycleError:
+                return None
+            return choice.dimension if isinstance(choice, ModuleChoice) else None
+        if kind == "integer":
+            return NO_DIMENSION
+        dimension = EXPECTED.get(_text(declaration, "quantity") or "ratio")
+        return {"quantity": dimension, "list": [dimension]}.get(kind)
 
     def origin(self, name: str) -> tuple[Node, Scope] | None:
         """Returns the YAML node with the value of a parameter or a `let` entry, and the scope of
@@ -299,7 +354,7 @@ class Scope(ValueReader):
             return INVALID
         if kind == "module":
             return self._module(node, declaration)
-        value = self.value(node)
+        value = self.value(node, quantity if kind in ("quantity", "list", "integer") else None)
         if value is INVALID or value is None:
             return value
         if kind == "quantity":
@@ -319,7 +374,7 @@ class Scope(ValueReader):
             if isinstance(value, float) and value.is_integer():
                 value = int(value)
             if isinstance(value, int) and not isinstance(value, bool):
-                return value
+                return value if self.has_dimension(node, quantity="number") else INVALID
             expected = "a whole number"
         elif kind == "boolean":
             if isinstance(value, bool):

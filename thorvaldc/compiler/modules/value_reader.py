@@ -7,15 +7,29 @@ compiler can therefore report all errors of a document.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from thorvaldc.compiler.modules.plausible_numbers import probable_unit
-from thorvaldc.compiler.source.expressions import ExpressionError, evaluate
+from thorvaldc.compiler.source.expression_dimensions import (
+    EXPECTED,
+    DimensionError,
+    fits,
+    in_words,
+    number_dimension,
+    written_dimension,
+)
+from thorvaldc.compiler.source.expressions import (
+    ExpressionError,
+    evaluate,
+    expression_of,
+    infer_dimension,
+)
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.compiler.source.unit_table import QUANTITIES
-from thorvaldc.compiler.source.units import UnitError, parse_quantity
+from thorvaldc.compiler.source.unit_table import QUANTITIES, Dimension
+from thorvaldc.compiler.source.units import UnitError, is_bare_number, parse_quantity
 from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model.spatial import Pose, Vec3
@@ -65,6 +79,18 @@ class ValueReader(Mapping[str, Any]):
 
     def __init__(self, report: Report) -> None:
         self.report = report
+        self._dimensions: dict[str, Any] = {}  # of expressions that were evaluated
+
+    def dimension(self, name: str) -> Any:
+        """Returns the dimension of a name, as ``expression_dimensions`` describes it.
+
+        Raises ``KeyError`` if the name is unknown.
+        """
+        raise KeyError(name)
+
+    def let_node(self, name: str) -> Node | None:
+        """Returns the node of a `let` value, or ``None`` if there is none."""
+        return None
 
     def __getitem__(self, name: str) -> Any:
         raise KeyError(name)
@@ -75,19 +101,29 @@ class ValueReader(Mapping[str, Any]):
     def __len__(self) -> int:
         return 0
 
-    def value(self, node: Node) -> Any:
+    def value(self, node: Node, quantity: str | None = None) -> Any:
         """Returns the value of a YAML node, or the result of the expression in the YAML node.
 
         Returns ``INVALID`` if the YAML node or the expression has an error.  Returns ``None`` for a
-        module parameter with the value `none`.
+        module parameter with the value `none`.  ``quantity``: kind of quantity for the hint of a
+        wrong dimension inside the expression.
         """
         value = node.value
         if value is None:
             return INVALID  # The schema check has already reported the invalid value.
         if not (isinstance(value, str) and value.startswith("${") and value.endswith("}")):
             return value
+        text = value[2:-1]
         try:
-            return evaluate(value[2:-1], self)
+            result = evaluate(text, self)
+            if text not in self._dimensions:
+                self._dimensions[text] = infer_dimension(text, self)
+            return result
+        except DimensionError as error:
+            expected = EXPECTED[quantity] if quantity is not None else None
+            self._report_dimension(
+                node, f"{error.message}, in `{value}`", expected, (error.first, error.second)
+            )
         except ExpressionError as error:
             hint = error.hint
             if isinstance(hint, Proposal) and hint.word:
@@ -96,26 +132,91 @@ class ValueReader(Mapping[str, Any]):
             self.report.add(error.code, error.message, node.span, hint=hint)
         except ReferenceCycleError as error:
             self.report.add("expression-cycle", f"the value needs {error}", node.span)
+        except RecursionError:
+            message = "the value needs too many nested values"
+            self.report.add("expression-cycle", message, node.span)
         except InvalidNameError:
             pass
         return INVALID
+
+    def _report_dimension(
+        self,
+        node: Node,
+        message: str,
+        expected: Dimension | None,
+        actual: tuple[Dimension, ...],
+        expected_words: str = "",
+    ) -> None:
+        """Reports a wrong dimension of an expression.
+
+        ``expected`` and all after it: as for ``dimension_hint``.
+        """
+        if self.report.has_error_in(node.span):
+            return  # A part that is repeated 1000 times has 1000 scopes and one error.
+        from thorvaldc.compiler.modules.dimension_hints import dimension_hint  # of an error only
+
+        text = expression_of(node) or ""
+        hint = dimension_hint(self, text, expected, actual, expected_words)
+        self.report.add("wrong-dimension", message, node.span, hint=hint)
+
+    def dimension_of(self, node: Node) -> Any:
+        """Returns the dimension of the value of a YAML node, whose kind no schema states.
+
+        The value is an expression, a number, a text with a unit, or a list of them.  An expression
+        with an error has no dimension.
+        """
+        text, value = expression_of(node), node.value
+        if text is not None:
+            if text not in self._dimensions:
+                with contextlib.suppress(ExpressionError, ReferenceCycleError, RecursionError):
+                    self._dimensions[text] = infer_dimension(text, self)
+            return self._dimensions.get(text)
+        if isinstance(value, tuple):
+            return [self.dimension_of(element) for element in value]
+        if isinstance(value, str) and not node.quoted:
+            return written_dimension(value)
+        return value if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+    def has_dimension(self, node: Node, *allowed: Dimension, quantity: str) -> bool:
+        """Checks the dimension of the number, or of the list of numbers, that an expression gives.
+
+        - ``allowed``: further dimensions that are allowed.
+        - ``quantity``: expected kind of quantity.
+        """
+        part = self._dimensions.get(expression_of(node) or "")
+        if part is None or part == EXPECTED[quantity]:
+            return True
+        for element in part if isinstance(part, list) else (part,):
+            dimension = number_dimension(element)
+            expected = (EXPECTED[quantity], *allowed)
+            if dimension is None or any(fits(dimension, one) for one in expected):
+                continue
+            words = " or ".join([str(QUANTITIES[quantity]), *map(in_words, allowed)])
+            message = f"`{node.value}` is {in_words(dimension)}; expected {words}"
+            self._report_dimension(node, message, expected[-1], (dimension,), words)
+            return False
+        return True
 
     def evaluate(self, node: Node) -> Any:
         """Returns the value of a YAML node, or ``None`` if the value is invalid."""
         value = self.value(node)
         return None if value is INVALID else value
 
-    def quantity(self, node: Node | None, quantity: str, default: float = 0.0) -> float:
+    def quantity(
+        self, node: Node | None, quantity: str, default: float = 0.0, *allowed: Dimension
+    ) -> float:
         """Returns a physical quantity in SI units.
 
         Returns the default value if the YAML node is missing or invalid.  ``quantity``: kind of
-        quantity, such as ``length``.
+        quantity, such as ``length``.  ``allowed``: further dimensions that an expression may have.
         """
         if node is None:
             return default
-        return self._to_si(self.value(node), node, quantity, default)
+        return self._to_si(self.value(node, quantity), node, quantity, default, *allowed)
 
-    def _to_si(self, value: Any, node: Node, quantity: str, default: float) -> float:
+    def _to_si(
+        self, value: Any, node: Node, quantity: str, default: float, *allowed: Dimension
+    ) -> float:
         """Converts a number or a text with a unit to a number in SI units."""
         if value is INVALID:
             return default
@@ -124,10 +225,15 @@ class ValueReader(Mapping[str, Any]):
         elif isinstance(value, int | float):
             if node.value == value:
                 self._judge_bare_number(value, node, quantity)
+            elif not self.has_dimension(node, *allowed, quantity=quantity):
+                return default
             return self._bounded(value, node, default)
         elif isinstance(value, str):
             try:
-                return self._bounded(parse_quantity(value, quantity), node, default)
+                number = parse_quantity(value, quantity)
+                if value[-1] in "0123456789. " and is_bare_number(value):
+                    self._judge_bare_number(number, node, quantity)
+                return self._bounded(number, node, default)
             except UnitError as error:
                 self.report.add(error.code, error.message, node.span, hint=error.hint)
                 return default
@@ -201,26 +307,34 @@ class ValueReader(Mapping[str, Any]):
             self._report_type("text", node)
         return default
 
-    def vector(self, node: Node | None, quantity: str, default: Vec3 = (0.0, 0.0, 0.0)) -> Vec3:
+    def vector(
+        self,
+        node: Node | None,
+        quantity: str,
+        default: Vec3 = (0.0, 0.0, 0.0),
+        *allowed: Dimension,
+    ) -> Vec3:
         """Returns three physical quantities in SI units.
 
         The YAML node contains a list of three quantities, or an expression with a list as the
-        result.
+        result.  ``allowed``: further dimensions that an expression may have.
         """
         if node is None:
             return default
         if isinstance(node.value, str):
-            value = self.value(node)
+            value = self.value(node, quantity)
             if value is INVALID:
                 return default
             if isinstance(value, tuple | list) and len(value) == 3 and all(map(_is_number, value)):
+                if not self.has_dimension(node, *allowed, quantity=quantity):
+                    return default
                 x, y, z = (self._bounded(v, node, 0.0) for v in value)
                 return (x, y, z)
         elements = items(node)
         if len(elements) != 3:
             self.report.add("wrong-type", "expected three numbers: x, y and z", node.span)
             return default
-        x, y, z = (self.quantity(element, quantity) for element in elements)
+        x, y, z = (self.quantity(element, quantity, 0.0, *allowed) for element in elements)
         return (x, y, z)
 
     def pose(self, node: Node) -> Pose:

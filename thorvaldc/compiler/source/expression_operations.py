@@ -271,13 +271,14 @@ def chain(first: Evaluate, rest: list[tuple[str, Evaluate, int]]) -> Evaluate:
     def run(scope: Scope) -> Any:
         value = first(scope)
         for symbol, operand, offset in rest:
-            value = _combine(symbol, value, operand(scope), offset)
+            value = combine(symbol, value, operand(scope), offset)
         return value
 
     return run
 
 
-def _combine(symbol: str, left: Any, right: Any, offset: int) -> Any:
+def combine(symbol: str, left: Any, right: Any, offset: int) -> Any:
+    """Returns the value of an arithmetic operator, such as ``left + right``."""
     if symbol == "+":
         joined: Any = None
         if isinstance(left, str) and isinstance(right, str):

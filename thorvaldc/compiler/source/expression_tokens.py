@@ -10,7 +10,14 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
-from thorvaldc.compiler.source.units import UNIT_NAME, UNIT_POWER, UnitError, parse_any, parse_unit
+from thorvaldc.compiler.source.unit_table import Dimension
+from thorvaldc.compiler.source.units import (
+    UNIT_NAME,
+    UNIT_POWER,
+    UnitError,
+    parse_unit,
+    parse_with_dimension,
+)
 
 
 class ExpressionError(Exception):
@@ -42,8 +49,8 @@ def syntax_error(message: str, offset: int, hint: str | None = None) -> Expressi
 
 
 _WORD = r"[A-Za-z_][A-Za-z0-9_]*"
-_KEYWORDS = ("and", "or", "not", "if", "else")
-_NOT_KEYWORD = rf"(?!(?:{'|'.join(_KEYWORDS)})\b)"
+KEYWORDS = ("and", "or", "not", "if", "else")
+_NOT_KEYWORD = rf"(?!(?:{'|'.join(KEYWORDS)})\b)"
 # A number token includes all units that follow the number: `20 N m / s` is one token.  A name
 # before `(`, `.` or `[` is a function or a variable and never a unit.  For example, `min` in the
 # expression `60 s/min(2, 3)` is a function and not the unit minute.  The keywords of the expression
@@ -86,6 +93,7 @@ class Token:
     - ``value``: number in SI, or the content of a text without its quotes.
     - ``divisors``: unit names that follow a ``/`` in a number token.  A divisor such as ``m`` in
       ``20 / m`` is ambiguous if it is a unit and also a known name.
+    - ``dimension``: dimension of the unit of a number token, or ``None`` without a unit.
     """
 
     kind: str
@@ -93,6 +101,7 @@ class Token:
     offset: int
     value: Any = None
     divisors: tuple[str, ...] = ()
+    dimension: Dimension | None = None
 
 
 def tokenize(text: str) -> list[Token]:
@@ -124,7 +133,7 @@ def _make_token(match: re.Match[str]) -> Token:
     if kind == "hexadecimal":
         return Token("number", text, offset, int(text, 16))
     if kind == "word":
-        return Token("keyword" if text in _KEYWORDS else "name", text, offset)
+        return Token("keyword" if text in KEYWORDS else "name", text, offset)
     return Token(kind, text, offset, text[1:-1] if kind == "text" else None)
 
 
@@ -146,7 +155,7 @@ def _make_number(match: re.Match[str]) -> Token:
         literal = digits + unit
         divisors = tuple(re.findall(rf"/\s*({_WORD})(?=[\s/·⋅]|$)", unit))
     try:
-        value = parse_any(literal)
+        value, dimension = parse_with_dimension(literal)
     except UnitError as error:
         raise syntax_error(error.message, offset, error.hint) from None
     if unit is not None and match.string[offset + len(literal) :].lstrip().startswith("**"):
@@ -155,7 +164,7 @@ def _make_number(match: re.Match[str]) -> Token:
             offset,
             f"write `({literal}) ** 2`, or the power of the unit as `mm^2`",
         )
-    return Token("number", literal, offset, value, divisors)
+    return Token("number", literal, offset, value, divisors, dimension)
 
 
 def _is_unit(unit: str) -> bool:

@@ -29,21 +29,39 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from thorvaldc.compiler.source import expression_dimensions as dimensions
 from thorvaldc.compiler.source import expression_operations as operations
+from thorvaldc.compiler.source.expression_dimensions import Dimensions, Infer
 from thorvaldc.compiler.source.expression_operations import Evaluate
 from thorvaldc.compiler.source.expression_tokens import (
     END,
+    KEYWORDS,
     ExpressionError,
     Token,
     syntax_error,
     tokenize,
 )
+from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics.suggest import did_you_mean
 
-__all__ = ["ExpressionError", "evaluate", "evaluate_text", "split_text"]
+__all__ = [
+    "ExpressionError",
+    "evaluate",
+    "evaluate_text",
+    "expression_of",
+    "infer_dimension",
+    "split_text",
+]
 
 MAX_LENGTH = 1000
 MAX_DEPTH = 40
+
+
+def expression_of(node: Node) -> str | None:
+    """Returns the text between ``${`` and ``}``, or ``None`` if a YAML node is no expression."""
+    value = node.value
+    is_expression = isinstance(value, str) and value.startswith("${") and value.endswith("}")
+    return str(value)[2:-1] if is_expression else None
 
 
 def evaluate(text: str, scope: Mapping[str, Any]) -> Any:
@@ -59,7 +77,17 @@ def evaluate(text: str, scope: Mapping[str, Any]) -> Any:
     name is unknown.  Raises ``ExpressionError`` if the expression has a syntax error, an unknown
     name or no value.  Other exceptions that ``scope`` raises are not caught.
     """
-    return _compile(text)(scope)
+    return _compile(text)[0](scope)
+
+
+def infer_dimension(text: str, scope: Dimensions) -> Any:
+    """Returns the dimension of an expression, as ``expression_dimensions`` describes it.
+
+    - ``text``: the expression, which a document contains between ``${`` and ``}``.
+
+    Raises ``DimensionError`` if parts of the expression have dimensions that do not fit.
+    """
+    return _compile(text)[1](scope)
 
 
 def evaluate_text(text: str, scope: Mapping[str, Any]) -> Any:
@@ -120,41 +148,50 @@ _INSIDE = re.compile(r"((?:[^}'\"]|'[^']*'|\"[^\"]*\"|['\"](?=[^'\"]*\}))*)\}")
 # -- parser -------------------------------------------------------------------------
 
 # Precedence levels of the binary operators, beginning with the lowest precedence.  Each precedence
-# level is a tuple (symbols of the operators, function that combines the operands).
+# level is a tuple (symbols of the operators, name of the function that combines the operands).
 _LEVELS = (
-    (("==", "!=", "<", "<=", ">", ">="), operations.compare),
-    (("+", "-"), operations.chain),
-    (("*", "/", "%"), operations.chain),
+    (("==", "!=", "<", "<=", ">", ">="), "compare"),
+    (("+", "-"), "chain"),
+    (("*", "/", "%"), "chain"),
 )
 
 
 @functools.lru_cache(maxsize=4096)
-def _compile(text: str) -> Evaluate:
+def _compile(text: str) -> tuple[Evaluate, Infer]:
     if len(text) > MAX_LENGTH:
         raise syntax_error(f"the expression is longer than {MAX_LENGTH} characters", 0)
-    parser = _Parser(tokenize(text))
-    result = parser.choice()
-    token = parser.token
-    if token.kind != END:
-        raise syntax_error(f"unexpected `{token.text}`", token.offset)
-    return result
+    if text.isidentifier() and text.isascii() and text not in KEYWORDS:
+        # Most expressions of modules are a name, which needs no parser.
+        return operations.look_up_name(text, 0), dimensions.look_up_name(text, 0)
+    tokens = tokenize(text)
+    return _Parser(tokens, operations).expression(), _Parser(tokens, dimensions).expression()
 
 
 class _Parser:
     """A recursive-descent parser.
 
     Each method of the parser parses one rule of the grammar, and returns a closure that computes
-    its value.
+    its value or its dimension.
+
+    - ``algebra``: the module that makes the closures, ``expression_operations`` for values or
+      ``expression_dimensions`` for dimensions.
     """
 
-    def __init__(self, tokens: list[Token]) -> None:
+    def __init__(self, tokens: list[Token], algebra: Any) -> None:
         self.tokens = tokens
+        self.algebra = algebra
         self.position = 0
         self.depth = 0
 
     @property
     def token(self) -> Token:
         return self.tokens[self.position]
+
+    def expression(self) -> Any:
+        result = self.choice()
+        if self.token.kind != END:
+            raise syntax_error(f"unexpected `{self.token.text}`", self.token.offset)
+        return result
 
     def take(self, text: str) -> Token | None:
         """Advances to the following token if the next token is the operator or keyword ``text``.
@@ -178,41 +215,41 @@ class _Parser:
         if self.depth > MAX_DEPTH:
             raise syntax_error("the expression is nested too deeply", offset)
 
-    def choice(self) -> Evaluate:
+    def choice(self) -> Any:
         self.descend(self.token.offset)
         value = self.either()
         if_token = self.take("if")
         if if_token is not None:
             condition = self.either()
             self.expect("else")
-            value = operations.choose(condition, value, self.choice(), if_token.offset)
+            value = self.algebra.choose(condition, value, self.choice(), if_token.offset)
         self.depth -= 1
         return value
 
-    def either(self) -> Evaluate:
+    def either(self) -> Any:
         return self.logical("or", True, self.both)
 
-    def both(self) -> Evaluate:
+    def both(self) -> Any:
         return self.logical("and", False, self.negation)
 
-    def logical(self, word: str, decisive: bool, operand: Callable[[], Evaluate]) -> Evaluate:
+    def logical(self, word: str, decisive: bool, operand: Callable[[], Any]) -> Any:
         operands = [operand()]
         offset = self.token.offset
         while self.take(word):
             operands.append(operand())
         if len(operands) == 1:
             return operands[0]
-        return operations.logical(word, decisive, operands, offset)
+        return self.algebra.logical(word, decisive, operands, offset)
 
-    def negation(self) -> Evaluate:
+    def negation(self) -> Any:
         offset = self.token.offset
         count = 0
         while self.take("not"):
             count += 1
         value = self.operators(0)
-        return operations.negate(value, count, offset) if count else value
+        return self.algebra.negate(value, count, offset) if count else value
 
-    def operators(self, level: int) -> Evaluate:
+    def operators(self, level: int) -> Any:
         """Parses binary operators (grammar rules ``comparison``, ``sum``, ``product``).
 
         - ``level``: index of the rule in ``_LEVELS``.
@@ -221,14 +258,14 @@ class _Parser:
             return self.unary()
         symbols, combine = _LEVELS[level]
         first = self.operators(level + 1)
-        rest: list[tuple[str, Evaluate, int]] = []
+        rest: list[tuple[str, Any, int]] = []
         while self.token.kind == "operator" and self.token.text in symbols:
             token = self.token
             self.position += 1
             rest.append((token.text, self.operators(level + 1), token.offset))
-        return combine(first, rest) if rest else first
+        return getattr(self.algebra, combine)(first, rest) if rest else first
 
-    def unary(self) -> Evaluate:
+    def unary(self) -> Any:
         offset = self.token.offset
         count = minus = 0
         while self.token.kind == "operator" and self.token.text in "+-":
@@ -236,19 +273,19 @@ class _Parser:
             minus += self.token.text == "-"
             self.position += 1
         value = self.power()
-        return operations.signed(value, minus % 2 == 1, offset) if count else value
+        return self.algebra.signed(value, minus % 2 == 1, offset) if count else value
 
-    def power(self) -> Evaluate:
+    def power(self) -> Any:
         value = self.postfix()
         token = self.take("**")
         if token is None:
             return value
         self.descend(token.offset)
-        value = operations.chain(value, [("**", self.unary(), token.offset)])
+        value = self.algebra.chain(value, [("**", self.unary(), token.offset)])
         self.depth -= 1
         return value
 
-    def postfix(self) -> Evaluate:
+    def postfix(self) -> Any:
         value = self.atom()
         count = 0
         while True:
@@ -261,37 +298,37 @@ class _Parser:
                 if name.kind != "name":
                     raise syntax_error("expected a name after `.`", name.offset)
                 self.position += 1
-                value = operations.attribute(value, name.text, name.offset)
+                value = self.algebra.attribute(value, name.text, name.offset)
             elif self.take("["):
                 index = self.choice()
                 self.expect("]")
-                value = operations.element(value, index, token.offset)
+                value = self.algebra.element(value, index, token.offset)
             else:
                 return value
 
-    def atom(self) -> Evaluate:
+    def atom(self) -> Any:
         token = self.token
         self.position += 1
         if token.kind in ("number", "text"):
-            return operations.constant(token)
+            return self.algebra.constant(token)
         if token.kind == "name":
             if self.take("("):
                 return self.call(token)
-            return operations.look_up_name(token.text, token.offset)
+            return self.algebra.look_up_name(token.text, token.offset)
         if token.kind == "operator" and token.text == "(":
             value = self.choice()
             self.expect(")")
             return value
         if token.kind == "operator" and token.text == "[":
-            return operations.list_of(self.elements("]"))
+            return self.algebra.list_of(self.elements("]"))
         self.position -= 1
         if token.kind == END:
             raise syntax_error("expected a value, but the expression ends", token.offset)
         raise syntax_error(f"expected a value, got `{token.text}`", token.offset)
 
-    def elements(self, closing: str) -> list[Evaluate]:
+    def elements(self, closing: str) -> list[Any]:
         """Parses a comma-separated list of expressions up to the bracket ``closing``."""
-        elements: list[Evaluate] = []
+        elements: list[Any] = []
         while not self.take(closing):
             if elements:
                 self.expect(",")
@@ -300,7 +337,7 @@ class _Parser:
             elements.append(self.choice())
         return elements
 
-    def call(self, token: Token) -> Evaluate:
+    def call(self, token: Token) -> Any:
         functions = operations.FUNCTIONS
         if token.text not in functions:
             hint = did_you_mean(token.text, functions, "the functions are " + " ".join(functions))
@@ -312,4 +349,4 @@ class _Parser:
             expected = {0: "at least 1 value", 1: "1 value"}.get(count, f"{count} values")
             message = f"`{token.text}` takes {expected}, not {len(arguments)}"
             raise syntax_error(message, token.offset)
-        return operations.call(token.text, arguments, token.offset)
+        return self.algebra.call(token.text, arguments, token.offset)

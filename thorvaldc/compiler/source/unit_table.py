@@ -9,8 +9,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-Dimension = tuple[int, ...]
-"""Exponents of the base units m, kg, s, A, K, rad and bit, in this order."""
+Dimension = tuple[float, ...]
+"""Exponents of the base units m, kg, s, A, K, rad and bit, in this order.
+
+They are integers; only a root in an expression gives fractions.
+"""
 
 BASE_UNITS = ("m", "kg", "s", "A", "K", "rad", "bit")
 

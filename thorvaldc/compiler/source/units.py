@@ -91,6 +91,21 @@ def parse_any(text: str) -> float:
     return _parse(text, None)[0]
 
 
+def parse_with_dimension(text: str) -> tuple[float, Dimension | None]:
+    """Returns the value of a quantity in SI units and the dimension of its unit.
+
+    The dimension is ``None`` if the number has no unit.  Raises ``UnitError`` if the text is not a
+    quantity.
+    """
+    value, unit = _parse(text, None)
+    return value, unit.dimension if unit is not None else None
+
+
+def is_bare_number(text: str) -> bool:
+    """Returns whether a text is a number without a unit, such as ``700``."""
+    return _NUMBER.fullmatch(text.strip().replace("\N{MINUS SIGN}", "-")) is not None
+
+
 def parse_unit(text: str) -> Unit:
     """Parses a unit without a number, such as ``kg m^2``.
 
