@@ -125,6 +125,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV326", "too-many-parts", "a module or a robot exceeds the limit of its parts"),
     _error("TV327", "parameter-set-radii", "a parameter set names radii that no wheel has"),
     _error("TV328", "fleet-name-twice", "two robots of a fleet have the same name"),
+    _error("TV329", "coupling-joint-unknown", "a coupling names a joint that does not exist"),
     _error("TV340", "calibration-missing", "a robot names a calibration file that does not exist"),
     _error("TV341", "calibration-wheel", "a calibration names a wheel that does not exist"),
     _warning("TV342", "calibration-robot", "a calibration names another robot"),
@@ -168,6 +169,9 @@ _TABLE: tuple[Code, ...] = (
     _error("TV434", "start-in-obstacle", "a robot starts inside an obstacle"),
     _error("TV435", "mount-occupied", "two modules are mounted at the same place"),
     _warning("TV436", "slope-not-held", "the robot rolls on its slope while it has no power"),
+    _error("TV437", "body-not-held", "gravity and ground do not hold a body of the robot"),
+    _error("TV438", "coupling-impossible", "a joint cannot follow another joint"),
+    _warning("TV439", "leans-on-limits", "the robot stands in another pose than it is drawn in"),
     _error("TV440", "calibration-value", "a calibration contains an impossible value"),
     # 5xx: CAN bus
     _error("TV501", "can-id-duplicate", "two devices of one id space use the same id on a bus"),

@@ -23,6 +23,7 @@ from thorvaldc.compiler.geometry.wheel_geometry import (
     make_wheels,
 )
 from thorvaldc.compiler.modules.calculator_choice import read_calculator
+from thorvaldc.compiler.modules.couplings import couple_joints
 from thorvaldc.compiler.modules.driver_settings import DEFAULT_RATE, DriverSettingsReader
 from thorvaldc.compiler.modules.extras_attachment import add_extras
 from thorvaldc.compiler.modules.hardware import hardware_of
@@ -48,7 +49,8 @@ from thorvaldc.model.robot import Joint, Link, Robot, Wheel
 from thorvaldc.model.spatial import Inertial, clean
 from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.joint_tree import JointTree
-from thorvaldc.model.statics.static_loads import free_pivots, spring_reference, static_loads
+from thorvaldc.model.statics.standing import find_standing
+from thorvaldc.model.statics.static_loads import spring_reference, static_loads
 from thorvaldc.model.stopping import driven_wheels
 
 
@@ -135,6 +137,7 @@ class _Elaborator:
             self.report,
             self.trust,
         )
+        couple_joints(self.document, robot, parts, self.resolver.references, self.report)
         if self.report.has_errors:
             self._check_buses(robot, parts)
             return None
@@ -187,8 +190,12 @@ class _Elaborator:
         if calibration is not None:
             calibrate_steering(calibration, parts.actuators, wheels, self.report)
         body = tree.inertial()
-        pivots = free_pivots(tree, wheels, actuators)
-        loads = static_loads([contact_point(w) for w in wheels], body, pivots) if body.mass else []
+        held = {*actuators, *(servo.joint for servo in parts.joint_servos)}
+        standing = find_standing(tree, wheels, held, sprung=False)
+        if standing is not None:
+            loads = standing.loads
+        else:
+            loads = static_loads([contact_point(w) for w in wheels], body) if body.mass else []
         wheels = [replace(w, load=clean(n)) for w, n in zip(wheels, loads, strict=False)]
         parts.joints = [_with_spring_reference(joint, tree, wheels) for joint in parts.joints]
         return wheels, body
