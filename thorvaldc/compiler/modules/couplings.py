@@ -141,7 +141,7 @@ class _Coupler:
             path, name = part_and_rest[0].path, ".".join(part_and_rest[1])
         full_name = f"{name_prefix(path)}_{name}" if path else name
         joint = self.joints.get(full_name)
-        if joint is not None and joint.module == path or (joint is not None and not path):
+        if joint is not None and path in ("", joint.module):
             return joint
         known = [
             j.name.removeprefix(name_prefix(path) + "_")

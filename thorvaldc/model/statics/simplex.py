@@ -18,8 +18,8 @@ def maximize(
 ) -> tuple[list[float], list[float]]:
     """Return the solution x and the multiplier of each row.
 
-    The multipliers y >= 0 satisfy A^T y >= c, with equality where x > 0, and y = 0 for a row that is
-    not tight. The problem must be bounded; a direction without a bound is not followed.
+    The multipliers y >= 0 satisfy A^T y >= c, with equality where x > 0, and y = 0 for a row that
+    is not tight. The problem must be bounded; a direction without a bound is not followed.
 
     - ``objective``: c.
     - ``rows``, ``bounds``: A and b; negative elements of b count as 0.

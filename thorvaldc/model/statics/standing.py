@@ -65,6 +65,9 @@ class Standing(NamedTuple):
     - ``base``: pose of ``base_link`` in the world.
     - ``tilt``: angle of ``base_link`` from the vertical in rad.
     - ``loads``: load of each wheel in N.
+    - ``balances``: rows whose products with the loads of all balanced robots are equal.
+    - ``bounds``, ``slacks``: rows whose products with other loads may exceed those with ``loads``
+      by the slack: a limit pushes and does not pull.
     """
 
     stands: bool
@@ -74,6 +77,9 @@ class Standing(NamedTuple):
     base: Pose
     tilt: float
     loads: list[float]
+    balances: list[list[float]]
+    bounds: list[list[float]]
+    slacks: list[float]
 
 
 class _State(NamedTuple):
@@ -387,8 +393,11 @@ def find_standing(
     tilt = _tilt(state.base)
     if loads is None:
         moved = _moving_joints(body, state.values)
-        return Standing(False, moved, positions, frozenset(), state.base, tilt, [0.0] * len(wheels))
-    loads, fixed = _balanced_loads(body, state, loads)
+        return Standing(
+            False, moved, positions, frozenset(), state.base, tilt, [0.0] * len(wheels), [], [], []
+        )
+    loads, forces, signs = _balance(body, state, loads)
+    fixed = {k for k, force in forces.items() if force > _LOADED * body.weight}
     motion, curvature = _softest_motion(body, state, loads, fixed)
     stable = curvature > _CURVATURE * body.weight
     return Standing(
@@ -399,26 +408,41 @@ def find_standing(
         state.base,
         tilt,
         loads,
+        [[row[k] for row in state.jacobian] for k in range(len(state.gradient)) if k not in signs],
+        [[sign * row[k] for row in state.jacobian] for k, sign in signs.items()],
+        [max(force, 0.0) for force in forces.values()],
     )
 
 
-def _balanced_loads(body: _Body, state: _State, loads: list[float]) -> tuple[list[float], set[int]]:
-    """Return the wheel loads in N with the least sum of squares, and the unknowns at limits.
+class _Balance(NamedTuple):
+    """Wheel loads that balance a robot, and the unknowns at limits with the forces of the limits.
+
+    A force is positive if the limit pushes the joint back into its range.
+    """
+
+    loads: list[float]
+    forces: dict[int, float]
+    signs: dict[int, float]
+
+
+def _balance(body: _Body, state: _State, loads: list[float]) -> _Balance:
+    """Return the wheel loads with the least sum of squares that balance the robot.
 
     A limit pushes in one direction only. An unknown at a limit that would have to pull is free.
 
     - ``loads``: loads that balance the robot; they are returned if the search finds no others.
     """
-    at_limit = {}
+    signs = {}
     for k, (low, high) in enumerate(body.limits, 3):
         value = state.values[k - 3]
         if min(value - low, high - value) < _SMALLEST_STEP:
-            at_limit[k] = 1.0 if value - low < _SMALLEST_STEP else -1.0
+            signs[k] = 1.0 if value - low < _SMALLEST_STEP else -1.0
+    free = dict(signs)
     while True:
         balances = [
             ([row[k] for row in state.jacobian], state.gradient[k])
             for k in range(len(state.gradient))
-            if k not in at_limit
+            if k not in free
         ]
         found = _non_negative_loads(balances, state.heights, body.weight) or loads
         forces = {
@@ -427,13 +451,13 @@ def _balanced_loads(body: _Body, state: _State, loads: list[float]) -> tuple[lis
                 state.gradient[k]
                 - float_sum(n * row[k] for n, row in zip(found, state.jacobian, strict=True))
             )
-            for k, sign in at_limit.items()
+            for k, sign in signs.items()
         }
-        pulled = [k for k in at_limit if forces[k] < -_LOADED * body.weight]
+        pulled = [k for k in free if forces[k] < -_LOADED * body.weight]
         if not pulled:
-            return found, {k for k in at_limit if forces[k] > _LOADED * body.weight}
+            return _Balance(found, forces, signs)
         for k in pulled:
-            del at_limit[k]
+            del free[k]
 
 
 def _non_negative_loads(

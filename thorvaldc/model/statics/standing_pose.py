@@ -210,7 +210,8 @@ class _Stance(RigidGroups):
     def step(self, base: Pose, positions: list[float], forces: _Forces) -> list[float] | None:
         """Return the Newton step for the base pose and the compliant joint positions.
 
-        ``forces`` belong to this base pose and these positions. Returns ``None`` if the stiffness matrix is singular.
+        ``forces`` belong to this base pose and these positions. Returns ``None`` if the stiffness
+        matrix is singular.
         """
         matrix = BranchSparse(self.paths)
         for g in range(1, len(self.parent)):
@@ -220,8 +221,10 @@ class _Stance(RigidGroups):
             k = 2.0 * contact_stiffness(p, footing.inverse_weight)
             path = self.paths[footing.group + 2]
             lift = [1.0, y - by, bx - x]
-            for unknown in path[3:]:
-                lift.append(self.lift(self.joints[unknown - 3], forces.frames[unknown - 2], x, y))
+            lift += [
+                self.lift(self.joints[unknown - 3], forces.frames[unknown - 2], x, y)
+                for unknown in path[3:]
+            ]
             for i, unknown in enumerate(path):
                 row = matrix.rows[unknown]
                 a = k * lift[i]
