@@ -10,6 +10,8 @@ from thorvaldc.model.statics.standing import Standing, standing_of
 from thorvaldc.model.statics.tip_over import support_of
 
 _LEAN = math.radians(1.0)
+_LARGEST_LEAN = math.radians(10.1)
+"""A robot that leans further before limits stop it cannot be said to stand."""
 _SHIFT = 0.01  # m
 _MAX_LABELS = 4
 
@@ -24,25 +26,42 @@ def check_bodies_held(robot: Robot, report: Report) -> bool:
     standing = standing_of(robot)
     if standing is None:
         return True
-    if standing.stands:
+    falls = not standing.stands or standing.tilt > _LARGEST_LEAN
+    if falls:
+        _report_mechanism(robot, standing, report)
+    else:
         _check_lean(robot, standing, report)
-        return True
-    joints = [robot.joint(name) for name in standing.mechanism]
-    names = _listed([_reference(joint) for joint in joints])
+    return not falls
+
+
+def _report_mechanism(robot: Robot, standing: Standing, report: Report) -> None:
+    names = standing.mechanism or tuple(
+        name
+        for name, position in standing.positions.items()
+        if abs(position) > 0.1 * max(map(abs, standing.positions.values()))
+    )
+    joints = [robot.joint(name) for name in names]
+    listed = _listed([_reference(joint) for joint in joints])
+    if standing.stands:
+        degrees = math.degrees(standing.tilt)
+        message = f"the robot leans by {degrees:.1f} deg before limits stop it: nothing else holds"
+        message += f" {listed}"
+    elif len(joints) > 1:
+        message = f"nothing holds the robot upright: {listed} can move together, and gravity moves"
+        message += " them"
+    else:
+        message = f"nothing holds {listed}: gravity moves it"
     are_sprung = any(joint.stiffness > 0.0 for joint in joints)
     report.add(
         "body-not-held",
-        f"nothing holds the robot upright: {names} can turn together, and gravity moves them"
-        if len(joints) > 1
-        else f"nothing holds the joint {names}: gravity moves it",
+        message,
         joints[0].span if joints else robot.span,
         labels=[Label(joint.span, "moves too") for joint in joints[1:_MAX_LABELS]],
         hint="use stiffer springs, or lower the masses"
         if are_sprung
         else "couple the joints (`couplings`, such as a differential between two rockers), give "
-        "one a `spring`, let a limit (`lower`, `upper`) stop it, or make it `fixed`",
+        "one a `spring`, stop it by near limits (`lower`, `upper`), or make it `fixed`",
     )
-    return False
 
 
 def _check_lean(robot: Robot, standing: Standing, report: Report) -> None:

@@ -48,7 +48,7 @@ def load_ranges(robot: Robot) -> tuple[tuple[float, float], ...] | None:
         bounds = []
     free = _null_space(balances, len(loads))
     if not free:
-        return tuple((clean(load), clean(load)) for load in loads)
+        return tuple((wheel.load, wheel.load) for wheel in robot.wheels)
     total = float_sum(loads)
     ranges = []
     rows = [[-v for v in row] for row in zip(*free, strict=True)]
@@ -67,7 +67,8 @@ def load_ranges(robot: Robot) -> tuple[tuple[float, float], ...] | None:
             ends.append(max(load + sign * change, 0.0))
         low, high = ends
         is_determined = high - low < _SAME * total
-        ranges.append((clean(load), clean(load)) if is_determined else (clean(low), clean(high)))
+        stated = robot.wheels[i].load
+        ranges.append((stated, stated) if is_determined else (clean(low), clean(high)))
     return tuple(ranges)
 
 
