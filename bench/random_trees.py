@@ -23,8 +23,7 @@ from thorvaldc.model import (
     Wheel,
 )
 from thorvaldc.model.statics.joint_tree import JointTree
-from thorvaldc.model.statics.standing import find_standing
-from thorvaldc.model.statics.static_loads import spring_reference
+from thorvaldc.model.statics.standing import spring_loads
 
 if TYPE_CHECKING:
     from thorvaldc.model.spatial import Vec3
@@ -127,18 +126,8 @@ class Tree:
     def robot(self) -> Robot:
         """Returns the model with wheel loads and rest positions of the springs."""
         tree = JointTree(self.links, self.joints)
-        standing = find_standing(tree, self.wheels, (), sprung=False)
-        if standing is not None:
-            loads = standing.loads
-        else:
-            loads = [tree.inertial().mass * 9.81 / len(self.wheels)] * len(self.wheels)
+        joints, loads = spring_loads(tree, self.joints, self.wheels, ())
         wheels = [replace(w, load=n) for w, n in zip(self.wheels, loads, strict=True)]
-        joints = [
-            replace(j, spring_reference=spring_reference(j, tree, wheels, loads))
-            if j.stiffness > 0.0
-            else j
-            for j in self.joints
-        ]
         return Robot(
             name="random",
             namespace="",

@@ -45,12 +45,10 @@ from thorvaldc.compiler.modules.wheel_calibration import (
 )
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
-from thorvaldc.model.robot import Joint, Link, Robot, Wheel
+from thorvaldc.model.robot import Link, Robot, Wheel
 from thorvaldc.model.spatial import Inertial, clean
-from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.joint_tree import JointTree
-from thorvaldc.model.statics.standing import find_standing
-from thorvaldc.model.statics.static_loads import spring_reference, static_loads
+from thorvaldc.model.statics.standing import spring_loads
 from thorvaldc.model.stopping import driven_wheels
 
 
@@ -190,14 +188,9 @@ class _Elaborator:
         if calibration is not None:
             calibrate_steering(calibration, parts.actuators, wheels, self.report)
         body = tree.inertial()
-        held = {*actuators, *(servo.joint for servo in parts.joint_servos)}
-        standing = find_standing(tree, wheels, held, sprung=False)
-        if standing is not None:
-            loads = standing.loads
-        else:
-            loads = static_loads([contact_point(w) for w in wheels], body) if body.mass else []
-        wheels = [replace(w, load=clean(n)) for w, n in zip(wheels, loads, strict=False)]
-        parts.joints = [_with_spring_reference(joint, tree, wheels) for joint in parts.joints]
+        stopped = {*actuators, *(servo.joint for servo in parts.joint_servos)}
+        parts.joints, loads = spring_loads(tree, parts.joints, wheels, stopped)
+        wheels = [replace(w, load=clean(n)) for w, n in zip(wheels, loads, strict=True)]
         return wheels, body
 
     def _make_robot(
@@ -291,11 +284,3 @@ class _Elaborator:
         self._wiring(parts, bus_report).buses(robot, 1.0 / DEFAULT_RATE)
         for diagnostic in bus_report.errors:
             self.report.put(diagnostic)
-
-
-def _with_spring_reference(joint: Joint, tree: JointTree, wheels: list[Wheel]) -> Joint:
-    """Returns a joint in which the rest position of the spring is set."""
-    if joint.stiffness <= 0.0:
-        return joint
-    loads = [wheel.load for wheel in wheels]
-    return replace(joint, spring_reference=spring_reference(joint, tree, wheels, loads))

@@ -83,8 +83,21 @@ def follow(joint: Joint, joints: dict[str, Joint]) -> Member | None:
     return Member(joint, ratio, offset)
 
 
+def coupled_joints(joint: Joint, joints: dict[str, Joint]) -> list[Member]:
+    """Return a joint and the joints that move with it, with their ratios to its position."""
+    own = follow(joint, joints)
+    if own is None:
+        return [Member(joint, 1.0, 0.0)]
+    members = []
+    for other in joints.values():
+        leader = follow(other, joints)
+        if leader is not None and leader.joint.name == own.joint.name:
+            members.append(Member(other, leader.ratio / own.ratio, 0.0))
+    return members
+
+
 def coordinates_of(
-    tree: JointTree, wheels: Sequence[Wheel], held: Collection[str], *, sprung: bool
+    tree: JointTree, wheels: Sequence[Wheel], stopped: Collection[str], *, sprung: bool
 ) -> list[Coordinate]:
     """Return the coordinates of the passive joints of a robot, in the order of its joints.
 
@@ -92,14 +105,14 @@ def coordinates_of(
     neither lifts nor lowers anything. The joints of extras are left out because their own
     controllers hold them. With ``sprung`` false, joints with springs are left out too.
 
-    - ``held``: names of joints that something holds, such as motors.
+    - ``stopped``: names of joints that something holds, such as motors.
     """
-    held = {
-        *held,
+    immobile = {
+        *stopped,
         *(n for w in wheels for n in (w.spin_joint, w.steering_joint, w.swivel_joint) if n),
     }
     groups: dict[str, list[Member]] = {}
-    stopped = set()
+    stopped_groups = set()
     for joint in tree.moving:
         leader = follow(joint, tree.joints)
         if leader is None:
@@ -111,13 +124,13 @@ def coordinates_of(
             groups[root.name].insert(0, member)
         else:
             groups[root.name].append(member)
-        if joint.name in held or joint.module.startswith(_OF_EXTRA):
-            stopped.add(root.name)
+        if joint.name in immobile or joint.module.startswith(_OF_EXTRA):
+            stopped_groups.add(root.name)
     coordinates = []
     carried = {name for wheel in wheels for name in _joints_above(tree, wheel.link)}
     for name, members in groups.items():
         coordinate = Coordinate(tuple(members))
-        if name in stopped or members[0].joint.type == "fixed":
+        if name in stopped_groups or members[0].joint.type == "fixed":
             continue
         if coordinate.is_sprung and not sprung:
             continue

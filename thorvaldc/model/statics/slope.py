@@ -55,8 +55,8 @@ class SlopeStatics:
         self._robot = robot
         self._points = [contact_point(wheel) for wheel in robot.wheels]
         standing = standing_of(robot)
-        held = held_joints(robot) | (standing.at_limit if standing is not None else frozenset())
-        self._pivots: list[Pivot] = free_pivots(tree_of(robot), robot.wheels, held)
+        stopped = held_joints(robot) | (standing.at_limit if standing is not None else frozenset())
+        self._pivots: list[Pivot] = free_pivots(tree_of(robot), robot.wheels, stopped)
         driven = driven_wheels(robot.wheels, robot.actuators)
         self._motors = float_sum(motor.max_torque / wheel.radius for wheel, motor in driven)
 

@@ -28,18 +28,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.once_per_model import once_per_model
-from thorvaldc.model.robot import Robot, Wheel
+from thorvaldc.model.robot import Joint, Robot, Wheel
 from thorvaldc.model.spatial import Pose, Vec3, quat_from_axis_angle, quat_multiply, quat_normalize
+from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.joint_tree import JointTree, tree_of
 from thorvaldc.model.statics.passive_joints import Coordinate, coordinates_of, held_joints
 from thorvaldc.model.statics.rigid_groups import RigidGroups
 from thorvaldc.model.statics.simplex import maximize
-from thorvaldc.model.statics.static_loads import least_squares_loads
+from thorvaldc.model.statics.static_loads import (
+    least_squares_loads,
+    spring_reference,
+    static_loads,
+)
 
 _LARGEST_STEP, _SMALLEST_STEP = 0.05, 1e-7  # rad or m
 _MAX_STEPS = 400
@@ -370,17 +376,17 @@ def _moving_joints(body: _Body, motion: Sequence[float]) -> tuple[str, ...]:
 
 
 def find_standing(
-    tree: JointTree, wheels: Sequence[Wheel], held: Collection[str], *, sprung: bool
+    tree: JointTree, wheels: Sequence[Wheel], stopped: Collection[str], *, sprung: bool
 ) -> Standing | None:
     """Return how a robot stands, or ``None`` for a robot without passive joints.
 
     A robot without mass or with less than three wheels also gives ``None``: other checks report it.
 
-    - ``held``: names of the joints that motors and servos hold.
+    - ``stopped``: names of the joints that motors and servos hold.
     - ``sprung``: false leaves the joints with springs at position 0, as if they were rigid. The
       rest positions of the springs follow from the loads of this robot.
     """
-    coordinates = coordinates_of(tree, wheels, held, sprung=sprung)
+    coordinates = coordinates_of(tree, wheels, stopped, sprung=sprung)
     if not coordinates or len(wheels) < 3:
         return None
     body = _Body(tree, wheels, coordinates)
@@ -444,18 +450,18 @@ def _balance(body: _Body, state: _State, loads: list[float]) -> _Balance:
             for k in range(len(state.gradient))
             if k not in free
         ]
-        found = _non_negative_loads(balances, state.heights, body.weight) or loads
+        balancing = _non_negative_loads(balances, state.heights, body.weight) or loads
         forces = {
             k: sign
             * (
                 state.gradient[k]
-                - float_sum(n * row[k] for n, row in zip(found, state.jacobian, strict=True))
+                - float_sum(n * row[k] for n, row in zip(balancing, state.jacobian, strict=True))
             )
             for k, sign in signs.items()
         }
         pulled = [k for k in free if forces[k] < -_LOADED * body.weight]
         if not pulled:
-            return _Balance(found, forces, signs)
+            return _Balance(balancing, forces, signs)
         for k in pulled:
             del free[k]
 
@@ -479,6 +485,38 @@ def _non_negative_loads(
             return loads if max(errors) < 1e-4 * weight else None
         del active[lowest]
     return None
+
+
+def spring_loads(
+    tree: JointTree, joints: Sequence[Joint], wheels: Sequence[Wheel], stopped: Collection[str]
+) -> tuple[list[Joint], list[float]]:
+    """Return the joints with the rest positions of their springs, and the wheel loads in N.
+
+    The springs hold their joints at 0 under the loads that the robot has with rigid springs. If
+    passive joints let the robot lean, the springs give way a little more.
+
+    - ``stopped``: names of the joints that motors and servos hold.
+    """
+    standing = find_standing(tree, wheels, stopped, sprung=False)
+    body = tree.inertial()
+    if standing is not None:
+        loads = standing.loads
+    elif body.mass > 0.0:
+        loads = static_loads([contact_point(wheel) for wheel in wheels], body)
+    else:
+        loads = [0.0] * len(wheels)
+    joints = [
+        replace(joint, spring_reference=spring_reference(joint, tree, wheels, loads))
+        if joint.stiffness > 0.0
+        else joint
+        for joint in joints
+    ]
+    is_sprung = any(joint.stiffness > 0.0 for joint in joints)
+    if standing is not None and is_sprung and any(standing.positions.values()):
+        sprung_tree = JointTree(list(tree.links.values()), joints)
+        sprung = find_standing(sprung_tree, wheels, stopped, sprung=True)
+        loads = sprung.loads if sprung is not None else loads
+    return joints, loads
 
 
 @once_per_model

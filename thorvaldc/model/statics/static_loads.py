@@ -27,7 +27,7 @@ from thorvaldc.model.spatial import Inertial, Vec3, clean
 from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.joint_tree import JointTree
-from thorvaldc.model.statics.passive_joints import coordinates_of
+from thorvaldc.model.statics.passive_joints import coordinates_of, coupled_joints
 
 
 class Pivot(NamedTuple):
@@ -51,15 +51,15 @@ def _lever(origin: Vec3, axis: Vec3, x: float, y: float) -> float:
     return axis[0] * (y - origin[1]) - axis[1] * (x - origin[0])
 
 
-def free_pivots(tree: JointTree, wheels: Sequence[Wheel], held: Collection[str]) -> list[Pivot]:
+def free_pivots(tree: JointTree, wheels: Sequence[Wheel], stopped: Collection[str]) -> list[Pivot]:
     """Returns the pivots (joints without motor and spring) of a robot, with the joints at 0.
 
     The spin, steering and swivel joints of wheels are not pivots.  Joints that are coupled to each
-    other are one pivot.  ``held`` contains the names of the joints that motors or limits hold,
+    other are one pivot.  ``stopped`` contains the names of the joints that motors or limits hold,
     which are not pivots.
     """
     pivots: list[Pivot] = []
-    for coordinate in coordinates_of(tree, wheels, held, sprung=False):
+    for coordinate in coordinates_of(tree, wheels, stopped, sprung=False):
         levers = [0.0] * len(wheels)
         moment = 0.0
         for joint, ratio, _ in coordinate.members:
@@ -197,7 +197,20 @@ def spring_reference(
         stiffness * rest position = -(force or moment of the wheel loads and the weight)
 
     For a prismatic joint, it is the force along the joint axis; for another joint, the moment about
-    the joint axis.
+    the joint axis.  The springs of joints that are coupled to each other carry equal shares of what
+    acts on all these joints.
+    """
+    members = coupled_joints(joint, tree.joints)
+    total = float_sum(ratio * _torque(member, tree, wheels, loads) for member, ratio, _ in members)
+    springs = len([member for member, _, _ in members if member.stiffness > 0.0])
+    return clean(-total / springs / joint.stiffness)
+
+
+def _torque(
+    joint: Joint, tree: JointTree, wheels: Sequence[Wheel], loads: Sequence[float]
+) -> float:
+    """Returns the force (N) or moment (N m) on a joint of the wheel loads and the weight that it
+    carries.
     """
     below = set(tree.links_below(joint.child))
     pose = tree.pose[joint.child]
@@ -210,7 +223,5 @@ def spring_reference(
     ]
     forces.append((-carried.mass * GRAVITY, carried.com[0], carried.com[1]))
     if joint.type == "prismatic":
-        total = axis[2] * float_sum(force for force, _, _ in forces)
-    else:
-        total = float_sum(force * _lever(pose.xyz, axis, x, y) for force, x, y in forces)
-    return clean(-total / joint.stiffness)
+        return axis[2] * float_sum(force for force, _, _ in forces)
+    return float_sum(force * _lever(pose.xyz, axis, x, y) for force, x, y in forces)
