@@ -34,7 +34,14 @@ from typing import NamedTuple
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.once_per_model import once_per_model
 from thorvaldc.model.robot import Joint, Robot, Wheel
-from thorvaldc.model.spatial import Pose, Vec3, quat_from_axis_angle, quat_multiply, quat_normalize
+from thorvaldc.model.spatial import (
+    Pose,
+    Vec3,
+    clean,
+    quat_from_axis_angle,
+    quat_multiply,
+    quat_normalize,
+)
 from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.joint_tree import JointTree, tree_of
@@ -505,6 +512,7 @@ def spring_loads(
         loads = static_loads([contact_point(wheel) for wheel in wheels], body)
     else:
         loads = [0.0] * len(wheels)
+    loads = [clean(load) for load in loads]
     joints = [
         replace(joint, spring_reference=spring_reference(joint, tree, wheels, loads))
         if joint.stiffness > 0.0
