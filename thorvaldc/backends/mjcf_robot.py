@@ -175,6 +175,9 @@ class RobotWriter:
                 joint1=self.prefix + joint.name,
                 joint2=self.prefix + joint.mimic.joint,
                 polycoef=(joint.mimic.offset, joint.mimic.multiplier, 0, 0, 0),
+                # Stiff, so that a differential that carries a body does not yield to its weight.
+                solref=(0.01, 1),
+                solimp=(0.99, 0.999, 0.001),
             )
 
     def _add_link(self, body: Element, link: Link) -> None:
