@@ -141,7 +141,7 @@ class Tree:
             buses=(),
             meshes=(),
             calculator=CalculatorChoice("general", ()),
-            driver=DriverSettings(50.0, 0.5, *[1.0] * 6),
+            driver=DriverSettings(50.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0),
             inertial=tree.inertial(),
             span=SPAN,
         )
@@ -178,7 +178,7 @@ def random_tree(seed: int) -> Robot:
             parent = "body"
             if x > 0.0 or layout == "two axles":
                 parent = f"axle{x:+}"
-                tree.hinge(parent, "body", (x, 0.0, rng.uniform(0.2, height)), X, 5.0, (0.0,) * 3)  # type: ignore[arg-type]
+                tree.hinge(parent, "body", (x, 0.0, rng.uniform(0.2, height)), X, 5.0, (0.0,) * 3)
             for y in (0.4, -0.4):
                 tree.wheel(f"wheel{x:+}{y:+}", parent, x, y)
     if rng.random() < 0.2:

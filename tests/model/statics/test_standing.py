@@ -125,6 +125,7 @@ def test_what_does_not_hold_a_robot(shop: Workshop, name: str) -> None:
     (found,) = [d for d in diagnostics if d.code.name == "body-not-held"]
     joints = ("front.pivot", "rear.pivot") if "centre" in name else ("left.pivot", "right.pivot")
     assert all(f"`{joint}`" in found.message for joint in joints)
+    assert found.span is not None
     assert found.span.line == next(
         i
         for i, line in enumerate(shop.robot_file(modules, head).read_text().splitlines(), 1)
