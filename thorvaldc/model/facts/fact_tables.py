@@ -154,7 +154,7 @@ def _wheels(wheels: tuple[WheelLoad, ...], soil: SoilLoad | None) -> FactTable:
             "The balance of forces may not determine these loads: they are those of equal tyres"
             " under a rigid frame on a plane."
         )
-    numeric = (1, 2, 3, 4, 5, 6)
+    numeric = (1, 2, 3, 4, 6)
     table = FactTable("wheels", "Wheel loads", columns, rows, numeric=numeric, notes=tuple(notes))
     return _without_columns(table, *([] if undetermined else [5]))
 
