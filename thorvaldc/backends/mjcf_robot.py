@@ -26,6 +26,7 @@ from thorvaldc.model import (
 )
 from thorvaldc.model.spatial import clean, quat_from_z_to
 from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.standing import standing_of
 from thorvaldc.model.statics.standing_pose import Statics
 from thorvaldc.model.statics.wheel_contact import SOLREF, WheelContact
 
@@ -110,6 +111,8 @@ class RobotWriter:
         self.wheel_of_joint = {wheel.spin_joint: wheel for wheel in robot.wheels}
         self.actuated = {actuator.joint for actuator in robot.actuators}
         self.actuated |= {servo.joint for servo in robot.joint_servos}
+        standing = standing_of(robot)
+        self.carrying = standing.positions.keys() if standing is not None else frozenset[str]()
         contype = (number + 1) & _ALL_BITS
         self.bits = {"contype": contype, "conaffinity": _ALL_BITS & ~contype}
 
@@ -170,11 +173,16 @@ class RobotWriter:
             springref=joint.spring_reference if joint.stiffness else None,
         )
         if joint.mimic is not None:
+            # A differential that carries a body must not yield to its weight. The default of MuJoCo
+            # is softer; light fingers would chatter on a stiff coupling.
+            carries = joint.name in self.carrying
             self.sections.equality.add(
                 "joint",
                 joint1=self.prefix + joint.name,
                 joint2=self.prefix + joint.mimic.joint,
                 polycoef=(joint.mimic.offset, joint.mimic.multiplier, 0, 0, 0),
+                solref=(0.01, 1) if carries else None,
+                solimp=(0.99, 0.999, 0.001) if carries else None,
             )
 
     def _add_link(self, body: Element, link: Link) -> None:

@@ -1,4 +1,4 @@
-"""The elements of extras that only the URDF contains."""
+"""The elements that only the URDF contains: those of extras, and mimic joints."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SERVO_ELEMENTS = ("ros2_control", "transmission")
 
 
 def urdf_only_elements(robot: Robot, target: str, *, mimics: bool = False) -> Iterator[Diagnostic]:
-    """Yield a diagnostic if a format leaves out elements of the extras.
+    """Yield a diagnostic if a format leaves out elements of the extras or couplings of joints.
 
     - ``target``: name of the format.
     - ``mimics``: true for a format without mimic joints.
@@ -26,7 +26,7 @@ def urdf_only_elements(robot: Robot, target: str, *, mimics: bool = False) -> It
     if tags:
         yield Diagnostic(
             CODES["urdf-only-element"],
-            f"{target} has no elements for these parts of the extras: "
+            f"{target} has no elements for these parts of the robot: "
             + ", ".join(f"{tags.count(tag)} x <{tag}>" for tag in dict.fromkeys(tags)),
             robot.span,
             "the URDF has them",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from thorvaldc.compiler.geometry.held_checks import check_bodies_held
 from thorvaldc.compiler.geometry.mobility_checks import check_controllable, check_steering_range
 from thorvaldc.compiler.modules.design_requirements import DesignRequirements
 from thorvaldc.diagnostics import Label, Report
@@ -35,7 +36,8 @@ def check_robot(robot: Robot, design: DesignRequirements, report: Report) -> Non
         check_parts_above_ground(robot, report)
         check_wheels_overlap(robot, report)
         check_stability(robot, design, report)
-        check_wheel_loads(robot, report)
+        if check_bodies_held(robot, report):
+            check_wheel_loads(robot, report)
         check_steering_range(robot, report)
         check_controllable(robot, report)
         check_slope(robot, design, report)

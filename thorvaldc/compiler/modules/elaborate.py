@@ -24,6 +24,7 @@ from thorvaldc.compiler.geometry.wheel_geometry import (
 )
 from thorvaldc.compiler.modules.battery_connection import read_battery_connection
 from thorvaldc.compiler.modules.calculator_choice import read_calculator
+from thorvaldc.compiler.modules.couplings import couple_joints
 from thorvaldc.compiler.modules.driver_settings import DEFAULT_RATE, DriverSettingsReader
 from thorvaldc.compiler.modules.extras_attachment import add_extras
 from thorvaldc.compiler.modules.hardware import hardware_of
@@ -45,11 +46,10 @@ from thorvaldc.compiler.modules.wheel_calibration import (
 )
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
-from thorvaldc.model.robot import Joint, Link, Robot, Wheel
+from thorvaldc.model.robot import Link, Robot, Wheel
 from thorvaldc.model.spatial import Inertial, clean
-from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.joint_tree import JointTree
-from thorvaldc.model.statics.static_loads import free_pivots, spring_reference, static_loads
+from thorvaldc.model.statics.standing import spring_loads
 from thorvaldc.model.stopping import driven_wheels
 
 
@@ -136,6 +136,7 @@ class _Elaborator:
             self.report,
             self.trust,
         )
+        couple_joints(self.document, robot, parts, self.resolver.references, self.report)
         if self.report.has_errors:
             self._check_buses(robot, parts)
             return None
@@ -188,10 +189,9 @@ class _Elaborator:
         if calibration is not None:
             calibrate_steering(calibration, parts.actuators, wheels, self.report)
         body = tree.inertial()
-        pivots = free_pivots(tree, wheels, actuators)
-        loads = static_loads([contact_point(w) for w in wheels], body, pivots) if body.mass else []
-        wheels = [replace(w, load=clean(n)) for w, n in zip(wheels, loads, strict=False)]
-        parts.joints = [_with_spring_reference(joint, tree, wheels) for joint in parts.joints]
+        stopped = {*actuators, *(servo.joint for servo in parts.joint_servos)}
+        parts.joints, loads = spring_loads(tree, parts.joints, wheels, stopped)
+        wheels = [replace(w, load=clean(n)) for w, n in zip(wheels, loads, strict=True)]
         return wheels, body
 
     def _make_robot(
@@ -286,11 +286,3 @@ class _Elaborator:
         self._wiring(parts, bus_report).buses(robot, 1.0 / DEFAULT_RATE)
         for diagnostic in bus_report.errors:
             self.report.put(diagnostic)
-
-
-def _with_spring_reference(joint: Joint, tree: JointTree, wheels: list[Wheel]) -> Joint:
-    """Returns a joint in which the rest position of the spring is set."""
-    if joint.stiffness <= 0.0:
-        return joint
-    loads = [wheel.load for wheel in wheels]
-    return replace(joint, spring_reference=spring_reference(joint, tree, wheels, loads))

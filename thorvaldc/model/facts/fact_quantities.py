@@ -29,7 +29,7 @@ PATTERNS: dict[str, tuple[str, ...]] = {
     "velocity": ("driving.forwards", "driving.sideways"),
     "acceleration": ("driving.acceleration",),
     "angular_velocity": ("driving.turn.yaw_rate",),
-    "force": ("wheels.*.load", "soil.wheel_load", "energy.rolling_force"),
+    "force": ("wheels.*.load", "wheels.*.load_range.*", "soil.wheel_load", "energy.rolling_force"),
     "torque": ("wiring.*.max_torque",),
     "energy": ("energy.energy", "energy.batteries.*.energy"),
     "power": ("energy.power",),

@@ -120,7 +120,7 @@ def _mass(facts: RobotFacts) -> FactTable:
     return FactTable("mass", "Mass", (), tuple(rows), notes=notes)
 
 
-def _wheels(wheels: Iterable[WheelLoad], soil: SoilLoad | None) -> FactTable:
+def _wheels(wheels: tuple[WheelLoad, ...], soil: SoilLoad | None) -> FactTable:
     rows = tuple(
         (
             wheel.name,
@@ -128,6 +128,7 @@ def _wheels(wheels: Iterable[WheelLoad], soil: SoilLoad | None) -> FactTable:
             f"{wheel.y:.3f}",
             f"{wheel.radius:.3f}",
             f"{wheel.load:.0f}",
+            _load_range(wheel),
             _percent(wheel.share),
             ", ".join(
                 word
@@ -138,14 +139,39 @@ def _wheels(wheels: Iterable[WheelLoad], soil: SoilLoad | None) -> FactTable:
         )
         for wheel in wheels
     )
-    columns = ("wheel", "x [m]", "y [m]", "radius [m]", "load [N]", "share", "kind")
-    notes: tuple[str, ...] = ()
+    columns = ("wheel", "x [m]", "y [m]", "radius [m]", "load [N]", "range [N]", "share", "kind")
+    notes: list[str] = []
     if soil is not None and soil.pressure is not None:
-        notes = (
+        notes.append(
             f"Largest nominal ground pressure, load over radius times width:"
-            f" {soil.pressure / 1000.0:.1f} kPa.",
+            f" {soil.pressure / 1000.0:.1f} kPa."
         )
-    return FactTable("wheels", "Wheel loads", columns, rows, numeric=(1, 2, 3, 4, 5), notes=notes)
+    undetermined = any(_is_undetermined(wheel) for wheel in wheels)
+    if undetermined:
+        notes.append(
+            "The balance of forces does not determine the loads of wheels with a range: a pebble"
+            " under one of them is enough to shift them within it. `load` is that of equal tyres"
+            " under a rigid frame on a plane."
+        )
+    elif any(wheel.load_range is None for wheel in wheels):
+        notes.append(
+            "The balance of forces may not determine these loads: they are those of equal tyres"
+            " under a rigid frame on a plane."
+        )
+    numeric = (1, 2, 3, 4, 6)
+    table = FactTable("wheels", "Wheel loads", columns, rows, numeric=numeric, notes=tuple(notes))
+    return _without_columns(table, *([] if undetermined else [5]))
+
+
+def _is_undetermined(wheel: WheelLoad) -> bool:
+    return wheel.load_range is not None and wheel.load_range[0] < wheel.load_range[1]
+
+
+def _load_range(wheel: WheelLoad) -> str:
+    if wheel.load_range is None or not _is_undetermined(wheel):
+        return ""
+    low, high = wheel.load_range
+    return f"{low:.0f} to {high:.0f}"
 
 
 def _stability(stability: Stability, height: float) -> FactTable:

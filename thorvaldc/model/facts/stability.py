@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from thorvaldc.model.robot import Robot
 from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.gravity import GRAVITY
+from thorvaldc.model.statics.load_ranges import load_ranges
 from thorvaldc.model.statics.tip_over import Support, support_of
 
 DIRECTIONS = {
@@ -29,6 +30,9 @@ class WheelLoad:
     - ``x``, ``y``: contact point in ``base_link`` in m, with all joints at position 0.
     - ``radius``: rolling radius in m.
     - ``load``: wheel load in N.
+    - ``load_range``: smallest and largest load in N that the balance of forces allows, equal for a
+      wheel whose load it determines, see ``model.statics.load_ranges``; ``None`` for a robot with
+      too many wheels.
     - ``share``: wheel load divided by the weight of the robot.
     - ``driven``, ``steered``: true if a motor drives or steers the wheel.
     """
@@ -39,6 +43,7 @@ class WheelLoad:
     y: float
     radius: float
     load: float
+    load_range: tuple[float, float] | None
     share: float
     driven: bool
     steered: bool
@@ -81,6 +86,7 @@ class Stability:
 def wheel_loads_of(robot: Robot) -> tuple[WheelLoad, ...]:
     """Return the wheels of a robot with their loads, in the order of the model."""
     weight = robot.inertial.mass * GRAVITY
+    ranges = load_ranges(robot) or [None] * len(robot.wheels)
     return tuple(
         WheelLoad(
             wheel.name,
@@ -88,11 +94,12 @@ def wheel_loads_of(robot: Robot) -> tuple[WheelLoad, ...]:
             *contact_point(wheel),
             wheel.radius,
             wheel.load,
+            load_range,
             wheel.load / weight if weight > 0.0 else 0.0,
             wheel.driven,
             wheel.steered,
         )
-        for wheel in robot.wheels
+        for wheel, load_range in zip(robot.wheels, ranges, strict=True)
     )
 
 

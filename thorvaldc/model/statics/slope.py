@@ -25,6 +25,8 @@ from thorvaldc.model.robot import Robot
 from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.joint_tree import tree_of
+from thorvaldc.model.statics.passive_joints import held_joints
+from thorvaldc.model.statics.standing import standing_of
 from thorvaldc.model.statics.static_loads import Pivot, free_pivots, static_loads
 from thorvaldc.model.stopping import driven_wheels
 
@@ -52,8 +54,9 @@ class SlopeStatics:
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
         self._points = [contact_point(wheel) for wheel in robot.wheels]
-        actuated = {actuator.joint for actuator in robot.actuators}
-        self._pivots: list[Pivot] = free_pivots(tree_of(robot), robot.wheels, actuated)
+        standing = standing_of(robot)
+        stopped = held_joints(robot) | (standing.at_limit if standing is not None else frozenset())
+        self._pivots: list[Pivot] = free_pivots(tree_of(robot), robot.wheels, stopped)
         driven = driven_wheels(robot.wheels, robot.actuators)
         self._motors = float_sum(motor.max_torque / wheel.radius for wheel, motor in driven)
 

@@ -32,6 +32,7 @@ Newton step does not decrease the largest residual, the step is halved until the
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from thorvaldc.model.float_sum import float_sum
@@ -44,12 +45,13 @@ from thorvaldc.model.spatial import (
     quat_from_axis_angle,
     quat_multiply,
     quat_normalize,
-    rotate,
-    sub,
 )
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.joint_tree import JointTree, tree_of
 from thorvaldc.model.statics.mass_matrix import BranchSparse, inverse_weights
+from thorvaldc.model.statics.passive_joints import Coordinate, coordinates_of, held_joints
+from thorvaldc.model.statics.rigid_groups import RigidGroups
+from thorvaldc.model.statics.standing import standing_of
 from thorvaldc.model.statics.wheel_contact import (
     SOLREF,
     WheelContact,
@@ -65,6 +67,7 @@ _MAX_ITERATIONS = 600
 one iteration: arms that turn by 0.25 rad need about 300."""
 _MAX_HALVINGS = 12
 _MAX_STEP = 0.05  # m or rad
+_DIFFERENCE = 1e-7  # m or rad
 
 
 class Statics(NamedTuple):
@@ -123,13 +126,12 @@ class _Forces(NamedTuple):
         return max(abs(r) for r in self.residual)
 
 
-class _Stance:
+class _Stance(RigidGroups):
     """The robot as rigid groups of links, connected by its compliant joints.
 
-    The rigid group number 0 contains the base link. Unknown 0 of the standing pose is the height of
-    the base. Unknowns 1 and 2 of the standing pose are the rotations of the base about the world's
-    x and y axes. Unknown 2 + g of the standing pose is the position of the compliant joint that
-    carries the rigid group number g.
+    Unknown 0 of the standing pose is the height of the base. Unknowns 1 and 2 of the standing pose
+    are the rotations of the base about the world's x and y axes. Unknown 2 + g of the standing pose
+    is the position of the compliant joint that carries the rigid group number g.
     """
 
     def __init__(
@@ -139,65 +141,22 @@ class _Stance:
 
         ``wheels`` lists each wheel with its spin axis and its effective inverse weight.
         """
-        self.joints = compliant
-        number = {joint.name: g for g, joint in enumerate(compliant, 1)}
-        group_of_carrier = [0] * (len(tree.moving) + 1)
-        self.parent = [0] * (len(compliant) + 1)
-        for j, joint in enumerate(tree.moving, 1):
-            parent = group_of_carrier[tree.moving_parent[j]]
-            group_of_carrier[j] = number.get(joint.name, parent)
-            if joint.name in number:
-                self.parent[number[joint.name]] = parent
-        self.frames: list[tuple[Vec3, Vec3]] = [((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))]
-        for joint in compliant:
-            pose = tree.pose[joint.child]
-            self.frames.append((pose.xyz, pose.rotate(joint.axis)))
-        mass = [0.0] * len(self.parent)
-        moment = [(0.0, 0.0, 0.0)] * len(self.parent)
-        for name in tree.order:
-            inertial = tree.links[name].inertial
-            if inertial is not None:
-                g = group_of_carrier[tree.carrier[name]]
-                x, y, z = tree.pose[name].apply(inertial.com)
-                mx, my, mz = moment[g]
-                m = inertial.mass
-                mass[g] += m
-                moment[g] = (mx + m * x, my + m * y, mz + m * z)
-        self.mass = mass
-        self.com: list[Vec3] = [
-            (p[0] / m, p[1] / m, p[2] / m) if m > 0.0 else (0.0, 0.0, 0.0)
-            for m, p in zip(mass, moment, strict=True)
-        ]
-        self.weight = float_sum(mass) * GRAVITY
+        super().__init__(tree, compliant)
+        self.weight = self.total_mass * GRAVITY
         self.paths = [[0], [0, 1], [0, 1, 2]]
         for g in range(1, len(self.parent)):
             self.paths.append([*self.paths[self.parent[g] + 2], g + 2])
         self.footings: list[_Footing] = []
         for wheel, axis, inverse_weight in wheels:
             pose = tree.pose[wheel.link]
-            group = group_of_carrier[tree.carrier[wheel.link]]
+            group = self.group_of(wheel.link)
             self.footings.append(
                 _Footing(group, pose.xyz, pose.rotate(axis), wheel.radius, inverse_weight)
             )
 
     def evaluate(self, base: Pose, positions: list[float]) -> _Forces:
         """Return the generalised forces for a base pose and compliant joint positions."""
-        transforms = [base]
-        frames: list[tuple[Vec3, Vec3]] = [(base.xyz, (0.0, 0.0, 1.0))]
-        for g in range(1, len(self.parent)):
-            parent = transforms[self.parent[g]]
-            origin, axis = self.frames[g]
-            frames.append((parent.apply(origin), parent.rotate(axis)))
-            if self.joints[g - 1].type == "prismatic":
-                x, y, z = axis
-                d = positions[g - 1]
-                transforms.append(Pose(parent.apply((d * x, d * y, d * z)), parent.quat))
-            else:
-                q = quat_from_axis_angle(axis, positions[g - 1])
-                shift = sub(origin, rotate(q, origin))
-                transforms.append(
-                    Pose(parent.apply(shift), quat_normalize(quat_multiply(parent.quat, q)))
-                )
+        transforms, frames = self.place(base, positions)
         # Vertical force on each rigid group of links, and its moments about the world's x and y
         # axes.
         vertical = [-m * GRAVITY for m in self.mass]
@@ -248,23 +207,24 @@ class _Stance:
             residual.append(force - joint.stiffness * (positions[g - 1] - joint.spring_reference))
         return _Forces(residual, depths, tilts, points, frames)
 
-    def step(self, forces: _Forces) -> list[float] | None:
+    def step(self, base: Pose, positions: list[float], forces: _Forces) -> list[float] | None:
         """Return the Newton step for the base pose and the compliant joint positions.
 
-        Returns ``None`` if the stiffness matrix is singular.
+        ``forces`` belong to this base pose and these positions. Returns ``None`` if the stiffness
+        matrix is singular.
         """
         matrix = BranchSparse(self.paths)
         for g in range(1, len(self.parent)):
             matrix.rows[g + 2][-1] = self.joints[g - 1].stiffness
-        bx, by, _ = forces.frames[0][0]
+        bx, by, _ = base.xyz
         for footing, p, (x, y) in zip(self.footings, forces.depths, forces.points, strict=True):
             k = 2.0 * contact_stiffness(p, footing.inverse_weight)
             path = self.paths[footing.group + 2]
             lift = [1.0, y - by, bx - x]
-            for unknown in path[3:]:
-                (ox, oy, _), (ax, ay, az) = forces.frames[unknown - 2]
-                prismatic = self.joints[unknown - 3].type == "prismatic"
-                lift.append(az if prismatic else ax * (y - oy) - ay * (x - ox))
+            lift += [
+                self.lift(self.joints[unknown - 3], forces.frames[unknown - 2], x, y)
+                for unknown in path[3:]
+            ]
             for i, unknown in enumerate(path):
                 row = matrix.rows[unknown]
                 a = k * lift[i]
@@ -272,26 +232,25 @@ class _Stance:
                     row[m] += a * lift[m]
         return matrix.solve(forces.residual) if matrix.factor() else None
 
-    def settle(self, sink: float) -> tuple[Pose, list[float], _Forces] | None:
+    def settle(
+        self, base: Pose, positions: list[float]
+    ) -> tuple[Pose, list[float], _Forces] | None:
         """Return the base pose, joint positions and generalised forces in equilibrium.
 
-        The search for the equilibrium starts with the base ``sink`` m below the origin. Returns
+        The search for the equilibrium starts with the given base pose and joint positions. Returns
         ``None`` if Newton's method finds no equilibrium.
         """
-        base, positions = Pose((0.0, 0.0, -sink)), [_joint_home(joint) for joint in self.joints]
         forces = self.evaluate(base, positions)
         tolerance = 1e-10 * max(self.weight, 1.0)
         for _ in range(_MAX_ITERATIONS):
             if forces.size() < tolerance:
                 return base, positions, forces
-            step = self.step(forces)
+            step = self.step(base, positions, forces)
             if step is None or max(map(abs, step)) > 1e3:
                 return None
             length = min(1.0, _MAX_STEP / max(max(map(abs, step)), 1e-12))
             for _ in range(_MAX_HALVINGS):
-                shortened = [length * v for v in step]
-                new_base = _moved(base, shortened)
-                new_positions = [a + b for a, b in zip(positions, shortened[3:], strict=True)]
+                new_base, new_positions = self.moved(base, positions, [length * v for v in step])
                 new_forces = self.evaluate(new_base, new_positions)
                 if new_forces.size() < forces.size():
                     break
@@ -301,8 +260,84 @@ class _Stance:
             base, positions, forces = new_base, new_positions, new_forces
         return None
 
+    def moved(
+        self, base: Pose, positions: list[float], step: Sequence[float]
+    ) -> tuple[Pose, list[float]]:
+        """Return the base pose and the joint positions after a step of the unknowns."""
+        return _moved(base, step), [a + b for a, b in zip(positions, step[3:], strict=True)]
 
-def _moved(base: Pose, step: list[float]) -> Pose:
+
+class _PassiveStance(_Stance):
+    """A robot with passive or coupled joints.
+
+    The unknowns of the standing pose are the height and the rotations of the base, and the
+    coordinates of the joints (``passive_joints``). The weight of a body on passive joints has a
+    part in their stiffness, which the contacts do not have: a body that hangs below its axis is
+    held by it. The stiffness matrix is therefore computed from differences of the forces.
+    """
+
+    def __init__(
+        self,
+        tree: JointTree,
+        coordinates: Sequence[Coordinate],
+        wheels: list[tuple[Wheel, Vec3, float]],
+    ) -> None:
+        owner = {m.joint.name: (k, m.ratio) for k, c in enumerate(coordinates) for m in c.members}
+        super().__init__(tree, [joint for joint in tree.moving if joint.name in owner], wheels)
+        self.owners = [owner[joint.name] for joint in self.joints]
+        self.size = 3 + len(coordinates)
+
+    def evaluate(self, base: Pose, positions: list[float]) -> _Forces:
+        """Return the generalised forces on the coordinates."""
+        forces = super().evaluate(base, positions)
+        residual = forces.residual[:3] + [0.0] * (self.size - 3)
+        for force, (k, ratio) in zip(forces.residual[3:], self.owners, strict=True):
+            residual[3 + k] += ratio * force
+        return forces._replace(residual=residual)
+
+    def moved(
+        self, base: Pose, positions: list[float], step: Sequence[float]
+    ) -> tuple[Pose, list[float]]:
+        """Return the base pose and the joint positions after a step of the coordinates."""
+        return _moved(base, step[:3]), [
+            q + ratio * step[3 + k] for q, (k, ratio) in zip(positions, self.owners, strict=True)
+        ]
+
+    def step(self, base: Pose, positions: list[float], forces: _Forces) -> list[float] | None:
+        """Return the Newton step, or ``None`` if the stiffness matrix is singular."""
+        columns = []
+        for k in range(self.size):
+            ends = []
+            for h in (_DIFFERENCE, -_DIFFERENCE):
+                step = [h if i == k else 0.0 for i in range(self.size)]
+                ends.append(self.evaluate(*self.moved(base, positions, step)).residual)
+            columns.append([(b - a) / (2.0 * _DIFFERENCE) for a, b in zip(*ends, strict=True)])
+        rows = [
+            [*(column[i] for column in columns), force] for i, force in enumerate(forces.residual)
+        ]
+        return _solve(rows)
+
+
+def _solve(rows: list[list[float]]) -> list[float] | None:
+    """Return the solution of a system of linear equations by Gaussian elimination.
+
+    ``rows`` are the rows of the matrix, each with the right-hand side at its end. Returns ``None``
+    for a singular matrix.
+    """
+    n = len(rows)
+    for i in range(n):
+        pivot = max(range(i, n), key=lambda k: abs(rows[k][i]))
+        rows[i], rows[pivot] = rows[pivot], rows[i]
+        if rows[i][i] == 0.0:
+            return None
+        for k in range(n):
+            factor = rows[k][i] / rows[i][i]
+            if k != i and factor != 0.0:
+                rows[k] = [b - factor * a for a, b in zip(rows[i], rows[k], strict=True)]
+    return [row[n] / row[i] for i, row in enumerate(rows)]
+
+
+def _moved(base: Pose, step: Sequence[float]) -> Pose:
     """Return the pose of the base after a Newton step of ``step[0]`` m in height and of
     ``step[1:3]`` rad about x and y."""
     angle = math.hypot(step[1], step[2])
@@ -346,22 +381,14 @@ def solve_statics(robot: Robot) -> Statics:
             positions[joint.name] = clean(
                 joint.mimic.multiplier * positions.get(joint.mimic.joint, 0.0) + joint.mimic.offset
             )
-    compliant = _compliant_joints(robot, tree)
-    # The positions of compliant joints are measured from 0. Joints that are not compliant are at
-    # their home positions.
-    unknown = {joint.name for joint in compliant}
-    home = {name: q for name, q in positions.items() if name not in unknown and q != 0.0}
     wheels = list(zip(robot.wheels, axes, softened, strict=True))
-    stance = _Stance(tree.at(home) if home else tree, compliant, wheels)
-    equilibrium = None
-    if wheels and stance.weight > 0.0:
-        n = len(wheels)
-        sink = penetration_under(stance.weight / n, float_sum(softened) / n) / 2
-        equilibrium = stance.settle(sink)
+    stance, equilibrium = _equilibrium(robot, tree, positions, wheels)
     if equilibrium is not None:
         base, compliant_positions, forces = equilibrium
         base = base.clean()
-        positions |= {j.name: clean(q) for j, q in zip(compliant, compliant_positions, strict=True)}
+        positions |= {
+            j.name: clean(q) for j, q in zip(stance.joints, compliant_positions, strict=True)
+        }
         depths, tilts = forces.depths, forces.tilts
     else:
         base = Pose()
@@ -380,36 +407,47 @@ def solve_statics(robot: Robot) -> Statics:
     return Statics(base, positions, inertias, contacts, equilibrium is not None)
 
 
-def _compliant_joints(robot: Robot, tree: JointTree) -> list[Joint]:
-    """Return the joints that move under the weight of the robot.
+def _equilibrium(
+    robot: Robot,
+    tree: JointTree,
+    positions: dict[str, float],
+    wheels: list[tuple[Wheel, Vec3, float]],
+) -> tuple[_Stance, tuple[Pose, list[float], _Forces] | None]:
+    """Return the stance of a robot and its equilibrium, or ``None`` for one that falls over.
 
-    A joint with a spring is compliant: it moves under the weight of the robot. A passive joint that
-    carries a wheel, such as the joint of a rocker, is also compliant. The spin joint of a wheel is
-    not compliant, because level ground does not turn a wheel.
+    ``positions`` are the home positions of the joints, which the function replaces by the limits
+    that hold passive joints. The joints of the stance move under the weight of the robot: joints
+    with springs, and passive joints. The spin joint of a wheel is not among them, because level
+    ground does not turn a wheel.
     """
-    actuated = {actuator.joint for actuator in robot.actuators}
-    carriers: set[int] = set()
-    for wheel in robot.wheels:
-        actuated.update(
-            name for name in (wheel.spin_joint, wheel.steering_joint, wheel.swivel_joint) if name
-        )
-        carrier = tree.carrier[wheel.link]
-        while carrier:
-            carriers.add(carrier)
-            carrier = tree.moving_parent[carrier]
-    return [
-        joint
-        for number, joint in enumerate(tree.moving, 1)
-        if joint.mimic is None
-        and (
-            joint.stiffness > 0.0
-            or (
-                number in carriers
-                and joint.name not in actuated
-                and joint.type in ("revolute", "continuous")
-            )
-        )
-    ]
+    standing = standing_of(robot)
+    coordinates = coordinates_of(tree, robot.wheels, held_joints(robot), sprung=True)
+    is_passive = any(not c.is_sprung or len(c.members) > 1 for c in coordinates)
+    start, starts = Pose(), {}
+    if standing is not None and is_passive:
+        start, starts = standing.base, standing.positions
+        positions |= {name: clean(starts[name]) for name in standing.at_limit}
+        coordinates = [c for c in coordinates if c.members[0].joint.name not in standing.at_limit]
+        moving = {member.joint.name for c in coordinates for member in c.members}
+    else:
+        moving = {j.name for j in tree.moving if j.mimic is None and j.stiffness > 0.0}
+    # The positions of the joints that move are measured from 0. The others are at home.
+    home = {name: q for name, q in positions.items() if name not in moving and q != 0.0}
+    if home:
+        tree = tree.at(home)
+    if standing is not None and is_passive:
+        stance: _Stance = _PassiveStance(tree, coordinates, wheels)
+    else:
+        stance = _Stance(tree, [joint for joint in tree.moving if joint.name in moving], wheels)
+    if not wheels or stance.weight <= 0.0 or (standing is not None and not standing.stands):
+        return stance, None
+    n = len(wheels)
+    softness = float_sum(weight for _, _, weight in wheels) / n
+    x, y, z = start.xyz
+    base = Pose((x, y, z - penetration_under(stance.weight / n, softness) / 2), start.quat)
+    return stance, stance.settle(
+        base, [starts.get(joint.name, _joint_home(joint)) for joint in stance.joints]
+    )
 
 
 def spin_axis(tree: JointTree, wheel: Wheel) -> Vec3:

@@ -27,6 +27,7 @@ from thorvaldc.model.spatial import Inertial, Vec3, clean
 from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.passive_joints import coordinates_of, coupled_joints
 
 
 class Pivot(NamedTuple):
@@ -50,33 +51,33 @@ def _lever(origin: Vec3, axis: Vec3, x: float, y: float) -> float:
     return axis[0] * (y - origin[1]) - axis[1] * (x - origin[0])
 
 
-def free_pivots(tree: JointTree, wheels: Sequence[Wheel], actuated: Collection[str]) -> list[Pivot]:
-    """Returns the pivots (joints without motor and spring) of a robot.
+def free_pivots(tree: JointTree, wheels: Sequence[Wheel], stopped: Collection[str]) -> list[Pivot]:
+    """Returns the pivots (joints without motor and spring) of a robot, with the joints at 0.
 
-    The spin, steering and swivel joints of wheels are not pivots.  ``actuated`` contains the names
-    of the joints with motors, which are not pivots.
+    The spin, steering and swivel joints of wheels are not pivots.  Joints that are coupled to each
+    other are one pivot.  ``stopped`` contains the names of the joints that motors or limits hold,
+    which are not pivots.
     """
     pivots: list[Pivot] = []
-    joints_of_wheels = {
-        name for w in wheels for name in (w.spin_joint, w.steering_joint, w.swivel_joint) if name
-    }
-    for joint in tree.parent_joint.values():
-        if joint.type not in ("revolute", "continuous") or joint.stiffness > 0.0:
-            continue
-        if joint.name in joints_of_wheels or joint.name in actuated or joint.mimic is not None:
-            continue
-        below = tree.links_below(joint.child)
-        links = set(below)
-        pose = tree.pose[joint.child]
-        axis = pose.rotate(joint.axis)
-        levers = [
-            _lever(pose.xyz, axis, *contact_point(w)) if w.link in links else 0.0 for w in wheels
-        ]
-        if max(map(abs, levers), default=0.0) < 1e-6:
-            continue
-        carried = tree.inertial(below)
-        moment = carried.mass * GRAVITY * _lever(pose.xyz, axis, carried.com[0], carried.com[1])
-        pivots.append(Pivot(tuple(levers), moment))
+    for coordinate in coordinates_of(tree, wheels, stopped, sprung=False):
+        levers = [0.0] * len(wheels)
+        moment = 0.0
+        for joint, ratio, _ in coordinate.members:
+            if joint.type == "prismatic":
+                levers = [0.0] * len(wheels)
+                break
+            below = tree.links_below(joint.child)
+            links = set(below)
+            pose = tree.pose[joint.child]
+            axis = pose.rotate(joint.axis)
+            for i, wheel in enumerate(wheels):
+                if wheel.link in links:
+                    levers[i] += ratio * _lever(pose.xyz, axis, *contact_point(wheel))
+            carried = tree.inertial(below)
+            lever = _lever(pose.xyz, axis, carried.com[0], carried.com[1])
+            moment += ratio * carried.mass * GRAVITY * lever
+        if max(map(abs, levers), default=0.0) >= 1e-6:
+            pivots.append(Pivot(tuple(levers), moment))
     return pivots
 
 
@@ -100,7 +101,7 @@ def static_loads(
     loads = [0.0] * len(points)
     while active:
         if pivots:
-            solution = _least_squares_loads(points, body, pivots, active)
+            solution = least_squares_loads(_balances(points, body, pivots, active))
         else:
             solution = _plane_loads([points[i] for i in active], body.com[:2], weight)
         lowest = min(range(len(active)), key=lambda k: solution[k])
@@ -112,12 +113,7 @@ def static_loads(
     return loads
 
 
-def _least_squares_loads(
-    points: Sequence[tuple[float, float]],
-    body: Inertial,
-    pivots: Sequence[Pivot],
-    active: Sequence[int],
-) -> list[float]:
+def least_squares_loads(balances: Sequence[tuple[list[float], float]]) -> list[float]:
     """Returns the wheel loads (N) with the least sum of squares that balance the weight of the
     robot.
 
@@ -126,13 +122,6 @@ def _least_squares_loads(
     depends on earlier equations is dropped.  The vector of wheel loads is the sum of each
     orthonormal row times the right-hand side of the equation.
     """
-    weight = body.mass * GRAVITY
-    balances = [
-        ([1.0] * len(active), weight),
-        ([points[i][0] for i in active], weight * body.com[0]),
-        ([points[i][1] for i in active], weight * body.com[1]),
-        *(([pivot.levers[i] for i in active], pivot.moment) for pivot in pivots),
-    ]
     orthonormal: list[tuple[list[float], float]] = []
     for row, value in balances:
         length = math.sqrt(float_sum(a * a for a in row))
@@ -145,7 +134,23 @@ def _least_squares_loads(
             orthonormal.append(([a / remainder for a in row], value / remainder))
     return [
         float_sum(share * direction[k] for direction, share in orthonormal)
-        for k in range(len(active))
+        for k in range(len(balances[0][0]))
+    ]
+
+
+def _balances(
+    points: Sequence[tuple[float, float]],
+    body: Inertial,
+    pivots: Sequence[Pivot],
+    active: Sequence[int],
+) -> list[tuple[list[float], float]]:
+    """Returns the balances of the forces on a robot that stands on its ``active`` wheels."""
+    weight = body.mass * GRAVITY
+    return [
+        ([1.0] * len(active), weight),
+        ([points[i][0] for i in active], weight * body.com[0]),
+        ([points[i][1] for i in active], weight * body.com[1]),
+        *(([pivot.levers[i] for i in active], pivot.moment) for pivot in pivots),
     ]
 
 
@@ -192,7 +197,20 @@ def spring_reference(
         stiffness * rest position = -(force or moment of the wheel loads and the weight)
 
     For a prismatic joint, it is the force along the joint axis; for another joint, the moment about
-    the joint axis.
+    the joint axis.  The springs of joints that are coupled to each other carry equal shares of what
+    acts on all these joints.
+    """
+    members = coupled_joints(joint, tree.joints)
+    total = float_sum(ratio * _torque(member, tree, wheels, loads) for member, ratio, _ in members)
+    springs = len([member for member, _, _ in members if member.stiffness > 0.0])
+    return clean(-total / springs / joint.stiffness)
+
+
+def _torque(
+    joint: Joint, tree: JointTree, wheels: Sequence[Wheel], loads: Sequence[float]
+) -> float:
+    """Returns the force (N) or moment (N m) on a joint of the wheel loads and the weight that it
+    carries.
     """
     below = set(tree.links_below(joint.child))
     pose = tree.pose[joint.child]
@@ -205,7 +223,5 @@ def spring_reference(
     ]
     forces.append((-carried.mass * GRAVITY, carried.com[0], carried.com[1]))
     if joint.type == "prismatic":
-        total = axis[2] * float_sum(force for force, _, _ in forces)
-    else:
-        total = float_sum(force * _lever(pose.xyz, axis, x, y) for force, x, y in forces)
-    return clean(-total / joint.stiffness)
+        return axis[2] * float_sum(force for force, _, _ in forces)
+    return float_sum(force * _lever(pose.xyz, axis, x, y) for force, x, y in forces)
