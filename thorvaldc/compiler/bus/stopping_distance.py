@@ -164,7 +164,7 @@ def check_stops_on_slope(
         return
     where, node = design.slope_span or robot.span, driver and driver.get("stopping_distance")
     motion = f"driving {direction} down {math.degrees(slope):.1f} deg, the robot"
-    if not stops or node is None or driver is None:
+    if not stops or distance is None or node is None or driver is None:
         report.add(
             "stopping-slope",
             f"{motion} does not stop {_CAUSES[kind]}: its wheels cannot brake it",

@@ -189,7 +189,7 @@ class ValueReader(Mapping[str, Any]):
         for element in part if isinstance(part, list) else (part,):
             dimension = number_dimension(element)
             expected = (EXPECTED[quantity], *allowed)
-            if dimension is None or any(fits(dimension, one) for one in expected):
+            if dimension is None or any(fits(dimension, kind) for kind in expected):
                 continue
             words = " or ".join([str(QUANTITIES[quantity]), *map(in_words, allowed)])
             message = f"`{node.value}` is {in_words(dimension)}; expected {words}"

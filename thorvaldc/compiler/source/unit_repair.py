@@ -68,9 +68,9 @@ def _units(expected: Dimension | None, actual: Sequence[Dimension]) -> list[str]
     """Returns the units that a number of the expression may need, the most likely ones first."""
     length, area, volume = (EXPECTED[name] for name in ("length", "area", "volume"))
     goals = [expected] if expected is not None else []
-    candidates = [multiply(goal, found, -1) for goal in goals for found in actual]
+    candidates = [multiply(goal, wrong, -1) for goal in goals for wrong in actual]
     candidates += [*goals, *actual]
     candidates += [multiply(goal, per, -1) for goal in goals for per in (length, area, volume)]
-    candidates += [multiply(one, two, -1) for one, two in itertools.permutations(actual, 2)]
+    candidates += [multiply(above, below, -1) for above, below in itertools.permutations(actual, 2)]
     whole = [c for c in candidates if not fits(c, NONE) and all(p == int(p) for p in c)]
     return list(dict.fromkeys(map(unit_text, whole)))
