@@ -415,7 +415,9 @@ class ChaosWorld:
         self.client(client).reads = False
         for _ in range(times):
             self.client(client).send(text.encode())
-        self.client(client).floods |= times > 50
+        if times > 50:
+            self.client(client).floods = True
+            self.permission.flooding.add(self.client(client).connection)
         if text.startswith(TWIST_REQUEST):
             self.client(client).tell("twist", json.loads(text)["arguments"])
 
@@ -541,11 +543,11 @@ class ChaosWorld:
                 self._end_driver("end")
             self.technician.finish()
             self._note_stored()
-        for _ in range(RECOVERIES):
+        for attempt in range(RECOVERIES):
             if not self.alive:
                 self._end, self._start_wrong = "start", False
                 self.run_until(self.now + 0.04)
-            if self._drives_again():
+            if self._drives_again(attempt > 0):
                 return
         raise Violation("recovery", self.now, f"the robot does not drive again: {self.describe()}")
 
@@ -555,7 +557,8 @@ class ChaosWorld:
         for client in self.clients.values():
             client.close()
 
-    def _drives_again(self) -> bool:
+    def _drives_again(self, resets: bool) -> bool:
+        """``resets``: the person resets a robot that is ready, too, as its arming is refused."""
         person = self.client("person")
         person.connect()
         for force in ({}, {"force": True}):
@@ -567,7 +570,7 @@ class ChaosWorld:
             self.run_until(self.now + CALL_TIME)
             return False
         self.run_until(self.now + CALL_TIME)
-        if not self.driven.base.state.drives:
+        if resets or not self.driven.base.state.drives:
             self._call(person, "reset_faults")
             self.run_until(
                 self.now + READY_TIME,

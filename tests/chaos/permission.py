@@ -68,6 +68,9 @@ class Permission:
     locks: dict[str, set[str]] = field(default_factory=dict)
     """Connections that have set each active lock, by name of the lock."""
     living: set[str] = field(default_factory=set)
+    flooding: set[str] = field(default_factory=set)
+    """Connections that have sent more than the driver reads at once; their twists may be too old to
+    hold a source."""
     _arming_until: float = -math.inf
     _disarmed_by_person: bool = False
     _arming_client: str = ""
@@ -157,7 +160,7 @@ class Permission:
         entry = self.sources.get(source)
         if entry is None or not all(map(math.isfinite, twist)):
             return
-        other = entry.client not in ("", client) and entry.client in self.living
+        other = entry.client not in ("", client) and entry.client in self.living - self.flooding
         if other and entry.is_held(now):
             return
         if not entry.is_held(now - self.period):  # the driver compares the times of two cycles

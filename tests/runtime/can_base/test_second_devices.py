@@ -13,6 +13,7 @@ from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault, BusFaults
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.frame_rates import OBSERVATION
+from thorvaldc.runtime.errors import RequestRefused
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 
@@ -185,3 +186,20 @@ def test_two_batteries_with_one_id_are_a_warning() -> None:
     assert rig.state is BaseState.ACTIVE
     (warning,) = rig.base.warnings(rig.now)
     assert warning.startswith("battery: charge (0x3e1) comes more often than the robot file states")
+
+
+def test_a_reset_forgets_a_second_battery_that_is_gone() -> None:
+    rig = Rig(cia402())
+    rig.ready()
+    rig.run(1.0)
+    fault = BusFault("forged_frames", "main", None, 0.0, 1.5, SPAN, cob_id=0x3E1, period=0.1)
+    FaultInjector(rig.simulated, BusFaults(())).inject(fault)
+    rig.run(1.0)
+    rig.driven.reset()  # it is still there, and noticed again
+    rig.run(3.0)
+    with pytest.raises(RequestRefused, match="battery: charge"):
+        rig.driven.arm()
+    rig.driven.reset()
+    rig.driven.arm()
+    with pytest.raises(RequestRefused, match="there is nothing to reset"):
+        rig.driven.reset()

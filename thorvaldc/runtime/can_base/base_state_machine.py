@@ -159,13 +159,15 @@ class BaseStateMachine:
 
     def reset(self, now: float, commanded: bool) -> str:
         """Leaves the state FAULT or ESTOP, and restarts the start-up of the base at the state
-        PREOP.
+        PREOP.  In other states, forgets suspicious devices that were noticed.
 
         ``commanded``: ``True`` if a motion of the robot is commanded, so that the reset is refused.
         Returns the reason if the reset is refused, or an empty text if the start-up begins.
         """
         if self.state not in (BaseState.FAULT, BaseState.ESTOP):
-            return "there is nothing to reset"
+            # A second battery or IO board is no fault, but the robot is not armed beside it.
+            forgotten = [connection.forget_strangers() for connection in self.connections]
+            return "" if any(forgotten) else "there is nothing to reset"
         if self.stop_engaged:
             return "the safety stop is engaged; release it first"
         if commanded:

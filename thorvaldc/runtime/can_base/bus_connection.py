@@ -209,7 +209,7 @@ class BusConnection:
     def clear_counts(self, boot_ups: int) -> None:
         """Forgets the frames that were counted before, and allows ``boot_ups`` further boot-up
         messages of each node."""
-        self.rates.clear()
+        self.forget_strangers()
         self.watchdog.allow_boot_ups(boot_ups)
         self._extra_responses.clear()
 
@@ -237,6 +237,13 @@ class BusConnection:
             if problem:
                 return f"{name}: {problem}"
         return ""
+
+    def forget_strangers(self) -> bool:
+        """Counts the frames of all devices anew; returns whether any were suspicious."""
+        noticed = bool(self.rates.excessive) or self.receiver.ignored_id is not None
+        self.rates.clear()
+        self.receiver.ignored_id = None
+        return noticed
 
     def suspicious_devices(self) -> list[str]:
         """Returns warnings about the devices of the bus.
