@@ -139,7 +139,7 @@ def _wheels(wheels: tuple[WheelLoad, ...], soil: SoilLoad | None) -> FactTable:
         )
         for wheel in wheels
     )
-    columns = ("wheel", "x [m]", "y [m]", "radius [m]", "load [N]", "range [N]", "share", "kind")
+    columns = ("wheel", "x [m]", "y [m]", "r [m]", "load [N]", "range [N]", "share", "kind")
     notes: list[str] = []
     if soil is not None and soil.pressure is not None:
         notes.append(
