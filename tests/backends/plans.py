@@ -316,7 +316,7 @@ def mesh(name: str, size: float) -> Mesh:
 
 
 def graft(robot: Robot, seed: int, count: int = 8) -> Robot:
-    """Return the robot with ``count`` more random links on its body."""
+    """Return the robot with ``count`` more random links on its body, as an extra adds them."""
     rng = np.random.default_rng(seed)
     meshes = (mesh("wedge.stl", 0.3), mesh("tip.stl", 0.1))
     links, joints = list(robot.links), list(robot.joints)
@@ -360,7 +360,7 @@ def graft(robot: Robot, seed: int, count: int = 8) -> Robot:
         # Everything is above the ground: the new links must not carry weight.
         visuals = tuple(Visual(shape(), pose(0.2), color()) for _ in range(int(rng.integers(3))))
         shapes = tuple(Collision(shape(), pose(0.05)) for _ in range(int(rng.integers(2))))
-        links.append(Link(name, f"extra{i}", inertial, visuals, shapes, SPAN))
+        links.append(Link(name, f"extras.extra{i}", inertial, visuals, shapes, SPAN))
         axis = rng.normal(size=3)
         x, y, z = (float(v) for v in axis / np.linalg.norm(axis))
         limited = kind in ("revolute", "prismatic")
@@ -372,7 +372,7 @@ def graft(robot: Robot, seed: int, count: int = 8) -> Robot:
         joints.append(
             Joint(
                 f"extra{i}_joint",
-                f"extra{i}",
+                f"extras.extra{i}",
                 kind,
                 parent,
                 name,

@@ -170,6 +170,8 @@ class Permission:
             entry.awaits_zero = False
         elif entry.awaits_zero:
             return
+        if client in self.flooding and entry.is_fresh(now) and entry.twist.speed > twist.speed:
+            return  # it waits behind the flood
         entry.twist, entry.time = twist, now
         if twist != ZERO_TWIST:
             self._last_motion = now

@@ -21,8 +21,10 @@ modules:
   fr: {type: assembly/steered_drive, mount: frame.front_right, can: 2}
   rl: {type: assembly/steered_drive, mount: frame.rear_left, can: 3}
   rr: {type: assembly/steered_drive, mount: frame.rear_right, can: 4}
-  battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0.285, 0.07]}}
+  battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0.285, 0.07]}, can: 1}
 """
+UNPOWERED = GOOD[: GOOD.index("  battery:")]
+"""The robot on a cable: its mass is symmetrical."""
 # Two errors.
 BAD = GOOD.replace("name: good", "name: Bad").replace("can: 2", "cam: 2")
 # A warning: the robot tips over at a smaller angle than required.

@@ -20,6 +20,7 @@ modules:
   r: {type: assembly/steered_drive, mount: frame.rear_right, can: 2}
   a: {type: caster/swivel, mount: frame.front_left}
   b: {type: caster/swivel, mount: frame.front_right}
+  battery: {type: battery/enclosure, mount: {parent: frame, xyz: [0, 0, 0.07]}, can: 1}
 """
 
 
@@ -91,7 +92,8 @@ def test_a_robot_that_does_not_start_is_an_error(
 def test_wrong_usage_and_wrong_files(
     thorvaldc: Command, arguments: list[str], status: int, expected: str
 ) -> None:
-    bare = re.sub("can: [12]", "params: {controller: none}", ROBOT)
+    without_battery = ROBOT[: ROBOT.index("  battery:")]
+    bare = re.sub("can: [12]", "params: {controller: none}", without_battery)
     Path("bare.yaml").write_text(bare, encoding="utf-8")
     result = thorvaldc("faults", *arguments)
     assert result.status == status

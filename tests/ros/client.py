@@ -68,28 +68,38 @@ class Client:
 
     # -- calls ---------------------------------------------------------------------------------
 
-    def request(self, kind: Any, name: str, request: Any) -> Any:
+    def request(
+        self, kind: Any, name: str, request: Any, work: Callable[[], None] = lambda: None
+    ) -> Any:
+        """Calls a service, and repeats ``work`` until the answer comes."""
         if name not in self._clients:
             self._clients[name] = self.node.create_client(kind, f"{self.space}/{name}")
         client = self._clients[name]
         assert client.wait_for_service(TIMEOUT), name
         future = client.call_async(request)
-        rclpy.spin_until_future_complete(self.node, future, timeout_sec=TIMEOUT)
-        assert future.done(), f"{name} does not answer"
+        end = time.monotonic() + TIMEOUT
+        while not future.done():
+            assert time.monotonic() < end, f"{name} does not answer"
+            work()
+            rclpy.spin_until_future_complete(self.node, future, timeout_sec=0.05)
         return future.result()
 
-    def switch(self, name: str, on: bool = True) -> tuple[bool, str]:
-        return self._ask(SetBool, name, SetBool.Request(data=on))
+    def switch(
+        self, name: str, on: bool = True, work: Callable[[], None] = lambda: None
+    ) -> tuple[bool, str]:
+        return self._ask(SetBool, name, SetBool.Request(data=on), work)
 
     def trigger(self, name: str) -> tuple[bool, str]:
         return self._ask(Trigger, name, Trigger.Request())
 
-    def _ask(self, kind: Any, name: str, request: Any) -> tuple[bool, str]:
+    def _ask(
+        self, kind: Any, name: str, request: Any, work: Callable[[], None] = lambda: None
+    ) -> tuple[bool, str]:
         """Calls a service again if the request waited during a gap in time, as on a busy
         computer."""
         end = time.monotonic() + TIMEOUT
         while True:
-            answer = self.request(kind, name, request)
+            answer = self.request(kind, name, request, work)
             if answer.success or VOID not in answer.message or time.monotonic() > end:
                 return answer.success, answer.message
             self.spin(0.1)

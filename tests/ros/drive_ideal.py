@@ -37,7 +37,7 @@ def lifecycle(client: Client) -> None:
 def arming(client: Client) -> None:
     assert max(client.keep(0.3, 0.6)) == 0.0
     assert client.status() == "waiting: disarmed"
-    ok, reason = client.switch("enable")
+    ok, reason = client.switch("enable", work=lambda: client.send(0.3))
     assert not ok
     assert reason == "`auto_nav` commands a motion"
     client.arm()
@@ -55,7 +55,11 @@ def messages(client: Client) -> None:
     assert odometry.pose.covariance[0] > 0.0
     assert "left_wheel_spin" in joints.name or len(joints.name) >= 4, joints.name
     assert len(joints.name) == len(joints.position) == len(joints.velocity)
-    assert max(joints.velocity) > 1.0
+    client.wait(
+        "the speeds of the joints",
+        lambda: max(client.last["joint_states"].velocity) > 1.0,
+        lambda: client.send(0.3),
+    )
     client.wait(
         "the source", lambda: client.values("driver").get("source"), lambda: client.send(0.3)
     )

@@ -17,7 +17,7 @@ from playwright.sync_api import Browser, Locator, Page, sync_playwright
 
 import thorvaldc
 from tests.accessibility import axe_script, violations
-from tests.cli.conftest import GOOD, Command
+from tests.cli.conftest import UNPOWERED, Command
 from tests.cli.conftest import thorvaldc as thorvaldc_command
 from tests.outside_tools import path_of
 from tests.simulation.pictures.test_web_page import OPTIONS
@@ -59,7 +59,7 @@ def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 def report(run: Command, study: str, *arguments: str) -> str:
     """Runs a study and returns its report."""
     Path("study.yaml").write_text(study)
-    Path("good.yaml").write_text(f"{GOOD}description: a robot\n")
+    Path("good.yaml").write_text(f"{UNPOWERED}description: a robot\n")
     shutil.rmtree("study", ignore_errors=True)
     assert run("study", "run", "study.yaml", "-j", "1").status == 0
     result = run("study", "report", "study.yaml", *arguments)

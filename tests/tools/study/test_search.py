@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import thorvaldc
-from tests.cli.conftest import GOOD
+from tests.cli.conftest import UNPOWERED
 from tests.tools.study.test_studies import Command, rows, run, study_run
 from thorvaldc.model import Robot
 from thorvaldc.model.facts.robot_facts import robot_facts
@@ -94,7 +94,7 @@ def dominated_area(folder: str) -> float:
 
 
 def test_the_front_dominates_that_of_random_designs(run: Command) -> None:
-    Path("good.yaml").write_text(GOOD + BATTERY)
+    Path("good.yaml").write_text(UNPOWERED + BATTERY)
     text = SEARCH.replace("constraints:", f"{PLACE}constraints:")
     text = text.replace("stability.angles.left", "stability.least.angle")
     write_study(text)

@@ -21,7 +21,7 @@ import yaml
 
 import thorvaldc
 from tests.child_process import ChildProcess
-from tests.cli.conftest import GOOD, Command
+from tests.cli.conftest import UNPOWERED, Command
 from tests.cli.conftest import thorvaldc as thorvaldc_command
 from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.compiler.study.replaced_values import with_replaced_values
@@ -263,7 +263,7 @@ def test_more_designs_repeat_none(run: Command) -> None:
     assert run("study", "run", "study.yaml", "-j", "1").status == 0
     assert Path("study/track/journal.jsonl").read_bytes().count(b"\n") == 8
     # A changed file of the robot is another study.
-    Path("good.yaml").write_text(GOOD + "description: other\n")
+    Path("good.yaml").write_text(UNPOWERED + "description: other\n")
     assert run("study", "best", "study.yaml", "-o", "b.yaml").status == 3
 
 
@@ -287,7 +287,8 @@ def test_a_grid_has_all_combinations(run: Command) -> None:
 
 
 def test_the_winning_file_keeps_comments_and_adds_missing_parameters(run: Command) -> None:
-    Path("good.yaml").write_text("# a note\n" + GOOD.replace(", can: 2}", ", can: 2}  # the right"))
+    noted = UNPOWERED.replace(", can: 2}", ", can: 2}  # the right")
+    Path("good.yaml").write_text("# a note\n" + noted)
     text = STUDY.replace("number: 81", "number: 2").replace("at_least: 50 deg", "at_least: 10 deg")
     text = text.replace(
         "constraints:",
@@ -305,9 +306,9 @@ def test_the_winning_file_keeps_comments_and_adds_missing_parameters(run: Comman
     assert "can: 2}  # the right\n" in written
     assert written.count("gear_ratio: 30:1") == 2
     assert run("check", "best.yaml").status == 0
-    Path("mine.yaml").write_text(GOOD)
+    Path("mine.yaml").write_text(UNPOWERED)
     refused = run("study", "best", "study.yaml", "-o", "mine.yaml")
-    assert (refused.status, Path("mine.yaml").read_text()) == (3, GOOD)
+    assert (refused.status, Path("mine.yaml").read_text()) == (3, UNPOWERED)
     assert run("study", "best", "study.yaml", "-o", "best.yaml").status == 0
 
 
