@@ -42,6 +42,7 @@ from tests.chaos.permission import Permission, wheel_speed
 from tests.chaos.schedule import DELIVERED, POWER_ON, READY, ChaosEvent, Schedule
 from tests.chaos.true_motion import TrueMotion
 from tests.robots import SPAN
+from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.model.bus_faults import BusFault, BusFaults
 from thorvaldc.model.robot import AUTOMATIC
@@ -159,6 +160,8 @@ class ChaosWorld:
         A driver that has just been started listens, and commands nothing.
         """
         if self.driver_hangs or not self.alive or self.driven.base.state.starts:
+            return True
+        if any(i.state is ErrorState.BUS_OFF for i in self.interfaces.values()):
             return True
         return any(p.kind in IMPEDING or p.delay > 0.0 for p in self.problems.values())
 

@@ -10,6 +10,7 @@ import pytest
 from tests.runtime.can_base.fault_matrix import cia402
 from thorvaldc.runtime.can_base.motion_supervision import (
     REST_TRAVEL,
+    STOP_SHARE,
     MotionSupervision,
     Obedience,
 )
@@ -84,10 +85,24 @@ def test_targets_before_a_pause_do_not_count() -> None:
     cycles.run(0.25, 4.0, 4.0)
     cycles.supervision.update(False, cycles.now)
     assert not cycles.supervision.deviates
-    cycles.run(PERIOD, 4.0, 0.0)
+    cycles.run(PERIOD, 4.0, 1.0)
     assert cycles.supervision.deviates
     cycles.supervision.update(False, cycles.now)
     assert not cycles.supervision.deviates
+
+
+def test_a_wheel_that_rolled_without_torque_brakes_first() -> None:
+    """After a power cut the wheels roll while the robot starts."""
+    axis = make_axis("propulsion")
+    cycles, speed = Cycles(axis), 4.0
+    while speed > 0.0:
+        cycles.run(PERIOD, speed, 0.0)
+        speed -= STOP_SHARE * axis.actuator.max_acceleration * PERIOD
+    cycles.run(1.0, 0.0, 0.0)
+    assert cycles.supervision.problems == []
+    rolling = Cycles(make_axis("propulsion"))
+    rolling.run(3.0, 4.0, 0.0)
+    assert rolling.supervision.problems != []
 
 
 @pytest.mark.parametrize(

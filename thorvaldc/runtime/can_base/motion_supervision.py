@@ -4,7 +4,8 @@ The supervision is the same for every kind of motor controller.  A driver can on
 (``MotorController.follow_limits``).  What is compared depends on what the motors are commanded to:
 
     command        a motor obeys if
-    FOLLOW         a wheel has one of the target speeds of the last half second, within a tolerance;
+    FOLLOW         a wheel has one of the target speeds of the last half second, within a tolerance,
+                   or brakes to rest from the speed with which it rolled without torque;
                    a steering joint is at its target angle or turns towards it;
                    a wheel that is commanded to stand does not travel;
                    its reports change when its target does
@@ -93,6 +94,8 @@ class _Follower:
         """Travel (rad) of the present deviation beyond all recent targets."""
         self._travel = 0.0
         """Travel (rad) since the wheel is commanded to stand."""
+        self._rolling = math.nan
+        """Speed (rad/s) that a wheel may still have because it rolled at first."""
         self._updated_at = math.inf
 
     @property
@@ -133,11 +136,17 @@ class _Follower:
 
     def _update_wheel(self, now: float, target: float) -> bool:
         axis, targets = self.axis, self._targets
-        targets.append(_Target(now, target))
-        while targets[0].time < now - self.limits.time:
-            targets.popleft()
         dt = min(max(now - self._updated_at, 0.0), LONGEST_STEP)
         self._updated_at = now
+        targets.append(_Target(now, target))
+        if math.isnan(self._rolling):
+            self._rolling = axis.velocity if target == 0.0 else 0.0
+        if self._rolling:  # a wheel that rolled when its motor got torque brakes first
+            braked = STOP_SHARE * axis.actuator.max_acceleration * dt
+            self._rolling = math.copysign(max(abs(self._rolling) - braked, 0.0), self._rolling)
+            targets.append(_Target(now, self._rolling))
+        while targets[0].time < now - self.limits.time:
+            targets.popleft()
         if not self.stands_by_command or abs(axis.velocity) <= STANDING:
             self._travel = 0.0
         else:
