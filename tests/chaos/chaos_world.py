@@ -126,9 +126,7 @@ class ChaosWorld:
         self._recovering = False
         self._jumped: set[str] = set()
         """Actuators from a jump of their encoder until the driver that has seen it has homed them.
-
-        Nobody notices a jump of a frozen encoder, or while no driver runs, before the next homing,
-        and no later driver knows what an earlier one has seen."""
+        Nobody notices a jump while no driver runs, or of a frozen encoder, before a homing."""
         self._seen_jumps: set[str] = set()
         self._battery_empty = 0.0
         self._injector = FaultInjector(self.simulated, BusFaults((), seed=seed))
@@ -491,8 +489,8 @@ class ChaosWorld:
         elif kind == PUSHED:
             self._pushes[number] = 1.1 * abs(fault.speed) * max(w.radius for w in self.robot.wheels)
         if kind == "encoder_jump":
-            nodes = {n.name: n for b in self.robot.buses for n in b.nodes}
-            channels = {c.name: c.actuator for c in nodes[node or ""].channels}
+            nodes = (n for b in self.robot.buses for n in b.nodes if n.name == node)
+            channels = {c.name: c.actuator for c in next(nodes).channels}
             self._jumped.add(str(channels[more["channel"]]))
         self._targets[number] = target
         device = self.simulated.devices.get(node or "")

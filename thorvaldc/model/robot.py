@@ -410,8 +410,8 @@ class Sensor(Element):
     span: Span
 
 
-PARALLEL = "parallel"
-"""Value of ``Robot.battery_connection``."""
+PARALLEL, SEPARATE = "parallel", "separate"
+"""Values of ``Robot.battery_connection``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

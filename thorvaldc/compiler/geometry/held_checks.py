@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from thorvaldc.diagnostics import Label, Report
+from thorvaldc.diagnostics.plain_numbers import millimetres
 from thorvaldc.model.robot import Joint, Robot
 from thorvaldc.model.statics.standing import Standing, standing_of
 from thorvaldc.model.statics.tip_over import support_of
@@ -73,7 +74,7 @@ def _check_lean(robot: Robot, standing: Standing, report: Report) -> None:
     if not moved and standing.tilt <= _LEAN:
         return
     positions = [
-        f"{_reference(joint)} at {position * 1000:.3g} mm"
+        f"{_reference(joint)} at {millimetres(position)}"
         if joint.type == "prismatic"
         else f"{_reference(joint)} at {math.degrees(position):.1f} deg"
         for joint, position in moved[:_MAX_LABELS]

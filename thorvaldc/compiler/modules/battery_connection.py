@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 from thorvaldc.compiler.source.edits import insertion
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Label, Report
+from thorvaldc.diagnostics import Label, Proposal, Report
 from thorvaldc.model.facts.energy import battery_voltage
-from thorvaldc.model.robot import PARALLEL, Battery
+from thorvaldc.model.robot import PARALLEL, SEPARATE, Battery
 
 
 def read_battery_connection(
@@ -41,11 +41,11 @@ def read_battery_connection(
             )
         return None
     if node.value == PARALLEL:
-        _check_voltages(present, report)
+        _check_voltages(present, node, report)
     return str(node.value)
 
 
-def _check_voltages(batteries: Sequence[Battery], report: Report) -> None:
+def _check_voltages(batteries: Sequence[Battery], connection: Node, report: Report) -> None:
     stated = [(b, v) for b in batteries if (v := battery_voltage(b)) is not None]
     for battery, voltage in stated[1:]:
         first, expected = stated[0]
@@ -56,5 +56,9 @@ def _check_voltages(batteries: Sequence[Battery], report: Report) -> None:
                 f"{expected:g} V",
                 battery.span,
                 labels=[Label(first.span, f"{expected:g} V here")],
-                hint="use batteries of one voltage, or write `batteries: separate`",
+                hint=Proposal(
+                    "use batteries of one voltage, or write `batteries: separate`",
+                    SEPARATE,
+                    span=connection.span,
+                ),
             )
