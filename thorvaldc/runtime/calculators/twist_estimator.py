@@ -497,7 +497,7 @@ class TwistEstimator:
         a larger covariance.
         """
         yaw_rate = states.yaw_rate
-        doubts, speeds = Suspicion(False, (), ()), []
+        doubts, speeds = Suspicion(False, False, (), ()), []
         if commanded is not None:
             turning = [
                 (w.radius, states.speeds[w.number], commanded[w.number]) for w in self.wheels

@@ -28,14 +28,17 @@ permitted rate of false rejections):
     wheels are less likely than one.
 *   6 for each suspect wheel outside of F.  A suspect wheel in F costs nothing: the command explains
     it.
-*   5 for each deviating wheel in F, and 5 once if F leaves a deviating wheel: encoders get stuck
-    one by one, but a load slows down all wheels at once.
+*   5 for each deviating wheel if F contains all of them: encoders get stuck one by one. If F leaves
+    a deviating wheel, 5 once, and those in F count as wheels that follow. So they do if most wheels
+    deviate by nearly the same share: a load, or the delay of a bus in a ramp, slows down all wheels
+    at once, which says nothing against one of them.
 
 The search adds the sets F of all suspect wheels, and of all suspect and deviating wheels, of any
 size.  The wheels of such a set F keep their directions.  A small error of a single trusted encoder
 that nothing else confirms (its leverage L P L' / sigma_L^2 is near 1), or of encoders that are not
-the majority, cannot be seen.  Then the covariance also includes the hypothesis that all encoders
-are wrong and the wheels follow their commands.
+the majority, cannot be seen, nor whether a lag or faults let most wheels deviate.  Then the
+covariance also includes the hypothesis that all encoders are wrong and the wheels follow their
+commands.
 
 In the covariance, each likely hypothesis has at least the weight w = 0.1.  If a hypothesis at the
 distance d from the mean is true, the squared error d' (w d d' + ...)^-1 d is at most 1 / w = 10,
@@ -92,6 +95,8 @@ COMMANDED_SPEED = 0.05
 """Commanded speed (m/s) from which a wheel can contradict its command."""
 _SUSPECT_SHARE = 0.2
 """A wheel stands or turns backwards if its speed is below this share of the commanded speed."""
+_COMMON_LAG = 0.25
+"""Largest difference of the shares of their commands that wheels with a common lag reach."""
 _STANDING = 0.005
 """Speed (m/s) below which a wheel stands."""
 _UNCONFIRMED = 0.75
@@ -133,11 +138,13 @@ class Suspicion(NamedTuple):
     """Measured wheels whose speeds contradict the commands.
 
     - ``known``: ``True`` if the commands are known.
+    - ``lags``: ``True`` if most commanded wheels deviate by nearly the same share.
     - ``suspects``: indices of the wheels that stand or turn backwards although commanded.
     - ``deviating``: indices of the wheels that turn in the commanded direction at a wrong speed.
     """
 
     known: bool
+    lags: bool
     suspects: tuple[int, ...]
     deviating: tuple[int, ...]
 
@@ -200,7 +207,9 @@ class HypothesisSearch:
         ]
         encoders = len(_encoders(measurements))
         suspicious = self._suspicion.suspects or self._suspicion.deviating
-        if suspicious and any(2 * len(h.rejected) >= encoders or _unconfirmed(h) for h in likely):
+        if self._suspicion.lags or (
+            suspicious and any(2 * len(h.rejected) >= encoders or _unconfirmed(h) for h in likely)
+        ):
             last = self._encoders_faulty(_encoders(measurements), measurements)
             likely.append(last._replace(cost=max(last.cost, best.cost + _NEGLIGIBLE)))
         return likely
@@ -211,7 +220,7 @@ class HypothesisSearch:
         The number of these wheels is not limited.  If the other wheels still disagree, one of them
         is faulty too, or all encoders are.
         """
-        _, suspects, deviating = self._suspicion
+        suspects, deviating = self._suspicion.suspects, self._suspicion.deviating
         hypotheses: list[Hypothesis] = []
         if not (suspects or deviating):
             return hypotheses
@@ -263,13 +272,14 @@ class HypothesisSearch:
 
     def _price_of(self, rejected: Sequence[int]) -> float:
         """Returns the cost of the assumption that the wheels ``rejected`` alone are faulty."""
-        _, suspects, deviating = self._suspicion
+        suspects, deviating = self._suspicion.suspects, self._suspicion.deviating
         cost = _SUSPECT_PRICE * len(set(suspects).difference(rejected))
-        if set(deviating).difference(rejected):
+        trusts = not set(deviating).issubset(rejected)
+        if trusts:
             cost += _DEVIATION_PRICE
         order = 0
         for k in rejected:
-            if k in deviating:
+            if k in deviating and not trusts and not self._suspicion.lags:
                 cost += _DEVIATION_PRICE
             elif k not in suspects:
                 order += 1
@@ -367,15 +377,18 @@ def suspicion(speeds: Sequence[tuple[float, float]]) -> Suspicion:
 
     ``speeds``: measured and commanded speed (m/s) of each wheel; 0 for a wheel without encoder.
     """
-    suspects, deviating = [], []
+    suspects, deviating, shares = [], [], []
     for k, (measured, speed) in enumerate(speeds):
         if abs(speed) <= COMMANDED_SPEED:
             continue
+        shares.append(measured / speed)
         if measured / speed < _SUSPECT_SHARE:
             suspects.append(k)
         elif abs(measured - speed) > following_error(speed):
             deviating.append(k)
-    return Suspicion(True, tuple(suspects), tuple(deviating))
+    most = 2 * len(deviating) > len(shares)
+    lags = most and max(shares) - min(shares) <= _COMMON_LAG
+    return Suspicion(True, lags, tuple(suspects), tuple(deviating))
 
 
 def doubted_wheels(fit: Fit, doubts: Suspicion) -> tuple[int, ...]:
