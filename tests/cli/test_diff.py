@@ -93,7 +93,7 @@ def test_a_renamed_module_alone_changes_nothing_else(thorvaldc: Command) -> None
 
 
 def test_node_ids(thorvaldc: Command) -> None:
-    other = written("other.yaml", ("can: 1", "can: 9"))
+    other = written("other.yaml", ("front_left, can: 1", "front_left, can: 9"))
     out = thorvaldc("diff", "good.yaml", other).out
     assert "fl_controller id" in out
     assert "1 -> 9" in out
