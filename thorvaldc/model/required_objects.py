@@ -21,6 +21,8 @@ from typing import NamedTuple
 
 from thorvaldc.model.bus import Bus, Node, ObjectValue
 from thorvaldc.model.bus_timing import MASTER
+from thorvaldc.model.robot import Robot
+from thorvaldc.model.stopping import motor_nodes
 
 
 class ObjectGroup(NamedTuple):
@@ -91,3 +93,13 @@ def reading_time(bus: Bus, cycle: float) -> float:
     """
     motors = [n for n in bus.nodes if any(c.actuator is not None for c in n.channels)]
     return cycle * sum(1 for node in motors for _ in required_objects(bus, node))
+
+
+def start_reading_time(robot: Robot) -> float:
+    """Returns the time in s in which the base driver reads all required objects at its start.
+
+    It reads one object of each motor controller per control cycle, while it reads one of each bus
+    during the drive (``reading_time``).
+    """
+    counts = [len(list(required_objects(bus, node))) for bus, node in motor_nodes(robot)]
+    return max(counts, default=0) / robot.driver.rate

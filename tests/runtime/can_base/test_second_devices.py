@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 
 import pytest
@@ -203,3 +204,22 @@ def test_a_reset_forgets_a_second_battery_that_is_gone() -> None:
     rig.driven.arm()
     with pytest.raises(RequestRefused, match="there is nothing to reset"):
         rig.driven.reset()
+
+
+@both
+def test_resets_do_not_hide_false_reports_of_a_drive(make: Make) -> None:
+    """A program that resets in every cycle is not able to void the protection."""
+    rig = Rig(make())
+    rig.drive()
+    inject(rig, "forged_frames", cob_id=0x181, period=PERIOD)
+
+    def resets(now: float) -> None:
+        with contextlib.suppress(RequestRefused):
+            rig.driven.reset()
+
+    rig.driven.before_cycle = resets
+    rig.homes = False
+    noticed: list[str] = []
+    rig.base.state_machine.changed = lambda time, state, reason: noticed.append(reason)
+    rig.run(3.0)
+    assert any("comes more often" in reason for reason in noticed), noticed

@@ -43,9 +43,8 @@ from dataclasses import dataclass, replace
 
 from thorvaldc.can.canopen import NmtCommand, NmtState
 from thorvaldc.can.error_state import ErrorState
-from thorvaldc.model.required_objects import required_objects
+from thorvaldc.model.required_objects import start_reading_time
 from thorvaldc.model.robot import Robot
-from thorvaldc.model.stopping import motor_nodes
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.even_stop import hold_time
@@ -107,7 +106,7 @@ class BaseStateMachine:
         times = times or Times()
         self.times = replace(
             times,
-            configure=max(times.configure, READING_SHARE * _reading_time(robot)),
+            configure=max(times.configure, READING_SHARE * start_reading_time(robot)),
             stop=max(times.stop, self.ladder.times.longest),
         )
         self.state = BaseState.INIT
@@ -166,7 +165,7 @@ class BaseStateMachine:
         """
         if self.state not in (BaseState.FAULT, BaseState.ESTOP):
             # A second battery or IO board is no fault, but the robot is not armed beside it.
-            forgotten = [connection.forget_strangers() for connection in self.connections]
+            forgotten = [c.forget_suspicious_devices() for c in self.connections]
             return "" if any(forgotten) else "there is nothing to reset"
         if self.stop_engaged:
             return "the safety stop is engaged; release it first"
@@ -535,9 +534,3 @@ def _not_following(controllers: Sequence[MotorController]) -> str:
         if not controller.follows or not controller.homed:
             return f"{controller.node.name}: it is no longer enabled and homed"
     return ""
-
-
-def _reading_time(robot: Robot) -> float:
-    """Returns the time (s) in which the objects of all motor controllers are read at the start."""
-    counts = [len(list(required_objects(bus, node))) for bus, node in motor_nodes(robot)]
-    return max(counts, default=0) / robot.driver.rate

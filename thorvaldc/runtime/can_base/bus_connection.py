@@ -209,7 +209,8 @@ class BusConnection:
     def clear_counts(self, boot_ups: int) -> None:
         """Forgets the frames that were counted before, and allows ``boot_ups`` further boot-up
         messages of each node."""
-        self.forget_strangers()
+        self.rates.clear()
+        self.receiver.ignored_id = None
         self.watchdog.allow_boot_ups(boot_ups)
         self._extra_responses.clear()
 
@@ -238,10 +239,14 @@ class BusConnection:
                 return f"{name}: {problem}"
         return ""
 
-    def forget_strangers(self) -> bool:
-        """Counts the frames of all devices anew; returns whether any were suspicious."""
-        noticed = bool(self.rates.excessive) or self.receiver.ignored_id is not None
-        self.rates.clear()
+    def forget_suspicious_devices(self) -> bool:
+        """Forgets the devices that only warn and keep the robot disarmed; returns whether there
+        were any.
+
+        The counts of the motor controllers stay: a program that resets again and again must not
+        hide a second one.
+        """
+        noticed = self.rates.forget(self._device_names()) or self.receiver.ignored_id is not None
         self.receiver.ignored_id = None
         return noticed
 

@@ -143,6 +143,15 @@ class FrameRates:
             for rate in group:
                 rate.clear(self._latest.get(rate.cob_id))
 
+    def forget(self, nodes: Collection[str]) -> bool:
+        """Counts the frames of some nodes anew; returns whether one of them sent too many."""
+        noticed = [name for name in nodes if self.excessive.pop(name, "")]
+        for group in self._groups:
+            for rate in group:
+                if rate.node in noticed:
+                    rate.clear(self._latest.get(rate.cob_id))
+        return bool(noticed)
+
     def take_sample(self) -> None:
         """Takes a sample of a part of the identifiers; called once in each control cycle."""
         self._next_group = (self._next_group + 1) % SAMPLE_CYCLES

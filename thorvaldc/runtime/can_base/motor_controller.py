@@ -124,7 +124,7 @@ class Axis:
     def hold(self) -> None:
         """Sets the target angle of a steering motor to the measured angle, and a target speed to 0.
 
-        Before the first report of the position the target is 0, and is not sent.
+        Before the first report of its position the target angle is 0, and no motor follows it.
         """
         known = self.steering and math.isfinite(self.position)
         self.target = self.position if known else 0.0
