@@ -87,8 +87,7 @@ def test_the_live_view_groups_frames_by_node_and_scrolls(bus: str, folder: Path)
         person.type("\x1b[B" * 60)  # down, to the end of the table
         person.until("OTHERS")
         person.resize(60, 20)
-        person.type("\x1b[C" * 40)
-        person.until("values")
+        person.until("values", typing="\x1b[C")  # one column after the other
         person.type("\x03")
         assert person.end() == 0
         assert "\x1b[?1049l" in person.shown
