@@ -154,6 +154,8 @@ class _Body:
     def at(self, base: Pose, values: list[float]) -> _State:
         """Return the state with given coordinates, lowered or raised to the ground."""
         heights = self._heights(base, values)[0]
+        # The height of the base is the one unknown that needs no search: a robot in the air falls
+        # until the lowest wheel touches, and one in the ground is lifted.
         x, y, z = base.xyz
         base = Pose((x, y, z - min(heights)), base.quat)
         heights, points, transforms, frames = self._heights(base, values)
@@ -166,6 +168,7 @@ class _Body:
         for g, (mass, com) in enumerate(zip(self.groups.mass, self.groups.com, strict=True)):
             x, y, z = transforms[g].apply(com)
             energy += mass * GRAVITY * z
+            # Weight has no horizontal component, so only the lift of the centre of mass does work.
             for k, lift in enumerate(self._lift(g, x, y, base, frames)):
                 gradient[k] += mass * GRAVITY * lift
         for joint, (k, member), q in zip(
@@ -182,6 +185,7 @@ class _Body:
         angle = math.hypot(step[1], step[2])
         quat = state.base.quat
         if angle > 0.0:
+            # A rotation about the world's axes, and none about z: yaw changes no height.
             turn = quat_from_axis_angle((step[1] / angle, step[2] / angle, 0.0), angle)
             quat = quat_normalize(quat_multiply(turn, quat))
         values = [a + b for a, b in zip(state.values, step[3:], strict=True)]
@@ -207,6 +211,10 @@ class _Body:
             transform = transforms[wheel.group]
             x, y, z = transform.apply(wheel.centre)
             ax, ay, az = transform.rotate(wheel.axis)
+            # The lowest point of a tilted circle: the radius along the steepest direction in the
+            # wheel's plane. With the unit axis a, this direction is (a_x a_z, a_y a_z, a_z^2 - 1)
+            # / cos with cos^2 = 1 - a_z^2. The bound keeps a wheel that lies flat from a division
+            # by zero.
             cos = math.sqrt(max(1.0 - az * az, 1e-9))
             heights.append(z - wheel.radius * cos)
             points.append((x + wheel.radius * ax * az / cos, y + wheel.radius * ay * az / cos))
@@ -226,6 +234,9 @@ class _Body:
 
 def _fall(body: _Body, state: _State, radius: float) -> tuple[list[float], list[float]]:
     """Return the step within ``radius`` that lowers the energy most, and the wheel loads in N."""
+    # The simplex method knows only non-negative variables, so each unknown d is the difference of
+    # two: d = d+ - d-. Rows: no contact sinks into the ground, -J_i d <= h_i; each unknown stays
+    # within the trust region and within the limits of its joint.
     n = len(state.gradient)
     rows, bounds = [], []
     for lift, height in zip(state.jacobian, state.heights, strict=True):
@@ -238,6 +249,7 @@ def _fall(body: _Body, state: _State, radius: float) -> tuple[list[float], list[
         for column, bound in ((k, high), (n + k, -low)):
             rows.append([1.0 if j == column else 0.0 for j in range(2 * n)])
             bounds.append(min(radius, bound))
+    # In units of the weight, the tolerances of the simplex method suit every size of robot.
     scale = 1.0 / body.weight
     objective = [-scale * v for v in state.gradient] + [scale * v for v in state.gradient]
     solution, multipliers = maximize(objective, rows, bounds)
@@ -257,6 +269,8 @@ def _settle(body: _Body) -> tuple[_State, list[float] | None]:
         if decrease < _EQUILIBRIUM * body.weight or radius < _SMALLEST_STEP:
             return state, loads
         after = body.at(*body.moved(state, step))
+        # The linear program ignores curvature. A step that reaches less than a tenth of the
+        # promised decrease went too far, and is tried again in half the radius.
         if after.energy > state.energy - 0.1 * decrease:
             radius /= 2.0
             continue
@@ -300,6 +314,8 @@ def _softest_motion(
     ]
     constraints += [[1.0 if j == k else 0.0 for j in range(n)] for k in sorted(fixed)]
     motions: list[list[float]] = []
+    # Gram-Schmidt: first the constraints, whose directions are forbidden; what remains of each
+    # unknown without them is a motion.
     for vector, is_motion in (
         *((row, False) for row in constraints),
         *(([1.0 if j == k else 0.0 for j in range(n)], True) for k in range(n - 1, -1, -1)),
@@ -336,6 +352,7 @@ def _least_eigenvector(matrix: list[list[float]]) -> tuple[list[float], float]:
             for q in range(p + 1, n):
                 if a[p][q] == 0.0:
                     continue
+                # The rotation in the plane of p and q that makes the entry (p, q) zero.
                 angle = 0.5 * math.atan2(2.0 * a[p][q], a[q][q] - a[p][p])
                 c, s = math.cos(angle), math.sin(angle)
                 for row in (*a, *vectors):
@@ -350,6 +367,8 @@ def _curvatures(
     body: _Body, state: _State, loads: Sequence[float], motions: Sequence[Sequence[float]]
 ) -> list[list[float]]:
     """Return the second derivatives of the Lagrangian for each pair of motions, in J."""
+    # Central differences with h = 1 mm or 1 mrad: the energy is smooth, and rounding (1e-16 of the
+    # energy over h^2) stays far below the smallest curvature that counts as stable.
     h = 1e-3
 
     def value(*terms: tuple[float, Sequence[float]]) -> float:
@@ -365,6 +384,8 @@ def _curvatures(
     for i, first in enumerate(motions):
         rows[i][i] = pure[i]
         for j in range(i):
+            # Polarization: the curvature along u + v is that of u plus that of v plus twice the
+            # mixed one.
             second = motions[j]
             both = value((h, first), (h, second)) - 2.0 * centre + value((-h, first), (-h, second))
             rows[i][j] = rows[j][i] = (both / (h * h) - pure[i] - pure[j]) / 2.0
@@ -466,6 +487,8 @@ def _balance(body: _Body, state: _State, loads: list[float]) -> _Balance:
             )
             for k, sign in signs.items()
         }
+        # A limit that pulls does not act: its joint is free, and must be balanced by the wheels
+        # alone. Each round frees at least one unknown, so that the loop ends.
         pulled = [k for k in free if forces[k] < -_LOADED * body.weight]
         if not pulled:
             return _Balance(balancing, forces, signs)
@@ -480,6 +503,8 @@ def _non_negative_loads(
     active = [i for i, height in enumerate(heights) if height < _LARGEST_STEP / 100]
     while active:
         solution = least_squares_loads([([row[i] for i in active], v) for row, v in balances])
+        # The ground does not pull: the wheel with the most negative load lifts off, and the others
+        # share its load. This active-set method ends after at most one round for each wheel.
         lowest = min(range(len(active)), key=lambda k: solution[k])
         if solution[lowest] >= -1e-9 * weight:
             loads = [0.0] * len(heights)

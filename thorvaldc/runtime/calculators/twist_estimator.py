@@ -315,6 +315,8 @@ class TwistEstimator:
         gradients: list[Row3] = []  # H' W m of each error
         s1 = s2 = s3 = 0.0
         for wheel, (flags, c, s, x, y, _, _, v_l, v_t) in zip(self.wheels, weighted, strict=True):
+            # The row of a rolling speed is L = (c, s, s x - c y): the contact at (x, y) moves with
+            # (vx - y wz, vy + x wz), of which the wheel measures the part along (c, s).
             turn = s * x - c * y
             roll = c * vx + s * vy + turn * wz
             if wheel.flags & USE_ROLL and (radius_error or scale_error):
@@ -323,6 +325,8 @@ class TwistEstimator:
                 if radius_error:
                     k *= radius_error
                     gradients.append((k * c, k * s, k * turn))
+            # The row of a side slip is T = (-s, c, c x + s y). A wheel that points e too far to
+            # the left takes the part e v of its rolling speed for a side slip.
             if wheel.flags & USE_SIDE and offset:
                 k = offset * roll / v_t
                 gradients.append((-k * s, k * c, k * (c * x + s * y)))
@@ -355,6 +359,7 @@ class TwistEstimator:
         for wheel, (flags, c, s, x, y, z_l, z_t, _, _) in zip(
             self.wheels, self._measurements(states)[0], strict=True
         ):
+            # The velocity of the contact with the body, less that of the tyre's surface.
             ux, uy = vx - wz * y, vy + wz * x
             along = c * ux + s * uy - z_l if flags & USE_ROLL else 0.0
             slips[wheel.number] = (along, c * uy - s * ux - z_t)
@@ -390,6 +395,7 @@ class TwistEstimator:
                     z_t = -trail * turning
                 c, s = cos, sin
             measurements.append((flags, c, s, x, y, z_l, z_t, steered, skids))
+            # b = sum L' z_L, for wheels whose side slip z_T is 0.
             zx, zy = c * z_l, s * z_l
             b1 += zx
             b2 += zy
@@ -423,6 +429,7 @@ class TwistEstimator:
         normal matrix have the same unit.
         """
         a11, a12, a13, a22, a23, a33, b1, b2, b3 = equations
+        # The unweighted gyro counts as much as one wheel at the distance `length`.
         k = self.length2
         if yaw_rate is not None:
             a33 += k
