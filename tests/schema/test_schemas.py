@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 
+from thorvaldc.compiler.modules.document_section import Section
+from thorvaldc.compiler.modules.value_reader import ValueReader
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.compiler.source.units import QUANTITIES, parse_any, parse_quantity
 from thorvaldc.compiler.validation.document_check import check
@@ -92,6 +94,33 @@ def test_every_quantity_names_its_unit_and_has_an_example(kind: Kind) -> None:
         for quantity in names:
             unit = QUANTITIES[quantity].unit
             assert unit == "1" or unit in schema["description"], (name, unit)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_defaults_are_within_the_bounds_of_quantities(kind: Kind) -> None:
+    for name, schema in properties(kind):
+        bounds = {key for key in schema if key.endswith(("-minimum", "-maximum"))}
+        if not bounds:
+            continue
+        assert isinstance(schema["x-quantity"], str), name
+        for stated in (
+            *schema.get("examples", ()),
+            *(schema[k] for k in {"default"} & set(schema)),
+        ):
+            report = Report()
+            document = {"key": stated} if not str(stated).startswith("${") else {}
+            node = read_text(json.dumps(document).encode(), "schema", report)
+            assert node is not None
+            Section(node, {"properties": {"key": schema}}, ValueReader(report))
+            assert not report.has_errors, (name, stated)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_required_key_has_no_default(kind: Kind) -> None:
+    for name, schema in [("", inlined(kind)), *properties(kind)]:
+        stated = schema.get("properties", {})
+        for key in schema.get("required", ()):
+            assert "default" not in stated.get(key, {}), (name, key)
 
 
 def test_params_can_have_every_quantity() -> None:

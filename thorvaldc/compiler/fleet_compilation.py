@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 
 from thorvaldc.compiler.compilation import Compilation, Compile, SourceFile
-from thorvaldc.compiler.library import Library
-from thorvaldc.compiler.modules.scope import Scope
+from thorvaldc.compiler.modules.document_section import Section, read_document
+from thorvaldc.compiler.modules.value_reader import ValueReader
 from thorvaldc.compiler.scenario.fleet_placement import Placements
 from thorvaldc.compiler.source.near_files import DOCUMENTS, missing_file_hint
 from thorvaldc.compiler.source.node import Node
@@ -22,13 +23,17 @@ def compile_fleet(source: SourceFile, compile_robot: Compile) -> Compilation:
     compilation, report = Compilation.of(source), Report()
     parts: dict[str, Compilation] = {}
     if source.document is not None:
-        document = source.check_shape(source.document)
-        compilation.model = read_fleet(document, source, compile_robot, report, parts)
+        checked = source.check_shape(source.document)
+        document = read_document(checked, "fleet", ValueReader(report))
+        fleet = read_fleet(document, source, compile_robot, report, parts)
+        compilation.model = replace(
+            fleet, name=document["name"], description=document["description"]
+        )
     return compilation.complete(source, report, parts)
 
 
 def read_fleet(
-    document: Node,
+    document: Section,
     source: SourceFile,
     compile_robot: Compile,
     report: Report,
@@ -39,12 +44,9 @@ def read_fleet(
     Robots with errors are left out of the returned fleet.  The function adds the compilation of
     each robot file to ``parts``, by the file name in the fleet document.
     """
-    scope = Scope(None, {}, Library(), report, None)
     placements = Placements(report)
-    robots = document.get("robots")
-    entries = robots.value if robots is not None and isinstance(robots.value, dict) else {}
-    for name, entry in entries.items():
-        file_node = entry.get("robot")
+    for name, entry in document["robots"].items():
+        file_node = entry.node.get("robot")
         if file_node is None:
             continue
         file_name = str(file_node.value)
@@ -64,8 +66,7 @@ def read_fleet(
         robot = parts[file_name].model
         if isinstance(robot, Robot):
             placements.add(name, entry, robot)
-    title, description = (scope.text(document.get(key)) for key in ("name", "description"))
-    return Fleet(title, description, tuple(placements.placed))
+    return Fleet("", "", tuple(placements.placed))
 
 
 def open_named_file(source: SourceFile, node: Node, report: Report) -> SourceFile | None:

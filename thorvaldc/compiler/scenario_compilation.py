@@ -13,6 +13,8 @@ from pathlib import Path
 
 from thorvaldc.compiler.compilation import Compilation, Compile, SourceFile
 from thorvaldc.compiler.fleet_compilation import open_named_file, read_fleet
+from thorvaldc.compiler.modules.document_section import Section, read_document
+from thorvaldc.compiler.modules.value_reader import ValueReader
 from thorvaldc.compiler.scenario.fleet_placement import Placements, robots_of
 from thorvaldc.compiler.scenario.scenario_reader import read_scenario
 from thorvaldc.compiler.scenario.twist_log_reader import read_twists
@@ -46,17 +48,18 @@ def compile_scenario(
     if document is not None:
         if changes:
             document = without_variations(with_changes(document, changes, source.shape))
-        document = source.check_shape(document)
-        fleet = _read_robots(document, source, compile_part, report, parts, robot)
+        checked = source.check_shape(document)
+        section = read_document(checked, "scenario", ValueReader(report))
+        fleet = _read_robots(section, source, compile_part, report, parts, robot)
         if fleet is not None:
-            scenario = read_scenario(document, fleet, report)
-            scenario = _with_log(document, scenario, source, compilation.files, report)
+            scenario = read_scenario(section, fleet, report)
+            scenario = _with_log(checked, scenario, source, compilation.files, report)
             compilation.scenario, compilation.model = scenario, scenario.fleet
     return compilation.complete(source, report, parts)
 
 
 def _read_robots(
-    document: Node,
+    document: Section,
     source: SourceFile,
     compile_part: Compile,
     report: Report,
@@ -64,14 +67,15 @@ def _read_robots(
     robot: Path | str | None,
 ) -> Fleet | None:
     """Returns the fleet of a scenario, or ``None`` if a robot is missing or has errors."""
-    fleet_node, robots = document.get("fleet"), document.get("robots")
-    if robot is None and fleet_node is None and robots is not None:
+    node = document.node
+    fleet_node = node.get("fleet")
+    entries = [entry for _, entry in document["robots"].items()]
+    if robot is None and fleet_node is None and node.get("robots") is not None:
         fleet = read_fleet(document, source, compile_part, report, parts)
-        entries = robots.value.values() if isinstance(robots.value, dict) else ()
         # If robots of the fleet are missing, the checks of the scenario would report false errors.
         return fleet if len(fleet.placements) == sum(map(robots_of, entries)) else None
     if robot is not None:
-        folder, span = source.path.parent, document.span
+        folder, span = source.path.parent, node.span
         part: SourceFile | None = SourceFile(Path(robot), os.path.relpath(robot, folder), folder)
     elif fleet_node is not None:
         part, span = open_named_file(source, fleet_node, report), fleet_node.span
@@ -79,7 +83,7 @@ def _read_robots(
         report.add(
             "scenario-robots-missing",
             "the scenario has neither `robots` nor a `fleet`",
-            document.span,
+            node.span,
             hint="add one of them, or name a robot: thorvaldc sim robot.yaml --scenario FILE",
         )
         return None
@@ -93,22 +97,22 @@ def _read_robots(
     parts[part.name] = compile_part(part)
     model = parts[part.name].model
     if isinstance(model, Robot):
-        return Fleet(model.name, "", _place_single_robot(model, robots, report))
+        return Fleet(model.name, "", _place_single_robot(model, document["robots"], report))
     return model
 
 
-def _place_single_robot(robot: Robot, robots: Node | None, report: Report) -> tuple[Placement, ...]:
+def _place_single_robot(robot: Robot, robots: Section, report: Report) -> tuple[Placement, ...]:
     """Places the robot that replaces all robots of a scenario.
 
     If the section ``robots`` of the scenario has exactly one entry, the new robot gets the name and
     pose of the entry.  If the section ``robots`` does not have exactly one entry, the new robot
     keeps the name in the robot file and is placed at the origin.
     """
-    entries = robots.value if robots is not None else None
-    if not isinstance(entries, dict) or len(entries) != 1:
+    entries = list(robots.items())
+    if len(entries) != 1:
         return (Placement(robot.name, Pose(), replace(robot, namespace=robot.name)),)
     placements = Placements(report)
-    for name, entry in entries.items():
+    for name, entry in entries:
         placements.add(name, entry, robot)
     return tuple(placements.placed)
 

@@ -25,6 +25,13 @@ Kind = Literal[
 ]
 KINDS: tuple[Kind, ...] = typing.get_args(Kind)
 
+_BOUNDS = {
+    "minimum": "at least",
+    "x-minimum": "at least",
+    "x-exclusive-minimum": "more than",
+    "maximum": "at most",
+    "x-maximum": "at most",
+}
 _QUANTITY = r"^([-+]?\s*[.\d].*"
 _EXPRESSION = r".*\$\{.*"
 _COMMON = "common.schema.json#/$defs/"
@@ -67,6 +74,14 @@ def bundle(kind: str) -> dict[str, Any]:
 
     schema: dict[str, Any] = with_local_references(_load(kind))
     return {**schema, "$defs": definitions}
+
+
+def bounds_in_words(schema: dict[str, Any]) -> list[str]:
+    """Returns the bounds of a value, such as ``at most `60 deg```, in Markdown.
+
+    The keywords that begin with ``x-`` are bounds of quantities: JSON Schema knows only numbers.
+    """
+    return [f"{words} `{schema[key]}`" for key, words in _BOUNDS.items() if key in schema]
 
 
 def schema_text(kind: str) -> str:

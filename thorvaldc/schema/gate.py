@@ -106,7 +106,8 @@ _NUMBER = (int, float)
 # JSON Schema keywords that have no check function: annotations, and the keywords `then` and `else`,
 # which the function `_if` evaluates.
 _IGNORED = {"description", "examples", "title", "default", "$schema", "$id", "then", "else"}
-_IGNORED |= {"x-quantity", "x-words", "x-expression", "x-verbatim"}
+_IGNORED |= {"x-quantity", "x-words", "x-verbatim"}
+_IGNORED |= {"x-minimum", "x-exclusive-minimum", "x-maximum"}  # of quantities: `document_section`
 _CHECKS: dict[str, _Check] = {
     "type": _type,
     "const": lambda w, v, s: _equal(w, v),

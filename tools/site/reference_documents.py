@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from thorvaldc.schema.documents import KINDS, bundle
+from thorvaldc.schema.documents import KINDS, bounds_in_words, bundle
 
 FILES = {
     "robot": "robot.yaml",
@@ -107,9 +107,7 @@ def kind_of(value: dict[str, Any]) -> str:
         names = {"object": "mapping", "array": "list", "string": "text", "boolean": "true or false"}
         kinds = [kinds] if isinstance(kinds, str) else kinds
         text = " or ".join(names.get(kind, kind) for kind in kinds)
-    limits = [f"from {value['minimum']}"] if "minimum" in value else []
-    limits += [f"to {value['maximum']}"] if "maximum" in value else []
-    return ", ".join([text, *limits])
+    return ", ".join([text, *bounds_in_words(value)])
 
 
 def description(value: dict[str, Any]) -> tuple[str, str]:

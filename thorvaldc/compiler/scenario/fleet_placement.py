@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
-from thorvaldc.compiler.modules.bounded_quantities import BoundedQuantities
-from thorvaldc.compiler.modules.value_reader import ValueReader
+from thorvaldc.compiler.modules.document_section import Section
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model import Placement, Pose, Robot
@@ -16,9 +15,7 @@ from thorvaldc.model.ros import package_name
 from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.convex_hull import Point, convex_hull, separates
 
-# Distance (m) of the robots in a grid if the document contains no valid spacing.  The default
-# distance is large, so that the robots do not overlap.
-DEFAULT_SPACING = 100.0
+FAR_APART = 100.0  # Distance (m) in a grid with an invalid spacing: the robots do not overlap.
 
 
 class _Footprint(NamedTuple):
@@ -55,22 +52,22 @@ class Placements:
     def __init__(self, report: Report) -> None:
         self.placed: list[Placement] = []
         self._report = report
-        self._quantities = BoundedQuantities(ValueReader(report), report)
         self._spans: dict[str, Span] = {}
         self._packages: dict[str, tuple[str, Span]] = {}
         self._footprints: list[_Footprint] = []
 
-    def add(self, entry: str, node: Node, robot: Robot) -> None:
+    def add(self, entry: str, section: Section, robot: Robot) -> None:
         """Places the robot, or the grid of robots, of an entry of the section `robots`.
 
         Parameters
         ----------
         entry : name of the entry.
-        node : content of the entry.
+        section : content of the entry.
         robot : model of the robot.
         """
         reported_entries: set[str] = set()
-        for name, pose in self._poses(entry, node):
+        node = section.node
+        for name, pose in self._poses(entry, section):
             first_span = self._spans.setdefault(name, node.where)
             if first_span is not node.where:
                 self._report.add(
@@ -99,20 +96,20 @@ class Placements:
             )
         return replace(robot, namespace=name, ros=replace(robot.ros, package=package))
 
-    def _poses(self, entry: str, node: Node) -> Iterator[tuple[str, Pose]]:
+    def _poses(self, entry: str, section: Section) -> Iterator[tuple[str, Pose]]:
         """Yields the name and the pose of each robot that an entry of the section `robots` places.
 
         The robots of a grid are placed one row after another.
         """
-        first = self._quantities.planar_pose(node)
-        grid = node.get("grid")
-        if grid is None:
+        first = section.planar_pose()
+        if "grid" not in section:
             yield entry, first
             return
-        spacing = self._quantities.positive(grid, "spacing", "length", DEFAULT_SPACING)
-        for k in range(robots_of(node)):
+        grid = section["grid"]
+        spacing = grid.get("spacing", FAR_APART)
+        for k in range(robots_of(section)):
             x, y, z = first.xyz
-            row, column = divmod(k, _count(grid, "columns"))
+            row, column = divmod(k, grid["columns"])
             xyz = (x + row * spacing, y + column * spacing, z)
             yield f"{entry}_{k + 1}", replace(first, xyz=xyz).clean()
 
@@ -136,15 +133,10 @@ class Placements:
         self._footprints.append(footprint)
 
 
-def robots_of(node: Node) -> int:
+def robots_of(section: Section) -> int:
     """Returns the number of robots that an entry of the section `robots` places."""
-    grid = node.get("grid")
-    return 1 if grid is None else _count(grid, "rows") * _count(grid, "columns")
-
-
-def _count(grid: Node, key: str) -> int:
-    node = grid.get(key)
-    return node.value if node is not None and isinstance(node.value, int) else 1
+    grid = section["grid"]
+    return int(grid["rows"] * grid["columns"])
 
 
 def _footprint(entry: str, placement: Placement) -> _Footprint:

@@ -6,15 +6,15 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from thorvaldc.compiler.modules.bounded_quantities import BoundedQuantities
-from thorvaldc.compiler.modules.value_reader import ValueReader, entries, items
+from thorvaldc.compiler.modules.document_section import Section, is_within, read_document
+from thorvaldc.compiler.modules.value_reader import ValueReader
 from thorvaldc.compiler.scenario.start_checks import check_obstacles
 from thorvaldc.compiler.scenario.variations import (
     read_variations,
     with_changes,
     without_variations,
 )
-from thorvaldc.compiler.scenario.world_reader import read_world, wheel_friction, with_friction
+from thorvaldc.compiler.scenario.world_reader import read_world, with_friction
 from thorvaldc.compiler.scenario.zone_reader import check_starts
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
@@ -22,42 +22,27 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.scenario import GROUPS, Command, Expectation, Noise, Scenario, WheelFault
+from thorvaldc.schema.documents import inlined
 
-MAX_DURATION = 86400.0  # s: one day
-
-# Parameter of each type of injected fault: the key, the kind of quantity, and the least and
-# greatest value in SI units.
-_FAULT_VALUES = {
-    "steering_offset": ("angle", "angle", -1.0, 1.0),
-    "radius_error": ("error", "number", -0.5, 1.0),
-    "ice": ("friction", "number", 0.0, 5.0),
-}
+# Parameter of each type of injected fault.
+_FAULT_VALUES = {"steering_offset": "angle", "radius_error": "error", "ice": "friction"}
 _FAULTS_OF_MOTORS = ("encoder_frozen", "motor_lost")
 
-METRICS = {
-    "end_error": "length",
-    "yaw_error": "angle",
-    "path": "length",
-    "length_ratio": "number",
-    "tilt": "angle",
-    "slip": "velocity",
-    "largest_slip": "velocity",
-    "steering_limit_hits": "number",
-    "collisions": "number",
-    "energy": "energy",
-    "energy_per_metre": "force",
-}
+
+def metric_names() -> tuple[str, ...]:
+    """Returns the names of the metrics of a run, which a scenario can expect."""
+    return tuple(inlined("scenario")["properties"]["expect"]["properties"])
 
 
-def read_scenario(document: Node, fleet: Fleet, report: Report) -> Scenario:
+def read_scenario(document: Section, fleet: Fleet, report: Report) -> Scenario:
     """Returns the scenario that a scenario document describes.
 
     The fleet of the scenario contains the robots of ``fleet`` and the world of the document.  The
     function also checks each value in the section ``variations`` of the scenario document.
     """
     scenario = _read(document, fleet, report)
-    if document.get("variations") is not None:
-        _check_variations(document, fleet, report)
+    if "variations" in document:
+        _check_variations(document.node, fleet, report)
     return scenario
 
 
@@ -74,101 +59,80 @@ def _check_variations(document: Node, fleet: Fleet, report: Report) -> None:
         shape, content = Report(), Report()
         varied = without_variations(with_changes(document, [change], content))
         check(varied, "scenario", shape)
-        _read(without_invalid_values(varied, shape), fleet, content)
+        checked = without_invalid_values(varied, shape)
+        _read(read_document(checked, "scenario", ValueReader(content)), fleet, content)
         for diagnostic in (*shape.errors, *content.errors):
             report.put(diagnostic)
 
 
-def _read(document: Node, fleet: Fleet, report: Report) -> Scenario:
-    reader = ValueReader(report)
-    quantities = BoundedQuantities(reader, report)
-    friction = wheel_friction(document, quantities)
+def _read(document: Section, fleet: Fleet, report: Report) -> Scenario:
+    world = document["world"]
+    friction = world["friction"]
     if friction is not None:
         placements = (replace(p, robot=with_friction(p.robot, friction)) for p in fleet.placements)
         fleet = replace(fleet, placements=tuple(placements))
-    name = reader.text(document.get("scenario"))
-    description = reader.text(document.get("description"))
-    world = read_world(document, quantities, report)
-    fleet = replace(fleet, name=name, description=description, world=world)
-    check_starts(fleet, document, report)
-    check_obstacles(fleet, document, report)
+    name, description = document["scenario"], document["description"]
+    fleet = replace(fleet, name=name, description=description, world=read_world(world, report))
+    check_starts(fleet, world, report)
+    check_obstacles(fleet, world, report)
     # A missing or wrong duration is an error; then no step is after the end.
-    duration = quantities(
-        document, "duration", "time", math.inf, least=0.0, most=MAX_DURATION, above=True
-    )
-    sections = _SectionReader(fleet, duration, quantities, report)
-    record = document.get("record")
-    open_loop = document.get("open_loop")
+    duration = document.get("duration", math.inf)
+    sections = _SectionReader(fleet, duration, report)
+    record = document["record"]
     return Scenario(
         name=name,
         description=description,
         fleet=fleet,
-        duration=min(duration, MAX_DURATION),
-        commands=sections.commands(document.get("script")),
-        faults=tuple(sections.wheel_faults(document.get("faults"))),
-        noise=sections.noise(document.get("noise")),
-        expectations=tuple(sections.expectations(document.get("expect"))),
-        span=document.span,
-        record=_record_groups(record),
-        every=quantities(record, "every", "time", least=0.0) if record is not None else 0.0,
-        open_loop=open_loop is not None and open_loop.value is True,
+        duration=duration,
+        commands=sections.commands(document["script"]),
+        faults=tuple(sections.wheel_faults(document["faults"])),
+        noise=sections.noise(document["noise"]),
+        expectations=tuple(sections.expectations(document["expect"])),
+        span=document.node.span,
+        record=tuple(group for group in GROUPS if group in (record["what"] or GROUPS)),
+        every=record["every"],
+        open_loop=document["open_loop"],
     )
-
-
-def _record_groups(record: Node | None) -> tuple[str, ...]:
-    """Returns the names of the column groups that are written to the record of a run.
-
-    By default, all column groups are written to the record of a run.
-    """
-    named = {str(node.value) for node in items(record.get("what") if record else None)}
-    return tuple(group for group in GROUPS if not named or group in named)
 
 
 class _SectionReader:
     """Reads the sections of a scenario document that refer to the robots of the scenario."""
 
-    def __init__(
-        self, fleet: Fleet, duration: float, quantities: BoundedQuantities, report: Report
-    ) -> None:
+    def __init__(self, fleet: Fleet, duration: float, report: Report) -> None:
         self.robots = {placement.name: placement.robot for placement in fleet.placements}
         self.duration = duration
-        self.quantities = quantities
         self.report = report
 
-    def commands(self, script: Node | None) -> tuple[tuple[str, tuple[Command, ...]], ...]:
+    def commands(
+        self, script: Section | tuple[Section, ...] | None
+    ) -> tuple[tuple[str, tuple[Command, ...]], ...]:
         """Returns the scripted commands of each robot, sorted by time.
 
         If the script names a log file instead of commands, the method returns no commands, and the
         module ``scenario_compilation`` reads the log file.
         """
         commands: dict[str, list[Command]] = {name: [] for name in self.robots}
-        if script is not None and (robot_node := script.get("robot")) is not None:
+        if isinstance(script, Section):
             # If the script names a log file, only the robot name of the script is checked.
-            self._robot_names(robot_node)
+            self._robot_names(script)
+            script = ()
         last_time = 0.0
-        for node in items(script):
-            time = self.quantities(
-                node, "at", "time", last_time, least=last_time, most=MAX_DURATION
-            )
-            last_time = time
-            self._check_time(node, time, "step")
-            parameters = node.get("parameters")
-            command = Command(
-                time,
-                self.quantities(node, "vx", "velocity"),
-                self.quantities(node, "vy", "velocity"),
-                self.quantities(node, "wz", "angular_velocity"),
-                "" if parameters is None else str(parameters.plain()),
-            )
-            robot_node = node.get("robot")
-            for name in commands if robot_node is None else self._robot_names(robot_node):
+        for step in script or ():
+            if "at" in step and is_within(
+                step["at"], step.entry("at").span, "at", self.report, least=last_time
+            ):
+                last_time = step["at"]
+            self._check_time(step, last_time, "step")
+            vx, vy, wz = step["vx"], step["vy"], step["wz"]
+            command = Command(last_time, vx, vy, wz, step["parameters"])
+            for name in self._robot_names(step):
                 commands[name].append(command)
-                self._check_parameter_set(name, parameters)
+                self._check_parameter_set(name, step.node.get("parameters"))
         return tuple((name, tuple(listed)) for name, listed in commands.items())
 
-    def _check_time(self, node: Node, time: float, what: str) -> None:
+    def _check_time(self, section: Section, time: float, what: str) -> None:
         """Warns about a part of the scenario that begins at ``time`` (s), after the end."""
-        at = node.get("at")
+        at = section.node.get("at")
         if at is not None and time > self.duration:
             self.report.add(
                 "scenario-step-late",
@@ -189,62 +153,56 @@ class _SectionReader:
                 hint=did_you_mean(str(node.value), known, known_hint),
             )
 
-    def wheel_faults(self, section: Node | None) -> Iterator[WheelFault]:
+    def wheel_faults(self, faults: tuple[Section, ...]) -> Iterator[WheelFault]:
         """Yields each valid fault that the scenario injects at a wheel."""
-        for node in items(section):
-            type_node, wheel = node.get("type"), node.get("wheel")
-            if type_node is None or wheel is None or not isinstance(type_node.value, str):
+        for section in faults:
+            if "type" not in section or "wheel" not in section:
                 continue
-            robot_node = node.get("robot")
-            names = list(self.robots) if robot_node is None else self._robot_names(robot_node)
+            names = self._robot_names(section)
             if len(names) > 1:
                 self.report.add(
                     "missing-key",
                     "a fault has no `robot`, and there are several",
-                    node.where,
+                    section.node.where,
                     hint=f"add `robot: {names[0]}`",
                 )
             if len(names) != 1:
                 continue
-            fault = self._wheel_fault(node, type_node.value, names[0], wheel)
+            fault = self._wheel_fault(section, names[0])
             if fault is not None:
                 yield fault
 
-    def _wheel_fault(
-        self, node: Node, fault_type: str, robot: str, wheel: Node
-    ) -> WheelFault | None:
+    def _wheel_fault(self, section: Section, robot: str) -> WheelFault | None:
         """Reads an injected fault at a wheel.
 
         Returns ``None`` and reports an error if the injected fault is not valid.
         """
-        motor_node = node.get("motor")
-        motor = str(motor_node.value) if motor_node is not None else "drive"
-        if fault_type == "steering_offset":
-            motor = "steering"
-        needed_motor = motor if fault_type != "ice" else ""
-        if not self._has_wheel(self.robots[robot], wheel, needed_motor):
+        node, fault_type = section.node, section["type"]
+        motor = "steering" if fault_type == "steering_offset" else section["motor"] or "drive"
+        wheel = section.entry("wheel")
+        if not self._has_wheel(self.robots[robot], wheel, motor if fault_type != "ice" else ""):
             return None
         value = 0.0
         keys = {"motor"} if fault_type in _FAULTS_OF_MOTORS else set()
         if fault_type in _FAULT_VALUES:
-            key, quantity, least, most = _FAULT_VALUES[fault_type]
+            key = _FAULT_VALUES[fault_type]
             keys.add(key)
             if node.get(key) is None:
                 self.report.add(
                     "missing-key", f"the fault `{fault_type}` has no `{key}`", node.where
                 )
                 return None
-            value = self.quantities(node, key, quantity, least=least, most=most)
+            value = section[key] or 0.0
         for key in ("angle", "error", "friction", "motor"):
             entry = node.get(key)
             if entry is not None and key not in keys:
                 self.report.add(
                     "conflicting-keys", f"the fault `{fault_type}` has no `{key}`", entry.where
                 )
-        start = self.quantities(node, "at", "time", least=0.0)
-        self._check_time(node, start, "fault")
-        end = self.quantities(node, "until", "time", math.inf, least=start, above=True)
-        return WheelFault(fault_type, robot, str(wheel.value), motor, value, start, end, node.span)
+        start, end = section["at"], section.get("until", math.inf)
+        self._check_time(section, start, "fault")
+        is_within(end, section.entry("until").span, "until", self.report, least=start, above=True)
+        return WheelFault(fault_type, robot, section["wheel"], motor, value, start, end, node.span)
 
     def _has_wheel(self, robot: Robot, node: Node, motor: str) -> bool:
         """Checks that the robot has the wheel of an injected fault, and that the wheel has the
@@ -273,15 +231,16 @@ class _SectionReader:
         )
         return False
 
-    def _robot_names(self, node: Node) -> Sequence[str]:
-        """Returns a list with the robot name that a YAML node contains.
+    def _robot_names(self, section: Section) -> Sequence[str]:
+        """Returns the name of the robot that a section names, or all names if it names none.
 
-        Returns an empty list and reports an error if the scenario has no robot of the name in the
-        YAML node.
+        Returns an empty list and reports an error if the scenario has no robot of the name.
         """
+        node, names = section.node.get("robot"), list(self.robots)
+        if node is None:
+            return names
         if node.value in self.robots:
             return [str(node.value)]
-        names = list(self.robots)
         self.report.add(
             "scenario-robot-unknown",
             f"the scenario has no robot `{node.value}`",
@@ -290,12 +249,9 @@ class _SectionReader:
         )
         return []
 
-    def noise(self, node: Node | None) -> Noise:
+    def noise(self, noise: Section) -> Noise:
         """Returns the noise of the simulated sensors."""
-        if node is None:
-            return Noise()
-        seed, counts = node.get("seed"), node.get("encoder_counts")
-        gyro = node.get("gyro") or node.get("gyro_bias")
+        gyro = noise.node.get("gyro") or noise.node.get("gyro_bias")
         if gyro is not None and not any(map(_has_imu, self.robots.values())):
             self.report.add(
                 "scenario-imu-missing",
@@ -303,34 +259,27 @@ class _SectionReader:
                 gyro.where,
                 hint="mount a `sensor/imu` on one of them",
             )
-        quantities = self.quantities
         return Noise(
-            seed.value if seed is not None and isinstance(seed.value, int) else 0,
-            quantities(node, "wheel_speed", "angular_velocity", least=0.0),
-            quantities(node, "wheel_position", "angle", least=0.0),
-            quantities(node, "steering_angle", "angle", least=0.0),
-            quantities(node, "gyro", "angular_velocity", least=0.0) if gyro is not None else None,
-            quantities(node, "gyro_bias", "angular_velocity"),
-            counts is not None and counts.value is True,
+            noise["seed"],
+            noise["wheel_speed"],
+            noise["wheel_position"],
+            noise["steering_angle"],
+            (noise["gyro"] or 0.0) if gyro is not None else None,
+            noise["gyro_bias"],
+            noise["encoder_counts"],
         )
 
-    def expectations(self, node: Node | None) -> Iterator[Expectation]:
+    def expectations(self, expected: Section) -> Iterator[Expectation]:
         """Yields the expected range of each metric in the section `expect` of a scenario."""
-        for metric, bounds in entries(node).items():
-            quantity = METRICS.get(metric)
-            if quantity is None:
-                continue  # The schema check has already reported the unknown metric.
-            least, most = (
-                self.quantities(bounds, key, quantity) if bounds.get(key) is not None else None
-                for key in ("min", "max")
-            )
+        for metric, bounds in expected.items():
+            least, most = bounds["min"], bounds["max"]
             if least is not None and most is not None and least > most:
                 self.report.add(
                     "out-of-range",
                     f"`{metric}` is expected to be at least {least:g} and at most {most:g}",
-                    bounds.where,
+                    bounds.node.where,
                 )
-            yield Expectation(metric, least, most, bounds.where)
+            yield Expectation(metric, least, most, bounds.node.where)
 
 
 def _has_imu(robot: Robot) -> bool:

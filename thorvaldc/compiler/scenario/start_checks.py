@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from thorvaldc.compiler.modules.document_section import Section
 from thorvaldc.compiler.modules.value_reader import entries, items
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Proposal, Report
@@ -43,15 +44,14 @@ class _Solid(NamedTuple):
         return max(xs) < least_x or min(xs) > most_x or max(ys) < least_y or min(ys) > most_y
 
 
-def check_obstacles(fleet: Fleet, document: Node, report: Report) -> None:
+def check_obstacles(fleet: Fleet, world: Section, report: Report) -> None:
     """Reports each robot that starts inside an obstacle, a plant or a post."""
-    world = document.get("world")
     blocks = [
         (block, _solid(block.shape, block.pose))
         for block in (fleet.world.blocks if fleet.world is not None else ())
         if block.kind not in _CARRYING
     ]
-    if world is None or not blocks:
+    if not blocks:
         return
     for placement in fleet.placements:
         parts = list(_parts(placement))
@@ -61,7 +61,7 @@ def check_obstacles(fleet: Fleet, document: Node, report: Report) -> None:
         reach = min(xs), max(xs), min(ys), max(ys)
         reported: set[int] = set()
         for block, solid in blocks:
-            node = _node(block, world)
+            node = _node(block, world.node)
             if node is None or solid is None or id(node) in reported or solid.misses(*reach):
                 continue
             moves = [

@@ -5,46 +5,29 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from thorvaldc.compiler.modules.bounded_quantities import BoundedQuantities
+from thorvaldc.compiler.modules.document_section import Section
 from thorvaldc.compiler.scenario.obstacle_reader import ObstacleReader
 from thorvaldc.compiler.scenario.zone_reader import CELLS_PER_WAVE, MAX_CELLS, read_zones
 from thorvaldc.compiler.source.edits import insertion, removal
-from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Ground, Robot, World
 
 _KEYS_OF_SLOPES = ("angle", "direction")
 _KEYS_OF_ROUGH_GROUND = ("amplitude", "wavelength", "seed", "size")
-DEFAULT_SIZE = (30.0, 30.0)  # Default length and width of rough ground (m).
 
 
-def read_world(document: Node, quantities: BoundedQuantities, report: Report) -> World:
+def read_world(world: Section, report: Report) -> World:
     """Returns the world (ground, zones and obstacles) of a scenario document.
 
     The default world is level ground without obstacles.
     """
-    node = document.get("world")
-    if node is None:
-        return World(Ground())
-    ground = node.get("ground")
-    obstacles = ObstacleReader(quantities, report, node)
+    ground = world["ground"]
     return World(
-        _ground(ground, quantities, report) if ground is not None else Ground(),
-        obstacles.blocks(),
-        tuple(read_zones(node.get("zones"), quantities, report)),
+        _ground(ground, report) if "ground" in world else Ground(),
+        ObstacleReader(world, report).blocks(),
+        tuple(read_zones(world["zones"], report)),
     )
-
-
-def wheel_friction(document: Node, quantities: BoundedQuantities) -> float | None:
-    """Returns the friction coefficient that replaces the coefficients of all wheels.
-
-    Returns ``None`` if the scenario document contains no friction coefficient of the world.
-    """
-    node = document.get("world")
-    if node is None or node.get("friction") is None:
-        return None
-    return quantities(node, "friction", "number", 1.0, least=0.0, most=5.0, above=True)
 
 
 def with_friction(robot: Robot, coefficient: float) -> Robot:
@@ -53,19 +36,18 @@ def with_friction(robot: Robot, coefficient: float) -> Robot:
     return replace(robot, wheels=tuple(wheels))
 
 
-def _ground(node: Node, quantities: BoundedQuantities, report: Report) -> Ground:
+def _ground(ground: Section, report: Report) -> Ground:
     """Reads the ground of the world, and reports keys that have no effect on the type of the
     ground.
     """
-    type_node = node.get("type")
-    ground_type = str(type_node.value) if type_node is not None else ""
+    node, ground_type = ground.node, ground["type"]
     keys_without_effect = {
         "plane": (*_KEYS_OF_SLOPES, *_KEYS_OF_ROUGH_GROUND),
         "slope": _KEYS_OF_ROUGH_GROUND,
     }
     for key in keys_without_effect.get(ground_type, ()):
         entry = node.get(key)
-        if entry is not None:
+        if entry is not None and "type" in ground:
             suitable_type = "rough" if key in _KEYS_OF_ROUGH_GROUND else "slope"
             report.add(
                 "conflicting-keys",
@@ -76,42 +58,25 @@ def _ground(node: Node, quantities: BoundedQuantities, report: Report) -> Ground
     if ground_type == "slope" and node.get("angle") is None:
         hint = insertion("add `angle: 10 deg`", node, "angle", "10 deg", is_example=True)
         report.add("missing-key", "a slope has no `angle`", node.where, hint=hint)
-    amplitude, wavelength, seed, size = 0.0, 1.0, 0, DEFAULT_SIZE
-    if ground_type == "rough":
-        amplitude = quantities(node, "amplitude", "length", 0.02, least=0.0, most=1.0)
-        wavelength = quantities(node, "wavelength", "length", 1.0, least=0.05, most=100.0)
-        seed_node = node.get("seed")
-        if seed_node is not None and isinstance(seed_node.value, int):
-            seed = seed_node.value
-        size = _rough_size(node, wavelength, quantities, report)
-    return Ground(
-        quantities(node, "angle", "angle", least=0.0, most=math.radians(60.0)),
-        quantities(node, "direction", "angle"),
-        amplitude,
-        wavelength,
-        seed,
-        size,
-    )
+    slope = Ground(ground["angle"] or 0.0, ground["direction"])
+    if ground_type != "rough":
+        return slope
+    _check_size(ground, report)
+    rough = {key: ground[key] for key in _KEYS_OF_ROUGH_GROUND}
+    return replace(slope, **rough)
 
 
-def _rough_size(
-    node: Node, wavelength: float, quantities: BoundedQuantities, report: Report
-) -> tuple[float, float]:
-    """Returns the length and the width of rough ground (m).
-
-    If rough ground has too many height field cells, the function reports an error and returns the
-    default size.
-    """
-    size = quantities.pair(node, "size", DEFAULT_SIZE)
+def _check_size(ground: Section, report: Report) -> None:
+    """Reports rough ground with too many cells of the height field, or without an extent."""
+    size, wavelength = ground["size"], ground["wavelength"]
     cells = math.prod(edge / wavelength * CELLS_PER_WAVE for edge in size)
     if min(size) >= 1.0 and cells <= MAX_CELLS:
-        return size
+        return
     report.add(
         "out-of-range",
         f"rough ground of {plain(size[0])} m x {plain(size[1])} m with waves of "
         f"{plain(wavelength)} m has {cells:.3g} cells; it must be at least 1 m long and have at "
         f"most {MAX_CELLS}",
-        (node.get("size") or node).where,
+        ground.entry("size").where,
         hint="choose longer waves, or less ground",
     )
-    return DEFAULT_SIZE

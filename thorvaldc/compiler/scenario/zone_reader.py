@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
-from thorvaldc.compiler.modules.bounded_quantities import BoundedQuantities
-from thorvaldc.compiler.modules.value_reader import items
+from thorvaldc.compiler.modules.document_section import Section
 from thorvaldc.compiler.source.edits import removal
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
@@ -22,12 +21,11 @@ With fewer cells per wave, the edges between cells add rolling resistance.
 LARGEST_CELL = 0.1  # Largest edge length of a cell of the ground's height field (m).
 
 
-def read_zones(node: Node | None, quantities: BoundedQuantities, report: Report) -> Iterator[Zone]:
+def read_zones(zones: Iterable[Section], report: Report) -> Iterator[Zone]:
     """Yields each valid zone in the list `zones` of a scenario document."""
-    for zone_node in items(node):
-        size = quantities.pair(zone_node, "size", (1.0, 1.0))
-        amplitude = quantities(zone_node, "amplitude", "length", least=0.0, most=1.0)
-        wavelength = quantities(zone_node, "wavelength", "length", 0.5, least=0.05, most=100.0)
+    for zone in zones:
+        node, size = zone.node, zone["size"]
+        amplitude, wavelength = zone["amplitude"], zone["wavelength"]
         cell = min(LARGEST_CELL, wavelength / CELLS_PER_WAVE) if amplitude else LARGEST_CELL
         count = math.prod(edge / cell for edge in size)
         if not (min(size) > 0.0 and count <= MAX_CELLS):
@@ -35,28 +33,20 @@ def read_zones(node: Node | None, quantities: BoundedQuantities, report: Report)
                 "out-of-range",
                 f"a zone of {plain(size[0])} m x {plain(size[1])} m has {count:.3g} cells; it must "
                 f"have an extent, and at most {MAX_CELLS} cells",
-                (zone_node.get("size") or zone_node).where,
+                zone.entry("size").where,
             )
             continue
-        _check_keys(zone_node, report)
-        seed = zone_node.get("seed")
+        _check_keys(node, report)
         yield Zone(
-            quantities.planar_pose(zone_node),
+            zone.planar_pose(),
             size,
-            _coefficient(zone_node, "friction", quantities, 5.0),
-            _coefficient(zone_node, "rolling_resistance", quantities, 1.0),
-            quantities(zone_node, "height", "length", least=0.0, most=10.0),
-            quantities(
-                zone_node,
-                "slope",
-                "angle",
-                math.radians(10.0),
-                least=0.01,
-                most=math.radians(80.0),
-            ),
+            zone["friction"],
+            zone["rolling_resistance"],
+            zone["height"],
+            zone["slope"],
             amplitude,
             wavelength,
-            seed.value if seed is not None and isinstance(seed.value, int) else 0,
+            zone["seed"],
         )
 
 
@@ -76,26 +66,13 @@ def _check_keys(zone_node: Node, report: Report) -> None:
             )
 
 
-def _coefficient(node: Node, key: str, quantities: BoundedQuantities, most: float) -> float | None:
-    """Returns the friction coefficient or the rolling resistance coefficient of a ground zone.
-
-    Returns ``None`` if the ground zone does not change the coefficient of the wheels.
-    """
-    if node.get(key) is None:
-        return None
-    return quantities(node, key, "number", least=0.0, most=most)
-
-
-def check_starts(fleet: Fleet, document: Node, report: Report) -> None:
+def check_starts(fleet: Fleet, world: Section, report: Report) -> None:
     """Checks that no robot starts inside raised ground."""
-    world = document.get("world")
-    zone_nodes = items(world.get("zones") if world is not None else None)
+    zone_sections = world["zones"]
     zones = fleet.world.zones if fleet.world is not None else ()
-    if len(zone_nodes) != len(zones):
-        # If a ground zone is invalid, the list of ground zones is shorter than the list of YAML
-        # nodes.
-        return
-    for node, zone in zip(zone_nodes, zones, strict=True):
+    if len(zone_sections) != len(zones):
+        return  # A zone of the document is invalid.
+    for section, zone in zip(zone_sections, zones, strict=True):
         if zone.level:
             continue
         for placement in fleet.placements:
@@ -106,6 +83,6 @@ def check_starts(fleet: Fleet, document: Node, report: Report) -> None:
                 report.add(
                     "zone-under-robot",
                     f"{placement.name} starts inside raised ground",
-                    node.where,
+                    section.node.where,
                     hint="start it beside the zone, or at the height of the ground there",
                 )

@@ -21,7 +21,7 @@ from thorvaldc.compiler.library import Library
 from thorvaldc.compiler.modules.purchase_reader import MoneyError, parse_money
 from thorvaldc.compiler.modules.value_reader import entries, items
 from thorvaldc.compiler.pipeline import library_folders_of
-from thorvaldc.compiler.scenario.scenario_reader import METRICS
+from thorvaldc.compiler.scenario.scenario_reader import metric_names
 from thorvaldc.compiler.scenario.variations import read_range
 from thorvaldc.compiler.scenario_compilation import compile_scenario
 from thorvaldc.compiler.source.input_file import read_bytes, unsaved_texts
@@ -401,7 +401,9 @@ class _StudyReader:
                 self.report.add("study-value", message, node.where)
                 continue
             known = [
-                f"{scenario}.{metric_name}" for scenario in scenarios for metric_name in METRICS
+                f"{scenario}.{metric_name}"
+                for scenario in scenarios
+                for metric_name in metric_names()
             ]
             if metric is not None and metric.value not in known:
                 self.report.add(

@@ -15,6 +15,7 @@ from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.facts import robot_facts
 from thorvaldc.model.float_sum import float_sum
+from thorvaldc.schema.documents import bounds_in_words
 from thorvaldc.tools.language_server import schema_lookup
 from thorvaldc.tools.language_server.document_tree import Place, place_at
 from thorvaldc.tools.language_server.module_view import ModuleView, Parameter, Port
@@ -89,10 +90,7 @@ def schema_text(path: tuple[str | int, ...], schemas: list[schema_lookup.Schema]
         kinds = " or ".join(f"{QUANTITIES[q].name.replace('_', ' ')}" for q in quantities)
         units = " or ".join(dict.fromkeys(f"`{QUANTITIES[q].unit}`" for q in quantities))
         rows.append(f"- {kinds}, in {units}")
-    for schema in schemas:
-        for keyword, words in (("minimum", "at least"), ("maximum", "at most")):
-            if keyword in schema:
-                rows.append(f"- {words} `{schema[keyword]}`")
+    rows += [f"- {bound}" for schema in schemas for bound in bounds_in_words(schema)]
     default = next((schema["default"] for schema in schemas if "default" in schema), None)
     if default is not None:
         rows.append(f"- default: `{yaml_text(default)}`")
