@@ -190,6 +190,41 @@ def test_files_are_written_in_one_place(trees: dict[Path, ast.Module]) -> None:
     }
 
 
+def pads_text(node: ast.AST) -> bool:
+    """Whether a node pads a text to a width that is computed."""
+    if isinstance(node, ast.Call):
+        name = node.func.attr if isinstance(node.func, ast.Attribute) else ""
+        return name in ("ljust", "rjust") and len(node.args) == 1
+    if isinstance(node, ast.FormattedValue) and isinstance(node.format_spec, ast.JoinedStr):
+        first, *others = node.format_spec.values
+        is_fill = isinstance(first, ast.Constant) and str(first.value) in "<>^"
+        return isinstance(first, ast.FormattedValue) or (is_fill and bool(others))
+    return False
+
+
+def test_columns_and_markdown_are_laid_out_in_one_place(
+    trees: dict[Path, ast.Module],
+) -> None:
+    padding = {
+        path.relative_to(PACKAGE).as_posix()
+        for path, tree in trees.items()
+        if any(map(pads_text, ast.walk(tree)))
+    }
+    escapers = {
+        path.relative_to(PACKAGE).as_posix()
+        for path, tree in trees.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and "*_[" in node.value
+    }
+    assert escapers == {"diagnostics/text_layout.py"}
+    assert padding == {
+        "cli/progress.py",  # a bar
+        "compiler/geometry/mesh_formats.py",  # bytes
+        "diagnostics/renderers.py",  # line numbers beside an excerpt
+        "diagnostics/text_layout.py",
+    }
+
+
 def test_tests_start_processes_that_end_with_them() -> None:
     popen = [
         f"{path.relative_to(ROOT)}:{node.lineno}"

@@ -19,6 +19,7 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.codes import STRUCTURE
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.renderers import render, render_text
+from thorvaldc.diagnostics.text_layout import text_list
 from thorvaldc.model.finite_json import finite
 
 FORMATS = ("text", "json", "github", "sarif")
@@ -155,13 +156,9 @@ def print_table(rows: Iterable[tuple[str, str]]) -> None:
     Long texts in the table are wrapped to the width of the terminal.
     """
     rows = list(rows)
-    indent = max((len(name) for name, _ in rows), default=0) + 2
-    width = max(width_of(sys.stdout), indent + 30)
-    for name, text in rows:
-        lines = textwrap.wrap(text, width - indent, break_on_hyphens=False) or [""]
-        print(f"{name:<{indent}}{lines[0]}".rstrip())
-        for line in lines[1:]:
-            print(" " * indent + line)
+    longest = max((len(name) for name, _ in rows), default=0)
+    for line in text_list(rows, max(width_of(sys.stdout), longest + 32)):
+        print(line)
 
 
 def count(number: int, noun: str) -> str:

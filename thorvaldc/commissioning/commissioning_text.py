@@ -8,7 +8,7 @@ from thorvaldc.can.lss import UNCONFIGURED
 from thorvaldc.commissioning.plan import Plan, step_to_json
 from thorvaldc.commissioning.scan_result import ScanEntry, ScanResult, identity_text
 from thorvaldc.commissioning.verify import Verification
-from thorvaldc.diagnostics.text_table import text_table
+from thorvaldc.diagnostics.text_layout import text_table
 
 
 def scan_table(scan: ScanResult, width: int | None = None) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from thorvaldc.diagnostics.text_table import text_table
+from thorvaldc.diagnostics.text_layout import text_table
 from thorvaldc.runtime.se2 import Pose2, Twist
 
 

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Any
 
 from thorvaldc.diagnostics.atomic_file import append_whole, errors_with_name, write_file
-from thorvaldc.diagnostics.text_table import text_table
+from thorvaldc.diagnostics.text_layout import text_table
 from thorvaldc.model.finite_json import finite
 from thorvaldc.simulation.metric_units import UNITS
 from thorvaldc.tools.scenario_batch import Run

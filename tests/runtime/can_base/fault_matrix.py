@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from tests.simulation.bus.robots import compiled
+from thorvaldc.diagnostics.text_layout import markdown_table
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import ObjectValue
 from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix, FaultRow
-from thorvaldc.tools.fault_matrix.fault_table import aligned, row_cells, row_json
+from thorvaldc.tools.fault_matrix.fault_table import HEADINGS, row_cells, row_json
 
 PAGE = Path(__file__).parents[3] / "docs" / "faults.md"
 BEGIN, END = "<!-- made by tests/runtime/can_base/fault_matrix.py -->\n", "<!-- end -->\n"
@@ -90,7 +91,8 @@ def table() -> Iterator[str]:
         robot, fault_rows = rows(drives, os.cpu_count() or 1)
         for row in fault_rows:
             by_fault.setdefault(row.case.name, []).append(row_cells(robot, row))
-    return aligned([line for lines in by_fault.values() for line in lines])
+    lines = [line for lines in by_fault.values() for line in lines]
+    return markdown_table([HEADINGS, *lines], aligned=True)
 
 
 def main() -> int:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from thorvaldc.backends.can.canmap import json_text
+from thorvaldc.diagnostics.text_layout import markdown_table
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import Bus, FrameDefinition
 from thorvaldc.model.bus_timing import frame_bits
@@ -17,7 +18,7 @@ HEAD = (
     *("id", "frame", "from", "bytes", "bits"),
     *("period ms", "load %", "response ms", "deadline ms"),
 )
-LEFT = (1, 2)  # columns of text
+RIGHT = (0, *range(3, len(HEAD)))  # columns of numbers
 
 
 def budget_json(robot: Robot) -> str:
@@ -99,16 +100,7 @@ def _table(bus: Bus) -> Iterator[str]:
                 _milliseconds(frame.deadline, "g"),
             )
         )
-    widths = [max(len(row[i]) for row in rows) for i in range(len(HEAD))]
-    rule = [f"{'-' * (width - 1)}{'-' if i in LEFT else ':'}" for i, width in enumerate(widths)]
-    for number, row in enumerate(rows):
-        cells = [
-            cell.ljust(width) if i in LEFT else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        yield f"| {' | '.join(cells)} |"
-        if number == 0:
-            yield f"| {' | '.join(rule)} |"
+    return markdown_table(rows, right=RIGHT, aligned=True)
 
 
 def _milliseconds(time: float | None, form: str) -> str:

@@ -13,7 +13,7 @@ from thorvaldc.cli.options import Json, StudyResults
 from thorvaldc.cli.study_runs import results_folder
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.text_table import text_table
+from thorvaldc.diagnostics.text_layout import text_table
 from thorvaldc.tools.study.sample_points import MissingPackageError
 from thorvaldc.tools.study.study_table import TABLE, StudyTable
 from thorvaldc.tools.study.study_text import summary, summary_text

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from thorvaldc.diagnostics.text_table import text_table
+from thorvaldc.diagnostics.text_layout import text_table
 from thorvaldc.tools.calibration.self_calibration import (
     CalibrationResult,
     Estimate,

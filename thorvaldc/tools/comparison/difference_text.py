@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterator
 from typing import Any
 
+from thorvaldc.diagnostics.text_layout import (
+    markdown_table,
+    markdown_text,
+    paragraph,
+    text_list,
+)
 from thorvaldc.tools.comparison.difference_rows import (
-    Row,
     Section,
     derived_summary,
     headline,
@@ -22,7 +26,7 @@ from thorvaldc.tools.comparison.robot_difference import (
     ValueChange,
 )
 
-_LEAST_NAME, _MOST_NAME = 12, 30  # width of the column of names
+_LEAST_NAME, _MOST_NAME = 16, 34  # width of the column of marks and names
 EQUAL = "no differences"
 
 
@@ -38,62 +42,37 @@ def difference_text(difference: Difference, width: int = 80, *, everything: bool
         lines += ["", section.title, *_section_lines(section, width)]
     if not everything:
         for summary in summaries_of(difference):
-            lines += ["", *textwrap.wrap(f"{summary} (--all lists them)", width)]
+            lines += ["", *paragraph(f"{summary} (--all lists them)", width)]
     return "\n".join(lines) + "\n"
 
 
 def _section_lines(section: Section, width: int) -> Iterator[str]:
-    longest = max(len(row.name) for row in section.rows)
-    column = min(max(longest, _LEAST_NAME), _MOST_NAME)
-    for row in section.rows:
-        yield from _row_lines(row, column, width)
-
-
-def _row_lines(row: Row, column: int, width: int) -> Iterator[str]:
-    start = f"  {row.mark} {row.name:<{column}}  "
-    indent = " " * (column + 6)
-    if len(row.name) > column:
-        yield from textwrap.wrap(f"  {row.mark} {row.name}", width, subsequent_indent="    ")
-        start = indent
-    if not row.text:
-        if len(row.name) <= column:
-            yield start.rstrip()
-        return
-    yield from textwrap.wrap(
-        row.text,
-        width,
-        initial_indent=start,
-        subsequent_indent=indent,
-        break_on_hyphens=False,
-        drop_whitespace=True,
-    )
+    rows = [(f"  {row.mark} {row.name}", row.text) for row in section.rows]
+    return text_list(rows, width, _LEAST_NAME, _MOST_NAME)
 
 
 def difference_markdown(difference: Difference, *, everything: bool = False) -> str:
     """Returns a comparison as Markdown, with a table for each section."""
     if difference.is_equal:
-        return f"**{_escaped(headline(difference))}**: {EQUAL}\n"
-    lines = [f"### {_escaped(headline(difference))}"]
+        return f"**{_markdown(headline(difference))}**: {EQUAL}\n"
+    lines = [f"### {_markdown(headline(difference))}"]
     for section in sections_of(difference, everything=everything):
-        lines += ["", f"**{_escaped(section.title)}**", "", "| | | |", "| --- | --- | --- |"]
-        lines += [
-            f"| {_SYMBOLS[row.mark]} | {_escaped(row.name)} | {_escaped(row.text)} |"
-            for row in section.rows
+        rows = [("", "", "")]
+        rows += [
+            (_SYMBOLS[row.mark], _markdown(row.name), _markdown(row.text)) for row in section.rows
         ]
+        lines += ["", f"**{_markdown(section.title)}**", "", *markdown_table(rows)]
     if not everything:
         for summary in summaries_of(difference):
-            lines += ["", _escaped(summary)]
+            lines += ["", _markdown(summary)]
     return "\n".join(lines) + "\n"
 
 
 _SYMBOLS = {"+": "added", "-": "removed", "~": "changed"}
 
 
-def _escaped(text: str) -> str:
-    """Returns a text in which no character has a meaning in Markdown."""
-    for character in "\\`*_[]<>|":
-        text = text.replace(character, "\\" + character)
-    return text.replace("\\<", "&lt;").replace("-\\>", "→").replace("\\>", "&gt;")
+def _markdown(text: str) -> str:
+    return markdown_text(text.replace("->", "→"))
 
 
 def summaries_of(difference: Difference) -> Iterator[str]:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from thorvaldc import __version__
-from thorvaldc.diagnostics.text_table import text_table
+from thorvaldc.diagnostics.text_layout import markdown_table, text_table
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import to_json
 from thorvaldc.model.swerve import BUS_LOST, SwerveBound, swerve_bounds
@@ -93,10 +93,11 @@ def markdown(
     for bound in swerve_bounds(robot):
         yield f"- Yaw, straight ahead: {_swerve_text(bound)}"
     yield ""
+    cells = [HEADINGS, *(row_cells(robot, row) for row in rows)]
     if width is None:
-        yield from table(robot, rows)
+        yield from markdown_table(cells, aligned=True)
     else:
-        yield text_table([HEADINGS, *(row_cells(robot, row) for row in rows)], width)
+        yield text_table(cells, width)
     broken = [(row, phase, text) for row in rows for phase, texts in row.broken.items()
               for text in texts]  # fmt: skip
     yield ""
@@ -115,21 +116,6 @@ def _swerve_text(bound: SwerveBound) -> str:
     if math.isinf(bound.yaw):
         return f"no bound if {cause}, because a drive has no watchdog"
     return f"at most {math.ceil(math.degrees(bound.yaw))} deg if {cause}"
-
-
-def table(robot: Robot, rows: Sequence[FaultRow]) -> Iterator[str]:
-    """Yields the lines of the Markdown table."""
-    return aligned([row_cells(robot, row) for row in rows])
-
-
-def aligned(cells: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    """Yields the lines of the Markdown table with these cells, in aligned columns."""
-    lines = [HEADINGS, *cells]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(HEADINGS))]
-    for number, line in enumerate(lines):
-        yield "| " + " | ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)) + " |"
-        if number == 0:
-            yield "| " + " | ".join("-" * width for width in widths) + " |"
 
 
 def row_cells(robot: Robot, row: FaultRow) -> tuple[str, ...]:

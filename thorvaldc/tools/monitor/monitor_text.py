@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-NAME_WIDTH = 30
+from thorvaldc.diagnostics.text_layout import text_table
+
 SHOWN_EMERGENCIES = 5
 NAMED_FRAMES = 2
 COLUMNS = ("id", "frame", "period", "age", "problem", "values")
@@ -22,9 +23,8 @@ def monitor_lines(summary: Mapping[str, Any]) -> list[str]:
     lines += _nodes(summary["nodes"])
     lines += _emergencies(summary["emergencies"], summary["time"])
     lines += _unknown(summary["unknown"])
-    lines += ["", f"{'id':>4} {'frame':{NAME_WIDTH}} {'period':>8} {'age':>8}  values"]
-    lines += [_frame(frame) for frame in summary["frames"]]
-    return lines
+    rows = [("id", "frame", "period", "age", "values"), *map(_frame, summary["frames"])]
+    return [*lines, "", *text_table(rows, right=(0, 2, 3), least=(3, 30, 7, 7, 0)).splitlines()]
 
 
 def page(lines: Sequence[str], height: int, first: int) -> list[str]:
@@ -111,12 +111,11 @@ def _silent(summary: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def _nodes(nodes: Sequence[Mapping[str, Any]]) -> list[str]:
-    width = max([len("node"), *(len(node["name"]) for node in nodes)])
-    lines = [f"{'node':{width}} {'id':>3}  state"] if nodes else []
-    for node in nodes:
-        state, drive = _state(node)
-        lines.append(f"{node['name']:{width}} {node['id']:>3}  {state:17}  {drive}".rstrip())
-    return lines
+    if not nodes:
+        return []
+    rows = [("node", "id", "state", "")]
+    rows += [(node["name"], str(node["id"]), *_state(node)) for node in nodes]
+    return text_table(rows, right=(1,), least=(0, 3, 17, 0)).splitlines()
 
 
 def _state(node: Mapping[str, Any]) -> tuple[str, str]:
@@ -153,13 +152,9 @@ def _unknown(frames: Sequence[Mapping[str, Any]]) -> list[str]:
     return lines
 
 
-def _frame(frame: Mapping[str, Any]) -> str:
-    values = _values(frame)
-    problem = f"{frame['problem'].upper()}  " if frame["problem"] else ""
-    return (
-        f"{frame['id']:>4x} {frame['name']:{NAME_WIDTH}} {_time(frame['period']):>8} "
-        f"{_time(frame['age']):>8}  {problem}{values}"
-    ).rstrip()
+def _frame(frame: Mapping[str, Any]) -> tuple[str, ...]:
+    identifier, name, period, age, problem, values = _row(frame)[1]
+    return identifier, name, period, age, "  ".join(filter(None, (problem, values)))
 
 
 def _values(frame: Mapping[str, Any]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import textwrap
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from thorvaldc.compiler.modules.value_reader import items
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.excerpt import Excerpts
+from thorvaldc.diagnostics.text_layout import paragraph, text_list
 from thorvaldc.tools.comparison.difference_rows import shortened, value_text
 from thorvaldc.tools.provenance.explanation import Explanation, OutputUse
 from thorvaldc.tools.provenance.influence_search import Influence
@@ -101,14 +101,18 @@ class ExplanationText:
         if not (constants or zeros) and explanation.is_varied:
             lines += [
                 "",
-                *self._wrapped("comes from no number in a file: it is a default of thorvaldc"),
+                *paragraph(
+                    "comes from no number in a file: it is a default of thorvaldc", self.width
+                ),
             ]
         if not explanation.is_varied:
-            lines += ["", *self._wrapped("not a number: it was not varied to find its sources")]
+            lines += [
+                "",
+                *paragraph("not a number: it was not varied to find its sources", self.width),
+            ]
         if not explanation.is_complete:
-            lines += self._wrapped(
-                "the search was ended at its limit; more values may influence it"
-            )
+            text = "the search was ended at its limit; more values may influence it"
+            lines += paragraph(text, self.width)
         rows = [self._step_lines(_step_of(i.source)) for i in expressions]
         return lines + self._section("through", rows)
 
@@ -117,7 +121,7 @@ class ExplanationText:
         lines = self._excerpt_lines(source.span, _step_of(source))
         reason = self._reason(source)
         if reason:
-            lines += self._wrapped(reason, "    ")
+            lines += paragraph(reason, self.width, "    ")
         if influence.effect is not None:
             lines.append(f"    effect: +1 % here is {influence.effect:+.2g} % there")
         return lines
@@ -156,19 +160,20 @@ class ExplanationText:
 
     def _step_lines(self, step: Step) -> list[str]:
         text = f"{step.key_path}: {step.text}"
-        return [f"  {self.place(step.span)}", *self._wrapped(text, "      ")]
+        return [f"  {self.place(step.span)}", *paragraph(text, self.width, "      ")]
 
     # -- uses ---------------------------------------------------------------------------------
 
     def _uses(self, uses: list[OutputUse]) -> Iterator[list[str]]:
         """Yields a row for each output file; with the texts of the lines if there are few."""
-        column = max((len(use.file) for use in uses), default=0)
+        column = max((len(use.file) for use in uses), default=0) + 2
         count = len([line for use in uses for line in use.lines])
         for use in uses:
             numbers = ", ".join(str(number) for number, _ in use.lines[: self.most_numbers])
             more = ", ..." if len(use.lines) > self.most_numbers else ""
             noun = "lines" if len(use.lines) > 1 else "line"
-            rows = [f"  {use.file:<{column}}  {noun} {numbers}{more}"]
+            row = (f"  {use.file}", f"{noun} {numbers}{more}")
+            rows = list(text_list([row], self.width, column))
             if count <= MOST_LINES:
                 rows += [f"      {shortened(text, self.width - 6)}" for _, text in use.lines]
             yield rows
@@ -178,15 +183,6 @@ class ExplanationText:
     def _section(self, title: str, blocks: Iterable[list[str]]) -> list[str]:
         lines = [line for block in blocks for line in block]
         return ["", title, *lines] if lines else []
-
-    def _wrapped(self, text: str, indent: str = "") -> list[str]:
-        return textwrap.wrap(
-            text,
-            self.width,
-            initial_indent=indent,
-            subsequent_indent=indent,
-            break_on_hyphens=False,
-        )
 
 
 def explanation_document(explanation: Explanation, writer: ExplanationText) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import asdict
 from typing import Any
 
-from thorvaldc.diagnostics.text_table import text_table
+from thorvaldc.diagnostics.text_layout import text_table
 from thorvaldc.tools.study.design_evaluation import STATUSES
 from thorvaldc.tools.study.sensitivity import (
     Interval,

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Mapping
 from typing import Any
 
+from thorvaldc.diagnostics.text_layout import paragraph
 from thorvaldc.runtime.se2 import Twist
 
 WIDTH = 79
@@ -49,8 +49,7 @@ def status_lines(
 
 
 def _wrapped(text: str) -> list[str]:
-    """Returns a text on indented lines of at most ``WIDTH`` columns."""
-    return textwrap.wrap(text, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT)
+    return paragraph(text, WIDTH, INDENT)
 
 
 def _twist_text(twist: Twist) -> str:

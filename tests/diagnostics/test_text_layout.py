@@ -1,4 +1,4 @@
-"""Tables fit their width, and no character of a cell is lost."""
+"""Tables and lists fit their width, and no character of a cell is lost."""
 
 from __future__ import annotations
 
@@ -6,7 +6,12 @@ import re
 
 import pytest
 
-from thorvaldc.diagnostics.text_table import text_table
+from thorvaldc.diagnostics.text_layout import (
+    markdown_table,
+    markdown_text,
+    text_list,
+    text_table,
+)
 
 HEADINGS = ("robot", "mass", "wheels driven/steered", "commanded", "true", "odometry", "end error")
 ROWS = [
@@ -42,3 +47,22 @@ def test_headings_take_several_lines_before_names_do() -> None:
 def test_a_terminal_that_is_too_narrow_gets_a_paragraph_per_row() -> None:
     lines = text_table(ROWS, 40).splitlines()
     assert lines[0].startswith("robot slim  mass 150.0 kg")
+
+
+def test_a_table_without_headings_with_least_widths() -> None:
+    assert text_table([("", ""), ("a", "b"), ("c", "d")], least=(3, 0)) == "a    b\nc    d"
+
+
+def test_a_name_that_is_too_long_has_its_own_line() -> None:
+    rows = [("mass", "5 kg or a little more"), ("a_long_name", "7 m"), ("empty", "")]
+    lines = ["mass    5 kg or a", "        little more", "a_long_name", "        7 m", "empty"]
+    assert list(text_list(rows, 20, most=6)) == lines
+
+
+def test_markdown() -> None:
+    rows = [("name", "m"), ("`fl`", "0.5")]
+    assert list(markdown_table(rows, (1,)))[1:] == ["| --- | ---: |", "| `fl` | 0.5 |"]
+    aligned = ["| name |   m |", "| ---- | --: |", "| `fl` | 0.5 |"]
+    assert list(markdown_table(rows, (1,), aligned=True)) == aligned
+    assert markdown_text("a_b | `c` <d>") == r"a\_b \| \`c\` &lt;d&gt;"
+    assert markdown_text("`c_d`", code=True) == r"`c\_d`"
