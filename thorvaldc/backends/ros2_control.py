@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from thorvaldc.backends.can.dcf import described
 from thorvaldc.backends.xml_writer import Element, number, parse
 from thorvaldc.model import Actuator, Bus, Joint, JointServo, Robot
 
@@ -88,7 +87,7 @@ def hardware_problem(robot: Robot, hardware: str) -> str | None:
     if others:
         return f"no CiA 402 drive moves {', '.join(others)}"
     for bus in robot.buses:
-        strange = [node.name for node in described(bus) if not node.is_cia402]
+        strange = [node.name for node in bus.described_nodes if not node.is_cia402]
         if strange and _motors_on(robot, bus):
             # Cia402System takes each node of bus.yml as a CiA 402 drive.
             return f"bus {bus.name} has nodes that are no CiA 402 drives: {', '.join(strange)}"

@@ -229,3 +229,8 @@ class Bus(Element):
     span: Span
     master_id: int = 127
     load: float = 0.0
+
+    @property
+    def described_nodes(self) -> list[Node]:
+        """The nodes whose object dictionary is known."""
+        return [node for node in self.nodes if node.objects]

@@ -4,7 +4,8 @@ The subpackages:
 
 * ``physics``: simulated bases.
 * ``records``: reading and writing of recorded runs.
-* ``pictures``: plots, videos and web pages.
+* ``pictures``: plots, pictures and videos.
+* ``web_viewer``: the robot in 3D in a web browser.
 * ``bus``: simulated CAN devices.
 * ``vectorised``: computations for many robots at a time.
 * ``gym``: Gymnasium environment.

@@ -53,7 +53,7 @@ def test_values_agree_with_cantools(make: Callable[[], Robot]) -> None:
 
 
 def frame(*signals: Signal, length: int = 8) -> FrameDefinition:
-    return FrameDefinition("f", 0x181, "pdo", "n", ("master",), length, None, None, signals, SPAN)
+    return FrameDefinition("f", 0x181, "pdo", "master", (), length, None, None, signals, SPAN)
 
 
 def test_values_beyond_their_bounds_are_limited() -> None:

@@ -25,7 +25,7 @@ from tests.child_process import ChildProcess
 from tests.examples import example_robot
 from tests.outside_tools import path_of
 from thorvaldc.compiler.pipeline import emit
-from thorvaldc.simulation.pictures.view_page import view_page
+from thorvaldc.simulation.web_viewer.view_page import view_page
 from thorvaldc.tools.comparison.difference_page import difference_page
 from thorvaldc.tools.comparison.robot_comparison import compare_robots
 

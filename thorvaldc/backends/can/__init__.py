@@ -26,9 +26,9 @@ class Can(Backend):
         for bus in robot.buses:
             path = "can/robot.dbc" if alone else f"can/{bus.name}.dbc"
             files[path] = dbc.dbc_text(bus).encode(dbc.ENCODING, "replace")
-            for node in dcf.described(bus):
+            for node in bus.described_nodes:
                 files[f"can/dcf/{node.name}.dcf"] = dcf.dcf_text(bus, node).encode("ascii")
-            if dcf.described(bus):
+            if bus.described_nodes:
                 path = "can/bus.yml" if alone else f"can/{bus.name}.bus.yml"
                 files[path] = ros2_canopen.bus_yml(bus).encode()
         files["can/robot_can.h"] = c_header.header_text(robot).encode("ascii", "replace")

@@ -19,11 +19,6 @@ RPDOS, TPDOS = range(0x1400, 0x1600), range(0x1800, 0x1A00)
 VARIABLE, ARRAY, RECORD = 0x7, 0x8, 0x9
 
 
-def described(bus: Bus) -> list[Node]:
-    """Return the nodes of a CAN bus whose object dictionary is known."""
-    return [node for node in bus.nodes if node.objects]
-
-
 def dcf_text(bus: Bus, node: Node) -> str:
     """Return the DCF of a CANopen node as text.
 

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from operator import itemgetter
 
-from thorvaldc.backends.can.dcf import RPDOS, TPDOS, described
+from thorvaldc.backends.can.dcf import RPDOS, TPDOS
 from thorvaldc.model.bus import Bus, Node, ObjectValue
 from thorvaldc.model.cia402_motors import FIRST_INDEX, STRIDE, motor_numbers
 
@@ -54,13 +54,13 @@ def bus_yml(bus: Bus) -> str:
         "",
         "nodes:",
     ]
-    for node in described(bus):
+    for node in bus.described_nodes:
         lines += [f"  {_key(node.name)}:", *(f"    {line}" for line in _node(bus, node))]
     return "\n".join(lines) + "\n"
 
 
 def _least_version(bus: Bus) -> Iterator[str]:
-    if any(node.is_cia402 and len(node.channels) > 1 for node in described(bus)):
+    if any(node.is_cia402 and len(node.channels) > 1 for node in bus.described_nodes):
         yield f"# Drives with several axes need ros2_canopen {AXES_SINCE} or newer."
 
 

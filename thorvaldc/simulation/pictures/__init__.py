@@ -1,8 +1,8 @@
-"""Plots, pictures, videos and web pages of robots and runs.
+"""Plots, pictures and videos of robots and runs.
 
 * ``plot`` draws paths and velocities with matplotlib.
 * ``render`` and ``video`` draw the scene with MuJoCo and Pillow, without a display.
-* ``web_page`` writes a web page that shows the robot in 3D.
+* ``surfaces`` computes the triangles of shapes, also for ``web_viewer``.
 
 Optional packages are imported on first use.  The message of a ``PictureError`` names the missing
 package.

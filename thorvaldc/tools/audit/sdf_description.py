@@ -12,7 +12,7 @@ from thorvaldc.model import Pose, Vec3
 from thorvaldc.model.spatial import scale
 from thorvaldc.tools.audit.audit_facts import Body, BodyJoint, Description, Fact, SolidShape
 from thorvaldc.tools.audit.plugin_facts import plugin_facts
-from thorvaldc.tools.audit.xml_document import numbers, walk
+from thorvaldc.tools.audit.xml_document import numbers
 
 UNLIMITED = 1e15  # limits of this size mean no limit in SDF
 
@@ -200,8 +200,3 @@ def _shape(owner: Element, pose: Pose) -> SolidShape | None:
     if size is None:
         return None
     return SolidShape(shape.tag, size, pose, owner.tag == "collision", shape.span, mesh)
-
-
-def is_sdf(root: Element) -> bool:
-    """Whether a document describes models."""
-    return root.tag == "sdf" and any(element.tag == "model" for element in walk(root))

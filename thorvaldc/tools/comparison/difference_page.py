@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from html import escape
 
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.simulation.pictures.view_page import view_page
+from thorvaldc.simulation.web_viewer.view_page import view_page
 from thorvaldc.tools.comparison.difference_rows import headline, sections_of
 from thorvaldc.tools.comparison.difference_text import EQUAL, summaries_of
 from thorvaldc.tools.comparison.robot_difference import Difference

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -109,12 +108,3 @@ def takes_list(schema: Schema) -> bool:
 def _types(schema: Schema) -> list[str]:
     types = schema.get("type", [])
     return [types] if isinstance(types, str) else list(types)
-
-
-_DEFAULT = re.compile(r"; default:? ([^;]*?)\.?$")
-
-
-def default_of(description: str) -> str:
-    """Returns the default value that a description states, or an empty text."""
-    match = _DEFAULT.search(description)
-    return match[1] if match else ""

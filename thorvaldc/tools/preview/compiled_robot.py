@@ -16,7 +16,8 @@ from thorvaldc.diagnostics.renderers import render_text
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.facts import robot_facts
 from thorvaldc.model.facts.fact_tables import fact_tables
-from thorvaldc.simulation.pictures.web_page import MeshCache, MeshData, page_data
+from thorvaldc.simulation.web_viewer.viewed_robot import MeshCache, MeshData
+from thorvaldc.simulation.web_viewer.viewer_data import page_data
 from thorvaldc.tools.comparison.difference_text import difference_text
 from thorvaldc.tools.comparison.robot_comparison import compare_fleets, compare_robots
 

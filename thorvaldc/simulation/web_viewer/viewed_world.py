@@ -16,8 +16,8 @@ from thorvaldc.backends.mjcf_world import zone_color
 from thorvaldc.model import Box, Ground, Pose, World, Zone
 from thorvaldc.model.robot import Shape
 from thorvaldc.model.spatial import quat_from_axis_angle
-from thorvaldc.simulation.pictures.web_page import base64_of, pose_values
 from thorvaldc.simulation.pictures.world_plot import zone_text
+from thorvaldc.simulation.web_viewer.viewed_robot import base64_of, pose_values
 
 GROUND_COLOR = (0.68, 0.64, 0.55, 1.0)
 MAX_CELLS = 40_000

@@ -23,8 +23,7 @@ from thorvaldc.model import Fleet, Robot, Sphere
 from thorvaldc.model.spatial import Pose
 from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.simulation.pictures.surfaces import is_closed, surface
-from thorvaldc.simulation.pictures.view_page import view_page
-from thorvaldc.simulation.pictures.web_page import robot_page
+from thorvaldc.simulation.web_viewer.view_page import view_page
 
 NAME = "4wd4ws_wide"
 ROOT = Path(__file__).parents[3]
@@ -123,11 +122,6 @@ def test_text_of_the_robot_is_not_html() -> None:
     html = view_page(replace(example_robot(NAME), description=nasty))
     assert html.count("</script>") == 3
     assert data(html)["description"] == nasty
-
-
-def test_a_template_without_a_placeholder() -> None:
-    with pytest.raises(ValueError, match="exactly once"):
-        robot_page(example_robot(NAME), "<html></html>")
 
 
 def test_surfaces_are_closed_and_of_the_right_size() -> None:

@@ -17,8 +17,8 @@ from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Fleet, Ground, World
 from thorvaldc.model.fleet import Zone
 from thorvaldc.model.spatial import Pose, rotate
-from thorvaldc.simulation.pictures.web_page import page_data
-from thorvaldc.simulation.pictures.world_page import MAX_CELLS
+from thorvaldc.simulation.web_viewer.viewed_world import MAX_CELLS
+from thorvaldc.simulation.web_viewer.viewer_data import page_data
 
 
 def grid(relief: dict[str, Any]) -> Any:
