@@ -1,6 +1,6 @@
 """Finds contradictions in the files of any robot.
 
 Readers, one for each format, turn files to descriptions of the robot, sections of parameters and
-launched nodes, whose values have source spans (``audit_facts``).  Each rule (``audit_rules``) is a
-function that compares them and reports contradictions.
+launched nodes, whose values have source spans (``audit_facts``).  ``audit_run`` has the table of
+rules: a rule is a function that compares them and reports contradictions.
 """

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from thorvaldc.compiler.extras.ros_packages import find_in_sources
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Span
 from thorvaldc.model import Pose, Vec3
@@ -237,6 +238,14 @@ class Evidence:
     paths: dict[str, Path | None] = field(default_factory=dict)
     incomplete: list[str] = field(default_factory=list)
     unread_launches: list[str] = field(default_factory=list)
+
+    def file_in_package(self, name: str) -> Path | None:
+        """Returns the path of ``package/path``, or ``None`` if the package is not audited."""
+        package, _, rest = name.partition("/")
+        folder = self.packages.get(package)
+        if folder is None or not rest or "\0" in rest:
+            return None
+        return Path(find_in_sources(str(folder), rest) or folder / rest)
 
     def related(self, file: str, names: tuple[str, ...] = ()) -> list[Description]:
         """Returns the descriptions to which a file belongs, most probably.

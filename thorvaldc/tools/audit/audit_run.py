@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.diagnostics import Report
+from thorvaldc.tools.audit import (
+    body_rules,
+    footprint_rules,
+    limit_rules,
+    name_rules,
+    transform_rules,
+    twist_rules,
+    wheel_rules,
+)
 from thorvaldc.tools.audit.audit_facts import Evidence
-from thorvaldc.tools.audit.audit_rules import RULES
 from thorvaldc.tools.audit.drive_facts import controller_facts
 from thorvaldc.tools.audit.expanded_descriptions import read_urdf_files
-from thorvaldc.tools.audit.file_rules import bus_facts
 from thorvaldc.tools.audit.folder_survey import SUFFIXES, RobotFile, Survey, skip, survey
 from thorvaldc.tools.audit.launch_files import (
     is_python_launch,
@@ -23,9 +30,39 @@ from thorvaldc.tools.audit.launch_files import (
 )
 from thorvaldc.tools.audit.mjcf_description import read_mjcf_description
 from thorvaldc.tools.audit.node_facts import launched_facts, node_facts
-from thorvaldc.tools.audit.parameter_files import UnreadableYaml, parameter_sections, read_yaml
+from thorvaldc.tools.audit.parameter_files import (
+    UnreadableYaml,
+    bus_facts,
+    parameter_sections,
+    read_yaml,
+)
 from thorvaldc.tools.audit.sdf_description import read_sdf_descriptions
 from thorvaldc.tools.audit.xml_document import XmlError, read_xml, walk
+
+# A rule compares what the readers have found.
+RULES: tuple[Callable[[Evidence, Report], None], ...] = (
+    wheel_rules.check_wheel_radii,
+    wheel_rules.check_wheel_separations,
+    name_rules.check_joint_names,
+    transform_rules.check_frames,
+    transform_rules.check_transform_owners,
+    transform_rules.check_state_publishers,
+    twist_rules.check_stamps,
+    twist_rules.check_speeds,
+    twist_rules.check_wheel_speeds,
+    limit_rules.check_command_limits,
+    limit_rules.check_descriptions_agree,
+    footprint_rules.check_footprints_agree,
+    footprint_rules.check_footprints_cover,
+    body_rules.check_masses,
+    body_rules.check_inertias,
+    body_rules.check_densities,
+    body_rules.check_lengths,
+    body_rules.check_angles,
+    name_rules.check_launched_files,
+    name_rules.check_controller_sections,
+    name_rules.check_node_ids,
+)
 
 
 @dataclass(slots=True)

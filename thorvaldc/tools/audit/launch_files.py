@@ -1,8 +1,9 @@
-"""Reads launch files in Python (syntax tree only), XML and YAML."""
+"""Reads launch files in Python (syntax tree only), XML and YAML, and follows their includes."""
 
 from __future__ import annotations
 
 import ast
+import os
 import re
 import warnings
 from collections.abc import Iterator
@@ -12,7 +13,7 @@ from typing import Any
 from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Span
-from thorvaldc.tools.audit.audit_facts import Fact, LaunchedNode, LaunchFile
+from thorvaldc.tools.audit.audit_facts import Evidence, Fact, LaunchedNode, LaunchFile
 from thorvaldc.tools.audit.launch_values import (
     LaunchValues,
     call_name,
@@ -295,3 +296,33 @@ def read_yaml_launch(document: Node, file: str, path: Path) -> LaunchFile:
 
     collect(items(document.get("launch")), False, "")
     return launch
+
+
+# -- the tree of launch files ---------------------------------------------------------------
+
+MAX_LAUNCH_FILES = 200
+
+
+def launched_nodes(launch: LaunchFile, evidence: Evidence) -> Iterator[LaunchedNode]:
+    """Yields the nodes of a launch file and of the files that it includes without condition."""
+    by_path = {os.path.realpath(other.path): other for other in evidence.launches}
+    open_files, known = [launch], {os.path.realpath(launch.path)}
+    while open_files and len(known) < MAX_LAUNCH_FILES:
+        current = open_files.pop()
+        yield from current.nodes
+        for include in current.includes:
+            path = resolved(include, current, evidence)
+            real = os.path.realpath(path) if path is not None else ""
+            if include.kind == "include" and real in by_path and real not in known:
+                known.add(real)
+                open_files.append(by_path[real])
+
+
+def resolved(fact: Fact, launch: LaunchFile, evidence: Evidence) -> Path | None:
+    """Returns the path of a file that a launch file names, or ``None`` outside of the audit."""
+    name = str(fact.value)
+    if name.startswith("package://"):
+        return evidence.file_in_package(name.removeprefix("package://"))
+    if name.startswith("/") or "://" in name:
+        return None
+    return launch.path.parent / name

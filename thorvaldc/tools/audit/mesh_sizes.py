@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote
 
-from thorvaldc.compiler.extras.ros_packages import find_in_sources
 from thorvaldc.compiler.geometry.meshes import load_mesh, shared_mesh_workers
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Mesh, Vec3
@@ -32,11 +31,9 @@ def mesh_path(name: str, description: Description, evidence: Evidence) -> Path |
 def _mesh_path(name: str, description: Description, evidence: Evidence) -> Path | None:
     for scheme in ("package://", "model://", "$(find "):
         if name.startswith(scheme):
-            package, _, rest = unquote(name.removeprefix(scheme)).partition("/")
-            folder = evidence.packages.get(package.rstrip(")"))
-            if folder is None or not rest or "\0" in rest:
-                return None
-            return Path(find_in_sources(str(folder), rest) or folder / rest)
+            return evidence.file_in_package(
+                unquote(name.removeprefix(scheme)).replace(")/", "/", 1)
+            )
     if name.startswith("file://"):
         path = Path(unquote(name.removeprefix("file://")))
         return path if path.is_absolute() and str(path) != "/" else None

@@ -25,7 +25,7 @@ from thorvaldc.model.spatial import (
     sub,
 )
 from thorvaldc.tools.audit.audit_facts import Body, BodyJoint, Description, Fact, SolidShape
-from thorvaldc.tools.audit.xml_document import numbers
+from thorvaldc.tools.audit.xml_document import numbers, vector
 
 Include = Callable[[str, Element], Element | None]
 MAX_INCLUDES = 50
@@ -104,16 +104,14 @@ class _Reader:
     # -- bodies -----------------------------------------------------------------------
 
     def pose(self, attributes: dict[str, str]) -> Pose:
-        xyz = numbers(attributes.get("pos", "0 0 0"), 3) or (0.0, 0.0, 0.0)
-        position: Vec3 = (xyz[0], xyz[1], xyz[2])
+        position = vector(attributes.get("pos"))
         quat = numbers(attributes.get("quat"), 4)
         if quat is not None and any(quat):
             return Pose(position, quat_normalize((quat[0], quat[1], quat[2], quat[3])))
         axis_angle = numbers(attributes.get("axisangle"), 4)
         if axis_angle is not None and any(axis_angle[:3]):
             axis = (axis_angle[0], axis_angle[1], axis_angle[2])
-            unit = scale(1.0 / norm(axis), axis)
-            return Pose(position, quat_from_axis_angle(unit, axis_angle[3] * self.angle))
+            return Pose(position, quat_from_axis_angle(_unit(axis), axis_angle[3] * self.angle))
         euler = numbers(attributes.get("euler"), 3)
         if euler is not None:
             rotation = (1.0, 0.0, 0.0, 0.0)
@@ -125,10 +123,9 @@ class _Reader:
                     quat_multiply(rotation, turn) if intrinsic else quat_multiply(turn, rotation)
                 )
             return Pose(position, quat_normalize(rotation))
-        z_axis = numbers(attributes.get("zaxis"), 3)
-        if z_axis is not None and any(z_axis):
-            axis = (z_axis[0], z_axis[1], z_axis[2])
-            return Pose(position, quat_from_z_to(scale(1.0 / norm(axis), axis)))
+        z_axis = vector(attributes.get("zaxis"))
+        if any(z_axis):
+            return Pose(position, quat_from_z_to(_unit(z_axis)))
         return Pose(position)
 
     def children(self, element: Element, owner: str, class_name: str, offset: Pose) -> None:
@@ -170,12 +167,10 @@ class _Reader:
         attributes = self.attributes(element, class_name)
         kind = "free" if element.tag == "freejoint" else attributes.get("type", "hinge")
         name = element.attributes.get("name") or f"joint at line {element.span.line}"
-        values = numbers(attributes.get("axis", "0 0 1"), 3) or (0.0, 0.0, 1.0)
-        anchor = numbers(attributes.get("pos", "0 0 0"), 3) or (0.0, 0.0, 0.0)
         joint = BodyJoint(
             *(name, _KINDS.get(kind, kind), parent, child, element.span, pose),
-            axis=(values[0], values[1], values[2]),
-            anchor=(anchor[0], anchor[1], anchor[2]),
+            axis=vector(attributes.get("axis"), (0.0, 0.0, 1.0)),
+            anchor=vector(attributes.get("pos")),
         )
         limits = numbers(attributes.get("range"), 2)
         if limits is not None and attributes.get("limited", "auto") != "false":
@@ -207,7 +202,7 @@ class _Reader:
             along = sub(end, start)
             if norm(along) > 0.0:
                 middle = scale(0.5, add(start, end))
-                pose = Pose(middle, quat_from_z_to(scale(1.0 / norm(along), along)))
+                pose = Pose(middle, quat_from_z_to(_unit(along)))
                 sizes = (sizes[0], norm(along) / 2.0)
         collides = (
             attributes.get("contype", "1") != "0" or attributes.get("conaffinity", "1") != "0"
@@ -256,3 +251,7 @@ _KINDS = {"hinge": "revolute", "slide": "prismatic"}
 
 def _is_number(text: str) -> bool:
     return numbers(text, 1) is not None
+
+
+def _unit(a: Vec3) -> Vec3:
+    return scale(1.0 / norm(a), a)

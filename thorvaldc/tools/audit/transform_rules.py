@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.diagnostics.suggest import nearest
 from thorvaldc.tools.audit.audit_facts import Evidence, Fact, LaunchedNode, LaunchFile, path_words
-from thorvaldc.tools.audit.launched_tree import launched_nodes
+from thorvaldc.tools.audit.launch_files import launched_nodes
 from thorvaldc.tools.audit.node_facts import published_frames
 
 

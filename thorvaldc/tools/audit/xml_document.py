@@ -8,6 +8,7 @@ from xml.parsers import expat
 
 from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.diagnostics import Span
+from thorvaldc.model import Vec3
 
 MAX_ELEMENTS = 200_000
 MAX_DEPTH = 100
@@ -72,6 +73,8 @@ def read_xml(data: bytes, display: str, path: Path) -> Element:
         span = Span(display, error.lineno, error.offset + 1, error.lineno, error.offset + 2)
         text = expat.ErrorString(error.code)
         raise XmlError(f"line {error.lineno}: {text}", span) from None
+    except LookupError as error:  # an encoding that Python does not know
+        raise XmlError(str(error), here()) from None
     return open_elements[0].children[0]
 
 
@@ -84,6 +87,12 @@ def numbers(text: str | None, count: int) -> tuple[float, ...] | None:
     except ValueError:
         return None
     return values if len(values) == count and all(abs(v) < 1e300 for v in values) else None
+
+
+def vector(text: str | None, default: Vec3 = (0.0, 0.0, 0.0)) -> Vec3:
+    """Returns the vector in a text, or the default if the text does not contain three numbers."""
+    values = numbers(text, 3)
+    return default if values is None else (values[0], values[1], values[2])
 
 
 def walk(element: Element) -> list[Element]:
