@@ -70,9 +70,12 @@ lock: .venv-lock/bin/uv
 
 # The examples, and the original system's own configuration file where it lies beside the checkout.
 ORIGINAL ?= $(wildcard ../*/data/thorvald_ii_standard.yaml)
+IMPORTED = $(patsubst %.yaml,build/imported/%.yaml,$(notdir $(ORIGINAL)))
 demo: $(READY)
-	@$(BIN)/python -m thorvaldc demo $(sort $(wildcard examples/*/robot.yaml examples/*/fleet.yaml)) \
-	  $(addprefix --original ,$(ORIGINAL))
+	@mkdir -p build/imported
+	@$(foreach file,$(ORIGINAL),$(BIN)/python -m thorvaldc import $(file) \
+	  -o build/imported/$(notdir $(file)) 2>/dev/null &&) true
+	@$(BIN)/python -m thorvaldc demo $(sort $(wildcard examples/*/robot.yaml examples/*/fleet.yaml)) $(IMPORTED)
 
 lint: $(READY)
 	$(BIN)/ruff check .

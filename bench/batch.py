@@ -18,7 +18,7 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
 from thorvaldc.simulation.vectorised.rollouts import Rollouts
-from thorvaldc.tools.scenario_batch import Batch, plan_variations, processors
+from thorvaldc.tools.batch.scenario_batch import Batch, plan_variations, processors
 
 SCENARIO = ROOT / "examples" / "scenarios" / "field_edge.yaml"
 RUNS, SECONDS = 48, 20

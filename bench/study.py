@@ -18,11 +18,11 @@ from typing import TypeVar
 
 import thorvaldc
 from bench.figure import ROOT, Figure
-from thorvaldc.compiler.study.study_definition import Study
 from thorvaldc.diagnostics import Report
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
 from thorvaldc.tools.study.design_evaluation import DesignEvaluator, StudyInputs, robot_text
 from thorvaldc.tools.study.sample_points import Design
+from thorvaldc.tools.study.study_definition import Study
 from thorvaldc.tools.study.study_execution import StudyRun
 from thorvaldc.tools.study.study_journal import StudyJournal
 
@@ -114,7 +114,7 @@ def example_study(folder: Path, designs: int) -> Study:
     _replace(path / "traverse.yaml", "at: 2.6 s", f"at: {SECONDS - 0.4:g} s")
     _replace(path / "study.yaml", "at_most: 1.4 m", "at_most: 2 m")  # every design is driven
     _replace(path / "study.yaml", "number: 32", f"number: {designs}")
-    study = thorvaldc.compile(path / "study.yaml").study
+    study = thorvaldc.compile(path / "study.yaml").tool_document
     if study is None:
         raise SystemExit("the example does not compile")
     return study

@@ -184,7 +184,6 @@ def test_files_are_written_in_one_place(trees: dict[Path, ast.Module]) -> None:
         "compiler/writer.py",
         "simulation/physics/mujoco_scene.py",
         "tools/audit/expanded_descriptions.py",
-        "tools/demo.py",
         "tools/provenance/robot_probe.py",
         "tools/study/study_table.py",
     }

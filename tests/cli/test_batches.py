@@ -18,7 +18,7 @@ from tests.child_process import ChildProcess
 from tests.cli.conftest import Command
 from thorvaldc.compiler.scenario.variations import Variations
 from thorvaldc.diagnostics import Report
-from thorvaldc.tools.scenario_batch import Batch, plan_variations
+from thorvaldc.tools.batch.scenario_batch import Batch, plan_variations
 
 ROOT = Path(__file__).resolve().parents[2]
 ROBOT = ROOT / "examples/4wd4ws_slim/robot.yaml"

@@ -87,6 +87,6 @@ def test_a_missing_package_is_one_line_with_the_extra_that_installs_it(
 
 
 def test_a_missing_gymnasium() -> None:
-    script = "import sys; sys.modules['gymnasium'] = None; import thorvaldc.environments"
+    script = "import sys; sys.modules['gymnasium'] = None; import thorvaldc.tools.gym.environments"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
     assert "pip install 'thorvaldc[gym]'" in done.stderr

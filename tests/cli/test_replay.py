@@ -17,7 +17,7 @@ from thorvaldc.model.scenario import GROUPS
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.records.mcap_writer import McapRecorder
 from thorvaldc.simulation.records.record_reader import read_record
-from thorvaldc.tools.replay import Replay
+from thorvaldc.tools.replay.replay import Replay
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 FLEET = str(EXAMPLES / "fleet_of_four/fleet.yaml")

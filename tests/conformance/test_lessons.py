@@ -17,7 +17,6 @@ from tests.runtime.can_base.simulated_rig import FORWARD, Rig
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.backends.can import Can
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.compiler.importer import import_file
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
@@ -33,6 +32,7 @@ from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
+from thorvaldc.tools.importer.original_import import import_file
 
 COMMAND, STATE = 0x240, 0x1C0
 """Command and report of the sprayer, a foreign device."""

@@ -92,7 +92,7 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
     """Runs the command of a case in the working folder; returns the diagnostics."""
     command = case.get("run", "compile")
     if command == "import":
-        from thorvaldc.compiler.importer import import_original
+        from thorvaldc.tools.importer.original_import import import_original
 
         return list(import_original(Path(entry))[1])
     if command == "audit":
@@ -165,7 +165,7 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
     if command == "why" and isinstance(compilation.model, Robot):
         explain(entry, compilation.model, case["path"], compilation.report)
     if command == "replay" and isinstance(compilation.model, Robot):
-        from thorvaldc.tools.replay_record import read_replay_record
+        from thorvaldc.tools.replay.replay_record import read_replay_record
 
         read_replay_record(
             Path("record.csv"),

@@ -545,7 +545,7 @@ def _shapes() -> list[Kind]:
 
 
 def _others() -> list[Kind]:
-    originals = sorted((ROOT / "tests/compiler/importer/originals").glob("*.yaml"))
+    originals = sorted((ROOT / "tests/tools/importer/originals").glob("*.yaml"))
     plugin = {
         "robot.yaml": GOOD.replace("modules:", "base_calculator: other\nmodules:", 1).encode(),
         "plugins/other-1.dist-info/METADATA": b"Metadata-Version: 2.1\nName: other\nVersion: 1\n",

@@ -20,8 +20,8 @@ from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.records.recorded_run import RecordedRun
 from thorvaldc.simulation.run_result import result_table
-from thorvaldc.tools.replay import Replay, summary
-from thorvaldc.tools.replay_record import read_replay_record, text_sources
+from thorvaldc.tools.replay.replay import Replay, summary
+from thorvaldc.tools.replay.replay_record import read_replay_record, text_sources
 
 
 def replay_run(

@@ -21,7 +21,7 @@ from thorvaldc.simulation.pictures.plot import FORMATS as PLOT_FORMATS
 from thorvaldc.simulation.pictures.plot import check_plotting, plot
 from thorvaldc.simulation.pictures.video import FORMATS as VIDEO_FORMATS
 from thorvaldc.simulation.pictures.video import RATES, VideoRecorder, encoder
-from thorvaldc.tools.replay import Replay
+from thorvaldc.tools.replay.replay import Replay
 
 
 @contextmanager

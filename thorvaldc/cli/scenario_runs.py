@@ -25,8 +25,8 @@ from thorvaldc.model.scenario import Scenario
 from thorvaldc.simulation.control_loop import TickCallback
 from thorvaldc.simulation.scenario_report import junit_report, scenario_text
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
-from thorvaldc.tools.batch_results import SUFFIXES, ResultFile, results_table, runs_as_json
-from thorvaldc.tools.scenario_batch import Batch, Run, plan_variations, processors
+from thorvaldc.tools.batch.batch_results import SUFFIXES, ResultFile, results_table, runs_as_json
+from thorvaldc.tools.batch.scenario_batch import Batch, Run, plan_variations, processors
 
 SHOWN_FAILURES = 10
 """Largest number of failed runs whose diagnostics are printed after a batch."""

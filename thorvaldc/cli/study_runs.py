@@ -17,6 +17,7 @@ from thorvaldc.cli.exits import OutsideError
 from thorvaldc.cli.options import library_folders
 from thorvaldc.tools.study.design_evaluation import StudyInputs
 from thorvaldc.tools.study.sample_points import MissingPackageError
+from thorvaldc.tools.study.study_definition import Study
 from thorvaldc.tools.study.study_execution import StudyRun
 
 if TYPE_CHECKING:
@@ -39,10 +40,11 @@ def plan_study(file: str, library: Sequence[str], trust: bool) -> StudyRun | Non
     compilation = compile_and_show(file, library, trust=trust)
     if compilation.model is None:
         return None
-    if compilation.study is None:
+    study = compilation.tool_document
+    if not isinstance(study, Study):
         raise typer.BadParameter(f"{file} is no study", param_hint="'STUDY'")
-    text = compilation.study.robot.read_text(encoding="utf-8")
-    inputs = StudyInputs(compilation.study, text, tuple(library_folders(library)), trust)
+    text = study.robot.read_text(encoding="utf-8")
+    inputs = StudyInputs(study, text, tuple(library_folders(library)), trust)
     inputs = replace(inputs, files=tuple(compilation.files.values()))
     try:
         return StudyRun(inputs)

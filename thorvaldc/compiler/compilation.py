@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from thorvaldc.compiler.modules.instance import Instance
     from thorvaldc.compiler.modules.mounting_ports import MountingPort
     from thorvaldc.compiler.source.node import Node
-    from thorvaldc.compiler.study.study_definition import Study
     from thorvaldc.model.scenario import Scenario
 
 SETTING = "--set "
@@ -96,7 +95,8 @@ class Compilation:
         File names in spans of the model are relative to ``folder``.  The outputs of a build
         therefore do not depend on the location of the folder.
     scenario : the scenario of a scenario file.  The fleet of the scenario is in ``model``.
-    study : the study of a study file.  The robot that the study names is in ``model``.
+    tool_document : what a tool has read from a document of its own kind, such as a study.  The
+        robot that the document names is in ``model``.
     report : all diagnostics.  Paths in spans of the report are written as the user gave them.
     source_sha256 : SHA-256 of all input files (hexadecimal).
     sources : path of the input file for each path in ``report``.  Messages show excerpts of the
@@ -110,7 +110,7 @@ class Compilation:
 
     model: Robot | Fleet | None = None
     scenario: Scenario | None = None
-    study: Study | None = None
+    tool_document: object = None
     report: Report = field(default_factory=Report)
     source_sha256: str = ""
     sources: dict[str, Path] = field(default_factory=dict)
@@ -222,7 +222,7 @@ class Compilation:
         for part in parts.values():
             self.files.update(part.files)
         if self.report.has_errors:
-            self.model = self.scenario = self.study = None
+            self.model = self.scenario = self.tool_document = None
             self.locks.clear()
         return self
 

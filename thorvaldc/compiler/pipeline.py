@@ -29,7 +29,7 @@ from thorvaldc import backends
 from thorvaldc.compiler.acceptances import read_acceptances
 from thorvaldc.compiler.bus.stopping_distance import check_stops_on_slope
 from thorvaldc.compiler.bus.wiring_checks import check_sides
-from thorvaldc.compiler.compilation import Compilation, SourceFile
+from thorvaldc.compiler.compilation import Compilation, Compile, SourceFile
 from thorvaldc.compiler.geometry.meshes import shared_mesh_workers
 from thorvaldc.compiler.geometry.purpose_checks import check_purpose
 from thorvaldc.compiler.geometry.robot_checks import check_robot
@@ -44,6 +44,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.model_json import to_json
+from thorvaldc.model.tool_folders import document_compiler
 
 # The scenario classes are imported only for type checkers, because the import takes several
 # milliseconds.
@@ -95,12 +96,21 @@ def compile_file(
             from thorvaldc.compiler.scenario_compilation import compile_scenario
 
             return compile_scenario(source, compile_one, robot, changes)
-        if source.kind == "study":
-            # The module ``study_compilation`` is imported only for study files.
-            from thorvaldc.compiler.study.study_compilation import compile_study
-
-            return compile_study(source, compile_one)
+        if source.kind not in ("robot", "fleet"):
+            return _compile_document_of_tool(source, compile_one)
         return compile_one(source)
+
+
+def _compile_document_of_tool(source: SourceFile, compile_one: Compile) -> Compilation:
+    """Compiles a document whose kind belongs to a tool, such as a study."""
+    compile_document = document_compiler(source.kind)
+    if compile_document is not None:
+        return compile_document(source, compile_one)  # type: ignore[no-any-return]
+    compilation, report = Compilation.of(source), Report()
+    assert source.document is not None  # its keys say the kind
+    message = f"this is a {source.kind} document, and no tool of this installation reads it"
+    report.add("other-document", message, source.document.span)
+    return compilation.complete(source, report)
 
 
 def _compile(source: SourceFile, library: Sequence[Path], trust: bool) -> Compilation:

@@ -8,9 +8,9 @@ import pytest
 
 from tests.examples import ROBOTS, example_robot
 from thorvaldc.compiler.source.unit_table import QUANTITIES
-from thorvaldc.compiler.study.study_compilation import fact_values
 from thorvaldc.model.facts import facts_document, robot_facts
 from thorvaldc.model.facts.fact_quantities import MONEY, PATTERNS, fact_quantity
+from thorvaldc.tools.study.study_compilation import fact_values
 
 
 @pytest.mark.parametrize("name", ROBOTS)

@@ -12,9 +12,9 @@ from tests.examples import example_robot
 from tests.runtime.can_base.simulated_rig import Rig
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.service_table import ServiceError
+from thorvaldc.runtime.teleoperation.operator import Limits
+from thorvaldc.runtime.teleoperation.teleop_loop import operate
 from thorvaldc.tools.teleoperation.keyboard import Keyboard
-from thorvaldc.tools.teleoperation.operator import Limits
-from thorvaldc.tools.teleoperation.teleop_loop import operate
 
 
 class DrivenRobot:

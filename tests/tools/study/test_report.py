@@ -143,7 +143,7 @@ def test_one_or_three_objectives(run: Command, count: int) -> None:
 def test_of_one_objective_the_five_best_designs_are_shown(run: Command) -> None:
     text = re.sub(r"  stable: .*\n", "", STUDY).replace("number: 5", "number: 12")
     report(run, text.replace("50 deg", "30 deg"))
-    study = thorvaldc.compile("study.yaml").study
+    study = thorvaldc.compile("study.yaml").tool_document
     assert study is not None
     content = ReportContent(study, StudyTable.open(Path("study/track")))
     best = sorted(content.designs, key=lambda design: design["light"])[:5]
@@ -165,7 +165,7 @@ def test_a_study_without_a_good_design_or_without_results(run: Command) -> None:
 @pytest.mark.usefixtures("no_pictures")
 def test_the_sensitivity_is_a_table_and_chooses_the_variable(run: Command) -> None:
     report(run, re.sub(r"  stable: .*\n", "", STUDY))
-    study = thorvaldc.compile("study.yaml").study
+    study = thorvaldc.compile("study.yaml").tool_document
     assert study is not None
     content = ReportContent(study, StudyTable.open(Path("study/track")))
     rows = (("track", "0.2"), ("words", "0.7 <b>"))

@@ -24,13 +24,13 @@ from tests.child_process import ChildProcess
 from tests.cli.conftest import UNPOWERED, Command
 from tests.cli.conftest import thorvaldc as thorvaldc_command
 from thorvaldc.compiler.source.input_file import unsaved_texts
-from thorvaldc.compiler.study.replaced_values import with_replaced_values
 from thorvaldc.model import Robot
 from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.slope import SlopeStatics
 from thorvaldc.simulation.metric_units import UNITS
 from thorvaldc.tools.study.design_evaluation import DesignEvaluator, StudyInputs, robot_text
+from thorvaldc.tools.study.replaced_values import with_replaced_values
 from thorvaldc.tools.study.sample_points import designs_of
 from thorvaldc.tools.study.study_execution import StudyRun
 from thorvaldc.tools.study.study_journal import StudyJournal
@@ -65,7 +65,7 @@ def rows(folder: str, columns: str) -> list[tuple[Any, ...]]:
 
 
 def study_run() -> StudyRun:
-    study = thorvaldc.compile("study.yaml").study
+    study = thorvaldc.compile("study.yaml").tool_document
     assert study is not None
     text = study.robot.read_text(encoding="utf-8")
     return StudyRun(StudyInputs(study, text, (), trust=False))
@@ -73,7 +73,7 @@ def study_run() -> StudyRun:
 
 def designs(text: str) -> list[tuple[Any, ...]]:
     Path("study.yaml").write_text(text)
-    study = thorvaldc.compile("study.yaml").study
+    study = thorvaldc.compile("study.yaml").tool_document
     assert study is not None
     return designs_of(study)
 
@@ -371,7 +371,7 @@ def test_the_page_shows_the_example() -> None:
     expected = yaml.safe_load(example.read_text("utf-8"))
     del expected["description"]
     assert yaml.safe_load(shown[1]) == expected
-    study = thorvaldc.compile(example).study
+    study = thorvaldc.compile(example).tool_document
     assert study is not None
     assert len(designs_of(study)) == 32
 
@@ -386,7 +386,9 @@ def test_the_page_shows_the_example() -> None:
 )
 def test_a_robot_climbs_in_mud_if_its_grip_suffices(rear: str, hopper: str, status: str) -> None:
     """The margins of the example's page: grip over weight downhill and rolling resistance."""
-    study = thorvaldc.compile(ROOT / "examples/studies/driven_wheels_in_mud/study.yaml").study
+    study = thorvaldc.compile(
+        ROOT / "examples/studies/driven_wheels_in_mud/study.yaml"
+    ).tool_document
     assert study is not None
     inputs = StudyInputs(study, study.robot.read_text("utf-8"), (), trust=False)
     design = ("none", rear, hopper)

@@ -16,10 +16,10 @@ import pytest
 
 from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.runtime.teleoperation.operator import Limits
 from thorvaldc.tools.teleoperation import joystick as js
 from thorvaldc.tools.teleoperation.joystick import Joystick, Layout, OperatorPair
 from thorvaldc.tools.teleoperation.keyboard import Keyboard
-from thorvaldc.tools.teleoperation.operator import Limits
 
 LIMITS = Limits(1.5, 2.0, True)
 CODES = {"ABS_Z": js.ABS_Z, "ABS_RX": js.ABS_RX, "BTN_TOP2": js.BTN_TOP2, "KEY_A": 30}

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from thorvaldc.cli.terminal import keys_of
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.runtime.teleoperation.operator import Limits
 from thorvaldc.tools.teleoperation.keyboard import FIRST_HOLD, MOTIONS, REPEAT_HOLD, Keyboard
-from thorvaldc.tools.teleoperation.operator import Limits
-from thorvaldc.tools.teleoperation.terminal import keys_of
 
 LIMITS = Limits(1.5, 2.0, True)
 

@@ -15,17 +15,15 @@ from thorvaldc.cli.diagnostic_output import count, message, show_report, table_w
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.compiler.writer import WriteError
 from thorvaldc.simulation.run_result import result_table
-from thorvaldc.tools.demo import DemoJob, DemoOutcome, run_demo
+from thorvaldc.tools.demo.demo import DemoJob, DemoOutcome, run_demo
 
 
 def demo(
     files: Annotated[list[str], typer.Argument(metavar="FILE")] = [],  # noqa: B006
-    original: Annotated[list[str], typer.Option("--original", metavar="FILE")] = [],  # noqa: B006
     output: Annotated[str, typer.Option("--output", "-o", metavar="DIR")] = "build",
 ) -> int:
     started = time.monotonic()
-    jobs = [DemoJob(file, output, is_original=False) for file in files]
-    jobs += [DemoJob(file, output, is_original=True) for file in original]
+    jobs = [DemoJob(file, output) for file in files]
     outcomes: list[DemoOutcome] = []
     try:
         for outcome in run_demo(jobs):

@@ -23,10 +23,10 @@ from thorvaldc.cli.options import (
 from thorvaldc.cli.progress import Progress
 from thorvaldc.cli.robot_file import load_robot
 from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.tools.batch.scenario_batch import processors
 from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix
 from thorvaldc.tools.fault_matrix.fault_table import markdown, matrix_json
 from thorvaldc.tools.fault_matrix.rehearsal import RehearsalError
-from thorvaldc.tools.scenario_batch import processors
 
 
 def faults(

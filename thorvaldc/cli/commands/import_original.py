@@ -11,8 +11,8 @@ import typer
 from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format
 from thorvaldc.cli.exits import OutsideError
 from thorvaldc.cli.options import Format
-from thorvaldc.compiler.importer import import_original as convert
 from thorvaldc.diagnostics.atomic_file import write_file
+from thorvaldc.tools.importer.original_import import import_original as convert
 
 
 def import_original(

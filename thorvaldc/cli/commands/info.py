@@ -14,7 +14,7 @@ from thorvaldc.cli.options import ANY_MODEL, Json, Library, ResultFormat, Trust,
 from thorvaldc.model import Fleet
 from thorvaldc.model.facts import facts_document, robot_facts
 from thorvaldc.tools.comparison.compared_inputs import read_input
-from thorvaldc.tools.facts_text import facts_markdown, facts_text
+from thorvaldc.tools.comparison.facts_text import facts_markdown, facts_text
 
 
 def info(

@@ -11,8 +11,8 @@ from thorvaldc.cli.diagnostic_output import message, show_report
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.options import Library, StudyFile, StudyResults, Trust
 from thorvaldc.cli.study_runs import plan_study, results_folder
-from thorvaldc.compiler.study.study_definition import Objective
 from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.tools.study.study_definition import Objective
 from thorvaldc.tools.study.study_journal import read_results
 from thorvaldc.tools.study.winning_robot import find_winner, winner_text, write_winner
 

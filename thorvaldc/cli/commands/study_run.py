@@ -12,7 +12,7 @@ from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.options import Jobs, Json, Library, StudyFile, Trust, parse_count
 from thorvaldc.cli.study_progress import StudyProgress
 from thorvaldc.cli.study_runs import open_cluster, parse_scheduler, plan_study, results_folder
-from thorvaldc.tools.scenario_batch import processors
+from thorvaldc.tools.batch.scenario_batch import processors
 from thorvaldc.tools.study.sample_points import MissingPackageError
 from thorvaldc.tools.study.study_journal import StudyBusyError, StudyJournal
 from thorvaldc.tools.study.study_table import TABLE, StudyTable, load_duckdb

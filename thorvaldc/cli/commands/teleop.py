@@ -26,10 +26,10 @@ from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.end_signals import end_signals
 from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.run_session import RunSession
+from thorvaldc.runtime.teleoperation.operator import SMALLEST_SHARE
+from thorvaldc.runtime.teleoperation.vehicle import RemoteVehicle, Vehicle
 from thorvaldc.tools.teleoperation.console import drive_from_console
 from thorvaldc.tools.teleoperation.joystick import Search, evdev_search
-from thorvaldc.tools.teleoperation.operator import SMALLEST_SHARE
-from thorvaldc.tools.teleoperation.vehicle import RemoteVehicle, Vehicle
 
 
 def teleop(

@@ -1,1 +1,1 @@
-"""Compares robots, and explains where a number of a robot comes from."""
+"""Compares robots, builds and git revisions; begin at ``compared_inputs``."""

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from typing import Any, TypeVar
 
-from thorvaldc.tools.worker_processes import become_worker
+from thorvaldc.simulation.worker_processes import become_worker
 
 T = TypeVar("T")
 

@@ -13,10 +13,10 @@ from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.robot import AUTOMATIC
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.runtime.teleoperation.operator import FIRST_SHARE, Limits, Request
+from thorvaldc.runtime.teleoperation.teleop_loop import operate
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
-from thorvaldc.tools.teleoperation.operator import FIRST_SHARE, Limits, Request
-from thorvaldc.tools.teleoperation.teleop_loop import operate
 
 HOLD_TIME = 0.25
 """Time in s for which a motion from the page drives.  The page repeats a held motion 20 times per

@@ -19,9 +19,6 @@ from thorvaldc.compiler.geometry.meshes import shared_mesh_workers
 from thorvaldc.compiler.pipeline import compile_robot
 from thorvaldc.compiler.scenario_compilation import compile_scenario
 from thorvaldc.compiler.source.input_file import unsaved_texts
-from thorvaldc.compiler.study.replaced_values import PathError, with_replaced_values
-from thorvaldc.compiler.study.study_compilation import fact_values
-from thorvaldc.compiler.study.study_definition import Study
 from thorvaldc.diagnostics import Diagnostic, Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
@@ -29,7 +26,10 @@ from thorvaldc.model.facts.fact_quantities import MONEY, fact_quantity
 from thorvaldc.model.facts.facts_document import json_value
 from thorvaldc.model.facts.purchase import PurchaseFacts, purchase_of
 from thorvaldc.model.facts.robot_facts import fact_sections
+from thorvaldc.tools.study.replaced_values import PathError, with_replaced_values
 from thorvaldc.tools.study.sample_points import Design
+from thorvaldc.tools.study.study_compilation import fact_values
+from thorvaldc.tools.study.study_definition import Study
 
 STATUSES = ("ok", "constraint", "expectation", "tipped", "diverged", "error")
 _STATUS_OF_CODE = {

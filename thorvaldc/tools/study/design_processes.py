@@ -12,9 +12,9 @@ from contextlib import ExitStack
 from types import TracebackType
 from typing import Any
 
+from thorvaldc.simulation.worker_processes import ignored_interrupts, worker_pool
 from thorvaldc.tools.study.design_evaluation import DesignEvaluator, StudyInputs
 from thorvaldc.tools.study.sample_points import Design
-from thorvaldc.tools.worker_processes import ignored_interrupts, worker_pool
 
 WAITING_PER_PROCESS = 2
 """Number of designs that a process has at once, so that it never waits for the next."""

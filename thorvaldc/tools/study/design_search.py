@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from thorvaldc.compiler.source.node import Value
-from thorvaldc.compiler.study.study_definition import Study, Variable
 from thorvaldc.tools.study.sample_points import Design, MissingPackageError
+from thorvaldc.tools.study.study_definition import Study, Variable
 from thorvaldc.tools.study.study_table import objective_value
 
 RANDOM_DESIGNS = 16

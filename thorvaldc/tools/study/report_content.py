@@ -12,10 +12,10 @@ from typing import Any
 
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_unit
-from thorvaldc.compiler.study.study_definition import Objective, Study, Variable
 from thorvaldc.model.facts.fact_quantities import MONEY, fact_quantity
 from thorvaldc.simulation.metric_units import UNITS
 from thorvaldc.tools.study.design_evaluation import STATUSES
+from thorvaldc.tools.study.study_definition import Objective, Study, Variable
 from thorvaldc.tools.study.study_table import StudyTable
 from thorvaldc.tools.study.study_text import summary
 

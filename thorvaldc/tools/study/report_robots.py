@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from thorvaldc.compiler.compilation import SourceFile
 from thorvaldc.compiler.pipeline import compile_robot, emit_without_model
 from thorvaldc.compiler.source.input_file import unsaved_texts
-from thorvaldc.compiler.study.replaced_values import PathError
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
@@ -22,6 +21,7 @@ from thorvaldc.tools.comparison.difference_rows import Section, sections_of
 from thorvaldc.tools.comparison.module_outline import Outline, outline_of_file
 from thorvaldc.tools.comparison.robot_comparison import compare_robots
 from thorvaldc.tools.study.design_evaluation import StudyInputs, robot_text
+from thorvaldc.tools.study.replaced_values import PathError
 from thorvaldc.tools.study.sample_points import Design
 
 PICTURE_SIZE = (480, 336)  # pixels

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from thorvaldc.compiler.source.node import Value
-from thorvaldc.compiler.study.study_definition import Study, Variable
+from thorvaldc.tools.study.study_definition import Study, Variable
 
 Design = tuple[Value, ...]
 """The value of each variable of a study, in the order of the study file."""

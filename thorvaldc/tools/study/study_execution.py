@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from thorvaldc import __version__
-from thorvaldc.compiler.study.study_definition import Study, value_key
 from thorvaldc.tools.study.design_evaluation import DesignEvaluator, StudyInputs
 from thorvaldc.tools.study.design_processes import ATTEMPTS, DesignProcesses, Result
 from thorvaldc.tools.study.design_search import DesignSearch
 from thorvaldc.tools.study.sample_points import Design, designs_of
+from thorvaldc.tools.study.study_definition import Study, value_key
 from thorvaldc.tools.study.study_journal import StudyJournal
 from thorvaldc.tools.study.study_table import write_table
 

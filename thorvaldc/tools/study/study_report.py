@@ -11,13 +11,13 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from thorvaldc import __version__
-from thorvaldc.compiler.study.replaced_values import value_text
-from thorvaldc.compiler.study.study_definition import Constraint, Objective, Variable
 from thorvaldc.model.data_folder import data_folder
+from thorvaldc.tools.study.replaced_values import value_text
 from thorvaldc.tools.study.report_content import Column, ReportContent, fact_unit
 from thorvaldc.tools.study.report_robots import ReportRobot
 from thorvaldc.tools.study.sample_points import MissingPackageError
 from thorvaldc.tools.study.sensitivity import sensitivities, sensitivity_notes
+from thorvaldc.tools.study.study_definition import Constraint, Objective, Variable
 from thorvaldc.tools.study.study_table import StudyTable
 from thorvaldc.tools.study.study_text import cell_text, sensitivity_rows
 

@@ -13,9 +13,9 @@ from typing import Any
 from thorvaldc.compiler.scenario.scenario_reader import metric_names
 from thorvaldc.compiler.source.node import Value
 from thorvaldc.compiler.source.units import UnitError, parse_any
-from thorvaldc.compiler.study.study_definition import Objective, Study, Variable, value_key
 from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.tools.study.sample_points import Design, MissingPackageError
+from thorvaldc.tools.study.study_definition import Objective, Study, Variable, value_key
 
 TABLE = "designs.parquet"
 DESCRIPTION = "study.json"

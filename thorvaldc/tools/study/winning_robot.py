@@ -11,11 +11,11 @@ from thorvaldc import __version__
 from thorvaldc.compiler.compilation import Compilation
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.source.input_file import unsaved_texts
-from thorvaldc.compiler.study.replaced_values import value_text
-from thorvaldc.compiler.study.study_definition import Objective
 from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.tools.study.design_evaluation import robot_text
+from thorvaldc.tools.study.replaced_values import value_text
 from thorvaldc.tools.study.sample_points import Design
+from thorvaldc.tools.study.study_definition import Objective
 from thorvaldc.tools.study.study_execution import StudyRun
 from thorvaldc.tools.study.study_table import objective_value
 

@@ -1,1 +1,1 @@
-"""Teleoperation: a person drives a robot with a keyboard or a joystick."""
+"""A person drives a robot with a keyboard or a joystick; begin at ``console``."""

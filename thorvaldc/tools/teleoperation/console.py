@@ -6,14 +6,14 @@ import gc
 import sys
 from collections.abc import Callable
 
+from thorvaldc.cli.terminal import Terminal
+from thorvaldc.runtime.teleoperation.operator import Limits, Operator
+from thorvaldc.runtime.teleoperation.teleop_loop import operate
+from thorvaldc.runtime.teleoperation.vehicle import Vehicle
 from thorvaldc.tools.teleoperation.joystick import HELP as JOYSTICK_HELP
 from thorvaldc.tools.teleoperation.joystick import Joystick, OperatorPair, Search
 from thorvaldc.tools.teleoperation.keyboard import HELP as KEYBOARD_HELP
 from thorvaldc.tools.teleoperation.keyboard import Keyboard
-from thorvaldc.tools.teleoperation.operator import Limits, Operator
-from thorvaldc.tools.teleoperation.teleop_loop import operate
-from thorvaldc.tools.teleoperation.terminal import Terminal
-from thorvaldc.tools.teleoperation.vehicle import Vehicle
 
 
 def drive_from_console(

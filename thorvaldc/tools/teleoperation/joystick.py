@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.tools.teleoperation.operator import FIRST_SHARE, Limits, Operator, Request
+from thorvaldc.runtime.teleoperation.operator import FIRST_SHARE, Limits, Operator, Request
 
 DEAD_ZONE = 0.1
 """Share of half an axis around its centre that counts as zero."""

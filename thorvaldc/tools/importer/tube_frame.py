@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from thorvaldc.compiler.importer.drives import Drive, Segment, mount_on_root
-from thorvaldc.compiler.importer.original_mapping import OriginalMapping
-from thorvaldc.compiler.importer.robot_text import Module, Names, angle
 from thorvaldc.diagnostics.plain_numbers import millimetres, plain
+from thorvaldc.tools.importer.drives import Drive, Segment, mount_on_root
+from thorvaldc.tools.importer.original_mapping import OriginalMapping
+from thorvaldc.tools.importer.robot_text import Module, Names, angle
 
 _DEFAULT_HEIGHT = 0.65  # m, default height of the robot's frame above the ground
 _SHORTEST = 0.01  # m, least length of a pipe or beam

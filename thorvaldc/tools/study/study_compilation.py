@@ -28,13 +28,20 @@ from thorvaldc.compiler.source.input_file import read_bytes, unsaved_texts
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import MAX_BYTES
 from thorvaldc.compiler.source.units import UnitError, parse_any, parse_quantity
-from thorvaldc.compiler.study.replaced_values import (
+from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.report import Proposal
+from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.model import Robot
+from thorvaldc.model.facts.fact_quantities import MONEY, fact_quantity
+from thorvaldc.model.facts.facts_document import facts_document
+from thorvaldc.model.facts.robot_facts import robot_facts
+from thorvaldc.tools.study.replaced_values import (
     PathError,
     find_value,
     shared_spans,
     with_replaced_values,
 )
-from thorvaldc.compiler.study.study_definition import (
+from thorvaldc.tools.study.study_definition import (
     DEFAULT_BATCH,
     STATUS_COLUMNS,
     Constraint,
@@ -44,13 +51,6 @@ from thorvaldc.compiler.study.study_definition import (
     Variable,
     value_key,
 )
-from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.report import Proposal
-from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model import Robot
-from thorvaldc.model.facts.fact_quantities import MONEY, fact_quantity
-from thorvaldc.model.facts.facts_document import facts_document
-from thorvaldc.model.facts.robot_facts import robot_facts
 
 MAX_DESIGNS = 1_000_000
 MAX_SEARCHED = 5_000
@@ -76,7 +76,7 @@ def compile_study(source: SourceFile, compile_robot: Compile) -> Compilation:
             parts[robot_source.name] = part
             if isinstance(part.model, Robot):
                 reader = _StudyReader(source, document, robot_source, part, compile_robot, report)
-                compilation.study = reader.read(parts)
+                compilation.tool_document = reader.read(parts)
                 tried_files = reader.tried_files
                 compilation.model = part.model
     compilation.complete(source, report, parts)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from thorvaldc.model import Robot
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 from thorvaldc.runtime.se2 import Pose2
-from thorvaldc.simulation.gym.joint_actions import JointActions
+from thorvaldc.tools.gym.joint_actions import JointActions
 
 SPEED_MARGIN = 1.5
 """Largest wheel speed, as a multiple of the largest speed of its motor.

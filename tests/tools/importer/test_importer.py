@@ -13,10 +13,10 @@ import pytest
 import yaml
 
 from thorvaldc.backends import DEFAULT_TARGETS
-from thorvaldc.compiler.importer import ImportResult, import_file, import_original
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Diagnostic, Report
 from thorvaldc.model import FrameDefinition, Pose, Robot, Signal
+from thorvaldc.tools.importer.original_import import ImportResult, import_file, import_original
 
 ORIGINALS = Path(__file__).parent / "originals"
 GOOD = sorted(path.stem for path in ORIGINALS.glob("*.yaml"))

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from tests.outside_tools import without
-from thorvaldc import environments
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.simulation.pictures import PictureError, opengl_backend
+from thorvaldc.tools.gym import environments
 
 ROOT = Path(__file__).resolve().parents[3]
 SLIM = ROOT / "examples/4wd4ws_slim/robot.yaml"
@@ -262,7 +262,7 @@ def test_pictures_follow_the_robot(gymnasium: Any) -> None:
 
 
 def test_an_environment_of_a_build_or_of_compiled_files(gymnasium: Any) -> None:
-    from thorvaldc.simulation.gym.robot_env import RobotEnv
+    from thorvaldc.tools.gym.robot_env import RobotEnv
 
     model = compile_file(SLIM).model
     assert model is not None
@@ -298,10 +298,11 @@ def test_gymnasium_makes_the_environment_by_its_module() -> None:
     """In a process that has not imported thorvaldc."""
     program = (
         "import gymnasium\n"
-        f"env = gymnasium.make('thorvaldc.environments:thorvaldc/Robot-v0', file={str(SLIM)!r})\n"
+        "name = 'thorvaldc.tools.gym.environments:thorvaldc/Robot-v0'\n"
+        f"env = gymnasium.make(name, file={str(SLIM)!r})\n"
         "print(env.reset(seed=1)[0].shape, env.spec.id)\n"
-        "import thorvaldc.environments\n"
-        "gymnasium.register_envs(thorvaldc.environments)\n"
+        "import thorvaldc.tools.gym.environments\n"
+        "gymnasium.register_envs(thorvaldc.tools.gym.environments)\n"
         f"gymnasium.make('thorvaldc/Robot-v0', file={str(SLIM)!r})\n"
     )
     process = subprocess.run(
@@ -316,9 +317,9 @@ def test_gymnasium_makes_the_environment_by_its_module() -> None:
     assert process.stdout == "(14,) thorvaldc/Robot-v0\n"
 
 
-@pytest.mark.parametrize("module", ["environments", "simulation.gym.robot_env"])
+@pytest.mark.parametrize("module", ["environments", "robot_env"])
 def test_without_gymnasium_the_error_names_the_extra(module: str) -> None:
-    program = f"import sys; sys.modules['gymnasium'] = None; import thorvaldc.{module}"
+    program = f"import sys; sys.modules['gymnasium'] = None; import thorvaldc.tools.gym.{module}"
     process = subprocess.run(
         [sys.executable, "-c", program],
         cwd=ROOT,

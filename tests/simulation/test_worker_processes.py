@@ -14,7 +14,7 @@ from tests.child_process import ChildProcess
 
 POOL = """
 import os, sys, time
-from thorvaldc.tools.worker_processes import ignored_interrupts, worker_pool
+from thorvaldc.simulation.worker_processes import ignored_interrupts, worker_pool
 
 def work(number):
     os.write(1, b"working\\n")  # one call, so that the lines of two workers stay apart

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from thorvaldc.runtime.se2 import Twist
+from thorvaldc.runtime.teleoperation.status_lines import status_lines
 from thorvaldc.tools.teleoperation.joystick import HELP as JOYSTICK_HELP
 from thorvaldc.tools.teleoperation.keyboard import HELP as KEYBOARD_HELP
-from thorvaldc.tools.teleoperation.status_lines import status_lines
 
 STATE: dict[str, Any] = {
     "mode": "fault",

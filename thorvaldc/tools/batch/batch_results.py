@@ -15,7 +15,7 @@ from thorvaldc.diagnostics.atomic_file import append_whole, errors_with_name, wr
 from thorvaldc.diagnostics.text_layout import text_table
 from thorvaldc.model.finite_json import finite
 from thorvaldc.simulation.metric_units import UNITS
-from thorvaldc.tools.scenario_batch import Run
+from thorvaldc.tools.batch.scenario_batch import Run
 
 SUFFIXES = (".csv", ".json")
 # The columns of the text table: (metric, heading, format, factor).  The text of a cell is the

@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from thorvaldc.compiler.importer.original_mapping import OriginalMapping
-from thorvaldc.compiler.importer.robot_text import ROOT_MODULE, Module, Names, Value
 from thorvaldc.diagnostics import Label
 from thorvaldc.diagnostics.plain_numbers import plain
+from thorvaldc.tools.importer.original_mapping import OriginalMapping
+from thorvaldc.tools.importer.robot_text import ROOT_MODULE, Module, Names, Value
 
 NODE_IDS = (1, 127)  # least and greatest CANopen node id (CiA 301)
 _WHEEL_RADIUS, _WHEEL_WIDTH = 0.2, 0.16  # m, radius and width of the module type wheel/agri_200

@@ -6,9 +6,9 @@ import math
 import re
 from dataclasses import dataclass
 
-from thorvaldc.compiler.importer.conversion_log import ConversionLog, Key
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
+from thorvaldc.tools.importer.conversion_log import ConversionLog, Key
 
 # Texts for true and false: the Boolean words of YAML 1.1, and the numbers 1 and 0.
 _TRUE = ("true", "yes", "on", "y", "1", "1.0")

@@ -12,7 +12,7 @@ from typing import IO, Any, NamedTuple
 
 import pytest
 
-from thorvaldc.tools.teleoperation.terminal import Terminal
+from thorvaldc.cli.terminal import Terminal
 
 
 class Pty(NamedTuple):

@@ -25,7 +25,7 @@ from thorvaldc.compiler.scenario.variations import (
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.diagnostics import Report
-from thorvaldc.tools.worker_processes import ignored_interrupts, worker_pool
+from thorvaldc.simulation.worker_processes import ignored_interrupts, worker_pool
 
 __all__ = ["Batch", "Run", "plan_variations", "processors"]
 

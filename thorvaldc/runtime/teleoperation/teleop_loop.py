@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.runtime.service_table import ServiceError
-from thorvaldc.tools.teleoperation.operator import Operator
-from thorvaldc.tools.teleoperation.status_lines import status_lines
-from thorvaldc.tools.teleoperation.vehicle import Vehicle
+from thorvaldc.runtime.teleoperation.operator import Operator
+from thorvaldc.runtime.teleoperation.status_lines import status_lines
+from thorvaldc.runtime.teleoperation.vehicle import Vehicle
 
 DRAW_PERIOD = 0.1
 """Time in s between two updates of the status lines."""

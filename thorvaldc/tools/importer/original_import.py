@@ -15,19 +15,22 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from thorvaldc.compiler.importer.casters import add_casters, mount_position
-from thorvaldc.compiler.importer.conversion_log import Conversion, ConversionLog, Key
-from thorvaldc.compiler.importer.devices import (
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.plain_numbers import plain
+from thorvaldc.tools.importer.casters import add_casters, mount_position
+from thorvaldc.tools.importer.conversion_log import Conversion, ConversionLog, Key
+from thorvaldc.tools.importer.devices import (
     ParentFrames,
     read_batteries,
     read_boards,
     read_sensor,
     sensor_module_type,
 )
-from thorvaldc.compiler.importer.drives import drive_modules, read_drives, share_params
-from thorvaldc.compiler.importer.original_file import read_original
-from thorvaldc.compiler.importer.original_mapping import OriginalMapping
-from thorvaldc.compiler.importer.robot_text import (
+from thorvaldc.tools.importer.drives import drive_modules, read_drives, share_params
+from thorvaldc.tools.importer.original_file import read_original
+from thorvaldc.tools.importer.original_mapping import OriginalMapping
+from thorvaldc.tools.importer.robot_text import (
     ROOT_MODULE,
     Module,
     Names,
@@ -35,10 +38,7 @@ from thorvaldc.compiler.importer.robot_text import (
     as_id,
     render,
 )
-from thorvaldc.compiler.importer.tube_frame import read_beams, read_frame
-from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.plain_numbers import plain
+from thorvaldc.tools.importer.tube_frame import read_beams, read_frame
 
 __all__ = ["Conversion", "ImportResult", "import_file", "import_original"]
 

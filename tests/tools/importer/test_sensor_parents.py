@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.compiler.importer.test_importer import compiled, convert_text, find, poses
+from tests.tools.importer.test_importer import compiled, convert_text, find, poses
 from thorvaldc.model import Pose, Robot
 
 DRIVES = """

@@ -2,7 +2,7 @@
 
 This module requires the extra ``thorvaldc[gym]``.  ``RobotEnv`` loads a model and the MJCF files
 of the model.  To compile a robot file first, call
-``gymnasium.make("thorvaldc.environments:thorvaldc/Robot-v0", file="robot.yaml")``.
+``gymnasium.make("thorvaldc.tools.gym.environments:thorvaldc/Robot-v0", file="robot.yaml")``.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
 from thorvaldc.simulation.control_loop import ControlLoop, Sample
-from thorvaldc.simulation.gym.joint_actions import DirectCommands, JointActions
-from thorvaldc.simulation.gym.observation_bounds import observation_bounds
 from thorvaldc.simulation.manoeuvre import Manoeuvre, Segment
 from thorvaldc.simulation.physics.collision_counter import CollisionCounter
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.physics.scenario_base import ScenarioBase
+from thorvaldc.tools.gym.joint_actions import DirectCommands, JointActions
+from thorvaldc.tools.gym.observation_bounds import observation_bounds
 
 try:
     import gymnasium

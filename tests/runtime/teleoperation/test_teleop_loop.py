@@ -11,10 +11,10 @@ from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.model.robot import AUTOMATIC
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.service_table import ServiceError
+from thorvaldc.runtime.teleoperation.operator import Limits
+from thorvaldc.runtime.teleoperation.teleop_loop import operate
 from thorvaldc.simulation.physics.sim_base import SimBase
 from thorvaldc.tools.teleoperation.keyboard import Keyboard
-from thorvaldc.tools.teleoperation.operator import Limits
-from thorvaldc.tools.teleoperation.teleop_loop import operate
 
 ROBOT = make_robot(FOUR_STEERED)
 

@@ -3,7 +3,7 @@
 The environment simulates the robots of a robot, fleet or scenario file.  The import of this module
 registers the environment with Gymnasium.  Example::
 
-    gymnasium.make("thorvaldc.environments:thorvaldc/Robot-v0", file="robot.yaml")
+    gymnasium.make("thorvaldc.tools.gym.environments:thorvaldc/Robot-v0", file="robot.yaml")
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ except ImportError:
     ) from None
 
 if TYPE_CHECKING:
-    from thorvaldc.simulation.gym.robot_env import RobotEnv
+    from thorvaldc.tools.gym.robot_env import RobotEnv
 
 NAME = "thorvaldc/Robot-v0"
 
@@ -49,7 +49,7 @@ def make(
     trust : whether xacro files are expanded without restrictions, as trusted programs.
     options : keyword arguments of ``RobotEnv``.
     """
-    from thorvaldc.simulation.gym.robot_env import RobotEnv
+    from thorvaldc.tools.gym.robot_env import RobotEnv
 
     folders = [Path(folder) for folder in library]
     compilation = compile_file(
@@ -68,4 +68,4 @@ def make(
 
 
 if NAME not in registration.registry:
-    registration.register(NAME, entry_point="thorvaldc.environments:make")
+    registration.register(NAME, entry_point="thorvaldc.tools.gym.environments:make")

@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from thorvaldc.compiler.importer.drives import mount_on_root
-from thorvaldc.compiler.importer.original_mapping import OriginalMapping
-from thorvaldc.compiler.importer.robot_text import Module, Names
 from thorvaldc.model.float_sum import float_sum
+from thorvaldc.tools.importer.drives import mount_on_root
+from thorvaldc.tools.importer.original_mapping import OriginalMapping
+from thorvaldc.tools.importer.robot_text import Module, Names
 
 _SHORTEST_CASTER = 0.4  # m, from the ground to the mount
 _LEAST_WHEELBASE = 0.8  # m, least distance of the casters from the drives, along x

@@ -9,14 +9,13 @@ from pathlib import Path
 
 from thorvaldc import __version__
 from thorvaldc.backends import DEFAULT_TARGETS
-from thorvaldc.compiler.importer import import_original
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.compiler.writer import write_build
-from thorvaldc.diagnostics import Report, Severity
+from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet
 from thorvaldc.simulation.run_result import SimulationResult
 from thorvaldc.simulation.simulation_run import drive_build
-from thorvaldc.tools.worker_processes import ignored_interrupts, worker_pool
+from thorvaldc.simulation.worker_processes import ignored_interrupts, worker_pool
 
 PROCESSES = 2
 
@@ -25,14 +24,12 @@ PROCESSES = 2
 class DemoJob:
     """The input file and the output folder of one build.
 
-    * ``file``: a robot file, or a configuration file of the original system.
+    * ``file``: a robot or fleet file.
     * ``output``: folder for the generated files.
-    * ``is_original``: true if ``file`` is a configuration file of the original system.
     """
 
     file: str
     output: str
-    is_original: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,15 +55,7 @@ def run_demo(jobs: Sequence[DemoJob]) -> Iterator[DemoOutcome]:
 def run_job(job: DemoJob) -> DemoOutcome:
     """Compiles a robot file, writes the generated files, and simulates the robot."""
     report = Report()
-    sources: dict[str, Path] = {}
-    file = job.file
-    if job.is_original:
-        sources[file] = Path(file)
-        file = _import(job, report)
-        if not file:
-            return DemoOutcome(None, report, sources)
-    compilation = compile_file(file)
-    sources |= compilation.sources
+    compilation = compile_file(job.file)
     result: SimulationResult | None = None
     run_report = Report()
     model = compilation.model
@@ -87,28 +76,9 @@ def run_job(job: DemoJob) -> DemoOutcome:
             result = _with_fleet_name(result, model.name)
     report.extend(compilation.report)
     report.extend(compilation.located(run_report))
-    return DemoOutcome(result, report, sources)
+    return DemoOutcome(result, report, compilation.sources)
 
 
 def _with_fleet_name(result: SimulationResult, fleet: str) -> SimulationResult:
     robots = tuple(replace(robot, name=f"{fleet}/{robot.name}") for robot in result.robots)
     return replace(result, robots=robots)
-
-
-def _import(job: DemoJob, report: Report) -> str:
-    """Converts a configuration of the original system to a robot.yaml and returns the path.
-
-    Returns an empty text if the conversion to robot.yaml fails.
-    """
-    text, import_report = import_original(Path(job.file))
-    for diagnostic in import_report:
-        # The import adds a note for each value that robot.yaml cannot express.  The demo omits the
-        # notes of the import, because the notes are too many for the table.
-        if diagnostic.severity is not Severity.NOTE:
-            report.put(diagnostic)
-    if text is None:
-        return ""
-    robot = Path(job.output) / "imported" / f"{Path(job.file).stem}.yaml"
-    robot.parent.mkdir(parents=True, exist_ok=True)
-    robot.write_text(text, encoding="utf-8")
-    return str(robot)

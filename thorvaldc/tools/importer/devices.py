@@ -6,13 +6,13 @@ import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from thorvaldc.compiler.importer.drives import NODE_IDS, Drive
-from thorvaldc.compiler.importer.original_mapping import OriginalMapping
-from thorvaldc.compiler.importer.robot_text import ROOT_MODULE, Module, Names, Value, angle
-from thorvaldc.compiler.importer.tube_frame import Frame
 from thorvaldc.compiler.source.units import parse_quantity
 from thorvaldc.diagnostics import Label
 from thorvaldc.model.spatial import Pose
+from thorvaldc.tools.importer.drives import NODE_IDS, Drive
+from thorvaldc.tools.importer.original_mapping import OriginalMapping
+from thorvaldc.tools.importer.robot_text import ROOT_MODULE, Module, Names, Value, angle
+from thorvaldc.tools.importer.tube_frame import Frame
 
 # m, height of the bottom of a battery enclosure above the axis of a frame tube
 _BATTERY_HEIGHT = 0.07

@@ -1,1 +1,0 @@
-"""Reads study files: designs of one robot with variables, constraints and objectives."""

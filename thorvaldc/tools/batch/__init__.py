@@ -1,0 +1,1 @@
+"""Runs many variations of a scenario; begin at ``scenario_batch``."""

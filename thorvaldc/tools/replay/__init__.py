@@ -1,0 +1,1 @@
+"""Replays recorded runs without physics; begin at ``replay``."""
