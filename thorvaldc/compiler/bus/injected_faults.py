@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 from thorvaldc.compiler.library import Library
-from thorvaldc.compiler.modules.bounded_quantities import BoundedQuantities
+from thorvaldc.compiler.modules.document_section import Section, read_document
 from thorvaldc.compiler.modules.scope import Scope
-from thorvaldc.compiler.modules.value_reader import items
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.suggest import did_you_mean
@@ -17,8 +17,6 @@ from thorvaldc.model.bus_faults import FAULT_KINDS, BusFault, BusFaults, FaultKi
 from thorvaldc.model.bus_quirks import Quirk
 from thorvaldc.model.robot import Robot
 
-LONGEST = 86400.0
-"""Latest start time of an injected fault in s (one day)."""
 _WHEN = ("fault", "bus", "at", "frame", "delay")
 _CANOPEN_FAULTS = (
     "commands_ignored",
@@ -27,6 +25,8 @@ _CANOPEN_FAULTS = (
     "frozen_reports",
 )
 _BATTERIES = "kc_battery"
+_STORED: tuple[tuple[str, Callable[[Any], Any]], ...] = (("bitrate", round), ("data", bytes))
+"""How the model stores values that the document has in another type."""
 
 
 def read_bus_faults(document: Node, robot: Robot, report: Report) -> BusFaults:
@@ -35,74 +35,46 @@ def read_bus_faults(document: Node, robot: Robot, report: Report) -> BusFaults:
     Reports an error if an injected fault refers to an unknown bus or device, or if the device does
     not support the fault.
     """
-    scope = Scope(None, {}, Library(), report, None)
-    quantities = BoundedQuantities(scope, report)
-    seed = document.get("seed")
+    content = read_document(document, "bus_faults", Scope(None, {}, Library(), report, None))
     return BusFaults(
-        tuple(_Reader(robot, quantities, report).injected_faults(document.get("faults"))),
-        seed.value if seed is not None and isinstance(seed.value, int) else 0,
-        scope.text(document.get("description")),
-        tuple(_quirks(document.get("quirks"))),
+        tuple(_Reader(robot, report).injected_faults(content["faults"])),
+        content["seed"],
+        content["description"],
+        tuple(map(Quirk, content["quirks"])),
     )
 
 
-def _quirks(names: Node | None) -> Iterator[Quirk]:
-    for node in names.value if names is not None and isinstance(names.value, tuple) else ():
-        if node.value in tuple(Quirk):
-            yield Quirk(node.value)
-
-
 class _Reader:
-    def __init__(self, robot: Robot, numbers: BoundedQuantities, report: Report) -> None:
+    def __init__(self, robot: Robot, report: Report) -> None:
         self.robot = robot
-        self.numbers = numbers
         self.report = report
 
-    def injected_faults(self, fault_list: Node | None) -> Iterator[BusFault]:
-        items = fault_list.value if fault_list is not None else None
-        for node in items if isinstance(items, tuple) else ():
-            kind = node.get("fault")
-            if kind is not None and isinstance(kind.value, str) and kind.value in FAULT_KINDS:
-                injected_fault = self._injected_fault(node, kind.value)
-                if injected_fault is not None:
-                    yield injected_fault
+    def injected_faults(self, sections: tuple[Section, ...]) -> Iterator[BusFault]:
+        for section in sections:
+            injected_fault = self._injected_fault(section) if "fault" in section else None
+            if injected_fault is not None:
+                yield injected_fault
 
-    def _injected_fault(self, node: Node, name: str) -> BusFault | None:
+    def _injected_fault(self, section: Section) -> BusFault | None:
+        node, name = section.node, section["fault"]
         kind = FAULT_KINDS[name]
         bus, device = self._bus_and_device(node, kind)
         if not self._has_keys(node, name, kind) or bus is None:
             return None
         if device is not None and not self._suits(node, name, device):
             return None
-        numbers = self.numbers
-        lasts = node.get("for") is not None
-        bitrate = numbers(node, "bitrate", "bitrate", least=10e3, most=1e6)
+        values = {key: value for key, value in section.items() if key not in _WHEN}
+        values |= {key: function(values[key]) for key, function in _STORED if key in values}
+        device_name = device.name if device is not None else None
+        values["duration"], values["node"] = values.pop("for", None), device_name
         return BusFault(
-            name,
-            bus.name,
-            device.name if device is not None else None,
-            numbers(node, "at", "time", least=0.0, most=LONGEST) if node.get("at") else None,
-            _integer(node, "frame"),
-            node.span,
-            numbers(node, "delay", "time", least=0.0, most=LONGEST),
-            numbers(node, "for", "time", least=0.0, above=True) if lasts else None,
-            _integer(node, "id") or 0,
-            _integer(node, "cob_id"),
-            numbers(node, "period", "time", 0.0, least=1e-5),
-            _integer(node, "code") or 0,
-            _integer(node, "register") or 0,
-            str(channel.value) if (channel := node.get("channel")) is not None else "",
-            round(bitrate),
-            numbers(node, "share", "number", least=0.0, most=1.0),
-            _data(node),
-            numbers(node, "latency", "time", least=0.0, most=LONGEST),
-            numbers(node, "angle", "angle"),
-            numbers(node, "charge", "number", least=0.0, most=1.0),
-            numbers(node, "speed", "angular_velocity"),
-            _integer(node, "index") or 0,
-            _integer(node, "subindex") or 0,
-            _integer(node, "value") or 0,
-            str(form.value) if (form := node.get("format")) is not None else "standard",
+            kind=name,
+            bus=bus.name,
+            time=section["at"],
+            frame=section["frame"],
+            delay=section["delay"],
+            span=node.span,
+            **values,
         )
 
     def _bus_and_device(self, node: Node, kind: FaultKind) -> tuple[Bus | None, Device | None]:
@@ -215,17 +187,3 @@ class _Reader:
             )
             return False
         return True
-
-
-def _integer(node: Node, key: str) -> int | None:
-    number = node.get(key)
-    return number.value if number is not None and type(number.value) is int else None
-
-
-def _data(node: Node) -> bytes | None:
-    """Returns the data bytes of a forged frame, or ``None`` if the document has no valid data."""
-    if node.get("data") is None:
-        return None
-    values = [element.value for element in items(node.get("data"))]
-    numbers = [value for value in values if type(value) is int]
-    return bytes(numbers) if len(numbers) == len(values) else None
