@@ -107,7 +107,12 @@ _NUMBER = (int, float)
 # which the function `_if` evaluates.
 _IGNORED = {"description", "examples", "title", "default", "$schema", "$id", "then", "else"}
 _IGNORED |= {"x-quantity", "x-words", "x-verbatim"}
-_IGNORED |= {"x-minimum", "x-exclusive-minimum", "x-maximum"}  # of quantities: `document_section`
+_IGNORED |= {
+    "x-minimum",
+    "x-exclusive-minimum",
+    "x-maximum",
+    "x-code",
+}  # of quantities: `document_section`
 _CHECKS: dict[str, _Check] = {
     "type": _type,
     "const": lambda w, v, s: _equal(w, v),

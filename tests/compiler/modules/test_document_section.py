@@ -59,8 +59,8 @@ def test_keys_that_are_not_stated_have_the_default_of_the_schema() -> None:
 @pytest.mark.parametrize(
     ("height", "message"),
     [
-        ("0", "`height` is 0 in SI units; it must be more than 0 and at most 2"),
-        ("3 m", "`height` is 3 in SI units; it must be more than 0 and at most 2"),
+        ("0", "`height` is 0 m; it must be more than 0 m and at most 2 m"),
+        ("3 m", "`height` is 3 m; it must be more than 0 m and at most 2 m"),
         ("3 kg", "`3 kg` is a mass; expected a length"),
     ],
 )

@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 
 from thorvaldc.compiler.compilation import Compilation
-from thorvaldc.compiler.modules.driver_settings import LIMITS, NOISE
+from thorvaldc.compiler.modules.driver_settings import LIMITS
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import from_json, to_json
 from thorvaldc.runtime import run_time_parameters as parameters
 from thorvaldc.runtime.calculators import Noise
+from thorvaldc.schema.documents import inlined
 
 MODULES = """
 modules:
@@ -103,5 +104,7 @@ def test_errors_of_a_parameter_set_have_its_lines(
 
 
 def test_setting_names_equal_those_of_the_runtime() -> None:
-    assert tuple(NOISE) == tuple(field.name for field in dataclasses.fields(Noise))
+    assert tuple(
+        inlined("robot")["properties"]["driver"]["properties"]["noise"]["properties"]
+    ) == tuple(field.name for field in dataclasses.fields(Noise))
     assert tuple(LIMITS) == tuple(parameters.LIMITS)

@@ -1,8 +1,9 @@
 """Converts a checked document to values in SI units, as the JSON Schema of the document says.
 
 The JSON Schema states the kind of quantity of each key (``x-quantity``), its bounds (``x-minimum``,
-``x-exclusive-minimum``, ``x-maximum``: numbers in SI units or quantities such as ``60 deg``) and
-its ``default``.  Readers of documents state none of them again.
+``x-exclusive-minimum``, ``x-maximum``: numbers in SI units or quantities such as ``60 deg``), the
+diagnostic of a value out of bounds (``x-code``), and its ``default``.  Readers of documents state
+none of them again.
 """
 
 from __future__ import annotations
@@ -13,9 +14,8 @@ from typing import Any
 
 from thorvaldc.compiler.modules.value_reader import INVALID, ValueReader, entries
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.compiler.source.units import parse_quantity
+from thorvaldc.compiler.source.units import QUANTITIES, parse_quantity
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Pose
 from thorvaldc.schema.documents import Kind, inlined
 
@@ -79,6 +79,18 @@ class Section:
         """Returns the node of a key, or the node of this section if the key is not stated."""
         return self.node.get(key) or self.node
 
+    def is_within(self, key: str, bounds: Schema) -> bool:
+        """Checks a quantity against bounds that another value of the document gives.
+
+        ``bounds``: values in SI units by the keyword of a schema, such as ``x-minimum``.
+        """
+        schema, span = self._schema["properties"][key], self.entry(key).span
+        return _is_within(self[key], bounds, schema, span, key, self._reader.report)
+
+    def shown(self, key: str, value: float) -> str:
+        """Returns a value that the key can have as text with its SI unit."""
+        return QUANTITIES[self._schema["properties"][key]["x-quantity"]].format_value(value)
+
     def planar_pose(self) -> Pose:
         """Returns the pose of the keys `xyz` (m) and `yaw` (rad, reduced to -pi to pi)."""
         yaw = math.remainder(self["yaw"], 2 * math.pi)
@@ -88,6 +100,12 @@ class Section:
 def read_document(document: Node, kind: Kind, reader: ValueReader) -> Section:
     """Returns the content of a document that the schema check has checked."""
     return Section(document, inlined(kind), reader)
+
+
+def read_section(document: Node, kind: Kind, key: str, reader: ValueReader) -> Section:
+    """Returns the content of one key of a checked document, such as `driver`."""
+    node = document.get(key) or Node({}, document.span)
+    return Section(node, inlined(kind)["properties"][key], reader)
 
 
 def _convert(node: Node, schema: Schema, reader: ValueReader, key: str) -> Any:
@@ -109,18 +127,9 @@ def _convert(node: Node, schema: Schema, reader: ValueReader, key: str) -> Any:
     if quantity is None or value in schema.get("x-words", ()):
         return reader.value(node)
     number = reader.quantity(node, quantity, math.nan)
-    if math.isnan(number):
+    if math.isnan(number) or not _is_within(number, schema, schema, node.span, key, reader.report):
         return INVALID
-    above = "x-exclusive-minimum" in schema
-    least, most = (
-        parse_quantity(bound, quantity) if isinstance(bound, str) else bound
-        for bound in (
-            schema["x-exclusive-minimum"] if above else schema.get("x-minimum", -math.inf),
-            schema.get("x-maximum", math.inf),
-        )
-    )
-    is_valid = is_within(number, node.span, key, reader.report, least=least, most=most, above=above)
-    return number if is_valid else INVALID
+    return number
 
 
 def _as_node(content: Any, span: Span) -> Node:
@@ -132,30 +141,33 @@ def _as_node(content: Any, span: Span) -> Node:
     return Node(content, span)
 
 
-def is_within(
-    value: float,
-    span: Span,
-    key: str,
-    report: Report,
-    *,
-    least: float = -math.inf,
-    most: float = math.inf,
-    above: bool = False,
+def _is_within(
+    value: float, bounds: Schema, schema: Schema, span: Span, key: str, report: Report
 ) -> bool:
-    """Checks that a quantity in SI units is within its bounds, and reports it if it is not.
+    """Checks that a quantity in SI units is within its bounds, and reports it if it is not."""
+    quantity = schema["x-quantity"]
 
-    ``above``: the value must be more than ``least``; otherwise it may equal ``least``.
-    """
-    if least <= value <= most and not (above and value == least):
+    def in_si(keyword: str, otherwise: float) -> float:
+        bound = bounds.get(keyword, otherwise)
+        return parse_quantity(bound, quantity) if isinstance(bound, str) else bound
+
+    least, lower = in_si("x-minimum", -math.inf), in_si("x-exclusive-minimum", -math.inf)
+    most = in_si("x-maximum", math.inf)
+    if least <= value <= most and value > lower:
         return True
-    bounds = []
-    if least > -math.inf:
-        bounds.append(f"{'more than' if above else 'at least'} {plain(least)}")
-    if most < math.inf:
-        bounds.append(f"at most {plain(most)}")
+    kind = QUANTITIES[quantity]
+    words = {"x-minimum": "at least", "x-exclusive-minimum": "more than", "x-maximum": "at most"}
+    parts = [
+        f"{word} {bound if isinstance(bound, str) else kind.format_value(bound)}"
+        for keyword, word in words.items()
+        if (bound := bounds.get(keyword)) is not None
+    ]
+    needed = " and ".join(parts)
+    if len(parts) == 1 and max(least, lower) == 0.0:
+        needed = "positive" if lower == 0.0 else "at least 0"
     report.add(
-        "out-of-range",
-        f"`{key}` is {plain(value)} in SI units; it must be {' and '.join(bounds)}",
+        schema.get("x-code", "out-of-range"),
+        f"`{key}` is {kind.format_value(value)}; it must be {needed}",
         span,
     )
     return False

@@ -25,7 +25,8 @@ from thorvaldc.compiler.geometry.wheel_geometry import (
 from thorvaldc.compiler.modules.battery_connection import read_battery_connection
 from thorvaldc.compiler.modules.calculator_choice import read_calculator
 from thorvaldc.compiler.modules.couplings import couple_joints
-from thorvaldc.compiler.modules.driver_settings import DEFAULT_RATE, DriverSettingsReader
+from thorvaldc.compiler.modules.document_section import read_section
+from thorvaldc.compiler.modules.driver_settings import DriverSettingsReader
 from thorvaldc.compiler.modules.extras_attachment import add_extras
 from thorvaldc.compiler.modules.hardware import hardware_of
 from thorvaldc.compiler.modules.hardware_parts import Hardware
@@ -212,9 +213,10 @@ class _Elaborator:
         # A speed limit that is valid with the nominal wheel radius is also accepted with a smaller
         # measured wheel radius.
         tolerance = 1e-6 if calibration is None else MAX_RADIUS_CHANGE
+        settings = read_section(self.document, "robot", "driver", self.scope)
         settings_reader = DriverSettingsReader(
-            self.document,
-            self.scope,
+            settings,
+            read_section(self.document, "robot", "parameter_sets", self.scope),
             wheels,
             {actuator.joint: actuator for actuator in parts.actuators},
             tolerance,
@@ -224,16 +226,18 @@ class _Elaborator:
         driver = settings_reader.driver()
         parameter_sets = settings_reader.parameter_sets(driver)
         driven = driven_wheels(wheels, parts.actuators)
-        stated = self.document.get("driver") or Node({}, self.document.span)
         driver, parameter_sets = with_command_timeout(
-            driver, parameter_sets, stated.get("command_timeout"), driven
+            driver, parameter_sets, settings.node.get("command_timeout"), driven
         )
         watchdog = longest_watchdog(driver, parameter_sets, driven)
-        twist_inputs = TwistInputReader(self.document, self.scope, self.report)
+        twist_inputs = TwistInputReader(settings, self.report)
         twist_sources = twist_inputs.sources(driver.command_timeout)
         twist_locks = twist_inputs.locks(twist_sources)
         buses = self._wiring(parts, self.report).buses(robot, 1.0 / driver.rate, watchdog)
-        ros = read_ros_settings(self.document, self.scope, self.report)
+        ros_section = read_section(self.document, "robot", "ros", self.scope)
+        ros = read_ros_settings(
+            ros_section, self.scope.text(self.document.get("name")), self.report
+        )
         purchases = read_purchases(
             self.document, robot, self.resolver.library, self.scope, self.report
         )
@@ -265,7 +269,7 @@ class _Elaborator:
             modules=modules_of(robot, hardware, purchases),
         )
         check_ros_names(model, self.document, self.report)
-        check_stopping_distance(model, stated, self.report)
+        check_stopping_distance(model, settings.node, self.report)
         return model
 
     def _wiring(self, parts: RobotParts, report: Report) -> Wiring:
@@ -283,6 +287,7 @@ class _Elaborator:
         warnings.
         """
         bus_report = Report()
-        self._wiring(parts, bus_report).buses(robot, 1.0 / DEFAULT_RATE)
+        rate = read_section(self.document, "robot", "driver", self.scope)["rate"]
+        self._wiring(parts, bus_report).buses(robot, 1.0 / rate)
         for diagnostic in bus_report.errors:
             self.report.put(diagnostic)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from thorvaldc.compiler.modules.value_reader import ValueReader, entries
+from thorvaldc.compiler.modules.document_section import Section
+from thorvaldc.compiler.modules.value_reader import entries
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Proposal, Report
 from thorvaldc.model.robot import Robot
@@ -16,33 +17,25 @@ from thorvaldc.model.ros import (
 )
 
 
-def read_ros_settings(document: Node, reader: ValueReader, report: Report) -> RosSettings:
-    """Returns the settings of the ROS 2 package of a robot.
+def read_ros_settings(section: Section, robot_name: str, report: Report) -> RosSettings:
+    """Returns the settings of the ROS 2 package of a robot: the section `ros` of its document.
 
     The default name of the package is made from the name of the robot.
     """
-    node = document.get("ros") or Node({}, document.span)
-    default = RosSettings()
-    stated = node.get("package")
-    package = package_name(reader.text(document.get("name"), default.package))
-    if stated is not None:
-        package = reader.text(stated, package)
+    package = section.get("package", package_name(robot_name or RosSettings().package))
+    if "package" in section:
         problem = package_problem(package)
         if problem is not None:
             report.add(
                 "ros-package-name",
                 f"`{package}` cannot be the name of a ROS 2 package: {problem}",
-                stated.span,
+                section.entry("package").span,
                 hint=Proposal(
                     f"write `{package_name(package)}`, or leave out `package`",
                     package_name(package),
                 ),
             )
-    return RosSettings(
-        reader.text(node.get("distro"), default.distro),
-        reader.text(node.get("odom_tf"), default.odom_tf),
-        package,
-    )
+    return RosSettings(section["distro"], section["odom_tf"], package)
 
 
 def check_ros_names(robot: Robot, document: Node, report: Report) -> None:

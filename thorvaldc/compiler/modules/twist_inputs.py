@@ -12,9 +12,9 @@ priority 255.  Every twist source must have a lower priority than every stop loc
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
-from thorvaldc.compiler.modules.value_reader import ValueReader, entries
-from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.modules.document_section import Section
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.model.robot import SAFETY_STOP, STOP_PRIORITY, TwistInput
 
@@ -35,9 +35,9 @@ class TwistInputReader:
     source or twist lock.
     """
 
-    def __init__(self, document: Node, reader: ValueReader, report: Report) -> None:
-        self._driver = document.get("driver")
-        self._reader = reader
+    def __init__(self, driver: Section, report: Report) -> None:
+        self._sources = dict(driver["twist_sources"].items())
+        self._locks = dict(driver["twist_locks"].items())
         self._report = report
 
     def sources(self, command_timeout: float) -> tuple[TwistInput, ...]:
@@ -49,11 +49,10 @@ class TwistInputReader:
             name: TwistInput(name, _topic(name), priority, command_timeout)
             for name, priority in DEFAULT_SOURCES.items()
         }
-        stated = self._entries("twist_sources")
-        for name, node in stated.items():
+        for name, section in self._sources.items():
             default = sources.get(name) or TwistInput(name, _topic(name), 0, command_timeout)
-            sources[name] = self._read(node, default, may_be_silent=False)
-        self._check_priorities(sources, stated)
+            sources[name] = _changed(default, section)
+        self._check_priorities(sources)
         return tuple(sources.values())
 
     def locks(self, sources: Sequence[TwistInput]) -> tuple[TwistInput, ...]:
@@ -65,35 +64,14 @@ class TwistInputReader:
             name: TwistInput(name, topic, priority, 0.0)
             for name, (priority, topic) in DEFAULT_LOCKS.items()
         }
-        for name, node in self._entries("twist_locks").items():
+        for name, section in self._locks.items():
             default = locks.get(name) or TwistInput(name, f"{name}/lock", 0, 0.0)
-            locks[name] = self._read(node, default, may_be_silent=True)
+            locks[name] = _changed(default, section)
         for source in sources:
             self._check_locks(source, locks.values())
         return tuple(locks.values())
 
-    def _entries(self, key: str) -> dict[str, Node]:
-        return entries(self._driver.get(key) if self._driver is not None else None)
-
-    def _read(self, node: Node, default: TwistInput, *, may_be_silent: bool) -> TwistInput:
-        """Reads the values of a twist source or twist lock."""
-        priority_node, topic = node.get("priority"), node.get("topic")
-        priority = 0  # The schema check has already reported a missing priority.
-        if priority_node is not None and isinstance(priority_node.value, int):
-            priority = priority_node.value
-        timeout = self._reader.quantity(node.get("timeout"), "time", default.timeout)
-        if timeout < 0.0 or (timeout == 0.0 and not may_be_silent):
-            self._report.add(
-                "size-not-positive",
-                f"`timeout` is {timeout:g}; it must be positive",
-                (node.get("timeout") or node).span,
-            )
-        topic_name = self._reader.text(topic) if topic is not None else default.topic
-        first = node.get("first_command")
-        first_command = self._reader.text(first) if first is not None else default.first_command
-        return TwistInput(default.name, topic_name, priority, timeout, first_command)
-
-    def _check_priorities(self, sources: dict[str, TwistInput], stated: dict[str, Node]) -> None:
+    def _check_priorities(self, sources: dict[str, TwistInput]) -> None:
         """Reports two twist sources with the same priority.
 
         With equal priorities, the order of the twist sources in the document would decide which
@@ -102,6 +80,7 @@ class TwistInputReader:
         first_names: dict[int, str] = {}
         # Default twist sources are checked first.  An error is then reported at a twist source in
         # the robot file, where the user can correct the error.
+        stated = self._sources
         for name in [*(name for name in sources if name not in stated), *stated]:
             priority = sources[name].priority
             first = first_names.setdefault(priority, name)
@@ -109,7 +88,7 @@ class TwistInputReader:
                 self._report.add(
                     "twist-priority-duplicate",
                     f"`{name}` has the priority {priority}, as `{first}` has",
-                    (stated[name].get("priority") or stated[name]).span,
+                    stated[name].entry("priority").span,
                     hint="give each source its own priority",
                 )
 
@@ -134,10 +113,9 @@ class TwistInputReader:
                 hint = f"give the source at most the priority %d, if `{lock.name}` shall stop it"
             else:
                 continue
-            source_node = self._entries("twist_sources").get(source.name)
-            lock_node = self._entries("twist_locks").get(lock.name)
             # The values of the robot file can be corrected; the default values cannot.
-            stated = [_priority(node) for node in (source_node, lock_node) if node is not None]
+            sections = (self._sources.get(source.name), self._locks.get(lock.name))
+            stated = [s.entry("priority") for s in sections if s is not None]
             labels = [Label(node.where, "the lock") for node in stated[1:]]
             span = stated[0].span if stated else None
             self._report.add(
@@ -149,8 +127,10 @@ class TwistInputReader:
             )
 
 
-def _priority(node: Node) -> Node:
-    return node.get("priority") or node
+def _changed(default: TwistInput, section: Section) -> TwistInput:
+    """Returns a twist source or twist lock with the values of a robot document."""
+    # The schema check has already reported a missing priority.
+    return replace(default, **{"priority": 0, **dict(section.items())})
 
 
 def _topic(source: str) -> str:

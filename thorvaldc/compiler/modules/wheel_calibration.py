@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from thorvaldc.compiler.geometry.wheel_geometry import PlacedWheel, spin_joint
-from thorvaldc.compiler.modules.driver_settings import read_noise
-from thorvaldc.compiler.modules.value_reader import ValueReader, entries
+from thorvaldc.compiler.modules.document_section import Section, read_document
+from thorvaldc.compiler.modules.driver_settings import noise_of
+from thorvaldc.compiler.modules.value_reader import ValueReader
 from thorvaldc.compiler.source.near_files import DOCUMENTS, missing_file_hint
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
@@ -104,36 +105,31 @@ def load_calibration(
     report.extend(shape)
     if root is None:
         return None
-    reader = ValueReader(report)
-    _check_robot(reader, root, document, report)
-    calibration = Calibration(noise=read_noise(root.get("noise"), reader, report))
-    for name, entry in entries(root.get("wheels")).items():
-        calibration.names[name] = entry.where
-        radius, offset = entry.get("radius"), entry.get("steering_offset")
-        if radius is not None and radius.value is not None:
-            calibration.radii[name] = Measured(reader.quantity(radius, "length"), radius.span)
-        named_radii = entry.get("radii")
-        if named_radii is not None:
-            calibration.named_radii[name] = {
-                key: Measured(reader.quantity(value, "length"), value.span)
-                for key, value in entries(named_radii).items()
-                if value.value is not None
-            }
-        if offset is not None and offset.value is not None:
-            measured_offset = Measured(reader.quantity(offset, "angle"), offset.span)
-            calibration.steering_offsets[name] = measured_offset
+    _check_robot(root, document, report)
+    measured = read_document(root, "calibration", ValueReader(report))
+    calibration = Calibration(noise=noise_of(measured))
+    for name, wheel in measured["wheels"].items():
+        calibration.names[name] = wheel.node.where
+        if "radius" in wheel:
+            calibration.radii[name] = _measured(wheel, "radius")
+        radii = wheel["radii"]
+        calibration.named_radii[name] = {key: _measured(radii, key) for key, _ in radii.items()}
+        if "steering_offset" in wheel:
+            calibration.steering_offsets[name] = _measured(wheel, "steering_offset")
     return calibration
 
 
-def _check_robot(reader: ValueReader, calibration: Node, document: Node, report: Report) -> None:
+def _measured(section: Section, key: str) -> Measured:
+    return Measured(section.get(key, 0.0), section.entry(key).span)
+
+
+def _check_robot(calibration: Node, document: Node, report: Report) -> None:
     """Checks that the calibration file and the robot document contain the same robot name."""
     measured_node, name_node = calibration.get("robot"), document.get("name")
     if measured_node is None or name_node is None:
         return
-    if None in (measured_node.value, name_node.value):
-        return
-    measured_name, name = reader.text(measured_node), reader.text(name_node)
-    if measured_name != name:
+    measured_name, name = measured_node.value, name_node.value
+    if None not in (measured_name, name) and measured_name != name:
         report.add(
             "calibration-robot",
             f"the calibration is of `{measured_name}`; the robot is `{name}`",

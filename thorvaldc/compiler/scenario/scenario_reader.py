@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from thorvaldc.compiler.modules.document_section import Section, is_within, read_document
+from thorvaldc.compiler.modules.document_section import Section, read_document
 from thorvaldc.compiler.modules.value_reader import ValueReader
 from thorvaldc.compiler.scenario.start_checks import check_obstacles
 from thorvaldc.compiler.scenario.variations import (
@@ -118,9 +118,7 @@ class _SectionReader:
             script = ()
         last_time = 0.0
         for step in script or ():
-            if "at" in step and is_within(
-                step["at"], step.entry("at").span, "at", self.report, least=last_time
-            ):
+            if "at" in step and step.is_within("at", {"x-minimum": last_time}):
                 last_time = step["at"]
             self._check_time(step, last_time, "step")
             vx, vy, wz = step["vx"], step["vy"], step["wz"]
@@ -201,7 +199,8 @@ class _SectionReader:
                 )
         start, end = section["at"], section.get("until", math.inf)
         self._check_time(section, start, "fault")
-        is_within(end, section.entry("until").span, "until", self.report, least=start, above=True)
+        if "until" in section:
+            section.is_within("until", {"x-exclusive-minimum": start})
         return WheelFault(fault_type, robot, section["wheel"], motor, value, start, end, node.span)
 
     def _has_wheel(self, robot: Robot, node: Node, motor: str) -> bool:
