@@ -14,8 +14,8 @@ from tests.examples import FLEETS, ROBOTS, example_fleet, example_robot
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.backends.datasheet import Datasheet
 from thorvaldc.model import Link, Robot
-from thorvaldc.model.facts import robot_facts
 from thorvaldc.model.facts.fact_tables import fact_tables
+from thorvaldc.model.facts.robot_facts import robot_facts
 
 VOID = {"meta", "wbr"}
 ROBOTS_TO_CHECK = ["4wd2ws_tall", "car", "2wd0ws_greenhouse"]

@@ -11,7 +11,7 @@ from thorvaldc.compiler.library import Library
 from thorvaldc.compiler.module_description import ModuleDescription, describe_module
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.model.facts import robot_facts
+from thorvaldc.model.facts.robot_facts import robot_facts
 
 NAMES = Library([]).names()
 

@@ -1,4 +1,4 @@
-"""No generated file contains a placeholder, ``@NAME@``, of the templates of thorvaldc."""
+"""No generated file contains a placeholder or a statement of the templates of thorvaldc."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ import pytest
 
 from tests.examples import FLEETS, ROBOTS, example_fleet, example_robot
 from thorvaldc import backends
-from thorvaldc.backends.placeholders import fill
 from thorvaldc.backends.ros2 import package_of
 from thorvaldc.compiler.new_project import project_files, robot_files
 from thorvaldc.compiler.new_robot import presets
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Fleet, Robot
 
-PLACEHOLDER = re.compile(r"@[A-Z][A-Z0-9_]*@")
+PLACEHOLDER = re.compile(r"@[A-Z][A-Z0-9_]*@|\{\{|\{%|# %")
 OF_OTHERS = {"@BUS_CONFIG_PATH@"}  # ros2_canopen replaces it
 MESHES = (".stl", ".obj", ".png")
 
@@ -59,13 +58,3 @@ def test_presets(preset: str, tmp_path: Path) -> None:
     robot = compile_file(tmp_path / "robot.yaml").model
     assert isinstance(robot, Robot)
     assert placeholders(output(robot)) == []
-
-
-def test_a_value_that_looks_like_a_placeholder_stays_as_it_is() -> None:
-    """Each order of the values gives the same text."""
-    values = {"A": "@B@", "B": "2", "C": "@A@"}
-    for names in ("ABC", "CBA"):
-        ordered = {name: values[name] for name in names}
-        assert fill("@A@ @B@ @C@ a@b.org", ordered) == "@B@ 2 @A@ a@b.org"
-    with pytest.raises(KeyError, match="D"):
-        fill("@D@", values)

@@ -12,50 +12,13 @@ from thorvaldc.backends.datasheet_drawings import (
     tip_over_drawing,
 )
 from thorvaldc.backends.datasheet_outlines import OutlineProjector
+from thorvaldc.backends.templates import Templates
 from thorvaldc.model import Robot
-from thorvaldc.model.data_folder import data_folder
-from thorvaldc.model.facts import robot_facts
 from thorvaldc.model.facts.fact_tables import fact_tables
+from thorvaldc.model.facts.robot_facts import robot_facts
 
 if TYPE_CHECKING:
-    from jinja2 import Template
     from markupsafe import Markup
-
-# A backend must not read files, so the template is read when the target is loaded.
-_TEMPLATE = (data_folder("templates") / "datasheet" / "page.html").read_text(encoding="utf-8")
-
-
-class Datasheet(Backend):
-    name = "datasheet"
-    summary = "HTML page to print: facts, drawings, wiring, labels, modules"
-
-    def emit(self, robot: Robot) -> dict[str, bytes]:
-        facts = robot_facts(robot)
-        projector = OutlineProjector(robot)
-        addresses = [address for bus in facts.buses for address in bus.addresses]
-        page = _template().render(
-            facts=facts,
-            tables=fact_tables(facts),
-            dimensions=dimension_drawing(robot, facts, projector),
-            sides=side_pictures(facts, projector),
-            tip_over=tip_over_drawing(facts.stability),
-            labels=[address for address in addresses if address.id_space],
-        )
-        return {"datasheet/datasheet.html": page.encode()}
-
-
-def _template() -> Template:
-    from jinja2 import Environment, StrictUndefined
-
-    environment = Environment(
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    environment.filters["code"] = _code
-    return environment.from_string(_TEMPLATE)
 
 
 def _code(text: str) -> Markup:
@@ -67,3 +30,26 @@ def _code(text: str) -> Markup:
 
     html = re.sub(r"`([^`]*)`", r"<code>\1</code>", str(escape(text)))
     return Markup(re.sub(r"(?<=\w)([_./])(?=[^\W\d])", r"\1<wbr>", html))
+
+
+_TEMPLATES = Templates("datasheet", {"code": _code}, escapes_html=True)
+
+
+class Datasheet(Backend):
+    name = "datasheet"
+    summary = "HTML page to print: facts, drawings, wiring, labels, modules"
+
+    def emit(self, robot: Robot) -> dict[str, bytes]:
+        facts = robot_facts(robot)
+        projector = OutlineProjector(robot)
+        addresses = [address for bus in facts.buses for address in bus.addresses]
+        page = _TEMPLATES.render(
+            "page.html",
+            facts=facts,
+            tables=fact_tables(facts),
+            dimensions=dimension_drawing(robot, facts, projector),
+            sides=side_pictures(facts, projector),
+            tip_over=tip_over_drawing(facts.stability),
+            labels=[address for address in addresses if address.id_space],
+        )
+        return {"datasheet/datasheet.html": page.encode()}

@@ -16,8 +16,6 @@ from thorvaldc.model import Robot, Sensor
 CLOCK, JOINT_STATES, TRUE_ODOMETRY = "clock", "joint_states", "odometry/true"
 GAZEBO_CLOCK = "gazebo_clock"
 """Topic in ROS with the time of every step of Gazebo's physics; see ``gz_bridge``."""
-CLOCK_STEPS = 10
-"""Steps of the physics between two messages of the topic ``/clock`` in ROS."""
 VELOCITY_COMMAND, POSITION_COMMAND = "cmd_vel", "cmd_pos"
 
 SENSOR_TOPICS = {
@@ -108,8 +106,8 @@ def gz_bridge(robot: Robot, *, ros2_control: bool = False, clock: bool = True) -
     ``clock`` adds the topic ``/clock`` of Gazebo, as ``GAZEBO_CLOCK`` in ROS: Gazebo sends it at
     every step of the physics, and neither Gazebo nor the bridge can send it less often. Each
     message wakes every node that takes its time from ``/clock``, and costs a node in Python 0.7 ms.
-    So a node between the two passes on only one of ``CLOCK_STEPS`` messages. Only one bridge of a
-    fleet may have the clock. See ``bridged_topics`` for ``ros2_control``.
+    So a node in ``gazebo.launch.py`` passes on only one of ten messages. Only one bridge of a fleet
+    may have the clock. See ``bridged_topics`` for ``ros2_control``.
     """
     topics: Sequence[BridgedTopic] = bridged_topics(robot, ros2_control=ros2_control)
     if clock:

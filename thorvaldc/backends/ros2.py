@@ -1,7 +1,8 @@
 """The target `ros2`: an ament_python package that starts the robot in ROS 2.
 
 The folder ``ros2/`` of a build is the package. The page docs/ros2.md describes it. Its parts are in
-the modules whose names begin with ``ros2_``.
+the modules whose names begin with ``ros2_``, and the texts that are not parameters in the folder
+``templates/ros2``.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import posixpath
 
 from thorvaldc.backends import Backend
 from thorvaldc.backends.mjcf import ros2_control_files
-from thorvaldc.backends.ros2_control_launch_files import (
+from thorvaldc.backends.ros2_control_files import (
     control_files,
     control_packages,
     left_out_of_control,
@@ -23,7 +24,13 @@ from thorvaldc.backends.ros2_localization import (
     slam_toolbox,
 )
 from thorvaldc.backends.ros2_navigation import global_costmap, nav2, plugin_packages
-from thorvaldc.backends.ros2_package_files import driver_module, package_files
+from thorvaldc.backends.ros2_package_files import (
+    driver_module,
+    fleet_readme,
+    package_files,
+    readme,
+    rviz_text,
+)
 from thorvaldc.backends.ros2_parameter_file import parameter_file
 from thorvaldc.backends.ros2_parameters import (
     Parameters,
@@ -33,8 +40,6 @@ from thorvaldc.backends.ros2_parameters import (
     teleop,
 )
 from thorvaldc.backends.ros2_parts import Parts, node_space, parts_of
-from thorvaldc.backends.ros2_readme import fleet_readme, readme
-from thorvaldc.backends.ros2_rviz import rviz_text
 from thorvaldc.backends.urdf import urdf_text
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.model_json import to_json

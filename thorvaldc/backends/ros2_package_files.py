@@ -1,14 +1,20 @@
-"""The files that make a folder an ament_python package: package.xml, setup.py and so on."""
+"""The files of a ROS 2 package around its parameters: README, RViz configuration, package.xml,
+setup.py and the program of the base driver, from the templates in ``templates/ros2``."""
 
 from __future__ import annotations
 
 import posixpath
 import re
 from collections.abc import Iterable, Mapping
+from functools import partial
+from typing import NamedTuple
 
-from thorvaldc.backends.placeholders import fill
-from thorvaldc.backends.xml_writer import Element, to_bytes
-from thorvaldc.model import Robot
+from thorvaldc.backends.gazebo_topics import SENSOR_TOPICS
+from thorvaldc.backends.ros2_parameter_file import quoted
+from thorvaldc.backends.ros2_parts import Parts, full_topic, odom_frame, sensor_topic
+from thorvaldc.backends.templates import Templates
+from thorvaldc.backends.xml_writer import escape
+from thorvaldc.model import Fleet, Robot
 
 _NEEDED = re.compile(
     r'package="([a-z0-9_]+)"|get_package_share_directory\("([a-z0-9_]+)"\)|node\("([a-z0-9_]+)", "'
@@ -16,56 +22,32 @@ _NEEDED = re.compile(
 _RUNTIME = ("ament_index_python", "launch", "launch_ros", "rclpy")
 _MESSAGES = ("diagnostic_msgs", "geometry_msgs", "nav_msgs", "rosgraph_msgs", "sensor_msgs")
 _MORE_MESSAGES = ("std_msgs", "std_srvs", "tf2_msgs")
+_TEMPLATES = Templates("ros2", {"quoted": quoted, "xml": escape})
 
-SETUP = """\
-import os
-from glob import glob
+LAUNCHES = {
+    "ideal": "simulation with ideal joints",
+    "mujoco": "simulation in MuJoCo, with `/clock`",
+    "virtual": "the driver on a simulated bus",
+    "robot": "the real robot; `bus:=socketcan:can0`",
+    "teleop": "a pad moves the robot",
+    "gazebo": "simulation in Gazebo",
+    "ros2_control": "controllers of ros2_control in place of the base driver; `hardware:=mock`",
+    "gnss": "GNSS, odometry and IMU give the pose in `map`",
+    "slam": "slam_toolbox makes a map",
+    "navigation": "Nav2 with its localization, beside a launch file that starts the robot",
+    "base": "part of others: description and base driver",
+}
+"""Content of each launch file, for the README."""
 
-from setuptools import setup
 
-package_name = "@PACKAGE@"
+class Display(NamedTuple):
+    """A display of RViz. ``kind`` is the last part of its class, such as ``LaserScan``."""
 
-
-def folder(name):
-    files = [path for path in glob(f"{name}/*") if os.path.isfile(path)]
-    return (f"share/{package_name}/{name}", sorted(files))
-
-
-setup(
-    name=package_name,
-    version="0.0.0",
-    packages=[@MODULES@],
-    data_files=[
-        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
-        (f"share/{package_name}", ["package.xml", "README.md"]),
-@FOLDERS@    ],
-    install_requires=["setuptools"],
-    zip_safe=True,
-    maintainer="unknown",
-    maintainer_email="unknown@example.org",
-    description="@DESCRIPTION@",
-    license="unspecified",
-@SCRIPTS@)
-"""
-
-BASE_DRIVER = '''\
-"""Starts the base driver of thorvaldc."""
-
-import sys
-
-try:
-    from thorvaldc.ros.base_driver import main
-except ModuleNotFoundError as error:
-    if not str(error.name).startswith("thorvaldc"):
-        raise
-    sys.exit(
-        f"The Python of this ROS 2, {sys.executable}, has no package thorvaldc; "
-        "the README of @PACKAGE@ says how to install it."
-    )
-
-if __name__ == "__main__":
-    main()
-'''
+    name: str
+    kind: str
+    topic: str = ""
+    is_latched: bool = False
+    is_best_effort: bool = False
 
 
 def package_files(
@@ -90,50 +72,81 @@ def package_files(
     if has_driver:
         depends.update(_MESSAGES, _MORE_MESSAGES)
     depends.discard(package)
-    folders = sorted({posixpath.dirname(path) for path in files} - {"", package})
     values = {
-        "PACKAGE": package,
-        "DESCRIPTION": description,
-        "MODULES": "package_name" if has_driver else "",
-        "FOLDERS": "".join(f'        folder("{name}"),\n' for name in folders),
-        "SCRIPTS": fill(_SCRIPTS, {"PACKAGE": package}) if has_driver else "",
+        "package": package,
+        "description": description,
+        "depends": sorted(depends),
+        "has_driver": has_driver,
+        "folders": sorted({posixpath.dirname(path) for path in files} - {"", package}),
     }
-    return {
-        "package.xml": _manifest(package, description, sorted(depends)),
-        "setup.py": fill(SETUP, values).encode(),
-        "setup.cfg": (
-            f"[develop]\nscript_dir=$base/lib/{package}\n"
-            f"[install]\ninstall_scripts=$base/lib/{package}\n"
-        ).encode(),
-        f"resource/{package}": b"",
-    }
-
-
-_SCRIPTS = """\
-    entry_points={"console_scripts": ["base_driver = @PACKAGE@.base_driver:main"]},
-"""
+    names = ("package.xml", "setup.py", "setup.cfg")
+    texts = {name: _TEMPLATES.render(name, **values).encode() for name in names}
+    return {**texts, f"resource/{package}": b""}
 
 
 def driver_module(robot: Robot) -> dict[str, bytes]:
     """Return the Python package with the program of the base driver, by path."""
     package = robot.ros.package
-    return {
-        f"{package}/__init__.py": b"",
-        f"{package}/base_driver.py": fill(BASE_DRIVER, {"PACKAGE": package}).encode(),
-    }
+    program = _TEMPLATES.render("base_driver.py", package=package)
+    return {f"{package}/__init__.py": b"", f"{package}/base_driver.py": program.encode()}
 
 
-def _manifest(package: str, description: str, depends: Iterable[str]) -> bytes:
-    root = Element("package", format="3")
-    root.add("name").text = package
-    root.add("version").text = "0.0.0"
-    root.add("description").text = description
-    root.add("maintainer", email="unknown@example.org").text = "unknown"
-    root.add("license").text = "unspecified"
-    for name in depends:
-        root.add("exec_depend").text = name
-    export = root.add("export")
-    export.add("build_type").text = "ament_python"
-    # Gazebo finds meshes by model://<package>/meshes, relative to this folder.
-    export.add("gazebo_ros", gazebo_model_path="${prefix}/..")
-    return to_bytes(root)
+def readme(robot: Robot, parts: Parts, launches: Iterable[str]) -> str:
+    """Return the README: commands, parts, and what is left out with the reasons.
+
+    ``launches`` lists the names of the launch files.
+    """
+    sensors = [
+        {
+            "name": sensor.name,
+            "topic": sensor_topic(robot, sensor),
+            "type": SENSOR_TOPICS[sensor.type][0][1],
+            "frame": f"{robot.prefix}{sensor.link}",
+        }
+        for sensor in robot.sensors
+        if sensor.type in SENSOR_TOPICS and sensor.type != "camera"
+    ]
+    return _TEMPLATES.render(
+        "README.md",
+        robot=robot,
+        package=robot.ros.package,
+        topic=partial(full_topic, robot),
+        sensors=sensors,
+        launches={name: LAUNCHES[name] for name in launches},
+        left_out=parts.left_out,
+    )
+
+
+def fleet_readme(fleet: Fleet, package: str) -> str:
+    """Return the README of the package that starts all robots of a fleet."""
+    return _TEMPLATES.render("fleet_README.md", fleet=fleet, package=package)
+
+
+def rviz_text(robot: Robot, parts: Parts) -> str:
+    """Return the text of the RViz configuration: the robot, its odometry, its lidars and the map.
+
+    Everything is shown in the frame ``odom``, which exists without localization too.
+    """
+    topic = partial(full_topic, robot)
+    displays = [
+        Display("Grid", "Grid"),
+        Display("Robot", "RobotModel", topic("robot_description"), is_latched=True),
+        Display("Frames", "TF"),
+        Display("Odometry", "Odometry", topic("odometry/base_raw")),
+    ]
+    kinds = {"lidar_2d": "LaserScan", "lidar_3d": "PointCloud2"}
+    for lidar in parts.lidars:
+        kind, scan = kinds[lidar.type], sensor_topic(robot, lidar)
+        displays.append(Display(lidar.name, kind, scan, is_best_effort=True))
+    if parts.navigation:
+        costmap = topic("local_costmap/costmap")
+        displays.append(Display("Local costmap", "Map", costmap, is_latched=True))
+        displays.append(Display("Path", "Path", topic("plan")))
+    if parts.slam is not None:
+        displays.append(Display("Map", "Map", topic("map"), is_latched=True))
+    return _TEMPLATES.render(
+        "robot.rviz",
+        displays=displays,
+        fixed_frame=odom_frame(robot),
+        goal_topic=topic("goal_pose"),
+    )

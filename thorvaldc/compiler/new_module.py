@@ -7,7 +7,7 @@ import re
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
-from thorvaldc.backends.placeholders import fill
+from thorvaldc.backends.templates import Templates
 from thorvaldc.compiler.geometry.meshes import load_mesh
 from thorvaldc.compiler.geometry.solids import mesh_triangles
 from thorvaldc.compiler.library import FILE
@@ -57,16 +57,16 @@ def module_files(name: str, mesh: Mesh, mesh_name: str) -> dict[str, bytes]:
     sizes = [max(b - a, 1) for a, b in zip(lows, highs, strict=True)]
     centre = [(a + b) / 2 for a, b in zip(lows, highs, strict=True)]
     mesh_file = f"meshes/{mesh_name}{PurePosixPath(mesh.name).suffix}"
-    text = (data_folder("templates") / "module" / FILE).read_text(encoding="utf-8")
-    values = {
-        "SCHEMA": "../" * (name.count("/") + 1) + SCHEMA,
-        "MESH": mesh_file,
-        "SCALE": "" if is_metric else ", scale: 0.001",
-        "SIZE": _millimetres(sizes),
-        "CENTRE": _millimetres(centre),
-        "TOP": _millimetres([centre[0], centre[1], highs[2]]),
-    }
-    return {f"{name}/{FILE}": fill(text, values).encode(), f"{name}/{mesh_file}": mesh.data}
+    text = Templates("module").render(
+        FILE,
+        schema="../" * (name.count("/") + 1) + SCHEMA,
+        mesh=mesh_file,
+        scale="" if is_metric else ", scale: 0.001",
+        size=_millimetres(sizes),
+        centre=_millimetres(centre),
+        top=_millimetres([centre[0], centre[1], highs[2]]),
+    )
+    return {f"{name}/{FILE}": text.encode(), f"{name}/{mesh_file}": mesh.data}
 
 
 def write_module(library: Path, files: dict[str, bytes]) -> None:

@@ -8,8 +8,9 @@ import pytest
 
 from tests.examples import ROBOTS, example_robot
 from thorvaldc.compiler.source.unit_table import QUANTITIES
-from thorvaldc.model.facts import facts_document, robot_facts
 from thorvaldc.model.facts.fact_quantities import MONEY, PATTERNS, fact_quantity
+from thorvaldc.model.facts.facts_document import facts_document
+from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.tools.study.study_compilation import fact_values
 
 

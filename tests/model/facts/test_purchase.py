@@ -7,8 +7,8 @@ from dataclasses import replace
 from tests.robots import make_robot
 from thorvaldc.diagnostics import Span
 from thorvaldc.model import Module, Purchase, Robot
-from thorvaldc.model.facts import robot_facts
 from thorvaldc.model.facts.fact_tables import FactTable, fact_tables
+from thorvaldc.model.facts.robot_facts import robot_facts
 
 DAY = 86400.0
 

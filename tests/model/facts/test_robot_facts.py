@@ -12,9 +12,9 @@ import pytest
 
 from tests.examples import ROBOTS, example_robot
 from tests.robots import make_robot
-from thorvaldc.model.facts import facts_document, robot_facts
 from thorvaldc.model.facts.fact_tables import fact_tables
-from thorvaldc.model.facts.robot_facts import fact_sections
+from thorvaldc.model.facts.facts_document import facts_document
+from thorvaldc.model.facts.robot_facts import fact_sections, robot_facts
 from thorvaldc.model.statics.gravity import GRAVITY
 
 SQUARE = [(0.5, 0.4), (0.5, -0.4), (-0.5, 0.4), (-0.5, -0.4)]

@@ -10,7 +10,7 @@ import pytest
 from tests.examples import ROBOTS, example_robot
 from tests.robots import make_robot
 from thorvaldc.model import Robot
-from thorvaldc.model.facts import robot_facts
+from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.model.facts.slopes import SlopeLimits
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels

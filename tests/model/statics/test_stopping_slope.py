@@ -10,7 +10,7 @@ import pytest
 from tests.examples import example_robot
 from tests.robots import make_robot
 from thorvaldc.model import Robot
-from thorvaldc.model.facts import robot_facts
+from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.stopping_slope import SlopeStop, SlopeStops, steepest_stops
 from thorvaldc.model.stopping import DRIVE_DEAD, STOP_LOCK

@@ -11,7 +11,7 @@ import pytest
 from tests.examples import ROBOTS, example_robot
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model import Robot
-from thorvaldc.model.facts import robot_facts
+from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.model.facts.stability import DIRECTIONS
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.slope import SlopeStatics

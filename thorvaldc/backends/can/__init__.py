@@ -25,7 +25,9 @@ class Can(Backend):
         alone = len(robot.buses) == 1
         for bus in robot.buses:
             path = "can/robot.dbc" if alone else f"can/{bus.name}.dbc"
-            files[path] = dbc.dbc_text(bus).encode(dbc.ENCODING, "replace")
+            text = dbc.dbc_text(bus)
+            # ASCII is part of the encoding, and its codec is much faster.
+            files[path] = text.encode("ascii" if text.isascii() else dbc.ENCODING, "replace")
             for node in bus.described_nodes:
                 files[f"can/dcf/{node.name}.dcf"] = dcf.dcf_text(bus, node).encode("ascii")
             if bus.described_nodes:

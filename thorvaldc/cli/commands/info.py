@@ -12,7 +12,8 @@ from thorvaldc.cli.diagnostic_output import RESULT_FORMATS, check_format, print_
 from thorvaldc.cli.exits import INPUT
 from thorvaldc.cli.options import ANY_MODEL, Json, Library, ResultFormat, Trust, library_folders
 from thorvaldc.model import Fleet
-from thorvaldc.model.facts import facts_document, robot_facts
+from thorvaldc.model.facts.facts_document import facts_document
+from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.tools.comparison.compared_inputs import read_input
 from thorvaldc.tools.comparison.facts_text import facts_markdown, facts_text
 

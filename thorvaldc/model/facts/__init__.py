@@ -1,9 +1,5 @@
 """Facts about a robot: the derived numbers that a designer or a user of the robot asks for.
 
-``robot_facts`` computes them from the model, and ``facts_document`` converts them to JSON values.
+Begin with ``robot_facts``, which computes them from the model; ``facts_document`` converts them to
+JSON values.  The compiler needs single facts, so this file imports none.
 """
-
-from thorvaldc.model.facts.facts_document import facts_document
-from thorvaldc.model.facts.robot_facts import RobotFacts, robot_facts
-
-__all__ = ["RobotFacts", "facts_document", "robot_facts"]

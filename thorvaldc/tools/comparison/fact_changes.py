@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from thorvaldc.model import Robot
-from thorvaldc.model.facts import RobotFacts, robot_facts
+from thorvaldc.model.facts.robot_facts import RobotFacts, robot_facts
 from thorvaldc.tools.comparison.robot_difference import ValueChange
 
 Fact = tuple[str, Any, str]  # label, value, unit

@@ -13,7 +13,7 @@ from thorvaldc.compiler.source.units import UnitError, parse_any, parse_quantity
 from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.model.facts import robot_facts
+from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.schema.documents import bounds_in_words
 from thorvaldc.tools.language_server import schema_lookup

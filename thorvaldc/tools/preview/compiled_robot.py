@@ -14,8 +14,8 @@ from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.renderers import render_text
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.model.facts import robot_facts
 from thorvaldc.model.facts.fact_tables import fact_tables
+from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.simulation.web_viewer.viewed_robot import MeshCache, MeshData
 from thorvaldc.simulation.web_viewer.viewer_data import page_data
 from thorvaldc.tools.comparison.difference_text import difference_text

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from thorvaldc import __version__
-from thorvaldc.model.data_folder import data_folder
+from thorvaldc.backends.templates import Templates
 from thorvaldc.tools.study.replaced_values import value_text
 from thorvaldc.tools.study.report_content import Column, ReportContent, fact_unit
 from thorvaldc.tools.study.report_robots import ReportRobot
@@ -74,17 +74,11 @@ def study_report(
     Equal arguments give equal texts.  The policy of the document lets it ask no server, and runs
     no script but its own.  Raises ``MissingPackageError`` if plotly is not installed.
     """
-    from jinja2 import Environment, StrictUndefined
-
-    folder = data_folder("templates") / "study"
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    template = environment.from_string((folder / "report.html").read_text(encoding="utf-8"))
-    plotly = load_plotly_script()
-    script = (folder / "report.js").read_text(encoding="utf-8")
+    templates = Templates("study", escapes_html=True)
+    plotly, script = load_plotly_script(), templates.texts["report.js"]
     study, start, *designs = content.study, *robots
-    return template.render(
+    return templates.render(
+        "report.html",
         study=study,
         version=__version__,
         content=content,

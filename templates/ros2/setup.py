@@ -1,0 +1,34 @@
+import os
+from glob import glob
+
+from setuptools import setup
+
+package_name = "{{ package }}"
+
+
+def folder(name):
+    files = [path for path in glob(f"{name}/*") if os.path.isfile(path)]
+    return (f"share/{package_name}/{name}", sorted(files))
+
+
+setup(
+    name=package_name,
+    version="0.0.0",
+    packages=[{{ "package_name" if has_driver else "" }}],
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml", "README.md"]),
+        # % for name in folders
+        folder("{{ name }}"),
+        # % endfor
+    ],
+    install_requires=["setuptools"],
+    zip_safe=True,
+    maintainer="unknown",
+    maintainer_email="unknown@example.org",
+    description="{{ description }}",
+    license="unspecified",
+    # % if has_driver
+    entry_points={"console_scripts": ["base_driver = {{ package }}.base_driver:main"]},
+    # % endif
+)
