@@ -6,6 +6,7 @@ import ast
 import os
 from collections import Counter
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -239,3 +240,23 @@ def test_groups_are_respected(request: pytest.FixtureRequest) -> None:
     if "PYTEST_XDIST_WORKER" not in os.environ:
         pytest.skip("pytest runs in one process")
     assert request.node.nodeid.endswith("@tests of one group run in one process")
+
+
+def test_no_modules_import_each_other(trees: dict[Path, ast.Module]) -> None:
+    """Neither in turn: what a module needs can be read before it.  Imports for types count, too."""
+    names = {
+        path: ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        for path in FILES
+        if path != PACKAGE / "__init__.py"  # the API of all rooms, for type checkers
+    }
+    modules = set(names.values())
+    sorter: TopologicalSorter[str] = TopologicalSorter()
+    for path, name in names.items():
+        for node in ast.walk(trees[path]):
+            if isinstance(node, ast.ImportFrom):
+                for alias in node.names:
+                    module = f"{node.module}.{alias.name}"
+                    imported = module if module in modules else str(node.module)
+                    if imported in modules:
+                        sorter.add(name, imported)
+    sorter.prepare()  # raises CycleError, which names the circle

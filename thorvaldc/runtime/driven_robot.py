@@ -1,4 +1,4 @@
-"""A driven robot: its driver, multiplexer, services, arming and the rule of gaps in time.
+"""A driven robot: its control cycle, its services, and the rule of gaps in time.
 
 Every program that drives a robot uses this one class: ``run``, the ROS 2 node, teleoperation, the
 preview and the tests.  What differs is the base (the joints) and the pace (when cycles are due).
@@ -20,26 +20,21 @@ import queue
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
-from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model.robot import AUTOMATIC, SAFETY_STOP, Robot
+from thorvaldc.model.robot import Robot
+from thorvaldc.runtime.arming import ArmableRobot
 from thorvaldc.runtime.base_interface import BaseHandle
 from thorvaldc.runtime.control.control_server import ControlServer
 from thorvaldc.runtime.driver import BaseDriver, DriveMode, DriverState
-from thorvaldc.runtime.errors import ParameterError, RequestRefused
-from thorvaldc.runtime.multiplexer import Multiplexer
+from thorvaldc.runtime.errors import RequestRefused
 from thorvaldc.runtime.owned_stop import THIS_PROGRAM
-from thorvaldc.runtime.pace import Clock, Pace, SimulatedTime, Timing
-from thorvaldc.runtime.pre_arm_checks import PRE_ARM_CHECKS, PreArmCheck
+from thorvaldc.runtime.pace import Clock, Pace, SimulatedTime
 from thorvaldc.runtime.robot_services import robot_services
 from thorvaldc.runtime.se2 import ZERO_TWIST
 from thorvaldc.runtime.service_table import Caller, Services
 from thorvaldc.runtime.time_gap import Gap, gap_text
 
-Feed = Callable[[BaseDriver, float], object]
-"""Function that is called at the start of each control cycle with the driver and the time (s), and
-may command a twist."""
 Watch = Callable[["DrivenRobot", DriverState], None]
 """Function that is called after each control cycle with the robot and the driver's state."""
 T = TypeVar("T")
@@ -53,25 +48,14 @@ _RESTING = 1e-3
 """Speed (m/s, rad/s) at which a robot has come to rest."""
 
 
-class RunEvent(NamedTuple):
-    """An event of a run at the time ``time`` (s), such as ``armed``."""
-
-    time: float
-    text: str
-
-
-class DrivenRobot:
+class DrivenRobot(ArmableRobot):
     """A running robot, over a base and a pace.
 
     All work happens in the thread that calls ``cycle`` or ``run``.  Other threads use ``submit`` to
     call a service.  A service raises ``RequestRefused`` if it cannot be executed.
 
-    - ``base``, ``driver``, ``multiplexer``, ``services``: parts of the robot;
-    - ``pace``: when control cycles are due, with the statistics ``timing``;
-    - ``feed``: function that commands a twist, in addition to the sources of the multiplexer;
+    - ``services``: what other programs can request;
     - ``before_cycle``: function that is called before each cycle of ``run`` with its time (s);
-    - ``paused``: ``True`` while a simulation is paused;
-    - ``events``: what has happened, such as ``armed``;
     - ``resources``: closed after the base.
     """
 
@@ -101,35 +85,21 @@ class DrivenRobot:
         Raises ``DiagnosticError`` if the parameter set is unknown or the calculator cannot drive
         the robot, and ``OSError`` if another program uses the control channel.
         """
-        self.robot = robot
-        self.base = base
-        self.driver = BaseDriver(robot, base, parameters=parameters)
-        self.driver.permission.disarm()
+        driver = BaseDriver(robot, base, parameters=parameters)
         self.owns_clock = clock is None
         self.clock: Clock = clock or SimulatedTime()
         if self.owns_clock and factor is None:
             factor = 1.0
-        period = base.period or 1.0 / self.driver.settings.rate
-        self.pace = Pace(
+        period = base.period or 1.0 / driver.settings.rate
+        pace = Pace(
             self.clock, period, factor, real_time=real_time, sleep=sleep, keep_starts=keep_starts
         )
-        self.multiplexer = Multiplexer.from_robot(robot)
-        self.feed: Feed | None = None
+        super().__init__(base, driver, pace, arming)
         self.before_cycle: Callable[[float], None] | None = None
-        self.paused = False
-        self.events: list[RunEvent] = []
-        self.pre_arm_checks: list[PreArmCheck] = list(PRE_ARM_CHECKS)
         self.resources = contextlib.ExitStack()
-        self.stop_engaged = False
-        """``True`` from the service ``safety_stop`` until its release by all programs."""
         self._requests: queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]]] = (
             queue.SimpleQueue()
         )
-        self._automatic = (arming or robot.driver.arming) == AUTOMATIC
-        self._arms_itself = self._automatic
-        self._arming_owner: str | None = None
-        """Program whose arming waits for the end of the homing."""
-        self._armed_at = -math.inf
         self._was_ready = False
         self._settled = -math.inf
         self._void_reason = ""
@@ -151,11 +121,6 @@ class DrivenRobot:
     # -- the loop ----------------------------------------------------------------------------------
 
     @property
-    def now(self) -> float:
-        """Time (s) of the robot."""
-        return self.clock.now
-
-    @property
     def input_time(self) -> float:
         """Time (s) of a twist that arrives now, later than a service that was called before."""
         return self.now if self.pace.factor is None else self.now + 0.5 * self.pace.period
@@ -164,25 +129,6 @@ class DrivenRobot:
     def period(self) -> float:
         """Time (s) from one control cycle to the next."""
         return self.pace.period
-
-    @property
-    def timing(self) -> Timing:
-        return self.pace.timing
-
-    @property
-    def armed(self) -> bool:
-        """``True`` if the robot accepts motion."""
-        return self.driver.permission.armed
-
-    @property
-    def arming(self) -> bool:
-        """``True`` while an arming waits for the end of the homing."""
-        return self._arming_owner is not None
-
-    @property
-    def ready(self) -> bool:
-        """``True`` if the base follows joint commands."""
-        return not self.base.hold_reason
 
     def wait(self) -> float:
         """Returns the real time (s) until the next control cycle is due."""
@@ -343,155 +289,6 @@ class DrivenRobot:
         self.paused = paused
         self.void("the simulation was paused")
 
-    # -- arming ------------------------------------------------------------------------------------
-
-    def arming_reasons(self, now: float) -> list[str]:
-        """Returns the reasons of all checks against arming the robot at ``now`` (s)."""
-        reasons = [reason for check in self.pre_arm_checks for reason in check(self, now)]
-        # Two checks can have the same reason, such as a motion that is commanded by a source.
-        return list(dict.fromkeys(reasons))
-
-    def arm(self, owner: str = THIS_PROGRAM) -> str:
-        """Accepts motion of the robot, if all pre-arm checks pass; homes the steering first.
-
-        The robot is disarmed at the start, after each fault, stop and homing, and after ``disarm``.
-        If the steering has to be homed, the robot is armed at the end of the homing, if the program
-        ``owner`` has not ended before and all checks pass again.
-
-        Returns an empty text, or what the arming waits for.  Raises ``RequestRefused`` with the
-        reasons of all checks that do not pass.
-        """
-        if self.armed:
-            return ""
-        now = self.now
-        self._arms_itself = self._automatic
-        if self._arming_owner is None:
-            _raise_if("; ".join(self.arming_reasons(now)))
-            if self.base.is_homed:
-                self._accept_motion(now)
-                return ""
-            _raise_if(self.base.home(now))
-            self._arming_owner = owner
-            self.note("homing the steering")
-        return "homing the steering; the robot is armed when it has ended"
-
-    def disarm(self, reason: str = "") -> None:
-        """Accepts no motion until ``arm`` is called.  A moving robot ramps to rest.
-
-        ``reason``: reason why the robot disarms itself.  Without a reason a person disarms it, and
-        automatic arming ends.
-        """
-        if self.armed:
-            self.note(reason or "disarmed")
-        self.driver.permission.disarm(reason)
-        self._arming_owner = None
-        if not reason:
-            self._arms_itself = False
-
-    def home_steering(self) -> None:
-        """Homes all steering joints, also those that are homed.
-
-        The steering joints turn during homing, and the robot is disarmed.
-        """
-        stops = self.multiplexer.active_stop_locks(self.now)
-        _raise_if(f"the stop lock `{stops[0]}` is active" if stops else "")
-        _raise_if(self.base.home(self.now, again=True))
-
-    def _accept_motion(self, now: float) -> None:
-        self.driver.permission.arm()
-        self.multiplexer.accept_motion(now)
-        self._armed_at = now
-        self.note("armed")
-
-    def _supervise_arming(self, now: float) -> None:
-        """Disarms the robot for every reason to do so, and continues an arming that waits."""
-        base = self.base
-        stops = self.multiplexer.active_stop_locks(now)
-        if stops:
-            base.cancel_homing(now)
-        if self.armed:
-            if stops:
-                self.disarm(f"disarmed: the stop lock `{stops[0]}` is active")
-            elif base.disarming_reason:
-                self.disarm(f"disarmed: {base.disarming_reason}")
-            elif self._forgotten(now):
-                timeout = self.driver.settings.arming_timeout
-                self.disarm(f"disarmed: no source was heard for {timeout:g} s")
-        elif self._arming_owner is not None:
-            if not base.is_homing:
-                self._arming_owner = None
-                self._arm_if_allowed(now)
-        elif self._arms_itself and (self.ready or not base.is_homed):
-            # A homing moves the steering, so that it waits until somebody has commanded zero.
-            if base.is_homed:
-                self._arm_if_allowed(now)
-            elif self.multiplexer.holders(now) or self.feed is not None:
-                with contextlib.suppress(RequestRefused):
-                    self.arm()
-
-    def _arm_if_allowed(self, now: float) -> None:
-        reasons = "; ".join(self.arming_reasons(now))
-        if reasons:
-            self.driver.permission.disarm(f"disarmed: {reasons}")
-        else:
-            self._accept_motion(now)
-
-    def _forgotten(self, now: float) -> bool:
-        """Checks whether no source was heard for the time after which an arming ends."""
-        if self._automatic or self.feed is not None:
-            return False
-        heard = max(self._armed_at, self.multiplexer.last_heard)
-        return now - heard > self.driver.settings.arming_timeout
-
-    # -- stops and faults --------------------------------------------------------------------------
-
-    def safety_stop(
-        self, engaged: bool = True, *, owner: str = THIS_PROGRAM, force: bool = False
-    ) -> None:
-        """Stops all motors of the base and switches the motors off.
-
-        With ``engaged=False``, releases the safety stop of the program ``owner``, or with ``force``
-        of all programs.  Raises ``RequestRefused`` if another program has engaged it.
-
-        After the release, the services ``reset`` and ``arm`` must be called before the robot can
-        drive again.  A stop in software is not a safety function.
-        """
-        self.lock(SAFETY_STOP, engaged, owner=owner, force=force)
-        self.stop_engaged = engaged
-        if engaged:
-            self.disarm("disarmed: the safety stop is engaged")
-        self.base.safety_stop(engaged)
-
-    @property
-    def stop_owners(self) -> tuple[str, ...]:
-        """Names of the programs that have engaged the safety stop, also those that have ended."""
-        return self.multiplexer.lock_owners(SAFETY_STOP) if self.stop_engaged else ()
-
-    def lock(
-        self, name: str, locked: bool = True, *, owner: str = THIS_PROGRAM, force: bool = False
-    ) -> None:
-        """Sets a twist lock of the program ``owner``, or releases it, see ``Multiplexer.lock``.
-
-        Raises ``RequestRefused`` if another program keeps it locked.
-        """
-        others = [name for name in self.multiplexer.lock_owners(name) if name != owner]
-        try:
-            self.multiplexer.lock(name, locked, self.now, owner, force=force)
-        except ParameterError as error:
-            raise RequestRefused(str(error)) from None
-        if force and others and not locked:
-            self.note(f"{owner} released by force `{name}` of {' and '.join(others)}")
-
-    def reset(self) -> None:
-        """Resets a fault or a stop.  After the reset, the robot is disarmed.
-
-        Raises ``RequestRefused`` unless the safety stop is released and no motion is commanded.
-        """
-        now = self.now
-        commanded = self.driver.commanded_twist(now) != ZERO_TWIST
-        _raise_if(self.base.reset(now, commanded or bool(self.multiplexer.requests(now))))
-        self.driver.reset()
-
     # -- services ----------------------------------------------------------------------------------
 
     def call(self, service: str, owner: str = THIS_PROGRAM, **arguments: Any) -> Any:
@@ -526,44 +323,3 @@ class DrivenRobot:
                 future.set_result(service())
             except Exception as error:  # the future raises the exception when its result is read
                 future.set_exception(error)
-
-    def set_drive_parameters(
-        self,
-        parameters: str | None = None,
-        *,
-        radii: dict[str, float] | None = None,
-        limits: dict[str, float] | None = None,
-    ) -> None:
-        """Switches to a parameter set of the robot file, or changes single parameters.
-
-        - ``parameters``: name of a parameter set, or ``None`` for the ordinary parameters;
-        - ``radii``: wheel radii (m) by wheel name;
-        - ``limits``: limits in SI units by name.
-
-        All parameter changes take effect together, between two control cycles.  Raises
-        ``RequestRefused`` if a name or a value is invalid.  Then no parameter is changed.
-        """
-        try:
-            if radii or limits:
-                self.driver.update(radii=radii, noise=None, **(limits or {}))
-            else:
-                self.driver.use(parameters)
-        except (ParameterError, DiagnosticError) as error:
-            raise RequestRefused(str(error)) from None
-
-    def note(self, text: str) -> None:
-        """Records an event for the summary of the run, such as ``armed``."""
-        self.events.append(RunEvent(self.now, text))
-
-    def end_program(self, name: str) -> None:
-        """Notes that a program has ended: its twists are void, its stops stay engaged."""
-        self.multiplexer.release(name)
-        if self._arming_owner == name:
-            self._arming_owner = None
-            self.note("not armed: the program that armed has ended during the homing")
-
-
-def _raise_if(reason: str) -> None:
-    """Raises ``RequestRefused`` with the text ``reason`` if ``reason`` is not empty."""
-    if reason:
-        raise RequestRefused(reason)

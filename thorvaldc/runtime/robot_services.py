@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from thorvaldc.runtime.arming import ArmableRobot
 from thorvaldc.runtime.run_time_parameters import LIMITS
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.runtime.service_table import Argument, Caller, Service, ServiceError
-
-if TYPE_CHECKING:
-    from thorvaldc.runtime.driven_robot import DrivenRobot
 
 FORCE = Argument("force", "flag", False)
 """Argument that also releases the stops of other programs."""
 
 
-def robot_services(robot: DrivenRobot) -> list[Service]:
+def robot_services(robot: ArmableRobot) -> list[Service]:
     """Returns the services that command twists, arm and stop the robot, return its state, reset the
     odometry and change parameters.
 
@@ -84,7 +82,7 @@ def robot_services(robot: DrivenRobot) -> list[Service]:
     ]
 
 
-def _arming_services(robot: DrivenRobot) -> list[Service]:
+def _arming_services(robot: ArmableRobot) -> list[Service]:
     """Returns the services that let the robot move, or take this permission away."""
 
     def arm(now: float, caller: Caller) -> str | None:
@@ -122,7 +120,7 @@ def _arming_services(robot: DrivenRobot) -> list[Service]:
     ]
 
 
-def _stop_services(robot: DrivenRobot) -> list[Service]:
+def _stop_services(robot: ArmableRobot) -> list[Service]:
     """Returns the services that set and release locks."""
 
     def lock(now: float, caller: Caller, name: str, locked: bool, force: bool) -> None:
@@ -163,7 +161,7 @@ def _stop_services(robot: DrivenRobot) -> list[Service]:
     ]
 
 
-def robot_state(robot: DrivenRobot, now: float) -> dict[str, Any]:
+def robot_state(robot: ArmableRobot, now: float) -> dict[str, Any]:
     """Returns the state of a robot as JSON values, in m, rad, m/s and rad/s.
 
     ``time``: time (s) of the last control cycle.  The base adds its own values, such as those of
@@ -200,7 +198,7 @@ def robot_state(robot: DrivenRobot, now: float) -> dict[str, Any]:
     return {**values, **base, "fault": base.get("fault") or values["fault"]}
 
 
-def robot_description(robot: DrivenRobot) -> dict[str, Any]:
+def robot_description(robot: ArmableRobot) -> dict[str, Any]:
     """Returns the constants of a robot as JSON values.
 
     The constants are names, top speeds (m/s, rad/s) and the rate of the control cycle (Hz).

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+from typing import NamedTuple
 
 
 class BaseState(enum.Enum):
@@ -43,3 +44,16 @@ class BaseState(enum.Enum):
         """``True`` if the state of the base is one of the start-up states INIT, PREOP, CONFIG and
         HOMING."""
         return self in (BaseState.INIT, BaseState.PREOP, BaseState.CONFIG, BaseState.HOMING)
+
+
+class StateChange(NamedTuple):
+    """A change of the state of the base.
+
+    - ``time``: time of the change, s.
+    - ``state``: new state of the base.
+    - ``reason``: reason for the state FAULT or ESTOP.
+    """
+
+    time: float
+    state: BaseState
+    reason: str

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.runtime.can_base.battery_and_io_drivers import IoBoardDriver
@@ -14,22 +13,21 @@ from thorvaldc.runtime.can_base.motor_controller import MotorController
 from thorvaldc.runtime.errors import RequestRefused
 from thorvaldc.runtime.service_table import Argument, Service, ServiceError
 
-if TYPE_CHECKING:
-    from thorvaldc.runtime.can_base.can_base import CanBase
-
 
 class BusServices:
     """Requests to the nodes of a robot's buses: settings, outputs, foreign devices.
 
-    Each method raises ``RequestRefused`` if it cannot be executed.
+    Each method raises ``RequestRefused`` if it cannot be executed.  ``standing`` returns ``True``
+    if no wheel turns and no wheel is commanded to turn.
     """
 
-    def __init__(self, base: CanBase) -> None:
-        self._base = base
+    def __init__(self, connections: Sequence[BusConnection], standing: Callable[[], bool]) -> None:
+        self._connections = connections
+        self._standing = standing
 
     @property
     def boards(self) -> list[IoBoardDriver]:
-        return [board for connection in self._base.connections for board in connection.boards]
+        return [board for connection in self._connections for board in connection.boards]
 
     def set_home_count_current_position_zero(self, node: str = "") -> None:
         """Sets the present steering angles of one or all motor controllers as the zero position.
@@ -73,7 +71,7 @@ class BusServices:
 
     def mute_devices(self, muted: bool = True) -> None:
         """Stops relaying CAN frames to foreign devices.  ``muted=False`` resumes relaying."""
-        for connection in self._base.connections:
+        for connection in self._connections:
             connection.relay.mute(muted)
 
     def set_output(self, board: str, output: str, on: bool) -> None:
@@ -81,7 +79,7 @@ class BusServices:
 
         Raises ``RequestRefused`` if the robot has no such IO board or output.
         """
-        for connection in self._base.connections:
+        for connection in self._connections:
             for io_board in connection.boards:
                 if io_board.node.name == board:
                     try:
@@ -116,7 +114,7 @@ class BusServices:
         """
         return {
             f"{cob_id:#05x} {reason}": number
-            for connection in self._base.connections
+            for connection in self._connections
             for (cob_id, reason), number in sorted(connection.relay.dropped.items())
         }
 
@@ -128,7 +126,7 @@ class BusServices:
         An empty name selects all motor controllers.  Raises ``RequestRefused`` if no motor
         controller has this name.
         """
-        every = [(c, controller) for c in self._base.connections for controller in c.controllers]
+        every = [(c, controller) for c in self._connections for controller in c.controllers]
         matching = [
             (c, controller) for c, controller in every if node in ("", controller.node.name)
         ]
@@ -138,13 +136,13 @@ class BusServices:
         return matching
 
     def _connection(self, bus: str) -> BusConnection:
-        for connection in self._base.connections:
+        for connection in self._connections:
             if bus in ("", connection.bus.name):
                 return connection
         raise RequestRefused(f"there is no bus `{bus}`")
 
     def _require_standing(self) -> None:
-        if not self._base.standing:
+        if not self._standing():
             raise RequestRefused("the robot drives; stop it first")
 
 
@@ -205,8 +203,3 @@ def bus_services(services: BusServices) -> Iterator[Service]:
         from_devices,
         (Argument("bus", "text", ""),),
     )
-
-
-def number_or_none(value: float) -> float | None:
-    """Returns ``None`` for NaN and infinity, which JSON cannot represent."""
-    return value if math.isfinite(value) else None

@@ -35,7 +35,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 from thorvaldc.can.canopen import NmtCommand
 from thorvaldc.can.frame import CanFrame
@@ -51,32 +51,18 @@ from thorvaldc.runtime.base_interface import (
     JointCommands,
     JointStates,
 )
-from thorvaldc.runtime.can_base.arming_reasons import arming_reasons
-from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.can_base.base_state import BaseState, StateChange
 from thorvaldc.runtime.can_base.base_state_machine import BaseStateMachine, Times
 from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryState
 from thorvaldc.runtime.can_base.battery_supervision import BatteryLevel, BatterySupervision
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
-from thorvaldc.runtime.can_base.bus_services import BusServices, bus_services, number_or_none
-from thorvaldc.runtime.can_base.component_statuses import component_statuses
+from thorvaldc.runtime.can_base.bus_diagnostics import arming_reasons, component_statuses
+from thorvaldc.runtime.can_base.bus_services import BusServices, bus_services
 from thorvaldc.runtime.can_base.motor_controller import Intent
 from thorvaldc.runtime.service_table import Service
 
 SEND_TIME = 0.25
 """Longest waiting time of one frame for room in the send queue, as a share of the cycle."""
-
-
-class StateChange(NamedTuple):
-    """A change of the state of the base.
-
-    - ``time``: time of the change, s.
-    - ``state``: new state of the base.
-    - ``reason``: reason for the state FAULT or ESTOP.
-    """
-
-    time: float
-    state: BaseState
-    reason: str
 
 
 class CanBase(BaseHandle):
@@ -132,7 +118,7 @@ class CanBase(BaseHandle):
         batteries = [battery for c in self.connections for battery in c.batteries]
         self.battery_supervision = BatterySupervision(robot.driver.battery, batteries)
         self._battery_level = BatteryLevel.OK
-        self.nodes = BusServices(self)
+        self.nodes = BusServices(self.connections, lambda: self.standing)
         self.cycles = 0
         """Number of control cycles whose frames were all sent."""
         self.incomplete = 0
@@ -258,7 +244,7 @@ class CanBase(BaseHandle):
         return self.state_machine.times.stop
 
     def arming_reasons(self, now: float) -> Iterator[str]:
-        return arming_reasons(self, now)
+        return arming_reasons(self.state_machine, self.battery_supervision, now)
 
     def home(self, now: float, *, again: bool = False) -> str:
         return self.state_machine.home(now, again)
@@ -308,9 +294,9 @@ class CanBase(BaseHandle):
             "fault": self.state_machine.reason,
             "batteries": {
                 name: {
-                    "voltage": number_or_none(battery.voltage),
-                    "current": number_or_none(battery.current),
-                    "charge": number_or_none(battery.charge),
+                    "voltage": _number_or_none(battery.voltage),
+                    "current": _number_or_none(battery.current),
+                    "charge": _number_or_none(battery.charge),
                 }
                 for name, battery in self.batteries().items()
             },
@@ -319,7 +305,7 @@ class CanBase(BaseHandle):
         }
 
     def component_statuses(self, now: float) -> Iterator[ComponentStatus]:
-        return component_statuses(self, now)
+        return component_statuses(self.state_machine, self.battery_supervision, self.changes, now)
 
     def send_to_device(self, frame: CanFrame, now: float) -> str:
         """A frame that no bus knows is refused by the last bus, which counts it."""
@@ -415,3 +401,8 @@ def _require_connected_motors(robot: Robot) -> None:
                 actuator.span,
                 hint="connect it to a channel of a controller",
             )
+
+
+def _number_or_none(value: float) -> float | None:
+    """Returns ``None`` for NaN and infinity, which JSON cannot represent."""
+    return value if math.isfinite(value) else None
