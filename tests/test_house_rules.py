@@ -170,7 +170,7 @@ def calls(trees: dict[Path, ast.Module], name: str) -> set[str]:
 def test_json_of_others_is_read_in_one_place(trees: dict[Path, ast.Module]) -> None:
     """``json.loads`` raises ``RecursionError`` for nested brackets, and is for texts of our own."""
     assert calls(trees, "json.loads") | calls(trees, "json.load") == {
-        "compiler/writer.py",
+        "compiler/output/writer.py",
         "diagnostics/foreign_json.py",
         "schema/documents.py",
         "tools/comparison/leaf_differences.py",
@@ -182,7 +182,7 @@ def test_files_are_written_in_one_place(trees: dict[Path, ast.Module]) -> None:
     """A full disk leaves a half file behind ``write_text``; these write to temporary folders."""
     assert calls(trees, ".write_text") | calls(trees, "path.write_bytes") == {
         "cli/hardware_warning.py",  # a mark whose content does not count
-        "compiler/writer.py",
+        "compiler/output/writer.py",
         "simulation/physics/mujoco_scene.py",
         "tools/audit/expanded_descriptions.py",
         "tools/provenance/robot_probe.py",
@@ -219,7 +219,7 @@ def test_columns_and_markdown_are_laid_out_in_one_place(
     assert escapers == {"diagnostics/text_layout.py"}
     assert padding == {
         "cli/progress.py",  # a bar
-        "compiler/geometry/mesh_formats.py",  # bytes
+        "compiler/shapes/mesh_formats.py",  # bytes
         "diagnostics/renderers.py",  # line numbers beside an excerpt
         "diagnostics/text_layout.py",
     }

@@ -5,8 +5,8 @@ from __future__ import annotations
 import textwrap
 from pathlib import Path
 
-from thorvaldc.compiler.compilation import Compilation
 from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.compiler.result.compilation import Compilation
 from thorvaldc.diagnostics import Diagnostic
 from thorvaldc.model import Robot
 

@@ -47,10 +47,10 @@ __all__ = [
 # Type checkers and editors read the imports; the program reads the table below.  A test compares
 # the two.
 if TYPE_CHECKING:
-    from thorvaldc.compiler.compilation import Compilation
     from thorvaldc.compiler.loading import CompileError, load, load_fleet
     from thorvaldc.compiler.pipeline import compile_file as compile
     from thorvaldc.compiler.pipeline import emit
+    from thorvaldc.compiler.result.compilation import Compilation
     from thorvaldc.diagnostics import Diagnostic, Report, Severity, Span
     from thorvaldc.diagnostics.error import DiagnosticError
     from thorvaldc.model import Fleet, Robot

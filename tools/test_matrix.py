@@ -37,7 +37,7 @@ UV = [sys.executable, "-m", "uv", "--quiet"]
 # packages.
 TESTS = [
     *("tests/golden", "tests/test_api.py", "tests/cli/test_command_table.py"),
-    *("tests/can", "tests/model", "tests/compiler/geometry", "tests/compiler/source"),
+    *("tests/can", "tests/model", "tests/compiler/shapes", "tests/compiler/source"),
     *("tests/diagnostics", "tests/tools/calibration"),
 ]
 

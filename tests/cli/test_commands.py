@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import GOOD, Command
-from thorvaldc.compiler.worker_process import containment_gaps
+from thorvaldc.compiler.sandbox.worker_process import containment_gaps
 from thorvaldc.diagnostics import CODES
 
 

@@ -15,8 +15,8 @@ from tests.examples import FOLDER
 from tests.workshop import CART, Workshop
 from thorvaldc.backends import DEFAULT_TARGETS
 from thorvaldc.compiler import pipeline
-from thorvaldc.compiler.compilation import Compilation
 from thorvaldc.compiler.pipeline import MODEL_FILE, compile_file, emit
+from thorvaldc.compiler.result.compilation import Compilation
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import from_json

@@ -76,9 +76,9 @@ def write(files: dict[str, Any], folder: Path) -> None:
 
 
 def check_build(compilation: Any, case: dict[str, Any]) -> None:
-    from thorvaldc.compiler.build_freshness import check_freshness
+    from thorvaldc.compiler.output.build_freshness import check_freshness
+    from thorvaldc.compiler.output.writer import write_build
     from thorvaldc.compiler.pipeline import emit
-    from thorvaldc.compiler.writer import write_build
 
     files = emit(compilation.model, ["urdf"])
     name, folder = compilation.model.name, Path("build") / compilation.model.name
@@ -116,7 +116,7 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
     if command == "fresh":
         check_build(compilation, case)
     if command == "pin":
-        from thorvaldc.compiler.writer import write_locks
+        from thorvaldc.compiler.output.writer import write_locks
 
         os.chmod(".", 0o555 if case.get("read_only") else 0o755)
         try:
@@ -206,7 +206,7 @@ def explain(entry: str, robot: Robot, path: str, report: Report) -> None:
 
 
 def run_on_a_bus(robot: Robot, report: Report) -> None:
-    from thorvaldc.compiler.injected_fault_file import read_faults
+    from thorvaldc.compiler.bus.injected_fault_file import read_faults
     from thorvaldc.diagnostics.error import DiagnosticError
     from thorvaldc.simulation.bus.fault_injection import FaultInjector
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
@@ -225,7 +225,7 @@ def run_on_a_bus(robot: Robot, report: Report) -> None:
 
 def drive_by_its_buses(robot: Robot, devices: str | None, report: Report) -> None:
     """Runs the base driver for a second on simulated devices of ``robot`` or of ``devices``."""
-    from thorvaldc.compiler.injected_fault_file import read_faults
+    from thorvaldc.compiler.bus.injected_fault_file import read_faults
     from thorvaldc.compiler.pipeline import compile_file
     from thorvaldc.diagnostics.error import DiagnosticError
     from thorvaldc.runtime.run_session import RunSession

@@ -23,7 +23,7 @@ FILES: dict[Kind, list[Path]] = {
     "scenario": sorted(ROOT.glob("examples/scenarios/*.yaml")),
     "study": sorted(ROOT.glob("examples/studies/*/study.yaml")),
     "bus_faults": sorted(ROOT.glob("examples/bus_faults/*.yaml")),
-    "calibration": [ROOT / "tests/compiler/modules/calibration.yaml"],
+    "calibration": [ROOT / "tests/compiler/robot_settings/calibration.yaml"],
     "device_memory": [ROOT / "tests/simulation/bus/device_memory.json"],
 }
 UNEXPECTED = [

@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 
-from thorvaldc.compiler.modules.document_section import Section
-from thorvaldc.compiler.modules.value_reader import ValueReader
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.compiler.source.units import QUANTITIES, parse_any, parse_quantity
 from thorvaldc.compiler.validation.document_check import check
+from thorvaldc.compiler.values.document_section import Section
+from thorvaldc.compiler.values.value_reader import ValueReader
 from thorvaldc.diagnostics import Report
 from thorvaldc.schema import KINDS, Kind, bundle, inlined, schema_text
 

@@ -45,7 +45,7 @@ def target_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
 @_completer
 def preset_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes the presets of new robots."""
-    from thorvaldc.compiler.new_robot import presets
+    from thorvaldc.compiler.scaffolding.new_robot import presets
 
     yield from presets()
 
@@ -53,7 +53,7 @@ def preset_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
 @_completer
 def module_types(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes the module types of the library and of the folders of ``--library``."""
-    from thorvaldc.compiler.library import Library
+    from thorvaldc.compiler.modules.library import Library
 
     folders = [(Path(name), name) for name in ctx.params.get("library") or ()]
     yield from Library(folders).names()

@@ -10,8 +10,8 @@ from pathlib import Path
 from thorvaldc.cli.diagnostic_output import message, print_json, report_of, show_report, table_width
 from thorvaldc.cli.run_pictures import RunPictures
 from thorvaldc.cli.run_records import Robots, open_recorders, record_summary, write_errors
-from thorvaldc.compiler.compilation import Compilation
 from thorvaldc.compiler.pipeline import emit
+from thorvaldc.compiler.result.compilation import Compilation
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Fleet, Robot

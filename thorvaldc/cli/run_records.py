@@ -12,7 +12,7 @@ from pathlib import Path
 import typer
 
 from thorvaldc.cli.exits import OutsideError, closing_when_terminated
-from thorvaldc.compiler.source.ros_bag import MissingPackageError
+from thorvaldc.compiler.recordings.ros_bag import MissingPackageError
 from thorvaldc.diagnostics.atomic_file import AtomicFile
 from thorvaldc.model import Robot
 from thorvaldc.simulation.control_loop import ControlLoop, TickCallback

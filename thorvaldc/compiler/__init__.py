@@ -1,4 +1,7 @@
-"""The compiler reads robot, fleet and scenario files and builds the model.
+"""Turns a ``robot.yaml`` into the model of the robot, a report, and the files of the targets.
 
-The module ``pipeline`` runs the stages of the compiler.
+Begin with ``pipeline.py``, which runs the stages in order; ``elaborate.py`` makes the model.  May
+import ``backends``, ``schema``, ``runtime``, ``can``, ``model`` and ``diagnostics``, but no
+simulator and no bus.  The rooms inside have an order of their own, from ``source`` (text to nodes)
+up to ``scenario`` and ``output``: see the contract "Rooms of the compiler" in ``pyproject.toml``.
 """

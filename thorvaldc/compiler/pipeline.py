@@ -26,19 +26,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from thorvaldc import backends
-from thorvaldc.compiler.acceptances import read_acceptances
 from thorvaldc.compiler.bus.stopping_distance import check_stops_on_slope
 from thorvaldc.compiler.bus.wiring_checks import check_sides
-from thorvaldc.compiler.compilation import Compilation, Compile, SourceFile
-from thorvaldc.compiler.geometry.meshes import shared_mesh_workers
-from thorvaldc.compiler.geometry.purpose_checks import check_purpose
-from thorvaldc.compiler.geometry.robot_checks import check_robot
-from thorvaldc.compiler.library import Library
-from thorvaldc.compiler.lock_update import read_robot_lock, update_robot_lock
-from thorvaldc.compiler.modules.calculator_choice import check_calculator
-from thorvaldc.compiler.modules.design_requirements import read_design
-from thorvaldc.compiler.modules.elaborate import elaborate
+from thorvaldc.compiler.checks.purpose_checks import check_purpose
+from thorvaldc.compiler.checks.robot_checks import check_robot
+from thorvaldc.compiler.elaborate import elaborate
+from thorvaldc.compiler.modules.library import Library
 from thorvaldc.compiler.modules.resolve import Resolver
+from thorvaldc.compiler.result.acceptances import read_acceptances
+from thorvaldc.compiler.result.compilation import Compilation, Compile, SourceFile
+from thorvaldc.compiler.result.lock_update import read_robot_lock, update_robot_lock
+from thorvaldc.compiler.robot_settings.calculator_choice import check_calculator
+from thorvaldc.compiler.robot_settings.design_requirements import read_design
+from thorvaldc.compiler.shapes.meshes import shared_mesh_workers
 from thorvaldc.compiler.source.near_files import FOLDERS, missing_file_hint
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
@@ -93,7 +93,7 @@ def compile_file(
     with shared_mesh_workers():
         if source.kind == "scenario":
             # The module ``scenario_compilation`` is imported only for scenario files.
-            from thorvaldc.compiler.scenario_compilation import compile_scenario
+            from thorvaldc.compiler.scenario.scenario_compilation import compile_scenario
 
             return compile_scenario(source, compile_one, robot, changes)
         if source.kind not in ("robot", "fleet"):
@@ -117,7 +117,7 @@ def _compile(source: SourceFile, library: Sequence[Path], trust: bool) -> Compil
     """Compiles a robot or fleet file."""
     if source.kind == "fleet":
         # The module ``fleet_compilation`` is imported only for fleet files.
-        from thorvaldc.compiler.fleet_compilation import compile_fleet
+        from thorvaldc.compiler.scenario.fleet_compilation import compile_fleet
 
         return compile_fleet(source, partial(_compile, library=library, trust=trust))
     return compile_robot(source, library, trust)

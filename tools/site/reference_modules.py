@@ -8,7 +8,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.compiler.library import Library, ModuleType
+from thorvaldc.compiler.modules.library import Library, ModuleType
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from thorvaldc.compiler.extras.load_extras import Attachment, ExtraParts, load_extras
-from thorvaldc.compiler.geometry.mesh_formats import binary_stl
+from thorvaldc.compiler.shapes.mesh_formats import binary_stl
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Diagnostic, Report, Span
 from thorvaldc.model import Joint, Link, Pose

@@ -17,11 +17,11 @@ from thorvaldc.cli.completed_values import target_names
 from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
 from thorvaldc.cli.exits import OutsideError
 from thorvaldc.cli.options import Format, Library, ModelFiles, Trust, library_folders
-from thorvaldc.compiler.build_freshness import check_freshness
 from thorvaldc.compiler.bus.lock_file import without_lock_files
-from thorvaldc.compiler.compilation import Compilation
+from thorvaldc.compiler.output.build_freshness import check_freshness
+from thorvaldc.compiler.output.writer import WriteError, write_build, write_locks
 from thorvaldc.compiler.pipeline import compile_file, emit
-from thorvaldc.compiler.writer import WriteError, write_build, write_locks
+from thorvaldc.compiler.result.compilation import Compilation
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Robot
 

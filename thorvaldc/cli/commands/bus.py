@@ -27,7 +27,7 @@ from thorvaldc.cli.options import (
 )
 from thorvaldc.cli.robot_file import load_robot
 from thorvaldc.cli.virtual_robot import describe_injected_fault, make_mujoco_base, read_store
-from thorvaldc.compiler.injected_fault_file import read_faults
+from thorvaldc.compiler.bus.injected_fault_file import read_faults
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot

@@ -14,7 +14,7 @@ from thorvaldc.cli.options import Library, Strict, Trust, library_folders
 from thorvaldc.cli.standard_input import NAME, standard_input
 from thorvaldc.compiler.bus.lock_file import without_lock_files
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.compiler.worker_process import containment_gaps
+from thorvaldc.compiler.sandbox.worker_process import containment_gaps
 from thorvaldc.diagnostics import Accepted, Severity
 from thorvaldc.diagnostics.renderers import render_accepted
 from thorvaldc.model import Fleet, Robot

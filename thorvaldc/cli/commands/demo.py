@@ -13,7 +13,7 @@ import typer
 
 from thorvaldc.cli.diagnostic_output import count, message, show_report, table_width
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
-from thorvaldc.compiler.writer import WriteError
+from thorvaldc.compiler.output.writer import WriteError
 from thorvaldc.simulation.run_result import result_table
 from thorvaldc.tools.demo.demo import DemoJob, DemoOutcome, run_demo
 

@@ -11,7 +11,7 @@ import typer
 
 from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
 from thorvaldc.cli.options import Format, Strict, library_folders
-from thorvaldc.compiler.modules.library_check import check_library
+from thorvaldc.compiler.catalogue.library_check import check_library
 
 
 def check_modules(

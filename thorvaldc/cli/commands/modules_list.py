@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from thorvaldc.cli.diagnostic_output import print_json, print_table, show_report
 from thorvaldc.cli.options import Json, Library, library_folders
-from thorvaldc.compiler.library import Library as ModuleLibrary
-from thorvaldc.compiler.module_text import first_sentence, module_summary
+from thorvaldc.compiler.catalogue.module_text import first_sentence, module_summary
+from thorvaldc.compiler.modules.library import Library as ModuleLibrary
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
 

@@ -10,8 +10,13 @@ import typer
 
 from thorvaldc.cli.diagnostic_output import show_report
 from thorvaldc.cli.exits import DONE
-from thorvaldc.compiler.library import FILE, Library
-from thorvaldc.compiler.new_module import is_module_type, module_files, module_mesh, write_module
+from thorvaldc.compiler.modules.library import FILE, Library
+from thorvaldc.compiler.scaffolding.new_module import (
+    is_module_type,
+    module_files,
+    module_mesh,
+    write_module,
+)
 from thorvaldc.diagnostics import Report
 
 

@@ -9,15 +9,15 @@ import typer
 from thorvaldc.cli.completed_values import module_types
 from thorvaldc.cli.diagnostic_output import print_json, print_table, show_report
 from thorvaldc.cli.options import Json, Library, library_folders
-from thorvaldc.compiler.library import Library as ModuleLibrary
-from thorvaldc.compiler.module_description import describe_module
-from thorvaldc.compiler.module_text import (
+from thorvaldc.compiler.catalogue.module_description import describe_module
+from thorvaldc.compiler.catalogue.module_text import (
     description_document,
     description_rows,
     mass_rows,
     parameter_rows,
     port_rows,
 )
+from thorvaldc.compiler.modules.library import Library as ModuleLibrary
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.suggest import nearest

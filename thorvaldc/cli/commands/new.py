@@ -9,8 +9,8 @@ import typer
 
 from thorvaldc.cli.completed_values import preset_names
 from thorvaldc.cli.exits import DONE
-from thorvaldc.compiler.new_project import project_files, robot_files, write_new_files
-from thorvaldc.compiler.new_robot import is_robot_name, presets
+from thorvaldc.compiler.scaffolding.new_project import project_files, robot_files, write_new_files
+from thorvaldc.compiler.scaffolding.new_robot import is_robot_name, presets
 
 
 def new(

@@ -23,7 +23,7 @@ from thorvaldc.compiler.bus.device_sections import (
     listed,
 )
 from thorvaldc.compiler.bus.frame_checks import check_channels, check_layout, check_scales
-from thorvaldc.compiler.modules.scope import Scope
+from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source.edits import insertion
 from thorvaldc.compiler.source.expression_dimensions import EXPECTED, without_angle
 from thorvaldc.compiler.source.node import Node

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from thorvaldc.compiler.modules.scope import Scope
+from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source import node as source
 from thorvaldc.diagnostics import Span
 from thorvaldc.model.robot import Actuator, FrameDefinition, Node

@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 from thorvaldc.compiler.bus.device_frames import HEARTBEAT_PERIOD, minimum_interval, standard_frames
 from thorvaldc.compiler.bus.device_sections import MASTER, BusSpec, Placed, entries
 from thorvaldc.compiler.bus.node_ids import bus_name
-from thorvaldc.compiler.library import Library
-from thorvaldc.compiler.modules.scope import Scope
+from thorvaldc.compiler.modules.library import Library
+from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source import node as source
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model.bus import CANOPEN

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from thorvaldc.compiler.library import Library
-from thorvaldc.compiler.modules.document_section import Section, read_document
-from thorvaldc.compiler.modules.scope import Scope
+from thorvaldc.compiler.modules.library import Library
+from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.values.document_section import Section, read_document
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.bus import Bus

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 from thorvaldc.compiler.bus.assemble_buses import BusSpec, Device, Wire, build_buses
 from thorvaldc.compiler.bus.lock_file import Lock
-from thorvaldc.compiler.modules.instance import Instance, name_prefix
+from thorvaldc.compiler.modules.module_parameters import Scope
+from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
 from thorvaldc.compiler.modules.resolve import Resolver
-from thorvaldc.compiler.modules.scope import Scope
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.robot import Actuator, Bus, Joint

@@ -10,7 +10,7 @@ from thorvaldc.compiler.bus.device_sections import (
     entries,
     listed,
 )
-from thorvaldc.compiler.modules.instance import Instance, name_prefix
+from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model.robot import Actuator, Robot

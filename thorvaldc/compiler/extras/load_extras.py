@@ -35,7 +35,7 @@ from thorvaldc.compiler.extras.xacro_expand import (
     readable_folders,
     search_paths,
 )
-from thorvaldc.compiler.geometry.meshes import load_mesh
+from thorvaldc.compiler.shapes.meshes import load_mesh
 from thorvaldc.compiler.source.near_files import FOLDERS, XACRO_FILES, missing_file_hint
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.units import UnitError, parse_quantity

@@ -13,7 +13,7 @@ from typing import Any
 from thorvaldc.compiler.extras.joint_servos import stated_servos
 from thorvaldc.compiler.extras.urdf_elements import ELEMENTS, EXTENSIONS, ElementReader
 from thorvaldc.compiler.extras.xacro_expand import Element
-from thorvaldc.compiler.geometry.solids import solid_of_shapes
+from thorvaldc.compiler.shapes.solids import solid_of_shapes
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import (
     Box,

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.compiler.extras import xacro_worker
-from thorvaldc.compiler.worker_process import WorkerLimitError, WorkerLimits, WorkerProcess
+from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError, WorkerLimits, WorkerProcess
 from thorvaldc.diagnostics import Span
 
 LIMITS = WorkerLimits(

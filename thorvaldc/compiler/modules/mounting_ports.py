@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from thorvaldc.compiler.modules.instance import Instance, name_prefix
-from thorvaldc.compiler.modules.references import References
-from thorvaldc.compiler.modules.value_reader import items
+from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
+from thorvaldc.compiler.modules.port_references import References
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.values.value_reader import items
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.model.spatial import Pose

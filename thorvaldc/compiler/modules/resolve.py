@@ -10,14 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from thorvaldc.compiler.library import Library, ModuleType
-from thorvaldc.compiler.modules.instance import Instance, used_by
+from thorvaldc.compiler.modules.library import Library, ModuleType
+from thorvaldc.compiler.modules.module_parameters import NONE, ModuleChoice, Scope, hint_of_known
+from thorvaldc.compiler.modules.module_tree import Instance, used_by
 from thorvaldc.compiler.modules.mounting import Mounting
-from thorvaldc.compiler.modules.references import References
-from thorvaldc.compiler.modules.scope import NONE, ModuleChoice, Scope, hint_of_known
-from thorvaldc.compiler.modules.value_reader import INVALID, entries
+from thorvaldc.compiler.modules.port_references import References
 from thorvaldc.compiler.source.edits import removal
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.values.value_reader import INVALID, entries
 from thorvaldc.diagnostics import Report, Span
 
 MAX_DEPTH = 12  # Greatest depth of nested assemblies.

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
-from thorvaldc.compiler.modules.document_section import Section
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model import Placement, Pose, Robot
 from thorvaldc.model.ros import package_name

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from thorvaldc.compiler.modules.document_section import Section
+from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Block, Box, Cylinder, Pose, Shape, Sphere
 

@@ -6,8 +6,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from thorvaldc.compiler.modules.document_section import Section, read_document
-from thorvaldc.compiler.modules.value_reader import ValueReader
 from thorvaldc.compiler.scenario.start_checks import check_obstacles
 from thorvaldc.compiler.scenario.variations import (
     read_variations,
@@ -18,6 +16,8 @@ from thorvaldc.compiler.scenario.world_reader import read_world, with_friction
 from thorvaldc.compiler.scenario.zone_reader import check_starts
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
+from thorvaldc.compiler.values.document_section import Section, read_document
+from thorvaldc.compiler.values.value_reader import ValueReader
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Fleet, Robot

@@ -11,9 +11,9 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from thorvaldc.compiler.modules.document_section import Section
-from thorvaldc.compiler.modules.value_reader import entries, items
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.values.document_section import Section
+from thorvaldc.compiler.values.value_reader import entries, items
 from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Block, Box, Cylinder, Fleet, Placement, Pose, Shape, Sphere

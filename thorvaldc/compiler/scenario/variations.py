@@ -14,10 +14,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from thorvaldc.compiler.compilation import SETTING
-from thorvaldc.compiler.modules.value_reader import entries
+from thorvaldc.compiler.result.compilation import SETTING
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_text
+from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report, Span
 
 MAX_RUNS = 100_000

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from thorvaldc.compiler.modules.document_section import Section
 from thorvaldc.compiler.scenario.obstacle_reader import ObstacleReader
 from thorvaldc.compiler.scenario.zone_reader import CELLS_PER_WAVE, MAX_CELLS, read_zones
 from thorvaldc.compiler.source.edits import insertion, removal
+from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Ground, Robot, World

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 
-from thorvaldc.compiler.modules.document_section import Section
 from thorvaldc.compiler.source.edits import removal
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Fleet, Zone

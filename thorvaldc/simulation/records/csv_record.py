@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from thorvaldc.compiler.source.csv_table import TIME, Table, read_table
+from thorvaldc.compiler.recordings.csv_table import TIME, Table, read_table
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.atomic_file import AtomicFile
 from thorvaldc.diagnostics.suggest import did_you_mean

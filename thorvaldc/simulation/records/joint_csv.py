@@ -24,7 +24,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from thorvaldc.compiler.source.csv_table import (
+from thorvaldc.compiler.recordings.csv_table import (
     TIME,
     RowRules,
     cell_span,

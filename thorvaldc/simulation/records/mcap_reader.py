@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.compiler.source.ros_bag import (
+from thorvaldc.compiler.recordings.ros_bag import (
     COMMANDED_TWIST,
     COMMANDS,
     JOINTS,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from thorvaldc.compiler.source.ros_bag import is_bag
+from thorvaldc.compiler.recordings.ros_bag import is_bag
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Robot
 from thorvaldc.simulation.records.csv_record import read_csv_record

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote
 
-from thorvaldc.compiler.geometry.meshes import load_mesh, shared_mesh_workers
+from thorvaldc.compiler.shapes.meshes import load_mesh, shared_mesh_workers
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Mesh, Vec3
 from thorvaldc.tools.audit.audit_facts import Body, Description, Evidence, SolidShape

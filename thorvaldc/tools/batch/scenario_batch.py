@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.backends.mjcf import simulation_files
-from thorvaldc.compiler.compilation import Compilation
 from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.compiler.result.compilation import Compilation
 from thorvaldc.compiler.scenario.variations import (
     Change,
     Variations,

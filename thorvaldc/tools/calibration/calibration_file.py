@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.compiler.modules.wheel_calibration import load_calibration
+from thorvaldc.compiler.robot_settings.wheel_calibration import load_calibration
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.atomic_file import write_file

@@ -10,8 +10,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from thorvaldc.compiler.compilation import Compilation
 from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.compiler.result.compilation import Compilation
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.bounded_file import read_bounded
 from thorvaldc.diagnostics.error import DiagnosticError

@@ -12,15 +12,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.compiler.compilation import SourceFile
-from thorvaldc.compiler.library import Library
-from thorvaldc.compiler.modules.instance import Instance
+from thorvaldc.compiler.modules.library import Library
+from thorvaldc.compiler.modules.module_parameters import ModuleChoice
+from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.modules.resolve import Resolver
-from thorvaldc.compiler.modules.scope import ModuleChoice
-from thorvaldc.compiler.modules.value_reader import INVALID
 from thorvaldc.compiler.pipeline import library_folders_of
+from thorvaldc.compiler.result.compilation import SourceFile
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
+from thorvaldc.compiler.values.value_reader import INVALID
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Actuator, Battery, Robot, Sensor
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from thorvaldc import __version__
 from thorvaldc.backends import DEFAULT_TARGETS
+from thorvaldc.compiler.output.writer import write_build
 from thorvaldc.compiler.pipeline import compile_file, emit
-from thorvaldc.compiler.writer import write_build
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet
 from thorvaldc.simulation.run_result import SimulationResult

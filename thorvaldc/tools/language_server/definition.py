@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from thorvaldc.compiler.library import FILE, ModuleType
+from thorvaldc.compiler.modules.library import FILE, ModuleType
 from thorvaldc.diagnostics import Span
 from thorvaldc.tools.language_server.document_tree import node_at, place_at
 from thorvaldc.tools.language_server.module_view import ModuleView

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from lsprotocol import types
 
-from thorvaldc.compiler.modules.value_reader import entries
 from thorvaldc.compiler.source.input_file import unsaved_texts
+from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Span
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.schema.documents import Kind

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from thorvaldc.compiler.module_text import module_facts
-from thorvaldc.compiler.modules.value_reader import INVALID
+from thorvaldc.compiler.catalogue.module_text import module_facts
 from thorvaldc.compiler.source.edits import yaml_text
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any, parse_quantity
+from thorvaldc.compiler.values.value_reader import INVALID
 from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Fleet, Robot

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from thorvaldc.compiler.bus.lock_file import ADDRESSES, lock_path
-from thorvaldc.compiler.modules.value_reader import entries
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Span
 from thorvaldc.tools.language_server.cursor import Path as KeyPath
 from thorvaldc.tools.language_server.document_tree import place_at

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from thorvaldc.compiler.library import Library, ModuleType
-from thorvaldc.compiler.modules.instance import Instance, Mount
+from thorvaldc.compiler.modules.library import Library, ModuleType
+from thorvaldc.compiler.modules.module_parameters import Scope
+from thorvaldc.compiler.modules.module_tree import Instance, Mount
 from thorvaldc.compiler.modules.mounting import mount_kinds
-from thorvaldc.compiler.modules.references import References
+from thorvaldc.compiler.modules.port_references import References
 from thorvaldc.compiler.modules.resolve import Resolver
-from thorvaldc.compiler.modules.scope import Scope
-from thorvaldc.compiler.modules.value_reader import entries
 from thorvaldc.compiler.pipeline import library_folders_of
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
+from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model.spatial import Pose
 from thorvaldc.schema.documents import Kind

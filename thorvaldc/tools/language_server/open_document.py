@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from urllib.parse import quote, unquote, urlsplit
 
-from thorvaldc.compiler.library import FILE as MODULE_FILE
+from thorvaldc.compiler.modules.library import FILE as MODULE_FILE
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.schema.documents import Kind
 from thorvaldc.tools.language_server.document_tree import tree_of

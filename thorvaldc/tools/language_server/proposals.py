@@ -7,12 +7,12 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 
-from thorvaldc.compiler.module_text import first_sentence
-from thorvaldc.compiler.modules.value_reader import entries
-from thorvaldc.compiler.new_robot import presets, robot_text
+from thorvaldc.compiler.catalogue.module_text import first_sentence
+from thorvaldc.compiler.scaffolding.new_robot import presets, robot_text
 from thorvaldc.compiler.source.edits import yaml_text
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_quantity
+from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.tools.language_server import hover, schema_lookup
 from thorvaldc.tools.language_server.cursor import Cursor, Path

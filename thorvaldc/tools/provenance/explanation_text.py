@@ -7,9 +7,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.compiler.library import BUILTIN_LIBRARY
-from thorvaldc.compiler.modules.value_reader import items
+from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.values.value_reader import items
 from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.excerpt import Excerpts
 from thorvaldc.diagnostics.text_layout import paragraph, text_list

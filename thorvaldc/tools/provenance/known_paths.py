@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from thorvaldc.compiler.modules.instance import Instance
+from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.model.facts.facts_document import facts_document
 from thorvaldc.tools.provenance.explanation import FACTS, Explainer
 from thorvaldc.tools.provenance.model_paths import all_paths, changed_value, value_at

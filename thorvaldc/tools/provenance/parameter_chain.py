@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from thorvaldc.compiler.modules.instance import Instance
-from thorvaldc.compiler.modules.scope import ModuleChoice, Scope
-from thorvaldc.compiler.modules.value_reader import INVALID
+from thorvaldc.compiler.modules.module_parameters import ModuleChoice, Scope
+from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.source.expression_tokens import ExpressionError, tokenize
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
+from thorvaldc.compiler.values.value_reader import INVALID
 from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.suggest import nearest

@@ -10,16 +10,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.compiler.compilation import Compilation, SourceFile
+from thorvaldc.compiler.elaborate import elaborate
 from thorvaldc.compiler.extras.xacro_expand import remembered_expansions
-from thorvaldc.compiler.geometry.meshes import shared_mesh_workers
-from thorvaldc.compiler.library import Library, ModuleType
-from thorvaldc.compiler.lock_update import read_robot_lock
-from thorvaldc.compiler.modules.design_requirements import read_design
-from thorvaldc.compiler.modules.elaborate import elaborate
-from thorvaldc.compiler.modules.instance import Instance
+from thorvaldc.compiler.modules.library import Library, ModuleType
+from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.pipeline import library_folders_of
+from thorvaldc.compiler.result.compilation import Compilation, SourceFile
+from thorvaldc.compiler.result.lock_update import read_robot_lock
+from thorvaldc.compiler.robot_settings.design_requirements import read_design
+from thorvaldc.compiler.shapes.meshes import shared_mesh_workers
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.diagnostics import Diagnostic, Report

@@ -13,11 +13,11 @@ from typing import Any
 
 from thorvaldc.backends.mjcf import simulation_files
 from thorvaldc.compiler.bus.wiring import remembered_buses
-from thorvaldc.compiler.compilation import Compilation, SourceFile
 from thorvaldc.compiler.extras.xacro_expand import remembered_expansions
-from thorvaldc.compiler.geometry.meshes import shared_mesh_workers
 from thorvaldc.compiler.pipeline import compile_robot
-from thorvaldc.compiler.scenario_compilation import compile_scenario
+from thorvaldc.compiler.result.compilation import Compilation, SourceFile
+from thorvaldc.compiler.scenario.scenario_compilation import compile_scenario
+from thorvaldc.compiler.shapes.meshes import shared_mesh_workers
 from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.diagnostics import Diagnostic, Report
 from thorvaldc.diagnostics.error import DiagnosticError

@@ -7,8 +7,8 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from thorvaldc.compiler.compilation import SourceFile
 from thorvaldc.compiler.pipeline import compile_robot, emit_without_model
+from thorvaldc.compiler.result.compilation import SourceFile
 from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError

@@ -15,19 +15,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.compiler.compilation import Compilation, Compile, SourceFile
-from thorvaldc.compiler.fleet_compilation import open_named_file
-from thorvaldc.compiler.library import Library
-from thorvaldc.compiler.modules.purchase_reader import MoneyError, parse_money
-from thorvaldc.compiler.modules.value_reader import entries, items
+from thorvaldc.compiler.hardware.purchase_reader import MoneyError, parse_money
+from thorvaldc.compiler.modules.library import Library
 from thorvaldc.compiler.pipeline import library_folders_of
+from thorvaldc.compiler.result.compilation import Compilation, Compile, SourceFile
+from thorvaldc.compiler.scenario.fleet_compilation import open_named_file
+from thorvaldc.compiler.scenario.scenario_compilation import compile_scenario
 from thorvaldc.compiler.scenario.scenario_reader import metric_names
 from thorvaldc.compiler.scenario.variations import read_range
-from thorvaldc.compiler.scenario_compilation import compile_scenario
 from thorvaldc.compiler.source.input_file import read_bytes, unsaved_texts
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import MAX_BYTES
 from thorvaldc.compiler.source.units import UnitError, parse_any, parse_quantity
+from thorvaldc.compiler.values.value_reader import entries, items
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.report import Proposal
 from thorvaldc.diagnostics.suggest import did_you_mean

@@ -1,0 +1,103 @@
+"""Tests of the processes that read files of others: how many start, and how each of them ends."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.child_process import ChildProcess, is_running
+from tests.compiler.extras.xacro_files import HEAD, STL
+from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.compiler.sandbox import worker_process
+
+ROBOT = """\
+thorvaldc: 1
+name: robot
+modules:
+  frame: {type: frame/tube_rectangular, params: {length: 1.1, width: 0.9}}
+  fl: {type: assembly/steered_drive, mount: frame.front_left}
+  fr: {type: assembly/steered_drive, mount: frame.front_right}
+  rl: {type: assembly/steered_drive, mount: frame.rear_left}
+  rr: {type: assembly/steered_drive, mount: frame.rear_right}
+extras:
+  - {xacro: a.xacro}
+"""
+ENDLESS_XACRO = HEAD + "<link name='${len([0 for i in range(10**11) if not i+1])}'/></robot>"
+MESHES = HEAD + "".join(
+    f'<link name="m{i}"><collision><geometry><mesh filename="m{i}.{suffix}"/></geometry>'
+    f'</collision></link><joint name="j{i}" type="fixed"><parent link="frame_body"/>'
+    f'<child link="m{i}"/></joint>'
+    for i, suffix in enumerate(["stl", "obj", "off", "stl", "off"])
+)
+POINTS = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+FACES = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+
+
+def write(folder: Path, xacro: str) -> Path:
+    (folder / "a.xacro").write_text(xacro, encoding="utf-8")
+    (folder / "robot.yaml").write_text(ROBOT, encoding="utf-8")
+    return folder / "robot.yaml"
+
+
+def off(size: float) -> str:
+    lines = ["OFF", "4 4 6", *(" ".join(str(size * n) for n in p) for p in POINTS)]
+    return "\n".join([*lines, *(f"3 {a} {b} {c}" for a, b, c in FACES), ""])
+
+
+def test_a_build_starts_at_most_three_workers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One for the xacro files, one for STL and OBJ files, and one for all other meshes."""
+    started: list[subprocess.Popen[bytes]] = []
+    start = worker_process._start
+
+    def counted() -> subprocess.Popen[bytes]:
+        started.append(start())
+        return started[-1]
+
+    monkeypatch.setattr(worker_process, "_start", counted)
+    robot = write(tmp_path, MESHES + "</robot>")
+    for i in (0, 3):
+        (tmp_path / f"m{i}.stl").write_bytes(STL)
+    lines = [*(f"v {x} {y} {z}" for x, y, z in POINTS), "f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"]
+    (tmp_path / "m1.obj").write_text("\n".join(lines), encoding="utf-8")
+    for i in (2, 4):
+        (tmp_path / f"m{i}.off").write_text(off(0.1 * i), encoding="utf-8")
+    compilation = compile_file(robot)
+    assert not compilation.report.has_errors, [d.message for d in compilation.report]
+    assert len(started) == 3
+    assert [process.returncode for process in started] == [-signal.SIGKILL] * 3
+    compile_file(robot)  # the meshes are kept; the xacro file is expanded again
+    assert len(started) == 4
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])
+def test_a_worker_ends_with_its_parent(tmp_path: Path, end: signal.Signals) -> None:
+    robot = write(tmp_path, ENDLESS_XACRO)
+    process = ChildProcess(
+        [sys.executable, "-m", "thorvaldc", "check", str(robot)], stderr=subprocess.DEVNULL
+    )
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    deadline = time.monotonic() + 30.0
+    worker = ""
+    while not worker and time.monotonic() < deadline:
+        time.sleep(0.02)
+        worker = children.read_text().strip()
+    status = Path(f"/proc/{worker}/stat")
+    while time.monotonic() < deadline:  # until it has computed for 0.5 s
+        fields = status.read_text().rpartition(")")[2].split()
+        if int(fields[11]) > 50:
+            break
+        time.sleep(0.02)
+    process.send_signal(end)
+    process.wait(timeout=10.0)
+    deadline = time.monotonic() + 5.0  # the limit of processor time would be 10 s
+    while is_running(worker) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not is_running(worker)

@@ -1,1 +1,0 @@
-"""Computes wheel geometry and static wheel loads, reads meshes, and checks complete robots."""

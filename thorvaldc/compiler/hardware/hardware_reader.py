@@ -1,0 +1,254 @@
+"""Computes the hardware of a module (links, joints, motors and devices) from the module document.
+
+The hardware of a module does not depend on the position of the module in the robot.  If a robot has
+nine equal drives, the hardware of the drive is computed once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterator
+
+from thorvaldc.compiler.hardware.hardware_parts import (
+    BatteryPart,
+    Hardware,
+    LinkPart,
+    SensorPart,
+    WheelPart,
+)
+from thorvaldc.compiler.hardware.joint_reader import read_joints, read_motors
+from thorvaldc.compiler.hardware.link_shapes import LinkShapeReader
+from thorvaldc.compiler.hardware.module_values import ModuleValues
+from thorvaldc.compiler.hardware.purchase_reader import read_purchase
+from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY, ModuleType
+from thorvaldc.compiler.modules.module_parameters import Scope
+from thorvaldc.compiler.source.expression_dimensions import element_of
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.values.value_reader import INVALID, entries, items
+from thorvaldc.diagnostics import Report
+from thorvaldc.model.robot import Collision, SourcedMass, Tread, Visual
+from thorvaldc.model.spatial import Inertial, Pose, clean, combine
+
+MAX_CACHED = 256
+"""Largest number of parameter values of a module type whose hardware is cached: a study compiles
+designs without end."""
+MAX_REPETITIONS = 1000  # Largest number of copies of a link part with the key `for`.
+
+
+def hardware_of(module: ModuleType, scope: Scope, report: Report) -> Hardware | None:
+    """Returns the hardware of a module that is not an assembly.
+
+    The hardware of a module type is cached for each set of parameter values.  Returns no hardware
+    (``None``) if the value of a parameter is invalid.  The error of an invalid parameter value has
+    already been reported.
+    """
+    key = tuple(tuple(v) if isinstance(v, list) else v for v in scope.parameter_values())
+    if any(value is INVALID for value in key):
+        return None
+    key = (*scope.library.palette().items(), *key)
+    if key not in module.elaborated:
+        if len(module.elaborated) >= MAX_CACHED:
+            module.elaborated.clear()
+        # The diagnostics of a module type are cached, because each use of the module type must
+        # report the diagnostics.
+        module_report = Report()
+        outer_report, scope.report = scope.report, module_report
+        try:
+            built = _HardwareReader(module, scope, module_report).read()
+        finally:
+            scope.report = outer_report
+        module.elaborated[key] = (built, module_report)
+    hardware: Hardware
+    hardware, module_report = module.elaborated[key]
+    report.extend(module_report)
+    return hardware
+
+
+class _HardwareReader:
+    """Reads the hardware of one module type for given parameter values."""
+
+    def __init__(self, module: ModuleType, scope: Scope, report: Report) -> None:
+        self.module = module
+        self.scope = scope
+        self.report = report
+        self.values = ModuleValues(module, scope, report)
+        self.shapes = LinkShapeReader(
+            module.folder,
+            module.display.startswith(BUILTIN_LIBRARY),
+            scope.library.palette(),
+            report,
+        )
+
+    def read(self) -> Hardware:
+        """Returns the hardware of the module and reports all errors in the module document."""
+        section, document, values = self.module.section, self.module.document, self.values
+        if not values.link_names and (section("links") or section("joints")):
+            self.report.add(
+                "link-unknown",
+                f"`{self.module.name}` has no links with these parameters",
+                next(iter({**section("joints"), **section("links")}.values())).where,
+                hint="leave the whole module out instead: `type: none`",
+            )
+            return Hardware((), (), (), None, None, None, Pose(), (), None)
+        links = tuple(self._link(name, section("links")[name]) for name in values.link_names)
+        joints = read_joints(values)
+        motors = read_motors(values, joints)
+        for port in section("ports").values():
+            values.link_name(port.get("link"))
+        mount = document.get("mount")
+        self._check_mount_link(mount)
+        free_mount = document.get("free_mount")
+        if free_mount is not None:
+            values.link_name(free_mount.get("link"))
+        height = document.get("height_above_ground")
+        is_stated = height is not None and self.scope.evaluate(height) is not None
+        wheel, sensor, battery = (
+            node if node is not None and values.is_present(node) else None
+            for node in map(document.get, ("wheel", "sensor", "battery"))
+        )
+        if sensor or battery or any(link.visuals or link.collisions for link in links):
+            self._check_mass(links)
+        return Hardware(
+            links,
+            joints,
+            motors,
+            self._wheel(wheel) if wheel is not None else None,
+            self._sensor(sensor) if sensor is not None else None,
+            self._battery(battery) if battery is not None else None,
+            self.scope.pose(mount) if mount is not None else Pose(),
+            tuple(self.shapes.meshes.values()),
+            self.scope.quantity(height, "length") if is_stated else None,
+            read_purchase(document.get("purchase"), self.scope, self.report),
+        )
+
+    def _check_mass(self, links: tuple[LinkPart, ...]) -> None:
+        """Checks that a module that is a body, and not only a frame, has a mass."""
+        if self.report.has_errors:
+            return  # a mass with an error is not missing
+        if links and not any(mass.mass for link in links for mass in link.masses):
+            self.report.add(
+                "module-massless",
+                f"`{self.module.name}` has no mass: the weight, the wheel loads and the tip-over "
+                "angles of the robot leave it out",
+                links[0].span,
+                hint="weigh it and give one of its parts a `mass` with its `source`",
+            )
+
+    def _check_mount_link(self, mount: Node | None) -> None:
+        """Checks that the key `mount` of a module document names the first link of the module."""
+        node = mount.get("link") if mount is not None else None
+        link_names = self.values.link_names
+        if node is not None and self.values.link_name(node) in link_names[1:]:
+            self.report.add(
+                "link-unknown",
+                f"`{self.module.name}` is mounted by `{self.scope.text(node)}`, which is not its "
+                f"first link, `{link_names[0]}`",
+                node.span,
+                hint="the first link carries the mount; write that link first",
+            )
+
+    # -- links ------------------------------------------------------------------------
+
+    def _link(self, name: str, node: Node) -> LinkPart:
+        """Reads a link of a module document with the visual shapes, collision shapes and masses of
+        all parts of the link.
+        """
+        visuals: list[Visual] = []
+        collisions: list[Collision] = []
+        inertials: list[Inertial] = []
+        masses: list[SourcedMass] = []
+        for part in items(node.get("parts")):
+            for scope in self._repetitions(part):
+                if scope.boolean(part.get("when"), True):
+                    mass = self.shapes.read(part, scope, visuals, collisions)
+                    if mass is not None:
+                        inertials.append(mass)
+                        source = scope.text(part.get("source"))
+                        masses.append(SourcedMass(clean(mass.mass), source))
+        inertial = combine(inertials).clean() if inertials else None
+        return LinkPart(
+            name, inertial, tuple(visuals), tuple(collisions), tuple(masses), node.where
+        )
+
+    def _repetitions(self, part: Node) -> list[Scope]:
+        """Returns the names for expressions for each copy of a part with the key `for`."""
+        loop = part.get("for")
+        if loop is None or not isinstance(loop.value, dict):
+            return [self.scope]
+        scopes = [self.scope]
+        for name, node in loop.value.items():
+            values = self.scope.evaluate(node) if isinstance(node.value, str) else node.value
+            if not isinstance(values, tuple | list):
+                self.report.add("wrong-type", "expected a list", node.span)
+                values = ()
+            dimensions = self.scope.dimension_of(node) if values else []
+            values = [self.values.scalar(v) if isinstance(v, Node) else v for v in values]
+            count = len(scopes) * len(values)
+            if count > MAX_REPETITIONS:
+                self.report.add(
+                    "too-many-parts",
+                    f"a part is repeated {count} times; at most {MAX_REPETITIONS} are read",
+                    loop.where,
+                )
+                return []
+            scopes = [
+                scope.with_names({name: value}, {name: element_of(dimensions, index)})
+                for scope in scopes
+                for index, value in enumerate(values)
+            ]
+        return scopes
+
+    # -- wheel, sensor, battery -------------------------------------------------------------
+
+    def _wheel(self, node: Node) -> WheelPart:
+        """Reads the section `wheel` of a module document."""
+        values, radii = self.values, node.get("radii")
+        radius_names = entries(radii)
+        return WheelPart(
+            values.link_name(node.get("link")),
+            values.positive(node, "radius", "length", 0.1),
+            values.positive(node, "width", "length", 0.1),
+            tuple((key, values.positive(radii, key, "length", 0.1)) for key in radius_names)
+            if radii
+            else (),
+            self.scope.quantity(node.get("friction"), "ratio", 0.8),
+            self.scope.quantity(node.get("rolling_resistance"), "ratio", 0.0),
+            tuple(self._treads(node.get("treads"), radius_names)),
+            node.where,
+        )
+
+    def _treads(self, node: Node | None, radius_names: Container[str]) -> Iterator[Tread]:
+        """Yields the treads of a wheel, which are the rolling surfaces of the wheel.
+
+        Each tread of a wheel needs a radius of the same name in the section `radii`.
+        """
+        for name, entry in entries(node).items():
+            if name not in radius_names:
+                self.report.add(
+                    "missing-key",
+                    f"the ring `{name}` has no radius",
+                    entry.where,
+                    hint=f"add `radii: {{{name}: 90 mm}}`",
+                )
+                continue
+            yield Tread(
+                name,
+                self.scope.vector(entry.get("xyz"), "length"),
+                self.values.positive(entry, "width", "length", 0.1),
+                self.values.not_negative(entry, "flange", "length"),
+            )
+
+    def _sensor(self, node: Node) -> SensorPart:
+        """Reads the section `sensor` of a module document."""
+        return SensorPart(
+            self.scope.text(node.get("type")),
+            self.values.link_name(node.get("link")),
+            self.values.properties(node.get("properties")),
+        )
+
+    def _battery(self, node: Node) -> BatteryPart:
+        """Reads the section `battery` of a module document."""
+        return BatteryPart(
+            self.scope.boolean(node.get("present"), True),
+            self.values.link_name(node.get("link")),
+            self.values.properties(node.get("properties")),
+        )

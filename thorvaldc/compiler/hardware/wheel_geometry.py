@@ -1,0 +1,289 @@
+"""Computes the geometry of the wheels in the frame ``base_link``, with every joint at zero.
+
+A wheel is modelled as a circle in the middle plane of the wheel.  The contact point is the lowest
+point of the circle, also for a wheel with camber.  A wheel can turn about a vertical axis, which is
+a steering axis or a swivel axis.  ``Wheel.x`` and ``Wheel.y`` are the coordinates of the turning
+point, where the steering or swivel axis meets the horizontal plane through the contact point.
+``Wheel.trail`` is the distance from the turning point to the contact point along the heading.
+``Wheel.lateral_offset`` is the distance from the turning point to the contact point to the left of
+the heading.  Side view of a caster that rolls to the right::
+
+                  | swivel axis
+            _     |
+          ( + )---+
+        ----c-----o----->  heading      o = (x, y), c = contact point, trail = -|oc|
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from thorvaldc.compiler.hardware.hardware_parts import WheelPart
+from thorvaldc.diagnostics import Report, Span
+from thorvaldc.model.robot import Actuator, Collision, Cylinder, Joint, Link, Wheel
+from thorvaldc.model.spatial import Pose, Vec3, add, clean, cross, dot, norm, scale
+from thorvaldc.model.statics.joint_tree import JointTree
+
+UP: Vec3 = (0.0, 0.0, 1.0)
+# Sine of 10 deg, the least angle between the spin axis of a wheel and the vertical.
+_MIN_FORWARD = 0.17
+_MIN_UPRIGHT = 0.5  # Cosine of 60 deg, the largest tilt of a steering axis.
+
+_SAME_PLACE = 1e-3  # m, and share of the unit vector of an axis
+_SAME_SIZE = 0.05  # share of the radius and width of a tyre
+
+
+class PlacedWheel(NamedTuple):
+    """A wheel of a robot before the wheel geometry is computed."""
+
+    name: str
+    module: str
+    link: str
+    part: WheelPart
+    span: Span
+
+
+class _WheelJoints(NamedTuple):
+    """The movable joints between a wheel and the base of the robot.
+
+    ``axis`` is the spin axis of the wheel, as a unit vector in ``base_link``.
+    """
+
+    spin: Joint
+    steering: Joint | None
+    swivel: Joint | None
+    suspension: Joint | None
+    axis: Vec3
+
+
+class _TurningPoint(NamedTuple):
+    """Turning point of a wheel, and the position of the contact point relative to the turning
+    point.
+
+    Attributes
+    ----------
+    x, y : point where the steering axis meets the horizontal plane through the contact point (m).
+    trail : distance from the turning point to the contact point along the heading (m).
+    lateral_offset : distance from the turning point to the contact point, to the left of the
+        heading (m).
+    sign : 1 if the steering axis points up, -1 if the steering axis points down.
+    """
+
+    x: float
+    y: float
+    trail: float
+    lateral_offset: float
+    sign: float
+
+
+def lowest_point(center: Vec3, axis: Vec3, radius: float) -> Vec3:
+    """Returns the contact point of a wheel, which is the lowest point of the wheel's circle.
+
+    ``axis`` is the spin axis of the wheel, as a unit vector.  The direction from the centre to the
+    lowest point is the projection of the downward vector onto the plane of the wheel, normalized:
+    ``-(UP - axis_z axis) / sqrt(1 - axis_z^2)``.
+    """
+    horizontal = math.sqrt(max(1.0 - axis[2] * axis[2], 1e-12))
+    down: Vec3 = (axis[0] * axis[2], axis[1] * axis[2], axis[2] * axis[2] - 1.0)
+    return add(center, scale(radius / horizontal, down))
+
+
+def spin_joint(tree: JointTree, link: str) -> Joint | None:
+    """Returns the nearest movable joint between a wheel's link and the root of the robot."""
+    return next((joint for joint in tree.joints_above(link) if joint.type != "fixed"), None)
+
+
+def ground_height(tree: JointTree, wheels: Sequence[PlacedWheel], report: Report) -> float:
+    """Returns the height (m) by which the robot must be raised to stand on the ground.
+
+    The contact point of the lowest wheel of the raised robot is at z = 0.
+    """
+    heights = []
+    for wheel in wheels:
+        joints = _wheel_joints(tree, wheel, report)
+        if joints is not None:
+            point = lowest_point(tree.pose[wheel.link].xyz, joints.axis, wheel.part.radius)
+            heights.append(point[2])
+    return -min(heights) if heights else 0.0
+
+
+def make_wheels(
+    tree: JointTree,
+    placed: Sequence[PlacedWheel],
+    actuators: Mapping[str, Actuator],
+    report: Report,
+) -> list[Wheel]:
+    """Returns the wheels of the robot model.
+
+    The static loads of the returned wheels are 0 and are computed later.
+
+    ``actuators``: actuators of the robot, by the name of the joint.
+    """
+    wheels: list[Wheel] = []
+    for wheel in placed:
+        joints = _wheel_joints(tree, wheel, report)
+        if joints is None:
+            continue
+        part = wheel.part
+        forward = cross(joints.axis, UP)
+        if norm(forward) < _MIN_FORWARD:
+            report.add(
+                "wheel-lies-flat",
+                f"the wheel of `{wheel.module}` spins about a vertical axis",
+                wheel.span,
+                hint="turn its mount",
+            )
+            continue
+        heading = math.atan2(forward[1], forward[0])
+        contact = lowest_point(tree.pose[wheel.link].xyz, joints.axis, part.radius)
+        turning = _turning_point(tree, wheel, joints, contact, heading, report)
+        if turning is None:
+            continue
+        wheels.append(
+            Wheel(
+                name=wheel.name,
+                module=wheel.module,
+                link=wheel.link,
+                spin_joint=joints.spin.name,
+                steering_joint=joints.steering.name if joints.steering else None,
+                swivel_joint=joints.swivel.name if joints.swivel else None,
+                suspension_joint=joints.suspension.name if joints.suspension else None,
+                driven=joints.spin.name in actuators,
+                x=clean(turning.x),
+                y=clean(turning.y),
+                heading=clean(heading),
+                steering_sign=turning.sign,
+                trail=clean(round(turning.trail, 10)),
+                lateral_offset=clean(round(turning.lateral_offset, 10)),
+                radius=part.radius,
+                width=part.width,
+                radii=part.radii,
+                friction=part.friction,
+                rolling_resistance=part.rolling_resistance,
+                load=0.0,
+                contact_height=clean(round(contact[2], 9)),
+                span=wheel.span,
+                treads=part.treads,
+            )
+        )
+    return wheels
+
+
+def _wheel_joints(tree: JointTree, wheel: PlacedWheel, report: Report) -> _WheelJoints | None:
+    """Returns the spin, steering, swivel and suspension joints of a wheel.
+
+    Returns ``None`` and reports an error if no rotating joint carries the wheel.
+    """
+    movable = [joint for joint in tree.joints_above(wheel.link) if joint.type != "fixed"]
+    if not movable or movable[0].type not in ("continuous", "revolute"):
+        report.add(
+            "wheel-does-not-spin",
+            f"the wheel of `{wheel.module}` hangs on no joint that turns it",
+            wheel.span,
+            hint="mount it on a drive or a caster",
+        )
+        return None
+    spin = movable[0]
+    axis = tree.pose[spin.child].rotate(spin.axis)
+    steering = swivel = suspension = None
+    for joint in movable[1:]:
+        if joint.role == "steering" and steering is None and swivel is None:
+            steering = joint
+        elif joint.role == "swivel" and swivel is None and steering is None:
+            swivel = joint
+        elif joint.role == "suspension" and suspension is None:
+            suspension = joint
+    return _WheelJoints(spin, steering, swivel, suspension, axis)
+
+
+def _turning_point(
+    tree: JointTree,
+    wheel: PlacedWheel,
+    joints: _WheelJoints,
+    contact: Vec3,
+    heading: float,
+    report: Report,
+) -> _TurningPoint | None:
+    """Returns the turning point of a wheel.
+
+    A wheel without a steering or swivel joint has the turning point at the contact point.  Returns
+    ``None`` and reports an error if the steering or swivel axis of the wheel is tilted too much.
+    """
+    turning_joint = joints.steering or joints.swivel
+    if turning_joint is None:
+        return _TurningPoint(contact[0], contact[1], 0.0, 0.0, 1.0)
+    pose = tree.pose[turning_joint.child]
+    direction = pose.rotate(turning_joint.axis)
+    if abs(direction[2]) < _MIN_UPRIGHT:
+        tilt = math.degrees(math.acos(min(1.0, abs(direction[2]))))
+        report.add(
+            "steering-axis-tilted",
+            f"the steering axis of `{wheel.module}` is {tilt:.0f} deg off the vertical",
+            wheel.span,
+            hint="the base calculators need a nearly vertical axis",
+        )
+        return None
+    sign = 1.0 if direction[2] > 0 else -1.0
+    t = (contact[2] - pose.xyz[2]) / direction[2]
+    x, y = pose.xyz[0] + t * direction[0], pose.xyz[1] + t * direction[1]
+    c, s = math.cos(heading), math.sin(heading)
+    trail = c * (contact[0] - x) + s * (contact[1] - y)
+    lateral_offset = -s * (contact[0] - x) + c * (contact[1] - y)
+    return _TurningPoint(x, y, trail, lateral_offset, sign)
+
+
+def add_wheel_collisions(links: list[Link], wheels: Sequence[PlacedWheel], tree: JointTree) -> None:
+    """Adds a collision cylinder for each wheel to the link of the wheel.
+
+    The axis of the collision cylinder is the spin axis of the wheel.  A cylinder of the module that
+    is the tyre once more is left out.  The function replaces the links of the wheels in the list
+    ``links``.
+    """
+    index = {link.name: i for i, link in enumerate(links)}
+    for wheel in wheels:
+        spin = spin_joint(tree, wheel.link)
+        if spin is None:
+            continue
+        wheel_from_base = tree.pose[wheel.link].inverse()
+        axis = wheel_from_base.rotate(tree.pose[spin.child].rotate(spin.axis))
+        pose = Pose(quat=_rotation_from_z_to(axis)).clean()
+        cylinder = Collision(Cylinder(wheel.part.radius, wheel.part.width), pose)
+        link = links[index[wheel.link]]
+        others = tuple(c for c in link.collisions if not _is_same_tyre(c, cylinder))
+        links[index[wheel.link]] = replace(link, collisions=(cylinder, *others))
+
+
+def _is_same_tyre(collision: Collision, tyre: Collision) -> bool:
+    """Returns whether a collision shape is a cylinder in the place of the tyre and of its size.
+
+    The radius of the tyre can be calibrated: it differs from that of the shape by some per cent.
+    """
+    shape, cylinder = collision.shape, tyre.shape
+    if not isinstance(shape, Cylinder) or not isinstance(cylinder, Cylinder):
+        return False
+    along = dot(collision.pose.rotate(UP), tyre.pose.rotate(UP))
+    return (
+        norm(collision.pose.xyz) < _SAME_PLACE
+        and abs(along) > 1.0 - _SAME_PLACE
+        and abs(shape.radius - cylinder.radius) < _SAME_SIZE * cylinder.radius
+        and shape.length < (1.0 + _SAME_SIZE) * cylinder.length
+    )
+
+
+def _rotation_from_z_to(axis: Vec3) -> tuple[float, float, float, float]:
+    """Returns the quaternion (w, x, y, z) of the shortest rotation from the z axis to a unit
+    vector.
+
+    The shortest rotation from the z axis to the direction -z is not unique.  For the direction -z,
+    the function returns half a turn about the x axis.
+    """
+    if axis[2] < -1 + 1e-12:
+        return (0.0, 1.0, 0.0, 0.0)
+    v = cross(UP, axis)
+    w = 1.0 + axis[2]
+    n = math.sqrt(w * w + norm(v) ** 2)
+    x, y, z = scale(1.0 / n, v)
+    return (w / n, x, y, z)

@@ -1,0 +1,191 @@
+"""Reads ROS bags.
+
+A ROS bag is an MCAP file, a folder written by ``ros2 bag record``, or a ROS 1 bag file.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics.bounded_file import MAX_LOG_BYTES, check_regular, read_bounded
+from thorvaldc.diagnostics.foreign_json import read_json
+
+ODOM, TRUE_ODOM = "odom", "ground_truth/odom"
+COMMANDED_TWIST, LIMITED_TWIST = "cmd_vel", "cmd_vel_limited"
+JOINTS, COMMANDS = "joint_states", "joint_commands"
+TYPES = {
+    ODOM: "nav_msgs/msg/Odometry",
+    TRUE_ODOM: "nav_msgs/msg/Odometry",
+    COMMANDED_TWIST: "geometry_msgs/msg/TwistStamped",
+    LIMITED_TWIST: "geometry_msgs/msg/TwistStamped",
+    JOINTS: "sensor_msgs/msg/JointState",
+    COMMANDS: "sensor_msgs/msg/JointState",
+}
+"""ROS message type of each topic of a robot.  The topic names have no namespace."""
+SUFFIXES = (".mcap", ".db3", ".bag")
+"""File name suffixes of ROS bags.  A folder is a bag if it contains ``metadata.yaml``."""
+_WORKER_BYTES = 384 << 20  # the interpreter and its packages need a third of it
+_WORKER_PROCESSOR_SECONDS, _WORKER_SECONDS = 30, 120.0
+_MAX_METADATA_BYTES = 1_000_000
+# A message in memory needs some 1.5 kB and its data.  A compressed bag of short messages needs 20
+# times its size.
+_MESSAGE_OVERHEAD = 1500
+_MEMORY_OF_SMALL_BAG = 256_000_000
+_EXPANSION = 25
+
+
+class MissingPackageError(Exception):
+    """Raised if an optional Python package is not installed.
+
+    The message of the exception is one line that explains how to install the Python package.
+    """
+
+
+def require_rosbags() -> None:
+    """Raises ``MissingPackageError`` if the package ``rosbags`` is not installed."""
+    try:
+        import rosbags.rosbag2  # noqa: F401
+    except ImportError:
+        raise MissingPackageError(
+            "MCAP files require rosbags, which is not installed: pip install 'thorvaldc[record]'"
+        ) from None
+
+
+@dataclass(frozen=True, slots=True)
+class Bag:
+    """Messages on selected topics of a ROS bag.
+
+    - ``topics``: message type of every topic in the bag.
+    - ``messages``: list of tuples (time, message) for each selected topic, in order of time.  The
+      times of the messages are in seconds since the start of the ROS bag.
+    """
+
+    topics: Mapping[str, str]
+    messages: Mapping[str, list[tuple[float, Any]]]
+
+
+def is_bag(path: Path) -> bool:
+    """Returns whether a file or folder is a ROS bag.
+
+    A ROS bag file is recognised by its suffix, and a ROS bag folder by its file ``metadata.yaml``.
+    """
+    return path.suffix.lower() in SUFFIXES or (path / "metadata.yaml").is_file()
+
+
+def read_bag(
+    path: Path,
+    display: str,
+    span: Span,
+    choose: Callable[[Mapping[str, str]], Collection[str]],
+    report: Report,
+) -> Bag | None:
+    """Reads selected topics from a ROS bag.  Returns ``None`` if the ROS bag is not readable.
+
+    - ``display``: name of the bag in messages.
+    - ``span``: source span of the diagnostics about the bag.
+    - ``choose``: function that receives the message type of every topic in the bag and returns the
+      names of the topics to read.
+
+    Raises ``MissingPackageError`` if the package ``rosbags`` is not installed.
+    """
+    require_rosbags()
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    try:
+        memory = _MEMORY_OF_SMALL_BAG + _EXPANSION * _check_files(path)
+        _check_in_worker(path)
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+            topics = {c.topic: c.msgtype for c in reader.connections}
+            selected = set(choose(topics))
+            messages: dict[str, list[tuple[float, Any]]] = {
+                name: [] for name in topics if name in selected
+            }
+            connections = [c for c in reader.connections if c.topic in selected]
+            size = 0
+            # If the list of connections is empty, the package rosbags reads all topics.
+            for connection, time, data in reader.messages(connections) if connections else ():
+                size += len(data)
+                memory -= len(data) + _MESSAGE_OVERHEAD
+                if size > MAX_LOG_BYTES:  # of uncompressed messages
+                    raise OSError(f"its messages have more than {MAX_LOG_BYTES / 1e6:g} MB")
+                if memory < 0:
+                    raise OSError("its messages have many times the size of the file")
+                message = reader.deserialize(data, connection.msgtype)
+                seconds = (time - reader.start_time) / 1e9
+                messages[connection.topic].append((seconds, message))
+            return Bag(topics, messages)
+    except Exception as error:  # rosbags raises many types of exceptions for a damaged bag
+        reason = " ".join(str(error).split()).replace(str(path), path.name).rstrip(".")
+        report.add(
+            "record-unreadable",
+            f"`{display}` cannot be read as a ROS bag: {reason or type(error).__name__}",
+            span,
+            hint="if the file is truncated, `mcap recover` may repair it"
+            if _is_mcap(path)
+            else None,
+        )
+        return None
+
+
+def _check_files(path: Path) -> int:
+    """Returns the number of bytes in the files of a ROS bag.
+
+    Raises ``OSError`` if a file is no regular file, or if the files are too large.
+    """
+    size = 0
+    for file in path.iterdir() if path.is_dir() else [path]:
+        if file.suffix.lower() in (*SUFFIXES, ".zstd", ".yaml"):
+            status = os.stat(file)
+            check_regular(status)
+            size += status.st_size
+            limit = _MAX_METADATA_BYTES if file.suffix.lower() == ".yaml" else MAX_LOG_BYTES
+            if status.st_size > limit:
+                raise OSError(f"{file.name} has more than {limit / 1e6:g} MB")
+    return size
+
+
+def _check_in_worker(path: Path) -> None:
+    """Raises ``OSError`` if a process with limits cannot read a bag, see ``bag_worker``."""
+    program = (
+        f"import sys; sys.path[:] = {sys.path!r}; "
+        "from thorvaldc.compiler.recordings.bag_worker import main; main()"
+    )
+    limits = (_WORKER_BYTES, _WORKER_PROCESSOR_SECONDS, MAX_LOG_BYTES)
+    try:
+        process = subprocess.run(
+            [sys.executable, "-S", "-B", "-c", program, str(path.absolute()), *map(str, limits)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            timeout=_WORKER_SECONDS,
+            # One thread per process: the memory of a thread counts for the limit.
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+            start_new_session=True,  # Ctrl-C ends the compiler, which then ends the process
+        )
+    except subprocess.TimeoutExpired:
+        raise OSError(f"it took longer than {_WORKER_SECONDS:g} s to read") from None
+    if process.returncode == -getattr(signal, "SIGXCPU", 24):
+        raise OSError("it takes too long to read")
+    answer = (
+        read_json(process.stdout)
+        if process.stdout
+        else {"error": "it needs too much memory to read"}
+    )
+    if "error" in answer:
+        raise OSError(answer["error"])
+
+
+def _is_mcap(path: Path) -> bool:
+    try:
+        return read_bounded(path, 8, cut=True) == b"\x89MCAP0\r\n"
+    except OSError:
+        return False

@@ -1,0 +1,262 @@
+"""Reads the settings of the base driver and the named parameter sets of a robot document.
+
+The motors limit the twist of the robot.  A wheel of the radius r (m) with the maximum wheel speed
+omega (rad/s) has the maximum rolling speed v = omega r (m/s).  A wheel with the maximum rolling
+speed v (m/s) at the distance d (m) from the centre of the robot allows the turning rate v / d
+(rad/s).  The slowest wheel determines the maximum linear velocity and the maximum turning rate of
+the robot.  The maximum accelerations of the wheels limit the acceleration of the robot in the same
+way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+from thorvaldc.compiler.values.document_section import Section
+from thorvaldc.diagnostics import Proposal, Report
+from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.model.robot import (
+    Actuator,
+    BatterySettings,
+    DriverSettings,
+    ParameterSet,
+    Wheel,
+)
+from thorvaldc.model.spatial import clean
+from thorvaldc.model.statics.contact_point import contact_point
+
+# Least distance (m) of a wheel from the centre of the robot in the computation of the maximum
+# turning rate.  Without the least distance, a wheel near the centre of the robot would allow a
+# nearly infinite turning rate.
+MIN_LEVER = 0.05
+
+LIMITS = (
+    "max_linear_velocity",
+    "max_angular_velocity",
+    "max_linear_acceleration",
+    "max_angular_acceleration",
+)
+# The acceleration that each deceleration equals by default.
+DECELERATIONS = {
+    "max_linear_deceleration": "max_linear_acceleration",
+    "max_angular_deceleration": "max_angular_acceleration",
+}
+MEASURED_RADII = {"radius_error", "scale_error"}
+"""Noise of the radii in a calibration file."""
+
+
+class DriverSettingsReader:
+    """Reads the sections ``driver`` and ``parameter_sets`` of a robot document.
+
+    Parameters
+    ----------
+    driver : the section ``driver`` of the robot document.
+    parameter_sets : the section ``parameter_sets``.
+    wheels : the wheels of the robot.
+    actuators : actuators of the robot, by the name of the joint.
+    tolerance : fraction by which a stated limit may exceed the limit of the motors without a
+        warning.
+    report : collects the diagnostics.
+    measured_noise : noise of the calibration file; the robot document has precedence.
+    """
+
+    def __init__(
+        self,
+        driver: Section,
+        parameter_sets: Section,
+        wheels: Sequence[Wheel],
+        actuators: Mapping[str, Actuator],
+        tolerance: float,
+        report: Report,
+        measured_noise: Mapping[str, float] | None = None,
+    ) -> None:
+        self._driver = driver
+        self._parameter_sets = parameter_sets
+        self._wheels = wheels
+        self._actuators = actuators
+        self._tolerance = tolerance
+        self._report = report
+        self._measured_noise = dict(measured_noise or {})
+
+    def driver(self) -> DriverSettings:
+        """Returns the settings of the base driver.
+
+        The limit of the robot's twist is the lower of the limit in the robot document and the limit
+        of the motors.
+        """
+        section = self._driver
+        self._check_cycle()
+        motor_limits = self._motor_limits(None)
+        limits: dict[str, Any] = {
+            key: self._limit(section, key, motor_limits[key]) for key in LIMITS
+        }
+        return DriverSettings(
+            rate=section["rate"],
+            command_timeout=section["command_timeout"],
+            noise=tuple((self._measured_noise | noise_of(section)).items()),
+            stopping_distance=section["stopping_distance"],
+            battery=self._battery(section["battery"]),
+            arming=section["arming"],
+            arming_timeout=section["arming_timeout"],
+            homing=section["homing"],
+            **limits,
+            **self._decelerations(section, limits, None),
+        )
+
+    def _decelerations(
+        self, section: Section, limits: Mapping[str, float], radii: str | None
+    ) -> dict[str, float]:
+        """Returns the decelerations of a stop; by default they equal the accelerations.
+
+        ``section``: section ``driver``, or a parameter set, which inherits what ``driver`` states.
+        The motors that bound the accelerations bound the decelerations too.
+        """
+        motor_limits = self._motor_limits(radii)
+        values = {}
+        for key, acceleration in DECELERATIONS.items():
+            motor_limit = motor_limits[acceleration]
+            if key in section:
+                values[key] = self._limit(section, key, motor_limit)
+            elif key in self._driver:
+                values[key] = _finite(min(self._driver[key], motor_limit))
+            else:
+                values[key] = limits[acceleration]
+        return values
+
+    def _battery(self, section: Section) -> BatterySettings:
+        """Reads the thresholds of the batteries, which must be in the order stop, limit, warn."""
+        keys = (field.name for field in fields(BatterySettings))
+        settings = BatterySettings(**{key: section[key] for key in keys})
+        if not settings.stop <= settings.limit <= settings.warn:
+            self._report.add(
+                "battery-threshold",
+                f"the thresholds are stop {settings.stop:.3g}, limit {settings.limit:.3g} and warn "
+                f"{settings.warn:.3g}; they must not fall in this order",
+                section.node.where,
+                hint="a battery that runs down reaches `warn`, then `limit`, then `stop`",
+            )
+        elif settings.arm < settings.stop:
+            self._report.add(
+                "battery-threshold",
+                f"`arm` is {settings.arm:.3g}, below `stop` with {settings.stop:.3g}: an armed "
+                "robot would stop at once",
+                section.node.where,
+                hint="use an `arm` above `stop`",
+            )
+        return settings
+
+    def _check_cycle(self) -> None:
+        """Reports a command time-out that is shorter than one cycle of the base driver."""
+        rate, timeout = self._driver["rate"], self._driver["command_timeout"]
+        if timeout < 1.0 / rate:
+            entry = self._driver.node.get("command_timeout") or self._driver.entry("rate")
+            self._report.add(
+                "driver-cycle",
+                f"the command time-out is {timeout:g} s, "
+                f"shorter than one cycle of {1.0 / rate:g} s",
+                entry.span,
+                hint="every command would expire before the driver uses it",
+            )
+
+    def parameter_sets(self, driver: DriverSettings) -> tuple[ParameterSet, ...]:
+        """Returns the named parameter sets of the robot.
+
+        A parameter set contains the settings of the section ``driver`` with some changed values.
+        """
+        sets = self._parameter_sets.items()
+        return tuple(self._parameter_set(name, section, driver) for name, section in sets)
+
+    def _parameter_set(self, name: str, section: Section, driver: DriverSettings) -> ParameterSet:
+        """Reads one named parameter set of the base driver."""
+        radii = section.get("radii", None)
+        known = list(dict.fromkeys(key for wheel in self._wheels for key, _ in wheel.radii))
+        if radii is not None and radii not in known:
+            self._report.add(
+                "parameter-set-radii",
+                f"no wheel has radii named `{radii}`",
+                section.entry("radii").span,
+                hint=did_you_mean(
+                    str(radii),
+                    known,
+                    f"there are {', '.join(known)}" if known else "every wheel has one radius",
+                ),
+            )
+        limits: dict[str, Any] = {}
+        for key, motor_limit in self._motor_limits(radii).items():
+            limits[key] = (
+                self._limit(section, key, motor_limit)
+                if key in section
+                else min(getattr(driver, key), _finite(motor_limit))
+            )
+        limits |= self._decelerations(section, limits, radii)
+        inherited = dict(driver.noise)
+        if radii is not None:  # the calibration file states the errors of the ordinary radii
+            for key in MEASURED_RADII:
+                if inherited.get(key) == self._measured_noise.get(key):
+                    inherited.pop(key, None)
+        noise = tuple((inherited | noise_of(section)).items())
+        return ParameterSet(name, radii, replace(driver, noise=noise, **limits), section.node.where)
+
+    def _motor_limits(self, radii: str | None) -> dict[str, float]:
+        """Returns the limits of the robot's twist that the slowest motors allow, by the key of the
+        section ``driver``.
+
+        ``radii``: name of the wheel radii, or ``None`` for the nominal radii.
+        """
+        speed = turning_rate = math.inf
+        acceleration = turning_acceleration = math.inf
+        for wheel in self._wheels:
+            actuator = self._actuators.get(wheel.spin_joint)
+            if actuator is None:
+                continue
+            radius = wheel.radius_named(radii)
+            wheel_speed = actuator.max_velocity * radius
+            wheel_acceleration = actuator.max_acceleration * radius
+            lever = max(math.hypot(*contact_point(wheel)), MIN_LEVER)
+            speed = min(speed, wheel_speed)
+            turning_rate = min(turning_rate, wheel_speed / lever)
+            acceleration = min(acceleration, wheel_acceleration)
+            turning_acceleration = min(turning_acceleration, wheel_acceleration / lever)
+        limits = (speed, turning_rate, acceleration, turning_acceleration)
+        return dict(zip(LIMITS, limits, strict=True))
+
+    def _limit(self, section: Section, key: str, motor_limit: float) -> float:
+        """Returns the lower of the twist limit in the robot document and the twist limit of the
+        motors.
+        """
+        stated = section.get(key, motor_limit)
+        lowered = _rounded_down(motor_limit)
+        if stated > motor_limit * (1 + self._tolerance):
+            self._report.add(
+                "driver-limit-too-high",
+                f"`{key}` is {section.shown(key, stated)}; the slowest module allows "
+                f"{section.shown(key, motor_limit)}",
+                section.entry(key).span,
+                hint=Proposal(
+                    f"use `{section.shown(key, lowered)}`, or leave it out to use the limit of"
+                    " the modules",
+                    section.shown(key, lowered),
+                ),
+            )
+        return _finite(min(stated, motor_limit))
+
+
+def noise_of(section: Section) -> dict[str, float]:
+    """Returns the stated values of `noise` in a section, the errors in the odometry in SI units."""
+    return {key: clean(value) for key, value in section["noise"].items()}
+
+
+def _rounded_down(value: float) -> float:
+    """Returns the value rounded down to three significant digits."""
+    if not 0.0 < value < math.inf:
+        return value
+    step = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return math.floor(value / step) * step
+
+
+def _finite(value: float) -> float:
+    """Returns a limit of the robot's twist, or 0 if the robot has no driven wheels."""
+    return clean(value) if math.isfinite(value) else 0.0

@@ -1,0 +1,205 @@
+"""Starts and limits the processes that read files of others.
+
+Files of others (xacro, meshes) can contain programs, or need any amount of time and memory.  The
+compiler reads them only in contained worker processes, see ``worker_protocol`` and
+``containment``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from thorvaldc.compiler.sandbox import worker_protocol
+from thorvaldc.compiler.sandbox.worker_protocol import Fields, read_message, write_message
+
+_ROOT = str(Path(worker_protocol.__file__).parents[3])
+_PROGRAM = (
+    f"import sys; sys.path.append({_ROOT!r}); "
+    "from thorvaldc.compiler.sandbox.worker_protocol import main; main()"
+)
+START_SECONDS = 30.0
+"""Time in which a worker process must start and import its modules."""
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerLimits:
+    """Limits of a worker process.
+
+    - ``wall_seconds``, ``processor_seconds``: time and processor time of one request (s).
+    - ``memory_bytes``: address space of the process (bytes).
+    - ``answer_bytes``: size of the fields of an answer, and of its data (bytes).
+    """
+
+    wall_seconds: float
+    processor_seconds: int
+    memory_bytes: int
+    answer_bytes: int = 64 << 20
+
+
+class WorkerLimitError(Exception):
+    """Raised if a worker process exceeded a limit or ended.
+
+    The text is the predicate of a sentence, such as ``took longer than 10 s``.
+    """
+
+
+class WorkerProcess:
+    """A contained process that answers one request at a time.
+
+    The process starts with the first request.  If a request fails, the next one starts a new
+    process.
+
+    - ``service``: name of the module that answers, see ``worker_protocol``.
+    - ``path``: folders from which the process imports modules, beside the standard library and
+      this package.
+    - ``imports``: modules that the process imports before it contains itself.
+    - ``folders``: folders that the process may read, or ``None`` for a process that is limited but
+      not contained.
+    """
+
+    def __init__(
+        self,
+        service: str,
+        limits: WorkerLimits,
+        *,
+        path: Sequence[str] = (),
+        imports: Sequence[str] = (),
+        folders: Sequence[str] | None = (),
+    ) -> None:
+        self.limits = limits
+        self._start_fields: Fields = {
+            "service": service,
+            "path": [*path],
+            "imports": [*imports],
+            "folders": None if folders is None else [*folders],
+            "memory_bytes": limits.memory_bytes,
+            "processor_seconds": limits.processor_seconds,
+            "parent": os.getpid(),
+        }
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> WorkerProcess:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def ask(self, request: Fields, data: bytes = b"") -> tuple[Fields, bytes]:
+        """Sends a request, and returns the answer and its data.
+
+        Raises ``WorkerLimitError`` if the answer exceeds a limit, or if the process ends.
+        """
+        try:
+            if self._process is None:
+                self._process = _start()
+                layers, _ = self._exchange(START_SECONDS, self._start_fields)
+                containment_gaps.update(
+                    {name: reason for name, reason in layers["layers"].items() if reason}
+                )
+            answer, data = self._exchange(self.limits.wall_seconds, request, data)
+        except BaseException:
+            self.close()
+            raise
+        if "exceeded" in answer:
+            self.close()
+            gigabytes = self.limits.memory_bytes / (1 << 30)
+            raise WorkerLimitError(
+                f"needs more than {gigabytes:g} GB of memory"
+                if answer["exceeded"] == "memory"
+                else "is nested too deeply"
+            )
+        return answer, data
+
+    def close(self) -> None:
+        """Ends the process."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        _kill(process)
+        process.wait()
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                with contextlib.suppress(OSError):
+                    pipe.close()
+
+    def _exchange(self, seconds: float, request: Fields, data: bytes = b"") -> tuple[Fields, bytes]:
+        process = self._process
+        if process is None or process.stdin is None or process.stdout is None:
+            raise OSError("the worker process has no pipes")
+        timed_out = threading.Event()
+
+        def stop() -> None:
+            timed_out.set()
+            _kill(process)
+
+        timer = threading.Timer(seconds, stop)
+        timer.daemon = True
+        timer.start()
+        try:
+            with contextlib.suppress(BrokenPipeError):
+                write_message(process.stdin, request, data)
+            return read_message(process.stdout, self.limits.answer_bytes)
+        except OverflowError as error:
+            megabytes = self.limits.answer_bytes >> 20
+            raise WorkerLimitError(f"gives a result of more than {megabytes} MB") from error
+        except (EOFError, ValueError, RecursionError) as error:
+            if timed_out.is_set():
+                raise WorkerLimitError(f"took longer than {seconds:g} s") from error
+            _kill(process)
+            status = process.wait()
+            if status == -getattr(signal, "SIGXCPU", 24):
+                limit = self.limits.processor_seconds
+                raise WorkerLimitError(f"took longer than {limit} s of processor time") from error
+            raise WorkerLimitError(f"ended its reader process (exit status {status})") from error
+        finally:
+            timer.cancel()
+
+
+containment_gaps: dict[str, str] = {}
+"""Layers of the containment that the worker processes so far did not have, with the reasons."""
+
+
+def _start() -> subprocess.Popen[bytes]:
+    environment = {"LC_ALL": "C.UTF-8", "PYTHONHASHSEED": "0"}
+    # The memory of each thread would count for the limit of memory.
+    environment["OPENBLAS_NUM_THREADS"] = "1"
+    if "SYSTEMROOT" in os.environ:  # Windows cannot start a process without the variable SYSTEMROOT
+        environment["SYSTEMROOT"] = os.environ["SYSTEMROOT"]
+    return subprocess.Popen(
+        # The Python options of the worker exclude the site packages, the folder of the user and the
+        # folder of the script from the module path.  The Python option -B prevents the writing of
+        # .pyc files.
+        [sys.executable, "-s", "-S", "-P", "-B", "-c", _PROGRAM],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=environment,
+        # The worker process runs in a separate process session and does not receive Ctrl-C.  The
+        # compiler receives Ctrl-C and then ends the worker process.
+        start_new_session=True,
+    )
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """Ends the worker process and its child processes with the signal SIGKILL."""
+    if process.poll() is not None:
+        return
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        if hasattr(os, "killpg"):
+            os.killpg(process.pid, signal.SIGKILL)
+        else:
+            process.kill()

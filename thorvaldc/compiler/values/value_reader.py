@@ -1,0 +1,374 @@
+"""Reads values of a document, evaluates expressions and converts quantities to SI units.
+
+Each method of the class ``ValueReader`` returns a value of the requested type.  If a value in the
+document is invalid, the method reports an error and returns the default value.  One run of the
+compiler can therefore report all errors of a document.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from thorvaldc.compiler.source.expression_dimensions import (
+    EXPECTED,
+    DimensionError,
+    fits,
+    in_words,
+    number_dimension,
+    written_dimension,
+)
+from thorvaldc.compiler.source.expressions import (
+    ExpressionError,
+    evaluate,
+    expression_of,
+    infer_dimension,
+)
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.unit_table import QUANTITIES, Dimension
+from thorvaldc.compiler.source.units import UnitError, is_bare_number, parse_quantity
+from thorvaldc.compiler.values.plausible_numbers import probable_unit
+from thorvaldc.diagnostics import Proposal, Report
+from thorvaldc.diagnostics.plain_numbers import plain
+from thorvaldc.model.spatial import Pose, Vec3
+
+# Least and greatest absolute value of every physical quantity in SI units, except 0.  Squares and
+# products of two quantities within the bounds do not overflow.
+LARGEST = 1e12
+SMALLEST = 1e-15
+FULL_TURN = 2.0 * math.pi  # rad
+
+INVALID: Any = object()
+"""Placeholder for an invalid value whose error has been reported."""
+
+
+class ReferenceCycleError(Exception):
+    """Exception: the value of a parameter depends on itself."""
+
+
+class InvalidNameError(Exception):
+    """Exception: an expression uses a parameter with an invalid value.
+
+    The invalid parameter value has already been reported.
+    """
+
+
+def entries(node: Node | None) -> dict[str, Node]:
+    """Returns the entries of a YAML mapping, or ``{}`` if the YAML node is missing or not a
+    mapping.
+    """
+    return node.value if node is not None and isinstance(node.value, dict) else {}
+
+
+def items(node: Node | None) -> tuple[Node, ...]:
+    """Returns the elements of a YAML list, or ``()`` if the YAML node is missing or not a list."""
+    return node.value if node is not None and isinstance(node.value, tuple) else ()
+
+
+class ValueReader(Mapping[str, Any]):
+    """Reads scalars, quantities, vectors and poses of a document.
+
+    A ``ValueReader`` is a mapping of the names that expressions may use.  A plain ``ValueReader``
+    contains no names.  The subclass ``Scope`` contains the parameters of a module.
+    """
+
+    on_robot = False
+    """``True`` if the quantities describe a robot, not its surroundings."""
+
+    def __init__(self, report: Report) -> None:
+        self.report = report
+        self._dimensions: dict[str, Any] = {}  # of expressions that were evaluated
+
+    def dimension(self, name: str) -> Any:
+        """Returns the dimension of a name, as ``expression_dimensions`` describes it.
+
+        Raises ``KeyError`` if the name is unknown.
+        """
+        raise KeyError(name)
+
+    def let_node(self, name: str) -> Node | None:
+        """Returns the node of a `let` value, or ``None`` if there is none."""
+        return None
+
+    def __getitem__(self, name: str) -> Any:
+        raise KeyError(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(())
+
+    def __len__(self) -> int:
+        return 0
+
+    def value(self, node: Node, quantity: str | None = None) -> Any:
+        """Returns the value of a YAML node, or the result of the expression in the YAML node.
+
+        Returns ``INVALID`` if the YAML node or the expression has an error.  Returns ``None`` for a
+        module parameter with the value `none`.  ``quantity``: kind of quantity for the hint of a
+        wrong dimension inside the expression.
+        """
+        value = node.value
+        if value is None:
+            return INVALID  # The schema check has already reported the invalid value.
+        if not (isinstance(value, str) and value.startswith("${") and value.endswith("}")):
+            return value
+        text = value[2:-1]
+        try:
+            result = evaluate(text, self)
+            if text not in self._dimensions:
+                self._dimensions[text] = infer_dimension(text, self)
+            return result
+        except DimensionError as error:
+            expected = EXPECTED[quantity] if quantity is not None else None
+            self._report_dimension(
+                node, f"{error.message}, in `{value}`", expected, (error.first, error.second)
+            )
+        except ExpressionError as error:
+            hint = error.hint
+            if isinstance(hint, Proposal) and hint.word:
+                whole = hint.within(value)
+                hint = Proposal(hint, *(f'"{text}"' for text in whole.replacements))
+            self.report.add(error.code, error.message, node.span, hint=hint)
+        except ReferenceCycleError as error:
+            self.report.add("expression-cycle", f"the value needs {error}", node.span)
+        except RecursionError:
+            message = "the value needs too many nested values"
+            self.report.add("expression-cycle", message, node.span)
+        except InvalidNameError:
+            pass
+        return INVALID
+
+    def _report_dimension(
+        self,
+        node: Node,
+        message: str,
+        expected: Dimension | None,
+        actual: tuple[Dimension, ...],
+        expected_words: str = "",
+    ) -> None:
+        """Reports a wrong dimension of an expression.
+
+        ``expected`` and all after it: as for ``dimension_hint``.
+        """
+        if self.report.has_error_in(node.span):
+            return  # A part that is repeated 1000 times has 1000 scopes and one error.
+        from thorvaldc.compiler.values.dimension_hints import dimension_hint  # of an error only
+
+        text = expression_of(node) or ""
+        hint = dimension_hint(self, text, expected, actual, expected_words)
+        self.report.add("wrong-dimension", message, node.span, hint=hint)
+
+    def dimension_of(self, node: Node) -> Any:
+        """Returns the dimension of the value of a YAML node, whose kind no schema states.
+
+        The value is an expression, a number, a text with a unit, or a list of them.  An expression
+        with an error has no dimension.
+        """
+        text, value = expression_of(node), node.value
+        if text is not None:
+            if text not in self._dimensions:
+                with contextlib.suppress(ExpressionError, ReferenceCycleError, RecursionError):
+                    self._dimensions[text] = infer_dimension(text, self)
+            return self._dimensions.get(text)
+        if isinstance(value, tuple):
+            return [self.dimension_of(element) for element in value]
+        if isinstance(value, str) and not node.quoted:
+            return written_dimension(value)
+        return value if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+    def has_dimension(self, node: Node, *allowed: Dimension, quantity: str) -> bool:
+        """Checks the dimension of the number, or of the list of numbers, that an expression gives.
+
+        - ``allowed``: further dimensions that are allowed.
+        - ``quantity``: expected kind of quantity.
+        """
+        part = self._dimensions.get(expression_of(node) or "")
+        if part is None or part == EXPECTED[quantity]:
+            return True
+        for element in part if isinstance(part, list) else (part,):
+            dimension = number_dimension(element)
+            expected = (EXPECTED[quantity], *allowed)
+            if dimension is None or any(fits(dimension, kind) for kind in expected):
+                continue
+            words = " or ".join([str(QUANTITIES[quantity]), *map(in_words, allowed)])
+            message = f"`{node.value}` is {in_words(dimension)}; expected {words}"
+            self._report_dimension(node, message, expected[-1], (dimension,), words)
+            return False
+        return True
+
+    def evaluate(self, node: Node) -> Any:
+        """Returns the value of a YAML node, or ``None`` if the value is invalid."""
+        value = self.value(node)
+        return None if value is INVALID else value
+
+    def quantity(
+        self, node: Node | None, quantity: str, default: float = 0.0, *allowed: Dimension
+    ) -> float:
+        """Returns a physical quantity in SI units.
+
+        Returns the default value if the YAML node is missing or invalid.  ``quantity``: kind of
+        quantity, such as ``length``.  ``allowed``: further dimensions that an expression may have.
+        """
+        if node is None:
+            return default
+        return self._to_si(self.value(node, quantity), node, quantity, default, *allowed)
+
+    def _to_si(
+        self, value: Any, node: Node, quantity: str, default: float, *allowed: Dimension
+    ) -> float:
+        """Converts a number or a text with a unit to a number in SI units."""
+        if value is INVALID:
+            return default
+        if isinstance(value, bool):
+            pass
+        elif isinstance(value, int | float):
+            if node.value == value:
+                self._judge_bare_number(value, node, quantity)
+            elif not self.has_dimension(node, *allowed, quantity=quantity):
+                return default
+            return self._bounded(value, node, default)
+        elif isinstance(value, str):
+            try:
+                number = parse_quantity(value, quantity)
+                if value[-1] in "0123456789. " and is_bare_number(value):
+                    self._judge_bare_number(number, node, quantity)
+                return self._bounded(number, node, default)
+            except UnitError as error:
+                self.report.add(error.code, error.message, node.span, hint=error.hint)
+                return default
+        self._report_type(f"a {quantity.replace('_', ' ')}", node)
+        return default
+
+    def _judge_bare_number(self, value: float, node: Node, quantity: str) -> None:
+        """Warns of a number without a unit that was probably not meant in SI units."""
+        if quantity == "angle" and abs(value) > FULL_TURN:
+            self.report.add(
+                "angle-in-radians",
+                f"`{value:g}` without a unit is an angle of {value:g} rad, more than a full turn",
+                node.span,
+                hint=Proposal(
+                    f"write `{value:g} deg` if degrees are meant, else `{value:g} rad`",
+                    f"{value:g} deg",
+                    f"{value:g} rad",
+                ),
+            )
+        unit = probable_unit(value, quantity, on_robot=self.on_robot)
+        if unit:
+            kind = QUANTITIES[quantity]
+            number = f"{value:.12g}"
+            self.report.add(
+                "number-without-unit",
+                f"`{number}` without a unit is {kind} of {number} {kind.unit}, which is unusual "
+                f"{'on a robot' if self.on_robot else 'in a scenario'}",
+                node.span,
+                hint=Proposal(
+                    f"write `{number} {unit}` if {unit} is meant, else `{number} {kind.unit}`",
+                    f"{number} {unit}",
+                    f"{number} {kind.unit}",
+                ),
+            )
+
+    def _bounded(self, value: float, node: Node, default: float) -> float:
+        """Returns the physical quantity, or the default value if the quantity is too small or too
+        large for a robot.
+        """
+        if value == 0.0 or SMALLEST <= abs(value) <= LARGEST:
+            return float(value)
+        self.report.add(
+            "number-out-of-range",
+            f"{describe_value(node, value)} is too {'small' if abs(value) < 1 else 'large'} "
+            f"for a robot; numbers are from {SMALLEST:g} to {LARGEST:g} in SI units",
+            node.span,
+        )
+        return default
+
+    def boolean(self, node: Node | None, default: bool) -> bool:
+        """Returns the boolean value of a YAML node, or the default if the node is missing or
+        invalid.
+        """
+        if node is None:
+            return default
+        value = self.value(node)
+        if isinstance(value, bool):
+            return value
+        if value is not INVALID:
+            self._report_type("`true` or `false`", node)
+        return default
+
+    def text(self, node: Node | None, default: str = "") -> str:
+        """Returns the text of a YAML node, or the default if the node is missing or invalid."""
+        if node is None:
+            return default
+        value = self.value(node)
+        if isinstance(value, str):
+            return value
+        if value is not INVALID:
+            self._report_type("text", node)
+        return default
+
+    def vector(
+        self,
+        node: Node | None,
+        quantity: str,
+        default: Vec3 = (0.0, 0.0, 0.0),
+        *allowed: Dimension,
+    ) -> Vec3:
+        """Returns three physical quantities in SI units.
+
+        The YAML node contains a list of three quantities, or an expression with a list as the
+        result.  ``allowed``: further dimensions that an expression may have.
+        """
+        if node is None:
+            return default
+        if isinstance(node.value, str):
+            value = self.value(node, quantity)
+            if value is INVALID:
+                return default
+            if isinstance(value, tuple | list) and len(value) == 3 and all(map(_is_number, value)):
+                if not self.has_dimension(node, *allowed, quantity=quantity):
+                    return default
+                x, y, z = (self._bounded(v, node, 0.0) for v in value)
+                return (x, y, z)
+        elements = items(node)
+        if len(elements) != 3:
+            self.report.add("wrong-type", "expected three numbers: x, y and z", node.span)
+            return default
+        x, y, z = (self.quantity(element, quantity, 0.0, *allowed) for element in elements)
+        return (x, y, z)
+
+    def pose(self, node: Node) -> Pose:
+        """Returns the pose that the keys `xyz` (m) and `rpy` (rad) of a mapping describe."""
+        return Pose.from_xyz_rpy(
+            self.vector(node.get("xyz"), "length"), self.vector(node.get("rpy"), "angle")
+        )
+
+    def _report_type(self, expected: str, node: Node) -> None:
+        self.report.add("wrong-type", f"expected {expected}, got {describe_node(node)}", node.span)
+
+
+def describe_node(node: Node) -> str:
+    """Describes the value of a YAML node for an error message."""
+    if isinstance(node.value, dict):
+        return "a mapping"
+    if isinstance(node.value, tuple):
+        return "a list"
+    if node.value is None:
+        return "nothing"
+    if isinstance(node.value, bool):
+        return f"`{str(node.value).lower()}`"
+    return f"`{node.value}`"
+
+
+def describe_value(node: Node, value: Any) -> str:
+    """Describes the value of a YAML node for an error message.
+
+    The description of an expression includes the value of the expression.
+    """
+    if isinstance(node.value, str) and "${" in node.value and isinstance(value, int | float):
+        return f"{plain(value)} (`{node.value}`)"
+    return describe_node(node)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
