@@ -16,11 +16,12 @@ PIP_INSTALL = PIP_CONSTRAINT=locks/dev.txt PIP_BUILD_CONSTRAINT=locks/dev.txt \
 unexport PYTHONDONTWRITEBYTECODE
 
 .DELETE_ON_ERROR:
-.PHONY: help setup lock demo test test-matrix lint types chaos fuzz mutants bench golden pictures docs docs-serve clean distclean
+.PHONY: help setup lock demo test test-slow test-all test-matrix lint types chaos fuzz mutants bench golden pictures docs docs-serve clean distclean
 
 help:
 	@echo "make demo      compile every example and drive it in simulation"
 	@echo "make test      lint, types, layer rules and tests"
+	@echo "make test-slow   the tests that only CI needs; make test-all: both"
 	@echo "make test-matrix  golden files with the oldest and newest Python and dependencies"
 	@echo "make lock      write the newest versions that pyproject.toml allows to locks/"
 	@echo "make chaos     random missions with faults: make chaos SEEDS=0:1000 JOBS=2 (docs/chaos.md)"
@@ -85,8 +86,19 @@ lint: $(READY)
 types: $(READY)
 	$(BIN)/mypy
 
-test: lint types
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup $(TESTS)
+# mypy runs beside the tests, and prints its errors at the end.
+PYTEST = $(BIN)/python -m pytest --dist loadgroup
+test: lint
+	@mkdir -p build; $(BIN)/mypy >build/types.txt 2>&1 & types=$$!; \
+	$(PYTEST) -n $(JOBS) -m "not slow" $(TESTS); tests=$$?; \
+	wait $$types; types=$$?; cat build/types.txt; test $$tests = 0 && test $$types = 0
+
+# Most of these tests wait for a clock or for another process: two for each processor.
+SLOW_JOBS ?= $$((2 * $$(getconf _NPROCESSORS_ONLN)))
+test-slow: $(READY)
+	$(PYTEST) -n $(SLOW_JOBS) -m slow $(TESTS)
+
+test-all: test test-slow
 
 test-matrix: $(READY)
 	@$(BIN)/python -c 'import uv' 2>/dev/null || $(call PIP_INSTALL,$(BIN)) uv

@@ -43,6 +43,11 @@ class ChildProcess(subprocess.Popen[Any]):
                     pipe.close()
 
 
+def end_at_hang_up() -> None:
+    """For ``preexec_fn``: under nohup, tests and their children would ignore SIGHUP."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
 @contextmanager
 def ended_processes() -> Iterator[None]:
     """Ends the processes that start in the ``with`` block."""

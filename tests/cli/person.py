@@ -13,9 +13,9 @@ import termios
 import time
 from pathlib import Path
 
-from tests.child_process import ChildProcess
+from tests.child_process import ChildProcess, end_at_hang_up
 
-PATIENCE = 20.0
+PATIENCE = 60.0
 
 
 class Person:
@@ -32,10 +32,14 @@ class Person:
             stdout=self.command_end,
             stderr=self.command_end,
             start_new_session=True,
-            # As in a shell, Ctrl-C and a hang-up reach the process through its terminal.
-            preexec_fn=lambda: os.close(os.open(os.ttyname(0), os.O_RDWR)),
+            preexec_fn=self._take_terminal,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "TERM": "xterm"},
         )
+
+    def _take_terminal(self) -> None:
+        """As in a shell, Ctrl-C and a hang-up reach the process through its terminal."""
+        os.close(os.open(os.ttyname(0), os.O_RDWR))
+        end_at_hang_up()
 
     def read(self, seconds: float = 0.05) -> None:
         while select.select([self.our_end], [], [], seconds)[0]:

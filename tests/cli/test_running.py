@@ -252,6 +252,7 @@ def test_over_a_bus_in_another_process(tmp_path: Path) -> None:
         end(bus)
 
 
+@pytest.mark.slow
 def test_a_late_process_of_the_bus_is_no_silent_node(tmp_path: Path) -> None:
     """SIGSTOP stops the bus for 120 ms, five times, and then for a second."""
     (tmp_path / "good.yaml").write_text(GOOD)
@@ -274,6 +275,7 @@ def test_a_late_process_of_the_bus_is_no_silent_node(tmp_path: Path) -> None:
         end(bus)
 
 
+@pytest.mark.slow
 def test_a_stopped_process_is_a_gap_in_time(tmp_path: Path) -> None:
     """SIGSTOP stops the driver, and the bus in the other process goes on."""
     (tmp_path / "good.yaml").write_text(GOOD)
@@ -293,6 +295,7 @@ def test_a_stopped_process_is_a_gap_in_time(tmp_path: Path) -> None:
         end(bus)
 
 
+@pytest.mark.slow
 def test_over_a_serial_line_from_another_process(tmp_path: Path) -> None:
     """slcan on a pair of pseudo-terminals carries all frames, and the wheels turn."""
     path = tmp_path / "good.yaml"

@@ -20,6 +20,7 @@ from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
 
 CHUNKS = 8
+SLOW = pytest.mark.slow
 
 
 def new(robot: Robot | None = None, torn: bool = False) -> Bench:
@@ -95,7 +96,9 @@ def check(bench: Bench, where: object, library: bool = False) -> None:
     assert Journal(bench.storage).unfinished is None, where
 
 
-@pytest.mark.parametrize("chunk", range(CHUNKS))
+@pytest.mark.parametrize(
+    "chunk", [0, *(pytest.param(chunk, marks=SLOW) for chunk in range(1, CHUNKS))]
+)
 def test_power_cut_at_every_frame(chunk: int) -> None:
     hash_, first, last, *_ = undisturbed()
     assert last - first > 500
@@ -187,7 +190,9 @@ def test_the_bus_alone_or_the_master_alone(cut: Callable[[Bench], None]) -> None
         check(bench, number)
 
 
-@pytest.mark.parametrize("node", NODES)
+@pytest.mark.parametrize(
+    "node", [NODES[0], *(pytest.param(node, marks=SLOW) for node in NODES[1:])]
+)
 def test_one_node_loses_its_power(node: str) -> None:
     hash_, first, last, *_ = undisturbed()
     for number in range(first, last, 41):

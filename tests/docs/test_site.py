@@ -39,10 +39,12 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_every_link_and_anchor_exists(site: Path) -> None:
     assert list(dead_links(site)) == []
 
 
+@pytest.mark.slow
 def test_nothing_is_loaded_from_another_host(site: Path) -> None:
     assert list(foreign_files(site)) == []
 
@@ -107,6 +109,7 @@ def browser() -> Iterator[Any]:
         chromium.close()
 
 
+@pytest.mark.slow
 def test_pages_are_accessible_and_ask_no_other_host(address: str, axe: str, browser: Any) -> None:
     found, hosts, errors, wide = [], set(), [], []
     for name, width, colours in SAMPLE:
@@ -125,6 +128,7 @@ def test_pages_are_accessible_and_ask_no_other_host(address: str, axe: str, brow
     assert (errors, wide) == ([], [])
 
 
+@pytest.mark.slow
 def test_axe_finds_a_picture_without_a_text(axe: str, browser: Any) -> None:
     page = browser.new_page()
     page.set_content("<html lang='en'><title>x</title><main><h1>x</h1><img src='x.png'></main>")
@@ -133,6 +137,7 @@ def test_axe_finds_a_picture_without_a_text(axe: str, browser: Any) -> None:
     assert found == ['page: image-alt: <img src="x.png">']
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("opened_as", ["http", "file"])
 def test_the_search_finds_a_page(address: str, site: Path, browser: Any, opened_as: str) -> None:
     page = browser.new_page(viewport={"width": 1280, "height": 900})
@@ -144,12 +149,14 @@ def test_the_search_finds_a_page(address: str, site: Path, browser: Any, opened_
     assert "Least squares" in found
 
 
+@pytest.mark.slow
 def test_the_reference_has_every_key_of_a_robot(site: Path) -> None:
     keys = json.loads((ROOT / "thorvaldc/schema/robot.schema.json").read_text())["properties"]
     text = (site / "reference/robot.html").read_text(encoding="utf-8")
     assert all(f">{key}<" in text or f'id="{key}"' in text for key in keys)
 
 
+@pytest.mark.slow
 def test_the_reference_has_every_module_with_a_picture(site: Path) -> None:
     """Modules without a visible part have none."""
     bare = {"controller/propulsion_propulsion", "frame/open"}

@@ -70,6 +70,7 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> Reader:
     return Reader(home / "scout", environment)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PAGES)
 def test_every_command_of_the_page_prints_what_it_shows(name: str, reader: Reader) -> None:
     if name.endswith("ros2"):

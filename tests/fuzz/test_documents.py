@@ -110,15 +110,18 @@ def compile_and_show(robot: bytes, module: tuple[str, bytes] | None = None) -> N
         shutil.rmtree(folder)
 
 
-def examples(count: int) -> Callable[[Any], Any]:
+def examples(count: float) -> Callable[[Any], Any]:
     """Returns Hypothesis settings: ``count`` examples, the same in every run."""
     return settings(
-        max_examples=count,
+        max_examples=round(count),
         deadline=None,
         derandomize=True,
         database=None,
         suppress_health_check=list(HealthCheck),
     )
+
+
+SHARES = pytest.mark.parametrize("share", [0.2, pytest.param(1.0, marks=pytest.mark.slow)])
 
 
 # -- text -----------------------------------------------------------------------------
@@ -159,20 +162,26 @@ def edit_text(text: str, operations: list[tuple[str, float, float, str]]) -> byt
     return text.encode("utf-8", "surrogatepass")
 
 
-@examples(1500)
-@given(st.sampled_from(ROBOTS), edits)
-def test_text_of_robots(text: str, operations: list[tuple[str, float, float, str]]) -> None:
-    compile_and_show(edit_text(text, operations))
+@SHARES
+def test_text_of_robots(share: float) -> None:
+    @examples(1500 * share)
+    @given(st.sampled_from(ROBOTS), edits)
+    def check(text: str, operations: list[tuple[str, float, float, str]]) -> None:
+        compile_and_show(edit_text(text, operations))
+
+    check()
 
 
-@examples(1000)
-@given(st.sampled_from(MODULES), edits)
-def test_text_of_modules(
-    module: tuple[str, str], operations: list[tuple[str, float, float, str]]
-) -> None:
-    name, text = module
-    robot = ROBOT_WITH_MODULE.replace("TYPE", name).encode()
-    compile_and_show(robot, (name, edit_text(text, operations)))
+@SHARES
+def test_text_of_modules(share: float) -> None:
+    @examples(1000 * share)
+    @given(st.sampled_from(MODULES), edits)
+    def check(module: tuple[str, str], operations: list[tuple[str, float, float, str]]) -> None:
+        name, text = module
+        robot = ROBOT_WITH_MODULE.replace("TYPE", name).encode()
+        compile_and_show(robot, (name, edit_text(text, operations)))
+
+    check()
 
 
 # -- trees ------------------------------------------------------------------------------
@@ -227,20 +236,26 @@ def change_tree(tree: Any, operations: list[tuple[str, float, float, Any]]) -> b
     return json.dumps(tree, ensure_ascii=False).encode("utf-8", "surrogatepass")
 
 
-@examples(1500)
-@given(st.sampled_from(ROBOTS), changes)
-def test_trees_of_robots(text: str, operations: list[tuple[str, float, float, Any]]) -> None:
-    compile_and_show(change_tree(yaml.safe_load(text), operations))
+@SHARES
+def test_trees_of_robots(share: float) -> None:
+    @examples(1500 * share)
+    @given(st.sampled_from(ROBOTS), changes)
+    def check(text: str, operations: list[tuple[str, float, float, Any]]) -> None:
+        compile_and_show(change_tree(yaml.safe_load(text), operations))
+
+    check()
 
 
-@examples(1000)
-@given(st.sampled_from(MODULES), changes)
-def test_trees_of_modules(
-    module: tuple[str, str], operations: list[tuple[str, float, float, Any]]
-) -> None:
-    name, text = module
-    robot = ROBOT_WITH_MODULE.replace("TYPE", name).encode()
-    compile_and_show(robot, (name, change_tree(yaml.safe_load(text), operations)))
+@SHARES
+def test_trees_of_modules(share: float) -> None:
+    @examples(1000 * share)
+    @given(st.sampled_from(MODULES), changes)
+    def check(module: tuple[str, str], operations: list[tuple[str, float, float, Any]]) -> None:
+        name, text = module
+        robot = ROBOT_WITH_MODULE.replace("TYPE", name).encode()
+        compile_and_show(robot, (name, change_tree(yaml.safe_load(text), operations)))
+
+    check()
 
 
 @pytest.mark.parametrize("text", ["", "thorvaldc: 1\n", "[]", "1", "{}", "null", "a: b\n", "\x00"])

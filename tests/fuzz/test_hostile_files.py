@@ -48,7 +48,10 @@ def test_cases_are_repeatable() -> None:
         assert case_of(seed) == case_of(seed)
 
 
-@pytest.mark.parametrize("first", range(0, SAMPLE, BATCH))
+@pytest.mark.parametrize(
+    "first",
+    [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(BATCH, SAMPLE, BATCH))],
+)
 def test_hostile_files(first: int, tmp_path: Path) -> None:
     prepare()
     for seed in range(first, first + BATCH):

@@ -91,6 +91,7 @@ def test_sdist_contains_the_files_for_builds_and_tests(packages: tuple[Path, Pat
     assert not [name for name in names if name.startswith((".venv", "build/"))]
 
 
+@pytest.mark.slow
 def test_installed_wheel_checks_builds_and_simulates(environment: Path, tmp_path: Path) -> None:
     thorvaldc = environment / "thorvaldc"
     location = run(
@@ -108,6 +109,7 @@ def test_installed_wheel_checks_builds_and_simulates(environment: Path, tmp_path
     assert json.loads(run(thorvaldc, "schema", "robot", cwd=tmp_path).stdout)
 
 
+@pytest.mark.slow
 def test_a_program_that_uses_the_package_is_type_checked(environment: Path, tmp_path: Path) -> None:
     """mypy sees the types of the installed wheel: no name is ``Any``, and a typing error is one."""
     (tmp_path / "script.py").write_text(
@@ -138,6 +140,7 @@ def test_a_program_that_uses_the_package_is_type_checked(environment: Path, tmp_
     ]
 
 
+@pytest.mark.slow
 def test_backend_of_another_package(environment: Path, tmp_path: Path) -> None:
     package = tmp_path / "package"
     (package / "sheet").mkdir(parents=True)

@@ -78,6 +78,7 @@ def test_wheel_contains_only_the_rooms_of_the_runtime(wheel: Path) -> None:
         assert not [name for name in names if name.startswith(f"thorvaldc/{room}/")]
 
 
+@pytest.mark.slow
 def test_the_environment_has_no_compiler_and_no_numpy(runtime: Path, tmp_path: Path) -> None:
     program = (
         "import importlib.util as u\n"
@@ -95,6 +96,7 @@ def test_the_environment_has_no_compiler_and_no_numpy(runtime: Path, tmp_path: P
     assert process.stdout == "[]\n"
 
 
+@pytest.mark.slow
 def test_the_api_has_the_names_of_the_runtime(runtime: Path, tmp_path: Path) -> None:
     program = (
         "import pydoc, thorvaldc\n"
@@ -117,6 +119,7 @@ def test_the_api_has_the_names_of_the_runtime(runtime: Path, tmp_path: Path) -> 
     )
 
 
+@pytest.mark.slow
 def test_every_module_of_the_runtime_can_be_imported(runtime: Path, tmp_path: Path) -> None:
     program = (
         "import importlib, pkgutil, thorvaldc\n"
@@ -133,6 +136,7 @@ def test_every_module_of_the_runtime_can_be_imported(runtime: Path, tmp_path: Pa
     )
 
 
+@pytest.mark.slow
 def test_run_drives_a_simulated_robot_of_another_process(runtime: Path, build: Path) -> None:
     with running(build, "good.yaml") as (_, bus):
         drive = call(
@@ -147,6 +151,7 @@ def test_run_drives_a_simulated_robot_of_another_process(runtime: Path, build: P
     assert summary["pose"]["x"] > 0.3
 
 
+@pytest.mark.slow
 def test_run_drives_over_python_can(runtime: Path, build: Path) -> None:
     robot = compile_file(build / "good.yaml").model
     assert isinstance(robot, Robot)
@@ -171,6 +176,7 @@ def test_run_drives_over_python_can(runtime: Path, build: Path) -> None:
     assert json.loads(out)["pose"]["x"] > 0.2
 
 
+@pytest.mark.slow
 def test_scan_and_verify(runtime: Path, build: Path) -> None:
     with running(build, "good.yaml") as (_, bus):
         channel = f"sim:{bus['channel']}"
@@ -181,6 +187,7 @@ def test_scan_and_verify(runtime: Path, build: Path) -> None:
     assert verify.returncode == 0, verify.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["check", "build", "sim", "view", "render", "import"])
 def test_commands_of_the_compiler_name_the_package_to_install(
     runtime: Path, build: Path, command: str
@@ -191,12 +198,14 @@ def test_commands_of_the_compiler_name_the_package_to_install(
     assert "Traceback" not in refused.stderr
 
 
+@pytest.mark.slow
 def test_run_with_a_robot_file_needs_the_compiler(runtime: Path, build: Path) -> None:
     refused = call(runtime, build, "run", "good.yaml", "--bus", "sim:nobody")
     assert refused.returncode == 3, refused.stderr
     assert "model.json" in refused.stderr
 
 
+@pytest.mark.slow
 def test_help_names_the_commands(runtime: Path, tmp_path: Path) -> None:
     shown = call(runtime, tmp_path, "--help")
     assert shown.returncode == 0
@@ -204,6 +213,7 @@ def test_help_names_the_commands(runtime: Path, tmp_path: Path) -> None:
     assert shown.stderr == ""
 
 
+@pytest.mark.slow
 def test_runtime_has_its_own_interpreter(runtime: Path) -> None:
     """Another interpreter would find the packages of the environment that runs the tests."""
     assert (runtime / "python").exists()

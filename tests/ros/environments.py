@@ -13,6 +13,7 @@ import platform
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 ENVIRONMENTS = ROOT / ".venv-ros"
@@ -34,6 +35,22 @@ def python_of(distro: str) -> str:
             pytest.skip("the wheels of ROS 2 exist for Linux on x86_64 only")
         without(f"there is no .venv-ros/{distro} (python3 tests/ros/environments.py makes it)")
     return str(python)
+
+
+def each_distro() -> Any:
+    """Runs a test with each distribution; only the first one is in the quick group.
+
+    The tests of a distribution run in one process: they wait more than they compute, and two
+    processes at a time do not delay each other.
+    """
+    import pytest
+
+    cases = []
+    for distro in DISTROS:
+        marks = [pytest.mark.xdist_group(f"ros-{distro}")]
+        marks += [pytest.mark.slow] if distro != DISTROS[0] else []
+        cases.append(pytest.param(distro, marks=marks))
+    return pytest.mark.parametrize("distro", cases)
 
 
 def require_messages(distro: str, package: str) -> None:

@@ -12,14 +12,14 @@ from typing import Any
 
 import pytest
 
-from tests.child_process import ChildProcess
+from tests.child_process import ChildProcess, end_at_hang_up
 from tests.cli.test_bus import running
 from tests.examples import example_robot
-from tests.ros.environments import DISTROS, python_of, require_messages, variables
+from tests.ros.environments import DISTROS, each_distro, python_of, require_messages, variables
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.compiler.pipeline import emit
 
-pytestmark = [pytest.mark.parametrize("distro", DISTROS), pytest.mark.xdist_group("ros")]
+pytestmark = each_distro()
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +46,7 @@ def node(
     process = ChildProcess(
         command,
         env=variables(folder),
+        preexec_fn=end_at_hang_up,
         stderr=subprocess.PIPE,
         text=True,
     )
@@ -82,12 +83,14 @@ def test_battery_messages(distro: str, tmp_path: Path) -> None:
     run_client(distro, "battery_messages", tmp_path)
 
 
+@pytest.mark.slow
 def test_an_error_while_the_node_is_activated_closes_the_robot(
     distro: str, build: Path, tmp_path: Path
 ) -> None:
     run_client(distro, "failing_activation", tmp_path, build / "model.json")
 
 
+@pytest.mark.slow
 def test_an_error_of_one_node_leaves_no_robot_of_the_others_running(
     distro: str, build: Path, tmp_path: Path
 ) -> None:
@@ -101,6 +104,7 @@ def test_node_with_ideal_joints(distro: str, build: Path, tmp_path: Path) -> Non
         end(process)
 
 
+@pytest.mark.slow
 def test_bad_requests_are_refused_while_the_robot_drives(
     distro: str, build: Path, tmp_path: Path
 ) -> None:
@@ -109,6 +113,7 @@ def test_bad_requests_are_refused_while_the_robot_drives(
         end(process)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("base", "numbers", "pause"),
     [("ideal", [signal.SIGHUP], 0.0), ("bus", [signal.SIGHUP, signal.SIGQUIT], 0.1)],
@@ -133,6 +138,7 @@ def test_end_signals_stop_the_robot_in_order(
             assert "Traceback" not in err
 
 
+@pytest.mark.slow
 def test_node_with_mujoco_and_its_clock(distro: str, build: Path, tmp_path: Path) -> None:
     options = {"base": "mujoco", "publish_clock": True, "stamped": True}
     options["publish_description"] = True
@@ -153,12 +159,14 @@ def test_node_on_a_bus(distro: str, build: Path, tmp_path: Path) -> None:
             end(process)
 
 
+@pytest.mark.slow
 def test_clock_of_another_node(distro: str, build: Path, tmp_path: Path) -> None:
     with node(distro, build, tmp_path, base="ideal", stamped=False, use_sim_time=True) as process:
         run_client(distro, "drive_with_clock", tmp_path)
         end(process)
 
 
+@pytest.mark.slow
 def test_stamped_twists(distro: str, build: Path, tmp_path: Path) -> None:
     options = {"base": "ideal", "stamped": True, "twist_covariance": "for_filters"}
     with node(distro, build, tmp_path, **options) as process:
@@ -166,6 +174,7 @@ def test_stamped_twists(distro: str, build: Path, tmp_path: Path) -> None:
         assert end(process).count("`auto_nav` have a stamp of zero: they count as sent now") == 1
 
 
+@pytest.mark.slow
 def test_two_robots_in_one_process(distro: str, build: Path, tmp_path: Path) -> None:
     model = tmp_path / "one_of_many.json"  # the name of the file does not matter
     model.write_bytes((build / "model.json").read_bytes())
@@ -178,6 +187,7 @@ def test_two_robots_in_one_process(distro: str, build: Path, tmp_path: Path) -> 
         process.end()
 
 
+@pytest.mark.slow
 def test_relay_of_frames_and_transform(distro: str, tmp_path: Path) -> None:
     require_messages(distro, "can_msgs")
     require_messages(distro, "tf2_msgs")
@@ -192,6 +202,7 @@ def test_relay_of_frames_and_transform(distro: str, tmp_path: Path) -> None:
             end(process)
 
 
+@pytest.mark.slow
 def test_node_with_a_virtual_bus(distro: str, build: Path, tmp_path: Path) -> None:
     if distro != DISTROS[-1]:
         pytest.skip("the base `virtual` shares the code of `bus`; one distribution is enough")
@@ -208,6 +219,7 @@ def test_mission_over_topics_follows_the_path_of_the_mission_without_ros(
     assert result["distance"] < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [

@@ -25,6 +25,7 @@ with end_signals() as ended:
 
 @pytest.mark.parametrize("number", END_SIGNALS, ids=lambda number: number.name)
 def test_the_first_signal_ends_the_run_and_others_change_nothing(number: signal.Signals) -> None:
+    under_nohup = signal.signal(signal.SIGHUP, signal.SIG_DFL)
     before = [signal.getsignal(each) for each in END_SIGNALS]
     with end_signals() as ended:
         assert not ended()
@@ -34,6 +35,7 @@ def test_the_first_signal_ends_the_run_and_others_change_nothing(number: signal.
             os.kill(os.getpid(), other)
         assert ended()
     assert [signal.getsignal(each) for each in END_SIGNALS] == before
+    signal.signal(signal.SIGHUP, under_nohup)
 
 
 def test_the_signals_are_those_of_persons_terminals_and_the_system() -> None:

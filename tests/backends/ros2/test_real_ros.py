@@ -7,15 +7,13 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from tests.backends.ros2.packages import launch, parameter_files, variant, write
 from tests.child_process import ChildProcess
 from tests.examples import ROBOTS
-from tests.ros.environments import DISTROS, ROOT, python_of, variables
+from tests.ros.environments import ROOT, each_distro, python_of, variables
 from thorvaldc.backends.ros2 import package_of
 
-pytestmark = pytest.mark.xdist_group("ros")
+pytestmark = each_distro()
 OF_EVERY_NODE = {"use_sim_time", "start_type_description_service"}
 # Runs in the Python of ROS 2: creates each node with the file, and prints what it received.
 PROGRAM = """
@@ -52,7 +50,6 @@ print("FOUND" + json.dumps(found))
 """
 
 
-@pytest.mark.parametrize("distro", DISTROS)
 def test_rcl_reads_every_value_with_its_type(distro: str, tmp_path: Path) -> None:
     expected: dict[str, dict[str, Any]] = {}
     jobs: dict[str, list[str]] = {}
@@ -84,7 +81,6 @@ def test_rcl_reads_every_value_with_its_type(distro: str, tmp_path: Path) -> Non
     assert count > 1000
 
 
-@pytest.mark.parametrize("distro", DISTROS)
 def test_the_launched_base_driver_drives_the_robot(distro: str, tmp_path: Path) -> None:
     """Starts the program with the files and arguments of the launch file, and sends twists."""
     robot = variant("4wd4ws_wide", distro=distro, namespace="r1")

@@ -220,6 +220,7 @@ def test_the_robot_drives_while_a_key_is_held(page: Page) -> None:
     page.wait_for_selector("#drive[aria-pressed=false]", timeout=WAIT)
 
 
+@pytest.mark.slow
 def test_a_robot_drives_in_the_world_of_a_scenario(browser: Browser) -> None:
     server = Preview(ROOT / "examples" / "scenarios" / "field_edge.yaml")
     page = browser.new_page()
@@ -236,6 +237,7 @@ def test_a_robot_drives_in_the_world_of_a_scenario(browser: Browser) -> None:
     assert server.end() == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES, ids=IDS)
 def test_the_page_is_accessible(
     preview: Preview, browser: Browser, axe: str, size: tuple[int, int]
@@ -267,6 +269,7 @@ def test_the_page_is_accessible(
     assert found == []
 
 
+@pytest.mark.slow
 def test_exported_pages_are_accessible(browser: Browser, axe: str, tmp_path: Path) -> None:
     robot, before = example_robot("4wd4ws_wide"), example_robot("4wd4ws_slim")
     texts = {

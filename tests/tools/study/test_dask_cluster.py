@@ -75,6 +75,7 @@ def test_a_cluster_gives_the_same_table(run: Command, dask: DaskProcesses) -> No
     assert table("dask") == table("one")
 
 
+@pytest.mark.slow
 def test_workers_die_and_join(run: Command, dask: DaskProcesses) -> None:
     Path("study.yaml").write_text(STUDY.replace("number: 81", "number: 120"))
     assert run("study", "run", "study.yaml", "-j", "1", "-o", "one").status == 0
@@ -89,6 +90,7 @@ def test_workers_die_and_join(run: Command, dask: DaskProcesses) -> None:
     assert table("dask") == table("one")
 
 
+@pytest.mark.slow
 def test_an_interrupt_leaves_no_tasks_and_the_study_continues(
     run: Command, dask: DaskProcesses
 ) -> None:
@@ -127,6 +129,7 @@ def test_a_scheduler_that_is_not_there(run: Command) -> None:
     assert "dask worker tcp://127.0.0.1:9" in result.err
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_goes_away(
     run: Command, dask: DaskProcesses, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -145,6 +148,7 @@ def test_a_scheduler_that_goes_away(
     assert "the same command continues" in result.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -195,6 +199,7 @@ DesignEvaluator.evaluate = killing
 """
 
 
+@pytest.mark.slow
 def test_a_design_that_kills_workers_is_an_error(run: Command, dask: DaskProcesses) -> None:
     """It is tried again alone; all other designs have their results."""
     Path("study.yaml").write_text(STUDY.replace("grid, number: 81", "grid, number: 9"))
@@ -211,6 +216,7 @@ def test_a_design_that_kills_workers_is_an_error(run: Command, dask: DaskProcess
     assert len(found) == 9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("victim", VICTIMS[3:])
 def test_a_kill_changes_no_byte(run: Command, victim: str) -> None:
     """One instant of each kind; ``python -m tests.tools.study.kills 30`` kills more often."""
