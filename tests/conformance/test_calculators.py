@@ -441,42 +441,12 @@ def test_a_reached_command_stays_through_rounding(name: str, data: st.DataObject
 
 
 @SETTINGS
-@given(wheels=axle_wheels(), twist=twists, noise=st.floats(-0.1, 0.1))
-def test_differential_estimates_as_general(
-    wheels: list[WheelGeometry], twist: Twist, noise: float
-) -> None:
-    calculator_a, calculator_b = make("differential", wheels), make("general", wheels)
-    a, b = calculator_a.command(twist), calculator_b.command(twist)
-    assert list(a.joints.speeds) == pytest.approx(list(b.joints.speeds), abs=1e-12)
-    states, _, _ = states_of(calculator_a, twist)
-    states.speeds = [v + noise * (i == 0) for i, v in enumerate(states.speeds)]
-    same_estimate(calculator_a, calculator_b, states, 1e-9)
-
-
-@SETTINGS
-@given(wheels=tricycle_wheels(), twist=twists, noise=st.floats(-0.1, 0.1))
-def test_one_wheel_estimates_as_general(
-    wheels: list[WheelGeometry], twist: Twist, noise: float
-) -> None:
+@given(wheels=tricycle_wheels(), twist=twists)
+def test_one_wheel_commands_as_general(wheels: list[WheelGeometry], twist: Twist) -> None:
     calculator_a, calculator_b = make("one_wheel", wheels), make("general", wheels)
     a, b = calculator_a.command(twist), calculator_b.command(twist)
     assert list(a.joints.angles) == pytest.approx(list(b.joints.angles), abs=1e-9)
     assert list(a.joints.speeds) == pytest.approx(list(b.joints.speeds), abs=1e-9)
-    states, _, _ = states_of(calculator_a, twist)
-    states.angles = [v + noise * (w.steered) for v, w in zip(states.angles, wheels, strict=True)]
-    states.angle_rates = [0.1 * w.steered for w in wheels]
-    same_estimate(calculator_a, calculator_b, states, 1e-9)
-
-
-def same_estimate(
-    calculator_a: BaseCalculator, calculator_b: BaseCalculator, states: JointStates, bound: float
-) -> None:
-    a, b = calculator_a.odometry(states), calculator_b.odometry(states)
-    assert a.rank == b.rank == 3
-    assert close(a.twist, b.twist, bound)
-    largest = max(max(row) for row in b.covariance)
-    for ra, rb in zip(a.covariance, b.covariance, strict=True):
-        assert ra == pytest.approx(rb, rel=1e-6, abs=1e-6 * largest)
 
 
 numbers = st.one_of(

@@ -11,7 +11,6 @@ from tests.conformance.wheels import wheel
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry
 from thorvaldc.runtime.calculators.differential import Differential
-from thorvaldc.runtime.calculators.general import General
 
 SPEEDS = [(2.0, 2.0), (1.0, 3.0), (-2.0, 1.0)]
 
@@ -51,16 +50,3 @@ def test_odometry_turns_with_the_robot(speeds: tuple[float, float]) -> None:
     assert np.array(turned.twist) == pytest.approx(turn @ np.array(straight.twist))
     expected = turn @ np.array(straight.covariance) @ turn.T
     assert np.array(turned.covariance) == pytest.approx(expected, abs=1e-12)
-
-
-@pytest.mark.parametrize("speeds", SPEEDS)
-def test_two_wheels_give_the_estimate_of_the_least_squares_fit(
-    speeds: tuple[float, float],
-) -> None:
-    """Two wheels have no redundant measurement, so the fit must reproduce the closed form."""
-    wheels = (wheel("l", -0.4, 0.5, "fixed"), wheel("r", -0.4, -0.3, "fixed", radius=0.25))
-    geometry = BaseGeometry.from_wheels(wheels)
-    states = JointStates(0.0, list(speeds), [0.0, 0.0], [0.0, 0.0])
-    closed, fit = (kind(geometry).odometry(states) for kind in (Differential, General))
-    assert np.array(closed.twist) == pytest.approx(np.array(fit.twist), abs=1e-6)
-    assert np.array(closed.covariance) == pytest.approx(np.array(fit.covariance), rel=1e-3)

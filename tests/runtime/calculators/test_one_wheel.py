@@ -11,7 +11,6 @@ import pytest
 from tests.conformance.wheels import wheel
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry, WheelGeometry
-from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.calculators.one_wheel import OneWheel
 from thorvaldc.runtime.se2 import Twist
 
@@ -48,14 +47,6 @@ def test_odometry_turns_with_the_robot(states: JointStates) -> None:
     assert np.array(turned.twist) == pytest.approx(turn @ np.array(straight.twist))
     expected = turn @ np.array(straight.covariance) @ turn.T
     assert np.array(turned.covariance) == pytest.approx(expected, abs=1e-12)
-
-
-@pytest.mark.parametrize("states", STATES)
-def test_odometry_equals_the_least_squares_fit(states: JointStates) -> None:
-    geometry = BaseGeometry.from_wheels(wheels())
-    closed, fit = (kind(geometry).odometry(states) for kind in (OneWheel, General))
-    assert np.array(closed.twist) == pytest.approx(np.array(fit.twist), abs=1e-6)
-    assert np.array(closed.covariance) == pytest.approx(np.array(fit.covariance), rel=0.02)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.7])

@@ -26,7 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, Noise
@@ -118,7 +118,7 @@ class General(BaseCalculator):
 
     name = "general"
     summary = "any arrangement of driven, steered, fixed and free wheels"
-    Options = GeneralOptions
+    Options: ClassVar[type] = GeneralOptions
 
     def __init__(
         self,
@@ -226,13 +226,20 @@ class General(BaseCalculator):
         if not self._unconstrained:
             target, unreachable = self._reachable.project(twist)
             infeasible = Twist(twist.vx - target.vx, twist.vy - target.vy, twist.wz - target.wz)
+        rates: Sequence[float] = self._zeros
+        if not self._steering:  # the steps below only concern wheels that turn: half of the time
+            target_speeds, scale = self._target_speeds(target)
+            if scale < 1.0:
+                target = target.scaled(scale)
+            current, limited_speeds = self._motors.limit_accelerations(target, target_speeds, dt)
+            joints = JointCommands(limited_speeds, self._zeros)
+            return BaseCommand(joints, target, current, infeasible, scale, unreachable, rates)
         angles: Sequence[float] = self._angles
         speeds: Sequence[float] = self._zeros
         if states is not None:
             angles, speeds = states.angles, states.speeds
         last_twist = self._motors.twist
         must_stop = self._stopping and self._square(last_twist) > _STANDING
-        rates: Sequence[float] = self._zeros
         if not must_stop:
             self._choose_angles(target, angles, speeds)
             rates, ticks, self._aligned = self._steering_delay(dt)
@@ -265,20 +272,13 @@ class General(BaseCalculator):
         current, limited_speeds = self._motors.limit_accelerations(
             current, target_speeds, dt, pushes
         )
-        if current is not unlimited and self._steering:
+        if current is not unlimited:
             rolling_speeds = self._motors.rolling_speeds
             current = self._rolling_twist(current, rolling_speeds, angles, at_targets)
             self._motors.twist = current
+        joints = JointCommands(limited_speeds, self._angles)
         return BaseCommand(
-            JointCommands(limited_speeds, self._angles),
-            target,
-            current,
-            infeasible,
-            scale,
-            unreachable,
-            rates,
-            must_stop,
-            self._aligned,
+            joints, target, current, infeasible, scale, unreachable, rates, must_stop, self._aligned
         )
 
     def _square(self, twist: Twist) -> float:
