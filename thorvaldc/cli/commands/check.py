@@ -14,7 +14,7 @@ from thorvaldc.cli.options import Library, Strict, Trust, library_folders
 from thorvaldc.cli.standard_input import NAME, standard_input
 from thorvaldc.compiler.bus.lock_file import without_lock_files
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.compiler.sandbox.worker_process import containment_gaps
+from thorvaldc.compiler.sandbox.worker_process import missing_limits
 from thorvaldc.diagnostics import Accepted, Severity
 from thorvaldc.diagnostics.renderers import render_accepted
 from thorvaldc.model import Fleet, Robot
@@ -60,9 +60,9 @@ def check(
                 more = f"; {_accepted(accepted)} accepted" if accepted else ""
                 summary = _summary(compilation.model)
                 output.result(f"{file}: {compilation.model.name}, {summary}{more}")
-    if format == "text" and containment_gaps:
-        gaps = ", ".join(f"{layer} ({reason})" for layer, reason in containment_gaps.items())
-        print(f"note: xacro and mesh files were read without these layers: {gaps}", file=sys.stderr)
+    if format == "text" and missing_limits:
+        missing = "; ".join(missing_limits)
+        print(f"note: limits of the readers of xacro and meshes: {missing}", file=sys.stderr)
     return output.finish(strict)
 
 

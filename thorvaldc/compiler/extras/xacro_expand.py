@@ -280,7 +280,7 @@ def _answers(entries: list[dict[str, Any]], folders: list[str] | None) -> list[d
     ]
     answers: list[dict[str, Any]] = []
     service, imports = xacro_worker.__name__, ["xacro.substitution_args", "yaml"]
-    with WorkerProcess(service, LIMITS, path=path, imports=imports, folders=folders) as worker:
+    with WorkerProcess(service, LIMITS, path=path, imports=imports) as worker:
         for entry in entries:
             try:
                 answers.append(worker.ask(entry | {"folders": folders})[0])

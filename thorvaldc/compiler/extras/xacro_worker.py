@@ -2,8 +2,8 @@
 
 A xacro file contains Python expressions.  For security, the compiler expands xacro files in a
 separate worker process, which has no environment variables.  The rules of ``expression_rules``
-apply to each expression, the file may read only in the folders of the request, and ``containment``
-takes other rights from the process.  With the option ``--trust`` only time and memory are limited.
+apply to each expression, the file may read only in the folders of the request, and the process has
+the limits of ``process_limits``.  With the option ``--trust``, only these limits are left.
 The messages are described in ``worker_protocol``.
 
 The package xacro does not keep the line numbers of XML elements.  The class ``_Builder`` stores the

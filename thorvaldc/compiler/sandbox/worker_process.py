@@ -1,8 +1,8 @@
 """Starts and limits the processes that read files of others.
 
 Files of others (xacro, meshes) can contain programs, or need any amount of time and memory.  The
-compiler reads them only in contained worker processes, see ``worker_protocol`` and
-``containment``.
+compiler reads them only in limited worker processes, see ``worker_protocol`` and
+``process_limits``.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class WorkerLimitError(Exception):
 
 
 class WorkerProcess:
-    """A contained process that answers one request at a time.
+    """A limited process that answers one request at a time.
 
     The process starts with the first request.  If a request fails, the next one starts a new
     process.
@@ -61,9 +61,7 @@ class WorkerProcess:
     - ``service``: name of the module that answers, see ``worker_protocol``.
     - ``path``: folders from which the process imports modules, beside the standard library and
       this package.
-    - ``imports``: modules that the process imports before it contains itself.
-    - ``folders``: folders that the process may read, or ``None`` for a process that is limited but
-      not contained.
+    - ``imports``: modules that the process imports before its limits are in force.
     """
 
     def __init__(
@@ -73,14 +71,12 @@ class WorkerProcess:
         *,
         path: Sequence[str] = (),
         imports: Sequence[str] = (),
-        folders: Sequence[str] | None = (),
     ) -> None:
         self.limits = limits
         self._start_fields: Fields = {
             "service": service,
             "path": [*path],
             "imports": [*imports],
-            "folders": None if folders is None else [*folders],
             "memory_bytes": limits.memory_bytes,
             "processor_seconds": limits.processor_seconds,
             "parent": os.getpid(),
@@ -106,10 +102,9 @@ class WorkerProcess:
         try:
             if self._process is None:
                 self._process = _start()
-                layers, _ = self._exchange(START_SECONDS, self._start_fields)
-                containment_gaps.update(
-                    {name: reason for name, reason in layers["layers"].items() if reason}
-                )
+                limited, _ = self._exchange(START_SECONDS, self._start_fields)
+                if limited["missing"] and limited["missing"] not in missing_limits:
+                    missing_limits.append(limited["missing"])
             answer, data = self._exchange(self.limits.wall_seconds, request, data)
         except BaseException:
             self.close()
@@ -169,8 +164,8 @@ class WorkerProcess:
             timer.cancel()
 
 
-containment_gaps: dict[str, str] = {}
-"""Layers of the containment that the worker processes so far did not have, with the reasons."""
+missing_limits: list[str] = []
+"""Limits that were not in force in the worker processes so far."""
 
 
 def _start() -> subprocess.Popen[bytes]:

@@ -3,8 +3,8 @@
 Protocol between the compiler (``worker_process``) and a worker process:
 
     compiler                                   worker
-       | -- start: service, folders, limits --> |  imports the service, contains itself
-       | <-- layers: which layers are missing - |
+       | -- start: service, limits -----------> |  imports the service, limits itself
+       | <-- missing: limits not in force ----- |
        | -- request + data -------------------> |  the limits of time count for each request
        | <-- answer + data -------------------- |
        |    ...                                 |
@@ -23,8 +23,7 @@ import os
 import sys
 from typing import IO, Any
 
-from thorvaldc.compiler.sandbox.containment import (
-    contain,
+from thorvaldc.compiler.sandbox.process_limits import (
     end_with_parent,
     limit_processor_time,
     set_limits,
@@ -78,12 +77,7 @@ def main() -> None:
     service = importlib.import_module(start["service"])
     for name in start["imports"]:
         importlib.import_module(name)
-    if start["folders"] is None:
-        layers = {"limits": set_limits(start["memory_bytes"])}
-    else:
-        folders = [*start["folders"], os.path.dirname(os.__file__), *start["path"]]
-        layers = contain(folders, start["memory_bytes"])
-    write_message(answers, {"layers": layers})
+    write_message(answers, {"missing": set_limits(start["memory_bytes"])})
     while True:
         try:
             request, data = read_message(requests)
