@@ -17,7 +17,7 @@ import pytest
 
 from tests.can.slcan_adapter import SlcanAdapter
 from tests.child_process import ChildProcess
-from tests.cli.conftest import GOOD, Command
+from tests.cli.conftest import GOOD, SLOW, Command
 from tests.cli.test_bus import end, running
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
@@ -176,24 +176,10 @@ def test_a_signal_stops_the_robot_and_disables_the_drives(number: int, tmp_path:
         if "active" in line:
             break
     process.send_signal(number)
-    out, err = process.communicate(timeout=20)
+    out, err = process.communicate(timeout=60)
     assert process.returncode == 0, err
     assert out.startswith(("stopping", "ready")), out
     assert "Traceback" not in err
-
-
-ATTEMPTS = 3
-
-
-def held_up(status: int, out: str, err: str) -> bool:
-    """Whether a busy machine delayed the driver, or the simulated bus so that nodes were silent.
-
-    After a short gap in time the robot comes to rest and drives on, so that its way is shorter.
-    """
-    words = ("no tpdo", "no heartbeat", "no sign", "no control cycle")
-    if status == 0:
-        return bool(json.loads(out)["timing"]["gaps"])
-    return any(word in err for word in words)
 
 
 def over_slcan(
@@ -231,13 +217,13 @@ def over_slcan(
 
     adapter.serve(over, 60.0)
     simulated.run(0.2)  # the next heartbeats contain the last state
-    out, err = process.communicate(timeout=10)
+    out, err = process.communicate(timeout=60)
     adapter.close()
     return process.returncode, out, err, adapter, frames_seen, fastest
 
 
 def test_over_a_bus_in_another_process(tmp_path: Path) -> None:
-    (tmp_path / "good.yaml").write_text(GOOD)
+    (tmp_path / "good.yaml").write_text(GOOD + SLOW)
     with running(tmp_path, "good.yaml") as (bus, listing):
         process = started(
             tmp_path,
@@ -299,16 +285,10 @@ def test_a_stopped_process_is_a_gap_in_time(tmp_path: Path) -> None:
 def test_over_a_serial_line_from_another_process(tmp_path: Path) -> None:
     """slcan on a pair of pseudo-terminals carries all frames, and the wheels turn."""
     path = tmp_path / "good.yaml"
-    path.write_text(GOOD)
+    path.write_text(GOOD + SLOW)
     robot = compile_file(path).model
     assert isinstance(robot, Robot)
-    for attempt in range(ATTEMPTS):
-        state = tmp_path / f"attempt{attempt}"
-        state.mkdir()
-        (state / "good.yaml").write_text(GOOD)
-        status, out, err, adapter, frames_seen, fastest = over_slcan(robot, state)
-        if not held_up(status, out, err):
-            break
+    status, out, err, adapter, frames_seen, fastest = over_slcan(robot, tmp_path)
     assert status == 0, err
     summary = json.loads(out)
     assert "never tried on physical hardware" in err

@@ -112,7 +112,9 @@ def check_files(files: Mapping[str, bytes]) -> None:
             assert not date.search(data), f"{path} has a date"
 
 
-def check_purity(backend: type[Backend], robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def check_purity(
+    backend: type[Backend], robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> dict[str, bytes]:
     """Check that a second call gives the same bytes, with the outside world out of reach."""
     model = to_json(robot)
     files = backend().emit(robot)
@@ -137,6 +139,7 @@ def check_purity(backend: type[Backend], robot: Robot, monkeypatch: pytest.Monke
     assert list(again) == list(files)
     assert diagnostics_again == diagnostics
     assert to_json(robot) == model, "the backend changed the model"
+    return files
 
 
 def check_fleet(backend: type[Backend], fleet: Fleet) -> None:
@@ -157,32 +160,21 @@ def test_class(name: str) -> None:
     assert "\n" not in backend.summary
 
 
-def test_purity(backend: type[Backend], robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    check_purity(backend, robot, monkeypatch)
-
-
-def test_statics_are_only_read(robot: Robot) -> None:
-    """Backends that share the statics give the same files, and the files of ``emit``."""
+def test_every_target_of_a_robot(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pure, correct paths, files that several targets write are equal; statics are only read."""
+    files_of_all: dict[str, bytes] = {}
     statics = solve_statics(robot)
     for name in TARGETS:
         backend = backends.load(name)
+        files = check_purity(type(backend), robot, monkeypatch)
+        check_files(files)
+        assert files, f"the target {name} has no file"
+        for path, data in files.items():
+            assert files_of_all.setdefault(path, data) == data, f"{path} of {name}"
         if isinstance(backend, StaticsBackend):
-            assert backend.emit_with_statics(robot, statics) == backend.emit(robot)
+            assert backend.emit_with_statics(robot, statics) == files
+    check_files(files_of_all)
     assert statics == solve_statics(robot)
-
-
-def test_paths_and_contents(backend: type[Backend], robot: Robot) -> None:
-    files = files_of(backend, robot)
-    check_files(files)
-    assert files, "a target has at least one file"
-
-
-def test_backends_share_only_equal_files(robot: Robot) -> None:
-    files: dict[str, bytes] = {}
-    for name in TARGETS:
-        for path, data in files_of(type(backends.load(name)), robot).items():
-            assert files.setdefault(path, data) == data, f"{path} of {name}"
-    check_files(files)
 
 
 def test_fleet(backend: type[Backend]) -> None:

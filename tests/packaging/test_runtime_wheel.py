@@ -13,7 +13,7 @@ import pytest
 
 from tests.can.slcan_adapter import SlcanAdapter
 from tests.child_process import ChildProcess
-from tests.cli.conftest import GOOD
+from tests.cli.conftest import GOOD, SLOW
 from tests.cli.test_bus import running
 from tests.packaging import runtime_environment
 from thorvaldc.compiler.pipeline import compile_file, emit
@@ -37,10 +37,6 @@ def runtime(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Returns the ``bin`` of an environment with the runtime wheel, and pyserial for slcan."""
     home = tmp_path_factory.mktemp("robot_computer")
     return runtime_environment.create(home, wheel, ("python-can", "typer", "pyserial"))
-
-
-SLOW = "driver: {rate: 5 Hz, command_timeout: 2 s}\n"
-"""A slow control cycle: a busy computer must not look like a drive that is silent."""
 
 
 @pytest.fixture
