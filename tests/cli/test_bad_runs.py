@@ -94,7 +94,7 @@ def test_an_output_that_cannot_be_written_is_reported_before_the_run(
     assert value in result.err
     assert expected in result.err
     assert result.err.count("\n") == 1
-    assert time.monotonic() - started < 20
+    assert time.monotonic() - started < 60
 
 
 @pytest.mark.parametrize("option", ["--record", "--log"])
@@ -186,7 +186,9 @@ def test_a_terminated_run_leaves_a_readable_record(
 
 
 def _written() -> int:
-    return sum(p.stat().st_size for p in Path().rglob("*") if p.name in ("r.csv", "record.mcap"))
+    """Size of the unfinished record: a CSV file under a temporary name, MCAP in a folder."""
+    names = (".thorvaldc-*", "record.mcap")
+    return sum(p.stat().st_size for name in names for p in Path().rglob(name) if p.is_file())
 
 
 def test_progress_is_shown_on_a_terminal_only(tmp_path: Path, thorvaldc: Command) -> None:

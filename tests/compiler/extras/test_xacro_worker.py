@@ -54,7 +54,7 @@ def test_a_file_that_hangs_is_stopped_and_the_next_is_read(
         a_xacro=HEAD + "<link name='${len([0 for i in range(10**11) if not i+1])}'/></robot>",
         b_xacro=HEAD + "<link name='b'/></robot>",
     )
-    assert time.monotonic() - start < 10.0
+    assert time.monotonic() - start < 60.0
     assert loaded.codes == ["extra-limit"]
     assert "longer than 1 s" in loaded.only.message
     assert [link.name for link in loaded.parts.links] == ["b"]

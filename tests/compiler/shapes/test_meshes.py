@@ -158,7 +158,7 @@ def test_a_small_file_of_nested_instances_is_stopped(
     mesh, report = load(write(tmp_path / "many.dae", nested_collada(40)))
     assert mesh is None
     assert names(report) == ["mesh-large"]
-    assert time.monotonic() - start < 15.0
+    assert time.monotonic() - start < 60.0
 
 
 @pytest.mark.parametrize(

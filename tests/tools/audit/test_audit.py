@@ -175,7 +175,7 @@ def test_hostile_documents_end_in_bounded_time(cart: Path) -> None:
     (cart / "config/alias.yaml").write_text("n: {ros__parameters: &x {y: *x}}\n", "utf-8")
     start = time.monotonic()
     skipped = {Path(file).name for code, file, _ in findings("cart") if "skipped" in code}
-    assert time.monotonic() - start < 20.0
+    assert time.monotonic() - start < 60.0
     assert skipped >= {"bomb.yaml", "code.xml", "entity.launch.xml", "deep.xml", "nested.launch.py"}
 
 

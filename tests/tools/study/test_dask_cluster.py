@@ -123,7 +123,7 @@ def test_a_scheduler_that_is_not_there(run: Command) -> None:
     Path("study.yaml").write_text(STUDY)
     start = time.monotonic()
     result = run("study", "run", "study.yaml", "--scheduler", "tcp://127.0.0.1:9")
-    assert time.monotonic() - start < 15
+    assert time.monotonic() - start < 60
     assert result.status == 3
     assert "there is no Dask scheduler at tcp://127.0.0.1:9" in result.err
     assert "dask worker tcp://127.0.0.1:9" in result.err
