@@ -8,12 +8,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from bench.figure import Figure, least_times
+from bench.random_pairs.random_pairs_calculator import RandomPairs, RandomPairsOptions
 from bench.wheel_noise import ROBOTS, Array, Drive, drive, geometry_of, random_twists
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry, Noise
 from thorvaldc.runtime.calculators.general import General, GeneralOptions
-from thorvaldc.runtime.calculators.random_pairs import RandomPairs, RandomPairsOptions
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, Cov3, Pose2, Twist
 from thorvaldc.simulation.vectorised.calculator_batch import CalculatorBatch
 

@@ -19,7 +19,6 @@ import thorvaldc
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.runtime.calculators import BaseGeometry
-from thorvaldc.runtime.calculators.random_pairs import RandomPairs, RandomPairsOptions
 from thorvaldc.runtime.odometry import Odometry
 from thorvaldc.simulation.control_loop import ControlLoop, Sample
 from thorvaldc.simulation.manoeuvre import Segment
@@ -31,6 +30,7 @@ from thorvaldc.tools.calibration.calibration_text import overlay
 from thorvaldc.tools.calibration.self_calibration import CalibrationResult, calibrate
 
 HERE = Path(__file__).resolve().parent
+sys.path.append(str(HERE.parents[1] / "bench" / "random_pairs"))  # as if it were installed
 ROBOT = HERE.parent / "6wd6ws_asymmetric" / "robot.yaml"
 CASES = {
     "ideal": "ideal sensors and wheels",
@@ -67,6 +67,8 @@ class Row(NamedTuple):
 
 def drive(path: Path, name: str) -> tuple[Row, Robot, list[Sample]]:
     """Runs a scenario, and the paper's odometry on the same joint states."""
+    from random_pairs_calculator import RandomPairs, RandomPairsOptions
+
     compilation = thorvaldc.compile(path)
     scenario = compilation.scenario
     if scenario is None:

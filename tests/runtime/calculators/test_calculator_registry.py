@@ -83,10 +83,8 @@ def test_all_errors_are_reported() -> None:
         ("calculator-option", "hysteresis"),
         ("calculator-option", "colour"),
     ]
-    errors = calculators.calculator_errors(
-        robot_with("random_pairs", parallel=2.0, seed=1, hysteresis=-1.0)
-    )
-    assert [e.option for e in errors] == ["parallel", "hysteresis"]
+    errors = calculators.calculator_errors(robot_with("general", faulty_wheels=3, hysteresis=-1.0))
+    assert [e.option for e in errors] == ["faulty_wheels", "hysteresis"]
 
 
 CALCULATOR_MODULE = """

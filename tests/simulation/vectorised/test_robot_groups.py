@@ -13,7 +13,7 @@ from tests.conformance.wheels import wheel
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.model import Fleet, Placement, Pose
 from thorvaldc.runtime.base_interface import JointStates
-from thorvaldc.runtime.calculators import BaseGeometry, Noise, WheelGeometry
+from thorvaldc.runtime.calculators import PLUGINS, BaseGeometry, Noise, WheelGeometry
 from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.odometry import Odometry
@@ -175,7 +175,9 @@ def test_parameter_change_ends_the_group() -> None:
     assert groups.update_odometry(0.04, robots) == {}
 
 
-def test_calculator_with_its_own_odometry_has_no_group() -> None:
+def test_calculator_with_its_own_odometry_has_no_group(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = "bench.random_pairs.random_pairs_calculator:RandomPairs"
+    monkeypatch.setitem(PLUGINS.builtin, "random_pairs", own)
     robot = make_robot(FOUR_STEERED, calculator="random_pairs")
     drivers = [BaseDriver(robot, SimBase(robot)) for _ in range(robot_groups.MIN_GROUP_SIZE)]
     groups = robot_groups.RobotGroups(drivers)

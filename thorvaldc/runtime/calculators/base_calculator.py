@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import abc
-import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain
 from typing import Any, ClassVar, Self
 
-from thorvaldc.model.float_sum import float_sum
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 from thorvaldc.runtime.calculators.twist_estimator import TwistEstimate, TwistEstimator
@@ -64,26 +61,6 @@ class BaseCommand:
 @dataclass(frozen=True, slots=True)
 class NoOptions:
     """Empty options class for base calculators that have no options."""
-
-
-OdometryMethod = Callable[[Any, JointStates], TwistEstimate]
-
-
-def finite_result(odometry: OdometryMethod) -> OdometryMethod:
-    """Wraps an odometry method to raise ``NotFiniteError`` if its result is not finite."""
-
-    @functools.wraps(odometry)
-    def checked(self: Any, states: JointStates) -> TwistEstimate:
-        try:
-            estimate = odometry(self, states)
-        except (ZeroDivisionError, OverflowError):
-            raise NotFiniteError("the joint states are out of all bounds") from None
-        total = float_sum((*estimate.twist, *chain(*estimate.covariance), *estimate.chi_squares))
-        if not math.isfinite(total):
-            raise NotFiniteError("the joint states are out of all bounds")
-        return estimate
-
-    return checked
 
 
 class BaseCalculator(abc.ABC):

@@ -22,7 +22,6 @@ PLUGINS: PluginTable[BaseCalculator] = PluginTable(
         "general": "thorvaldc.runtime.calculators.general:General",
         "differential": "thorvaldc.runtime.calculators.differential:Differential",
         "one_wheel": "thorvaldc.runtime.calculators.one_wheel:OneWheel",
-        "random_pairs": "thorvaldc.runtime.calculators.random_pairs:RandomPairs",
     },
 )
 

@@ -1,13 +1,19 @@
-"""The paper's odometry: exact without noise, repeatable, and its limits."""
+"""The paper's odometry, a plug-in beside the bench: exact without noise, repeatable, its limits."""
 
 from __future__ import annotations
 
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 
+from bench.random_pairs.random_pairs_calculator import RandomPairs, RandomPairsOptions
 from tests.conformance.wheels import wheel
+from tests.robots import FOUR_STEERED, make_robot
+from thorvaldc.model import CalculatorChoice
 from thorvaldc.runtime.base_interface import JointStates
-from thorvaldc.runtime.calculators import BaseGeometry
-from thorvaldc.runtime.calculators.random_pairs import RandomPairs, RandomPairsOptions
+from thorvaldc.runtime.calculators import BaseGeometry, for_robot
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 SQUARE = [(0.55, 0.45), (0.55, -0.45), (-0.55, 0.45), (-0.55, -0.45)]
@@ -76,3 +82,25 @@ def test_one_wheel_has_no_pair() -> None:
 def test_options_out_of_range(options: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         RandomPairsOptions(**options)  # type: ignore[arg-type]
+
+
+def test_a_robot_file_names_the_installed_plugin(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = Path(__file__).resolve().parents[1] / "bench" / "random_pairs"
+    project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    info = tmp_path / "thorvaldc_random_pairs-1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: 1\n")
+    lines = [
+        line
+        for group, entries in project["entry-points"].items()
+        for line in (f"[{group}]", *(f"{name} = {value}" for name, value in entries.items()))
+    ]
+    (info / "entry_points.txt").write_text("\n".join(lines))
+    monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    choice = CalculatorChoice("random_pairs", (("seed", 3),))
+    calculator = for_robot(replace(make_robot(FOUR_STEERED), calculator=choice))
+    assert calculator.name == "random_pairs"
+    assert calculator.options.seed == 3

@@ -1,4 +1,8 @@
-"""Odometry by random pairs of wheels, from the Thorvald II paper, as a baseline for comparisons."""
+"""Odometry by random pairs of wheels, from the Thorvald II paper, as a baseline for comparisons.
+
+It is also the example of a base calculator in a package of its own: this module, and the entry
+point in ``pyproject.toml``.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,6 @@ from typing import Self
 
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.runtime.base_interface import JointStates
-from thorvaldc.runtime.calculators.base_calculator import finite_result
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 from thorvaldc.runtime.calculators.general import General, GeneralOptions
 from thorvaldc.runtime.calculators.twist_estimator import Noise, TwistEstimate
@@ -98,7 +101,6 @@ class RandomPairs(General):
         super().resume(previous)
         self._random = previous._random
 
-    @finite_result
     def odometry(self, states: JointStates) -> TwistEstimate:
         self.estimator.check(states)
         lines: list[_AxleLine] = []
