@@ -63,7 +63,7 @@ else:
     # Type checkers do not see ``__getattr__``: they would accept every name, with the type Any.
     _API = {
         "BaseDriver": "runtime.driver",
-        "Compilation": "compiler.compilation",
+        "Compilation": "compiler.result.compilation",
         "CompileError": "compiler.loading",
         "Diagnostic": "diagnostics",
         "DiagnosticError": "diagnostics.error",
