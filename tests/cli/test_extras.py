@@ -36,7 +36,7 @@ HINTS = [
     ("aiohttp", ("preview", "good.yaml", "--no-browser"), "preview"),
 ]
 # Hints of which other tests show that they appear.
-SHOWN_ELSEWHERE = {"gym", "tui"}
+SHOWN_ELSEWHERE = {"gym"}
 
 
 def extras(file: str) -> dict[str, list[Requirement]]:

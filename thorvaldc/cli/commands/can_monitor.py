@@ -14,7 +14,7 @@ import typer
 from thorvaldc.can.interface import CanInterface
 from thorvaldc.can.open_interface import open_interface
 from thorvaldc.cli.completed_values import bus_interfaces
-from thorvaldc.cli.diagnostic_output import message, print_json, report_of
+from thorvaldc.cli.diagnostic_output import print_json, report_of
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.options import Library, RobotFile, Trust, parse_duration, select_bus
 from thorvaldc.cli.robot_file import load_robot
@@ -22,7 +22,7 @@ from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import Bus
 from thorvaldc.tools.monitor.bus_monitor import BusMonitor
-from thorvaldc.tools.monitor.live_view import has_textual, watch_live, watch_stream
+from thorvaldc.tools.monitor.live_view import watch_live, watch_stream
 from thorvaldc.tools.monitor.monitor_text import monitor_lines
 
 LIVE_INTERVAL = 0.25
@@ -79,11 +79,6 @@ def monitor(
         if live:
             keys = sys.stdin if sys.stdin.isatty() else None
             bus_monitor = BusMonitor(loaded.robot, model_bus)
-            if keys is not None and not has_textual():
-                message(
-                    "a table that scrolls in both directions needs the package textual:"
-                    " pip install 'thorvaldc[tui]', with the runtime alone 'thorvaldc-runtime[tui]'"
-                )
             watch_live(interface, bus_monitor, period, seconds, keys, sys.stdout)
         elif json:
             bus_monitor = BusMonitor(loaded.robot, model_bus)

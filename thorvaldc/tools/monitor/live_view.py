@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Callable, Mapping
 from typing import IO, Any
@@ -12,6 +11,9 @@ from thorvaldc.cli.terminal import Terminal
 from thorvaldc.runtime.end_signals import end_signals
 from thorvaldc.tools.monitor.bus_monitor import BusMonitor, watch
 from thorvaldc.tools.monitor.monitor_text import monitor_lines, page
+
+COLUMNS = 8
+"""Number of columns by which the keys left and right scroll."""
 
 
 def watch_live(
@@ -29,17 +31,6 @@ def watch_live(
     ``ConnectionError`` if the connection to the CAN interface is lost.
     """
     until = interface.now + duration
-    if keys is not None and os.environ.get("TERM") != "dumb" and has_textual():
-        from thorvaldc.tools.monitor.monitor_app import Show, run_monitor_app
-
-        with end_signals() as end_requested:
-
-            def listen(show: Show, quitted: Callable[[], bool]) -> None:
-                ended = lambda: end_requested() or quitted()  # noqa: E731
-                watch(interface, monitor, interval, show, until=until, ended=ended)
-
-            run_monitor_app(listen)
-        return
     with end_signals() as end_requested, Terminal(keys, screen, whole=True) as terminal:
         view = LiveView(terminal)
         watch(
@@ -50,15 +41,6 @@ def watch_live(
             until=until,
             ended=lambda: end_requested() or view.poll(),
         )
-
-
-def has_textual() -> bool:
-    """Returns whether the library Textual (the extra ``tui``) is installed."""
-    try:
-        import textual  # noqa: F401
-    except ImportError:
-        return False
-    return True
 
 
 def watch_stream(
@@ -82,7 +64,7 @@ class LiveView:
 
     def __init__(self, terminal: Terminal) -> None:
         self._terminal = terminal
-        self._first_line = 0
+        self._first_line = self._first_column = 0
         self._lines: list[str] = []
         self._quit = False
 
@@ -104,14 +86,18 @@ class LiveView:
             if key in ("q", "Q", "ctrl-d", "ctrl-c"):
                 self._quit = True
             step = {"down": 1, "j": 1, "up": -1, "k": -1, " ": _height() - 2}.get(key, 0)
-            if step:
+            sideways = {"right": COLUMNS, "l": COLUMNS, "left": -COLUMNS, "h": -COLUMNS}.get(key, 0)
+            if step or sideways:
                 last = max(len(self._lines) - _height() + 1, 0)
                 self._first_line = min(max(self._first_line + step, 0), last)
+                last = max(max(map(len, self._lines), default=0) - COLUMNS, 0)
+                self._first_column = min(max(self._first_column + sideways, 0), last)
                 self._draw()
         return self._quit
 
     def _draw(self) -> None:
-        self._terminal.show(page(self._lines, _height(), self._first_line))
+        lines = [line[self._first_column :] for line in self._lines]
+        self._terminal.show(page(lines, _height(), self._first_line))
 
 
 def _height() -> int:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from thorvaldc.diagnostics.text_layout import text_table
 
 SHOWN_EMERGENCIES = 5
-NAMED_FRAMES = 2
-COLUMNS = ("id", "frame", "period", "age", "problem", "values")
-"""Columns of the rows of ``table_rows``."""
 
 
 def monitor_lines(summary: Mapping[str, Any]) -> list[str]:
@@ -19,7 +16,7 @@ def monitor_lines(summary: Mapping[str, Any]) -> list[str]:
     The text contains a headline, the nodes, the EMCY messages, the CAN frames that are not in the
     CAN map, and the CAN frames of the CAN map with their signal values.
     """
-    lines = [headline(summary), ""]
+    lines = [_headline(summary), ""]
     lines += _nodes(summary["nodes"])
     lines += _emergencies(summary["emergencies"], summary["time"])
     lines += _unknown(summary["unknown"])
@@ -41,7 +38,7 @@ def page(lines: Sequence[str], height: int, first: int) -> list[str]:
     return [*shown, f"-- {first + 1} to {first + len(shown)} of {len(lines)} lines; arrow keys --"]
 
 
-def headline(summary: Mapping[str, Any]) -> str:
+def _headline(summary: Mapping[str, Any]) -> str:
     """Returns robot, bus, bit rate, load and the state of this computer's CAN controller."""
     parts = [
         f"{summary['robot']} {summary['bus']}",
@@ -56,58 +53,6 @@ def headline(summary: Mapping[str, Any]) -> str:
     if summary.get("overruns"):
         parts.append(f"{summary['overruns']} frames lost by this program")
     return "  ".join(parts)
-
-
-def problem_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Returns a line for each silent node, for the frames of each node with the same problem, for
-    the newest EMCY messages, and for each identifier that the robot does not use."""
-    lines = [f"SILENT  {node['name']} (id {node['id']})" for node in _silent(summary)]
-    names: dict[tuple[str, str], list[str]] = {}
-    for frame in summary["frames"]:
-        if frame["problem"]:
-            key = (frame["problem"].upper(), frame["producer"])
-            names.setdefault(key, []).append(frame["name"])
-    for (problem, producer), frames in names.items():
-        more = len(frames) - NAMED_FRAMES
-        rest = f" and {more} more" if more > 0 else ""
-        lines.append(f"{problem}  {producer}: {', '.join(frames[:NAMED_FRAMES])}{rest}")
-    lines += [line for line in _emergencies(summary["emergencies"], summary["time"]) if line]
-    return lines + [line for line in _unknown(summary["unknown"]) if line]
-
-
-def table_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yields the key and the cells of each row of a table: a row for each node, which the frames of
-    the node follow, and the frames of others at the end.
-
-    The cells are those of ``COLUMNS``.
-    """
-    frames = list(summary["frames"])
-    for node in summary["nodes"]:
-        state, drive = _state(node)
-        head = (f"{node['id']}", node["name"].upper(), "", "", "", f"{state}  {drive}".rstrip())
-        yield f"node {node['name']}", head
-        yield from (_row(f) for f in frames if f["producer"] == node["name"])
-    names = {node["name"] for node in summary["nodes"]}
-    others = [frame for frame in frames if frame["producer"] not in names]
-    if others:
-        yield "others", ("", "OTHERS", "", "", "", "")
-        yield from map(_row, others)
-
-
-def _row(frame: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]:
-    cells = (
-        f"{frame['id']:x}",
-        frame["name"],
-        _time(frame["period"]),
-        _time(frame["age"]),
-        frame["problem"].upper(),
-        _values(frame),
-    )
-    return f"frame {frame['id']}", cells
-
-
-def _silent(summary: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    return [node for node in summary["nodes"] if node["silent"]]
 
 
 def _nodes(nodes: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -153,8 +98,13 @@ def _unknown(frames: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _frame(frame: Mapping[str, Any]) -> tuple[str, ...]:
-    identifier, name, period, age, problem, values = _row(frame)[1]
-    return identifier, name, period, age, "  ".join(filter(None, (problem, values)))
+    return (
+        f"{frame['id']:x}",
+        frame["name"],
+        _time(frame["period"]),
+        _time(frame["age"]),
+        "  ".join(filter(None, (frame["problem"].upper(), _values(frame)))),
+    )
 
 
 def _values(frame: Mapping[str, Any]) -> str:
