@@ -130,8 +130,9 @@ def test_every_fact_with_a_dimension_has_a_unit(name: str) -> None:
             if is_number and not field_unit(path):
                 without.add(".".join(path))
             assert not (isinstance(value, str | bool) and field_unit(path)), path
-    # Coefficients are ratios; the others are lists of names.
-    assert without <= {"slopes.friction", "slopes.rolling_resistance", "energy.missing"}
+    # The others are lists of names and of objects.
+    ratios = {"slopes.friction", "slopes.rolling_resistance"}
+    assert without <= {*ratios, "energy.missing", "energy.batteries"}
 
 
 def test_a_node_id(thorvaldc: Command) -> None:

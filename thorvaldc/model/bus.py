@@ -6,6 +6,7 @@ import sys
 from dataclasses import dataclass
 
 from thorvaldc.diagnostics import Span
+from thorvaldc.model import quantities as si
 from thorvaldc.model.element import Element
 
 Scalar = bool | int | float | str
@@ -100,13 +101,13 @@ class FrameDefinition(Element):
     producer: str
     consumers: tuple[str, ...]
     length: int
-    period: float | None
-    deadline: float | None
+    period: si.Seconds | None
+    deadline: si.Seconds | None
     signals: tuple[Signal, ...]
     span: Span
     description: str = ""
-    minimum_interval: float | None = None
-    response_time: float | None = None
+    minimum_interval: si.Seconds | None = None
+    response_time: si.Seconds | None = None
     pdo: int | None = None
     mapping: tuple[tuple[int, int, str], ...] = ()
     synchronous: bool = False
@@ -191,11 +192,11 @@ class Node(Element):
     revision_number: int | None = None
     device_type: int | None = None
     lss: bool = False
-    heartbeat_timeout: float | None = None
-    heartbeat_consumer_time: float | None = None
-    bitrates: tuple[int, ...] = ()
+    heartbeat_timeout: si.Seconds | None = None
+    heartbeat_consumer_time: si.Seconds | None = None
+    bitrates: tuple[si.BitsPerSecond, ...] = ()
     objects: tuple[ObjectValue, ...] = ()
-    command_watchdog: float | None = None
+    command_watchdog: si.Seconds | None = None
     watchdog_coasts: bool = False
 
     @property
@@ -222,13 +223,13 @@ class Bus(Element):
     """
 
     name: str
-    bitrate: int
-    sync_period: float
+    bitrate: si.BitsPerSecond
+    sync_period: si.Seconds
     nodes: tuple[Node, ...]
     frames: tuple[FrameDefinition, ...]
     span: Span
     master_id: int = 127
-    load: float = 0.0
+    load: si.Share = 0.0
 
     @property
     def described_nodes(self) -> list[Node]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from thorvaldc.diagnostics import Span
+from thorvaldc.model import quantities as si
 from thorvaldc.model.bus import Scalar
 from thorvaldc.model.element import Element
 
@@ -49,12 +50,12 @@ class BatterySettings(Element):
       charge.
     """
 
-    warn: float = 0.2
-    limit: float = 0.1
-    stop: float = 0.05
-    arm: float = 0.15
-    speed: float = 0.5
-    silence: float = 10.0
+    warn: si.Share = 0.2
+    limit: si.Share = 0.1
+    stop: si.Share = 0.05
+    arm: si.Share = 0.15
+    speed: si.Share = 0.5
+    silence: si.Seconds = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -84,19 +85,19 @@ class DriverSettings(Element):
     - ``battery``: reaction to the state of charge of the batteries.
     """
 
-    rate: float
-    command_timeout: float
-    max_linear_velocity: float
-    max_angular_velocity: float
-    max_linear_acceleration: float
-    max_angular_acceleration: float
-    max_linear_deceleration: float
-    max_angular_deceleration: float
+    rate: si.Hertz
+    command_timeout: si.Seconds
+    max_linear_velocity: si.MetresPerSecond
+    max_angular_velocity: si.RadiansPerSecond
+    max_linear_acceleration: si.MetresPerSecond2
+    max_angular_acceleration: si.RadiansPerSecond2
+    max_linear_deceleration: si.MetresPerSecond2
+    max_angular_deceleration: si.RadiansPerSecond2
     noise: tuple[tuple[str, float], ...] = ()
-    stopping_distance: float | None = None
+    stopping_distance: si.Metres | None = None
     battery: BatterySettings = BatterySettings()
     arming: str = REQUIRED
-    arming_timeout: float = ARMING_TIMEOUT
+    arming_timeout: si.Seconds = ARMING_TIMEOUT
     homing: str = ON_ARMING
 
 
@@ -137,7 +138,7 @@ class TwistInput(Element):
     name: str
     topic: str
     priority: int
-    timeout: float
+    timeout: si.Seconds
     first_command: str = ZERO_FIRST
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from thorvaldc.model import quantities as si
 from thorvaldc.model.element import Element
 from thorvaldc.model.robot import Robot, Shape
 from thorvaldc.model.spatial import Pose
@@ -41,12 +42,12 @@ class Ground(Element):
     - ``size``: edge lengths in m along x and y of the bumpy rectangle around the origin.
     """
 
-    angle: float = 0.0
-    direction: float = 0.0
-    amplitude: float = 0.0
-    wavelength: float = 1.0
+    angle: si.Radians = 0.0
+    direction: si.Radians = 0.0
+    amplitude: si.Metres = 0.0
+    wavelength: si.Metres = 1.0
     seed: int = 0
-    size: tuple[float, float] = (30.0, 30.0)
+    size: tuple[si.Metres, si.Metres] = (30.0, 30.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -64,13 +65,13 @@ class Zone(Element):
     """
 
     pose: Pose
-    size: tuple[float, float]
-    friction: float | None = None
-    rolling_resistance: float | None = None
-    height: float = 0.0
-    slope: float = 0.0
-    amplitude: float = 0.0
-    wavelength: float = 1.0
+    size: tuple[si.Metres, si.Metres]
+    friction: si.Number | None = None
+    rolling_resistance: si.Number | None = None
+    height: si.Metres = 0.0
+    slope: si.Radians = 0.0
+    amplitude: si.Metres = 0.0
+    wavelength: si.Metres = 1.0
     seed: int = 0
 
     @property

@@ -12,6 +12,7 @@ from typing import Any
 
 from thorvaldc.diagnostics import Span
 from thorvaldc.model.model_json import FORMAT, KINDS, SHAPES, VERSION, type_hints
+from thorvaldc.model.quantities import quantity_at
 
 _PLAIN = {
     bool: "boolean",
@@ -61,6 +62,8 @@ def _schema_of(hint: Any, definitions: dict[str, Any]) -> dict[str, Any]:
     The schema of a model class is stored in ``definitions``, and the function returns a ``$ref`` to
     the stored schema.
     """
+    if typing.get_origin(hint) is typing.Annotated:
+        return _schema_of(hint.__origin__, definitions)
     if hint in _PLAIN:
         return {"type": _PLAIN[hint]}
     if hint is Span or dataclasses.is_dataclass(hint):
@@ -78,13 +81,18 @@ def _schema_of(hint: Any, definitions: dict[str, Any]) -> dict[str, Any]:
         return _list_schema([_schema_of(argument, definitions) for argument in arguments])
     if typing.get_origin(hint) not in (typing.Union, types.UnionType):
         raise TypeError(f"a field of the model cannot have the type {hint}")
-    if all(argument in _PLAIN for argument in arguments):
-        return {"type": [_PLAIN[argument] for argument in arguments]}
-    return {"anyOf": [_schema_of(argument, definitions) for argument in arguments]}
+    members = [_schema_of(argument, definitions) for argument in arguments]
+    if all(list(member) == ["type"] for member in members):
+        return {"type": [member["type"] for member in members]}
+    return {"anyOf": members}
 
 
 def _class_schema(cls: type, definitions: dict[str, Any]) -> dict[str, Any]:
     properties = {name: _schema_of(hint, definitions) for name, hint in type_hints(cls).items()}
+    for name, schema in properties.items():
+        quantity = quantity_at(cls, [name])
+        if quantity is not None and quantity.unit and "$ref" not in schema:
+            schema["x-quantity"] = quantity.kind
     if cls in SHAPES.values():
         properties["kind"] = {"const": cls.__name__}
     return {

@@ -34,6 +34,7 @@ from thorvaldc.model.bus import (
 from thorvaldc.model.element import values_getter
 from thorvaldc.model.fleet import Fleet
 from thorvaldc.model.once_per_model import once_per_model
+from thorvaldc.model.quantities import field_types
 from thorvaldc.model.robot import Actuator, Joint, JointServo, Robot, RosSettings, Shape
 from thorvaldc.model.ros import DISTROS, DRIVER, EKF
 
@@ -87,9 +88,8 @@ def type_hints(cls: type) -> dict[str, Any]:
 
     Fields that are left out of the JSON text are not returned.
     """
-    hints = typing.get_type_hints(cls)
-    names = (field.name for field in dataclasses.fields(cls))
-    return {name: hints[name] for name in names if (cls.__name__, name) not in _OMITTED}
+    hints = field_types(cls)
+    return {name: hints[name] for name in hints if (cls.__name__, name) not in _OMITTED}
 
 
 # -- writing ------------------------------------------------------------------------------
@@ -178,6 +178,8 @@ def _decoder(hint: Any) -> _Decoder:
     if dataclasses.is_dataclass(hint):
         return _object_decoder(cast(type, hint))
     arguments = typing.get_args(hint)
+    if typing.get_origin(hint) is typing.Annotated:
+        return _decoder(arguments[0])
     if typing.get_origin(hint) is tuple:
         if len(arguments) == 2 and arguments[1] is Ellipsis:
             return _list_decoder(_decoder(arguments[0]))

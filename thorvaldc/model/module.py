@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from thorvaldc.diagnostics import Span
+from thorvaldc.model import quantities as si
 from thorvaldc.model.element import Element
 
 
@@ -17,7 +18,7 @@ class SourcedMass(Element):
       empty if the module file states no source.
     """
 
-    mass: float
+    mass: si.Kilograms
     source: str
 
 
@@ -31,10 +32,10 @@ class Purchase(Element):
     - ``lead_time``: time from order to delivery in s, or ``None``.
     """
 
-    price: float | None
+    price: si.Money | None
     currency: str
     supplier: str
-    lead_time: float | None
+    lead_time: si.Seconds | None
 
 
 NOT_STATED = Purchase(None, "", "", None)

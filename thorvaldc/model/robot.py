@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from thorvaldc.diagnostics import Span
+from thorvaldc.model import quantities as si
 from thorvaldc.model.bus import Bus, Channel, FrameDefinition, Node, ObjectValue, Scalar, Signal
 from thorvaldc.model.drive_settings import (
     AUTOMATIC,
@@ -80,7 +81,7 @@ class Box(Element):
     """A box, centred on the origin of its frame. ``size`` has the full edge lengths of the box
     along x, y and z in m."""
 
-    size: Vec3
+    size: si.Position
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -88,15 +89,15 @@ class Cylinder(Element):
     """A cylinder along the z axis, centred on the origin of its frame, with radius and full length
     in m."""
 
-    radius: float
-    length: float
+    radius: si.Metres
+    length: si.Metres
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Sphere(Element):
     """A sphere, centred on the origin of its frame, with the radius in m."""
 
-    radius: float
+    radius: si.Metres
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -182,8 +183,8 @@ class Mimic(Element):
     """A mimic joint, whose position depends on another joint: q = multiplier * q_joint + offset."""
 
     joint: str
-    multiplier: float
-    offset: float
+    multiplier: si.Number
+    offset: si.JointPosition
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -216,15 +217,15 @@ class Joint(Element):
     pose: Pose
     span: Span
     axis: Vec3 = (0.0, 0.0, 1.0)
-    lower: float | None = None
-    upper: float | None = None
-    effort: float | None = None
-    velocity: float | None = None
-    damping: float = 0.0
-    friction: float = 0.0
-    stiffness: float = 0.0
-    spring_reference: float = 0.0
-    armature: float = 0.0
+    lower: si.JointPosition | None = None
+    upper: si.JointPosition | None = None
+    effort: si.JointEffort | None = None
+    velocity: si.JointVelocity | None = None
+    damping: si.JointDamping = 0.0
+    friction: si.JointEffort = 0.0
+    stiffness: si.JointStiffness = 0.0
+    spring_reference: si.JointPosition = 0.0
+    armature: si.KilogramSquareMetres = 0.0
     mimic: Mimic | None = None
     role: str = ""
 
@@ -245,7 +246,7 @@ class JointServo(Element):
 
     joint: str
     interface: str
-    initial: float
+    initial: si.JointPosition
     span: Span
 
 
@@ -263,9 +264,9 @@ class Tread(Element):
     """
 
     name: str
-    center: Vec3
-    width: float
-    flange: float
+    center: si.Position
+    width: si.Metres
+    flange: si.Metres
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -305,19 +306,19 @@ class Wheel(Element):
     swivel_joint: str | None
     suspension_joint: str | None
     driven: bool
-    x: float
-    y: float
-    heading: float
-    steering_sign: float
-    trail: float
-    lateral_offset: float
-    radius: float
-    width: float
-    radii: tuple[tuple[str, float], ...]
-    friction: float
-    rolling_resistance: float
-    load: float
-    contact_height: float
+    x: si.Metres
+    y: si.Metres
+    heading: si.Radians
+    steering_sign: si.Number
+    trail: si.Metres
+    lateral_offset: si.Metres
+    radius: si.Metres
+    width: si.Metres
+    radii: tuple[tuple[str, si.Metres], ...]
+    friction: si.Number
+    rolling_resistance: si.Number
+    load: si.Newtons
+    contact_height: si.Metres
     span: Span
     treads: tuple[Tread, ...] = ()
 
@@ -346,8 +347,8 @@ class Brake(Element):
     - ``closing_time``: time in s from the loss of current until the brake holds.
     """
 
-    torque: float
-    closing_time: float
+    torque: si.NewtonMetres
+    closing_time: si.Seconds
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -378,18 +379,18 @@ class Actuator(Element):
     module: str
     joint: str
     role: str
-    gear_ratio: float
-    motor_max_speed: float
+    gear_ratio: si.Number
+    motor_max_speed: si.RadiansPerSecond
     encoder_ppr: int
-    max_velocity: float
-    max_acceleration: float
-    max_torque: float
-    armature: float
+    max_velocity: si.RadiansPerSecond
+    max_acceleration: si.RadiansPerSecond2
+    max_torque: si.NewtonMetres
+    armature: si.KilogramSquareMetres
     node: str | None
     channel: str | None
     span: Span
-    encoder_offset: float = 0.0
-    back_driving_torque: float = 0.0
+    encoder_offset: si.Radians = 0.0
+    back_driving_torque: si.NewtonMetres = 0.0
     brake: Brake | None = None
 
 
@@ -489,7 +490,7 @@ class Robot(Element):
     joint_servos: tuple[JointServo, ...] = ()
     ros: RosSettings = DEFAULT_SETTINGS
     modules: tuple[Module, ...] = ()
-    design_slope: float | None = None
+    design_slope: si.Radians | None = None
     battery_connection: str | None = None
 
     def __repr__(self) -> str:

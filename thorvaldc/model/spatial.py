@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from thorvaldc.model import quantities as si
 from thorvaldc.model.float_sum import float_sum
 
 Vec3 = tuple[float, float, float]
@@ -158,7 +159,7 @@ class Pose:
     - ``quat``: unit quaternion (w, x, y, z).
     """
 
-    xyz: Vec3 = ZERO3
+    xyz: si.Position = ZERO3
     quat: Quat = IDENTITY_QUAT
 
     @staticmethod
@@ -205,9 +206,9 @@ class Inertial:
     of URDF.
     """
 
-    mass: float
-    com: Vec3
-    inertia: tuple[float, float, float, float, float, float]
+    mass: si.Kilograms
+    com: si.Position
+    inertia: si.MomentsOfInertia
 
     def matrix(self) -> Mat3:
         xx, yy, zz, xy, xz, yz = self.inertia

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from thorvaldc.compiler.scenario.scenario_reader import metric_units
 from thorvaldc.diagnostics import Span
 from thorvaldc.model.scenario import Expectation
-from thorvaldc.simulation.metric_units import UNITS
 from thorvaldc.simulation.run_result import SimulationResult
 
 
@@ -37,7 +37,7 @@ class Check:
     @property
     def bounds(self) -> str:
         """Text of the bounds with their unit, such as ``at most 20 deg``."""
-        unit = UNITS[self.metric]
+        unit = metric_units()[self.metric]
         texts = []
         if self.minimum is not None:
             texts.append(f"at least {_with_unit(self.minimum, unit)}")
@@ -48,7 +48,7 @@ class Check:
     @property
     def value_text(self) -> str:
         """Text of the measured value with the unit."""
-        return _with_unit(self.value, UNITS[self.metric])
+        return _with_unit(self.value, metric_units()[self.metric])
 
 
 def _with_unit(value: float, unit: str) -> str:

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from thorvaldc.compiler.scenario.scenario_reader import metric_units
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, WheelGeometry
 from thorvaldc.simulation.control_loop import ControlLoop
-from thorvaldc.simulation.metric_units import UNITS
 from thorvaldc.simulation.physics.rolling_radii import RollingRadii
 from thorvaldc.simulation.physics.scenario_base import ScenarioBase
 from thorvaldc.simulation.run_result import RobotResult
@@ -235,7 +235,7 @@ class ScenarioMetrics:
         }[metric]
 
     def values(self, result: RobotResult) -> dict[str, float]:
-        """Returns the metrics of the finished run by name, in the order of ``UNITS``."""
+        """Returns the metrics of the finished run by name, in the order of ``metric_units``."""
         self._add_ticks()
         path, estimated_path = result.path_true, result.path_odometry
         has_moved = estimated_path > _LEAST_PATH and path > _LEAST_PATH
@@ -252,4 +252,4 @@ class ScenarioMetrics:
             "energy": self._energy,
             "energy_per_metre": self._energy / path if path > _LEAST_PATH else math.inf,
         }
-        return {name: values[name] for name in UNITS}
+        return {name: values[name] for name in metric_units()}

@@ -23,12 +23,12 @@ import thorvaldc
 from tests.child_process import ChildProcess
 from tests.cli.conftest import UNPOWERED, Command
 from tests.cli.conftest import thorvaldc as thorvaldc_command
+from thorvaldc.compiler.scenario.scenario_reader import metric_units
 from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.model import Robot
 from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.slope import SlopeStatics
-from thorvaldc.simulation.metric_units import UNITS
 from thorvaldc.tools.study.design_evaluation import DesignEvaluator, StudyInputs, robot_text
 from thorvaldc.tools.study.replaced_values import with_replaced_values
 from thorvaldc.tools.study.sample_points import designs_of
@@ -164,7 +164,7 @@ def test_the_metrics_of_a_design_are_those_of_its_scenario(run: Command) -> None
     text = text.replace("at_least: 50 deg", "at_least: 35 deg")
     Path("study.yaml").write_text(text.replace("grid, number: 81", "grid, number: 2"))
     assert run("study", "run", "study.yaml", "-j", "1", "-o", "out").status == 0
-    robot, metrics = Path("good.yaml").read_text(), [f"go.{name}" for name in UNITS]
+    robot, metrics = Path("good.yaml").read_text(), [f"go.{name}" for name in metric_units()]
     for track, *values in rows("out", ", ".join(["track", *metrics])):
         path = "modules.frame.params.width"
         Path("good.yaml").write_text(with_replaced_values(robot, [(path, f"{track:g} m")]))

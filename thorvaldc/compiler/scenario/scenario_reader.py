@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from thorvaldc.compiler.scenario.start_checks import check_obstacles
@@ -21,6 +22,7 @@ from thorvaldc.compiler.values.value_reader import ValueReader
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Fleet, Robot
+from thorvaldc.model import quantities as si
 from thorvaldc.model.scenario import GROUPS, Command, Expectation, Noise, Scenario, WheelFault
 from thorvaldc.schema.documents import inlined
 
@@ -29,9 +31,16 @@ _FAULT_VALUES = {"steering_offset": "angle", "radius_error": "error", "ice": "fr
 _FAULTS_OF_MOTORS = ("encoder_frozen", "motor_lost")
 
 
-def metric_names() -> tuple[str, ...]:
-    """Returns the names of the metrics of a run, which a scenario can expect."""
-    return tuple(inlined("scenario")["properties"]["expect"]["properties"])
+@functools.cache
+def metric_units() -> Mapping[str, str]:
+    """Returns the names of the metrics of a run and their SI units, in the order of all outputs.
+
+    A scenario can expect each of them, so its schema states their quantities.
+    """
+    metrics = inlined("scenario")["properties"]["expect"]["properties"]
+    kinds = {name: each["properties"]["min"].get("x-quantity") for name, each in metrics.items()}
+    units = {name: si.unit_of(kind) if kind else "" for name, kind in kinds.items()}
+    return {**units, "energy_per_metre": "J/m"}  # N, which nobody would call it
 
 
 def read_scenario(document: Section, fleet: Fleet, report: Report) -> Scenario:

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from thorvaldc.model.quantities import SI_UNITS
+
 Dimension = tuple[float, ...]
 """Exponents of the base units m, kg, s, A, K, rad and bit, in this order.
 
@@ -163,53 +165,53 @@ COMMON: tuple[str, ...] = (*UNITS, *_PREFIXED.split())
 # -- kinds of quantities ------------------------------------------------------------
 
 
-def _quantities(*rows: tuple[str, str, str, tuple[Dimension, ...]]) -> dict[str, Quantity]:
+def _quantities(*rows: tuple[str, str, tuple[Dimension, ...]]) -> dict[str, Quantity]:
     return {
-        name: Quantity(name, "an" if name[0] in "aeiou" else "a", unit, example, dimensions)
-        for name, unit, example, dimensions in rows
+        name: Quantity(
+            name, "an" if name[0] in "aeiou" else "a", SI_UNITS[name], example, dimensions
+        )
+        for name, example, dimensions in rows
     }
 
 
 QUANTITIES: dict[str, Quantity] = _quantities(
-    ("length", "m", "650 mm", (_LENGTH,)),
-    ("area", "m^2", "0.5 m^2", ((2, 0, 0, 0, 0, 0, 0),)),
-    ("volume", "m^3", "0.02 m^3", ((3, 0, 0, 0, 0, 0, 0),)),
-    ("mass", "kg", "5 kg", (_MASS,)),
-    ("time", "s", "0.5 s", (_TIME,)),
-    ("angle", "rad", "15 deg", (_ANGLE,)),
-    ("velocity", "m/s", "1.5 m/s", (_SPEED,)),
-    ("acceleration", "m/s^2", "1.5 m/s^2", ((1, 0, -2, 0, 0, 0, 0),)),
-    ("angular_velocity", "rad/s", "3000 rpm", (_TURNING,)),
-    ("angular_acceleration", "rad/s^2", "40 rad/s^2", ((0, 0, -2, 0, 0, 1, 0),)),
-    ("force", "N", "120 N", (_FORCE,)),
-    ("torque", "N m", "90 N m", (_TORQUE,)),
-    ("inertia", "kg m^2", "1e-4 kg m^2", ((2, 1, 0, 0, 0, 0, 0),)),
-    ("stiffness", "N/m", "20 kN/m", ((0, 1, -2, 0, 0, 0, 0),)),
-    ("damping", "N s/m", "900 N s/m", ((0, 1, -1, 0, 0, 0, 0),)),
+    ("length", "650 mm", (_LENGTH,)),
+    ("area", "0.5 m^2", ((2, 0, 0, 0, 0, 0, 0),)),
+    ("volume", "0.02 m^3", ((3, 0, 0, 0, 0, 0, 0),)),
+    ("mass", "5 kg", (_MASS,)),
+    ("time", "0.5 s", (_TIME,)),
+    ("angle", "15 deg", (_ANGLE,)),
+    ("velocity", "1.5 m/s", (_SPEED,)),
+    ("acceleration", "1.5 m/s^2", ((1, 0, -2, 0, 0, 0, 0),)),
+    ("angular_velocity", "3000 rpm", (_TURNING,)),
+    ("angular_acceleration", "40 rad/s^2", ((0, 0, -2, 0, 0, 1, 0),)),
+    ("force", "120 N", (_FORCE,)),
+    ("torque", "90 N m", (_TORQUE,)),
+    ("inertia", "1e-4 kg m^2", ((2, 1, 0, 0, 0, 0, 0),)),
+    ("stiffness", "20 kN/m", ((0, 1, -2, 0, 0, 0, 0),)),
+    ("damping", "900 N s/m", ((0, 1, -1, 0, 0, 0, 0),)),
     (
         "rotational_stiffness",
-        "N m/rad",
         "300 N m/rad",
         ((2, 1, -2, 0, 0, -1, 0), _TORQUE),
     ),
     (
         "rotational_damping",
-        "N m s/rad",
         "0.5 N m s/rad",
         ((2, 1, -1, 0, 0, -1, 0), (2, 1, -1, 0, 0, 0, 0)),
     ),
-    ("ratio", "1", "42:1", (_NONE,)),
-    ("number", "1", "0.8", (_NONE,)),
-    ("frequency", "Hz", "50 Hz", (_PER_TIME,)),
-    ("voltage", "V", "48 V", (_VOLTAGE,)),
-    ("current", "A", "30 A", ((0, 0, 0, 1, 0, 0, 0),)),
-    ("resistance", "ohm", "0.2 ohm", (_RESISTANCE,)),
-    ("charge", "A s", "70 Ah", (_CHARGE,)),
-    ("energy", "J", "3.3 kWh", (_TORQUE,)),
-    ("power", "W", "500 W", (_POWER,)),
-    ("density", "kg/m^3", "2700 kg/m^3", ((-3, 1, 0, 0, 0, 0, 0),)),
-    ("pressure", "Pa", "2 bar", (_PRESSURE,)),
-    ("bitrate", "bit/s", "500 kbit/s", (_BITRATE,)),
-    ("data", "bit", "8 byte", (_BIT,)),
-    ("temperature", "K", "20 degC", (_KELVIN,)),
+    ("ratio", "42:1", (_NONE,)),
+    ("number", "0.8", (_NONE,)),
+    ("frequency", "50 Hz", (_PER_TIME,)),
+    ("voltage", "48 V", (_VOLTAGE,)),
+    ("current", "30 A", ((0, 0, 0, 1, 0, 0, 0),)),
+    ("resistance", "0.2 ohm", (_RESISTANCE,)),
+    ("charge", "70 Ah", (_CHARGE,)),
+    ("energy", "3.3 kWh", (_TORQUE,)),
+    ("power", "500 W", (_POWER,)),
+    ("density", "2700 kg/m^3", ((-3, 1, 0, 0, 0, 0, 0),)),
+    ("pressure", "2 bar", (_PRESSURE,)),
+    ("bitrate", "500 kbit/s", (_BITRATE,)),
+    ("data", "8 byte", (_BIT,)),
+    ("temperature", "20 degC", (_KELVIN,)),
 )

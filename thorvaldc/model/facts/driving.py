@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from thorvaldc.model import quantities as si
 from thorvaldc.model.robot import Robot
 from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.footprint import footprint
@@ -33,12 +34,12 @@ class Turn:
     - ``skids``: true if the robot turns only with side slip of its fixed wheels.
     """
 
-    x: float
-    y: float
-    radius: float
-    wheel_circle: float
-    outer_circle: float
-    yaw_rate: float
+    x: si.Metres
+    y: si.Metres
+    radius: si.Metres
+    wheel_circle: si.Metres
+    outer_circle: si.Metres
+    yaw_rate: si.RadiansPerSecond
     skids: bool
 
 
@@ -52,9 +53,9 @@ class Driving:
     - ``turn``: the tightest turn, or ``None`` if the robot cannot turn.
     """
 
-    forwards: float
-    sideways: float
-    acceleration: float
+    forwards: si.MetresPerSecond
+    sideways: si.MetresPerSecond
+    acceleration: si.MetresPerSecond2
     turn: Turn | None
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from thorvaldc.model import quantities as si
 from thorvaldc.model.bus import Bus, Channel, Node
 from thorvaldc.model.robot import Actuator, Robot
 
@@ -44,10 +45,10 @@ class BusFacts:
     """
 
     name: str
-    bitrate: int
-    load: float
+    bitrate: si.BitsPerSecond
+    load: si.Number
     frames: int
-    period: float
+    period: si.Seconds
     master_id: int
     addresses: tuple[Address, ...]
 
@@ -66,9 +67,9 @@ class Wire:
     module: str
     role: str
     joint: str
-    gear_ratio: float
+    gear_ratio: si.Number
     encoder_ppr: int
-    max_torque: float
+    max_torque: si.NewtonMetres
     bus: str
     node: str
     id: int

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from thorvaldc.model import quantities as si
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.robot import PARALLEL, Battery, Robot, Scalar
 
@@ -27,9 +28,9 @@ class BatteryFacts:
     name: str
     module: str
     present: bool
-    voltage: float | None
-    capacity: float | None
-    energy: float | None
+    voltage: si.Volts | None
+    capacity: si.AmpereSeconds | None
+    energy: si.Joules | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +57,14 @@ class Energy:
 
     batteries: tuple[BatteryFacts, ...]
     connection: str | None
-    voltage: float | None
-    capacity: float | None
-    energy: float | None
-    rolling_force: float
-    range_bound: float | None
-    power: float
-    standby: float | None
-    standby_current: float | None
+    voltage: si.Volts | None
+    capacity: si.AmpereSeconds | None
+    energy: si.Joules | None
+    rolling_force: si.Newtons
+    range_bound: si.Metres | None
+    power: si.Watts
+    standby: si.Seconds | None
+    standby_current: si.Amperes | None
     missing: tuple[str, ...]
 
 

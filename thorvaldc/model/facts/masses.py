@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from thorvaldc.model import quantities as si
 from thorvaldc.model.module import SourcedMass
 from thorvaldc.model.once_per_model import once_per_model
 from thorvaldc.model.robot import Robot
@@ -24,8 +25,8 @@ class MassShare:
     """
 
     source: str
-    mass: float
-    share: float
+    mass: si.Kilograms
+    share: si.Number
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +42,7 @@ class ModuleMass:
 
     module: str
     type: str
-    mass: float | None
+    mass: si.Kilograms | None
     sources: tuple[SourcedMass, ...]
 
 
@@ -59,8 +60,8 @@ class BillRow:
 
     type: str
     count: int
-    mass: float | None
-    total: float
+    mass: si.Kilograms | None
+    total: si.Kilograms
     sources: tuple[SourcedMass, ...]
     modules: tuple[str, ...]
 

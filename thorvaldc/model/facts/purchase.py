@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from thorvaldc.model import quantities as si
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.module import NOT_STATED, Purchase
 from thorvaldc.model.robot import Robot
@@ -27,11 +28,11 @@ class PurchaseItem:
 
     type: str
     count: int
-    price: float | None
+    price: si.Money | None
     currency: str
-    total: float | None
+    total: si.Money | None
     supplier: str
-    lead_time: float | None
+    lead_time: si.Seconds | None
     modules: tuple[str, ...]
 
 
@@ -47,9 +48,9 @@ class PurchaseFacts:
     - ``items``: the modules by type.
     """
 
-    price: float | None
+    price: si.Money | None
     currency: str
-    lead_time: float | None
+    lead_time: si.Seconds | None
     no_price: str
     no_lead_time: str
     without_price: tuple[str, ...]

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from thorvaldc.model import quantities as si
 from thorvaldc.model.facts.driving import Driving, driving_of
 from thorvaldc.model.facts.electrics import BusFacts, Wire, buses_of, wiring_of
 from thorvaldc.model.facts.energy import Energy, energy_of
@@ -24,7 +25,6 @@ from thorvaldc.model.facts.soil import SoilLoad, soil_load_of
 from thorvaldc.model.facts.stability import Stability, WheelLoad, stability_of, wheel_loads_of
 from thorvaldc.model.once_per_model import once_per_model
 from thorvaldc.model.robot import Robot
-from thorvaldc.model.spatial import Vec3
 from thorvaldc.model.statics.unpowered import StandingSlopes, standing_slopes
 
 
@@ -44,10 +44,10 @@ class RobotFacts:
     name: str
     description: str
     size: Size
-    mass: float
+    mass: si.Kilograms
     modules: tuple[ModuleMass, ...]
     mass_sources: tuple[MassShare, ...]
-    center_of_mass: Vec3
+    center_of_mass: si.Position
     wheels: tuple[WheelLoad, ...]
     soil: SoilLoad | None
     stability: Stability
@@ -95,3 +95,11 @@ def fact_sections(robot: Robot, names: Iterable[str]) -> dict[str, Any]:
     Raises ``KeyError`` if ``RobotFacts`` has no such attribute.
     """
     return {name: _SECTIONS[name](robot) for name in names}
+
+
+def fact_quantity(path: str) -> si.Quantity:
+    """Return the quantity of a fact, such as a length for ``size.width``.
+
+    ``path`` : keys of the fact in the JSON values of ``facts_document``, joined by dots.
+    """
+    return si.quantity_at(RobotFacts, path.split(".")) or si.NUMBER

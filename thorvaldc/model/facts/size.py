@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
+from thorvaldc.model import quantities as si
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.robot import (
     Box,
@@ -42,14 +43,14 @@ class Size:
     - ``meshes_left_out``: names of mesh files whose bytes the model does not contain.
     """
 
-    length: float
-    width: float
-    height: float
-    lower: Vec3
-    upper: Vec3
-    wheelbase: float | None
-    track: float | None
-    ground_clearance: float | None
+    length: si.Metres
+    width: si.Metres
+    height: si.Metres
+    lower: si.Position
+    upper: si.Position
+    wheelbase: si.Metres | None
+    track: si.Metres | None
+    ground_clearance: si.Metres | None
     lowest_module: str
     meshes_left_out: tuple[str, ...]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass
 
+from thorvaldc.model import quantities as si
 from thorvaldc.model.facts.stability import DIRECTIONS
 from thorvaldc.model.robot import Robot
 from thorvaldc.model.statics.slope import SlopeForces, SlopeStatics, steepest_angle
@@ -30,12 +31,12 @@ class SlopeLimits:
       at its top speed. The loss of a drive is one of the stops if the robot has others.
     """
 
-    grip: float | None
-    torque: float | None
-    tip_over: float
-    steepest: float
+    grip: si.Radians | None
+    torque: si.Radians | None
+    tip_over: si.Radians
+    steepest: si.Radians
     reason: str
-    stops: float
+    stops: si.Radians
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +49,8 @@ class Slopes:
 
     forwards: SlopeLimits
     backwards: SlopeLimits
-    friction: tuple[float, float]
-    rolling_resistance: tuple[float, float]
+    friction: tuple[si.Number, si.Number]
+    rolling_resistance: tuple[si.Number, si.Number]
 
 
 def slopes_of(robot: Robot) -> Slopes | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from thorvaldc.model import quantities as si
 from thorvaldc.model.robot import Robot
 
 
@@ -18,8 +19,8 @@ class SoilLoad:
     - ``pressure``: largest nominal ground pressure in Pa, or ``None`` for a wheel without a width.
     """
 
-    wheel_load: float
-    pressure: float | None
+    wheel_load: si.Newtons
+    pressure: si.Pascals | None
 
 
 def soil_load_of(robot: Robot) -> SoilLoad | None:

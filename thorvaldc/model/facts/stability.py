@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from thorvaldc.model import quantities as si
 from thorvaldc.model.robot import Robot
 from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.gravity import GRAVITY
@@ -39,12 +40,12 @@ class WheelLoad:
 
     name: str
     module: str
-    x: float
-    y: float
-    radius: float
-    load: float
-    load_range: tuple[float, float] | None
-    share: float
+    x: si.Metres
+    y: si.Metres
+    radius: si.Metres
+    load: si.Newtons
+    load_range: tuple[si.Newtons, si.Newtons] | None
+    share: si.Number
     driven: bool
     steered: bool
 
@@ -56,8 +57,8 @@ class TipOver:
     ``direction`` is in rad from x (forward) to y (left) in ``base_link``.
     """
 
-    direction: float
-    angle: float
+    direction: si.Radians
+    angle: si.Radians
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +78,8 @@ class Stability:
     """
 
     stands: bool
-    margin: float | None
-    angles: tuple[tuple[str, float], ...]
+    margin: si.Metres | None
+    angles: tuple[tuple[str, si.Radians], ...]
     least: TipOver | None
     polar: tuple[TipOver, ...]
 

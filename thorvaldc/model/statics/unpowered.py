@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from thorvaldc.model import quantities as si
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.model.once_per_model import once_per_model
 from thorvaldc.model.robot import Actuator, Joint, Robot, Wheel
@@ -39,8 +40,8 @@ class StandingSlopes:
     - ``braked``: with the brakes closed, or ``None`` for a robot without brakes on its drives.
     """
 
-    motors_off: float
-    braked: float | None
+    motors_off: si.Radians
+    braked: si.Radians | None
 
     @property
     def without_power(self) -> float:

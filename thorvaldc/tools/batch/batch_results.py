@@ -11,10 +11,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from thorvaldc.compiler.scenario.scenario_reader import metric_units
 from thorvaldc.diagnostics.atomic_file import append_whole, errors_with_name, write_file
 from thorvaldc.diagnostics.text_layout import text_table
 from thorvaldc.model.finite_json import finite
-from thorvaldc.simulation.metric_units import UNITS
 from thorvaldc.tools.batch.scenario_batch import Run
 
 SUFFIXES = (".csv", ".json")
@@ -113,7 +113,16 @@ def _csv_text(runs: Sequence[Run], *, heading: bool) -> str:
     writer = csv.writer(stream, lineterminator="\n")
     if heading and runs:
         writer.writerow(
-            ["run", "robot", *runs[0].values, *UNITS, "simulated", "passed", "hash", "faults"]
+            [
+                "run",
+                "robot",
+                *runs[0].values,
+                *metric_units(),
+                "simulated",
+                "passed",
+                "hash",
+                "faults",
+            ]
         )
     for run in runs:
         values = [_value_text(value) for value in run.values.values()]
@@ -124,7 +133,7 @@ def _csv_text(runs: Sequence[Run], *, heading: bool) -> str:
                     run.number,
                     robot,
                     *values,
-                    *(f"{metrics[name]:.9g}" if name in metrics else "" for name in UNITS),
+                    *(f"{metrics[name]:.9g}" if name in metrics else "" for name in metric_units()),
                     simulated,
                     str(run.passed).lower(),
                     run.result["hash"] if run.result is not None else "",

@@ -8,53 +8,61 @@ from typing import Any
 
 from thorvaldc.model import Robot
 from thorvaldc.model.facts.robot_facts import RobotFacts, robot_facts
+from thorvaldc.model.facts.stability import DIRECTIONS
+from thorvaldc.tools.comparison.field_names import field_unit
 from thorvaldc.tools.comparison.robot_difference import ValueChange
 
-Fact = tuple[str, Any, str]  # label, value, unit
+_SIZES = {
+    "length, width, height": ("size.length", "size.width", "size.height"),
+    "ground clearance": ("size.ground_clearance",),
+}
+_FACTS = {
+    "wheelbase": "size.wheelbase",
+    "track": "size.track",
+    "stands on its wheels": "stability.stands",
+    **{f"tip-over {direction}": f"stability.angles.{direction}" for direction in DIRECTIONS},
+    "top speed forwards": "driving.forwards",
+    "top speed sideways": "driving.sideways",
+    "turning circle of the wheels": "driving.turn.wheel_circle",
+    "yaw rate in the tightest turn": "driving.turn.yaw_rate",
+    "steepest slope forwards": "slopes.forwards.steepest",
+    "limit of the slope forwards": "slopes.forwards.reason",
+    "stops downhill forwards up to": "slopes.forwards.stops",
+    "stops downhill backwards up to": "slopes.backwards.stops",
+    "stands with its motors off up to": "standing.motors_off",
+    "stands with its brakes closed up to": "standing.braked",
+    "energy": "energy.energy",
+    "range at most": "energy.range_bound",
+}
+"""Labels of facts and the paths of their values in ``RobotFacts``."""
 
 
 def fact_changes(before: Robot, after: Robot) -> Iterator[ValueChange]:
     """Yields the facts that differ between two robots, beginning with the size."""
     try:
-        facts = [robot_facts(robot) for robot in (before, after)]
+        old, new = (robot_facts(robot) for robot in (before, after))
     except (LookupError, ArithmeticError, ValueError, RecursionError):
         # Somebody has changed a model.json so that its parts contradict each other.  The values of
         # the models are compared all the same.
         return
+    shown: dict[str, tuple[str, ...]] = {label: (path,) for label, path in _FACTS.items()}
     # The model.json of a build has no meshes, so the extents of parts with meshes are unknown.
-    has_size = facts[0].size.meshes_left_out == facts[1].size.meshes_left_out
-    old, new = ({label: (value, unit) for label, value, unit in _facts(f, has_size)} for f in facts)
-    for label in dict.fromkeys([*old, *new]):
-        (a, unit), (b, _) = old.get(label, (None, "")), new.get(label, (None, ""))
+    if old.size.meshes_left_out == new.size.meshes_left_out:
+        shown = _SIZES | shown
+    for label, paths in shown.items():
+        a, b = ([_value(facts, path) for path in paths] for facts in (old, new))
         if not _is_same(a, b):
-            yield ValueChange("robot", (), label, a, b, unit or new.get(label, (0, ""))[1])
+            a, b = (values if len(paths) > 1 else values[0] for values in (a, b))
+            yield ValueChange("robot", (), label, a, b, field_unit(tuple(paths[0].split("."))))
 
 
-def _facts(facts: RobotFacts, has_size: bool) -> Iterator[Fact]:
-    size, stability, driving, slopes = facts.size, facts.stability, facts.driving, facts.slopes
-    if has_size:
-        yield "length, width, height", [size.length, size.width, size.height], "m"
-        yield "ground clearance", size.ground_clearance, "m"
-    yield "wheelbase", size.wheelbase, "m"
-    yield "track", size.track, "m"
-    yield "stands on its wheels", stability.stands, ""
-    for direction, angle in stability.angles:
-        yield f"tip-over {direction}", angle, "rad"
-    yield "top speed forwards", driving.forwards, "m/s"
-    yield "top speed sideways", driving.sideways, "m/s"
-    if driving.turn is not None:
-        yield "turning circle of the wheels", driving.turn.wheel_circle, "m"
-        yield "yaw rate in the tightest turn", driving.turn.yaw_rate, "rad/s"
-    if slopes is not None:
-        yield "steepest slope forwards", slopes.forwards.steepest, "rad"
-        yield "limit of the slope forwards", slopes.forwards.reason, ""
-        yield "stops downhill forwards up to", slopes.forwards.stops, "rad"
-        yield "stops downhill backwards up to", slopes.backwards.stops, "rad"
-    if facts.standing is not None:
-        yield "stands with its motors off up to", facts.standing.motors_off, "rad"
-        yield "stands with its brakes closed up to", facts.standing.braked, "rad"
-    yield "energy", facts.energy.energy, "J"
-    yield "range at most", facts.energy.range_bound, "m"
+def _value(facts: RobotFacts, path: str) -> Any:
+    """Returns the value of a fact, or ``None`` if the robot has no such fact."""
+    value: Any = facts
+    for name in path.split("."):
+        if value is not None:
+            value = dict(value)[name] if isinstance(value, tuple) else getattr(value, name)
+    return value
 
 
 def _is_same(a: Any, b: Any) -> bool:

@@ -22,10 +22,10 @@ from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.diagnostics import Diagnostic, Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
-from thorvaldc.model.facts.fact_quantities import MONEY, fact_quantity
+from thorvaldc.model import quantities as si
 from thorvaldc.model.facts.facts_document import json_value
 from thorvaldc.model.facts.purchase import PurchaseFacts, purchase_of
-from thorvaldc.model.facts.robot_facts import fact_sections
+from thorvaldc.model.facts.robot_facts import fact_quantity, fact_sections
 from thorvaldc.tools.study.replaced_values import PathError, with_replaced_values
 from thorvaldc.tools.study.sample_points import Design
 from thorvaldc.tools.study.study_compilation import fact_values
@@ -120,7 +120,7 @@ class DesignEvaluator:
         sections = fact_sections(robot, {path.partition(".")[0] for path in paths})
         values = dict(fact_values({name: json_value(part) for name, part in sections.items()}))
         if purchase.currency != self.study.currency:
-            values = {path: v for path, v in values.items() if fact_quantity(path) != MONEY}
+            values = {path: v for path, v in values.items() if fact_quantity(path) != si.MONEY}
         return {path: values.get(path) for path in paths}
 
     def _broken_constraint(self, facts: dict[str, float | None], purchase: PurchaseFacts) -> str:
@@ -128,7 +128,7 @@ class DesignEvaluator:
             value = facts[constraint.fact]
             if value is None:
                 reason = ""
-                if fact_quantity(constraint.fact) == MONEY:
+                if fact_quantity(constraint.fact) == si.MONEY:
                     reason = purchase.no_price or f"its prices are in {purchase.currency}"
                 return f"{constraint.name}: the design has no {constraint.fact}" + (
                     f": {reason}" if reason else ""

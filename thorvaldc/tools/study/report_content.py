@@ -10,10 +10,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from thorvaldc.compiler.scenario.scenario_reader import metric_units
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_unit
-from thorvaldc.model.facts.fact_quantities import MONEY, fact_quantity
-from thorvaldc.simulation.metric_units import UNITS
+from thorvaldc.model import quantities as si
+from thorvaldc.model.facts.robot_facts import fact_quantity
 from thorvaldc.tools.study.design_evaluation import STATUSES
 from thorvaldc.tools.study.study_definition import Objective, Study, Variable
 from thorvaldc.tools.study.study_table import StudyTable
@@ -167,7 +168,7 @@ def objective_columns(study: Study) -> list[Column]:
     columns = []
     for objective in study.objectives:
         metric = objective.metric.rpartition(".")[2]
-        unit = fact_unit(objective.fact) if objective.fact else UNITS.get(metric, "")
+        unit = fact_unit(objective.fact) if objective.fact else metric_units()[metric]
         goal = "maximise" if objective.maximise else "minimise"
         columns.append(Column(objective.name, "objective", unit, goal))
     return columns
@@ -178,8 +179,7 @@ def fact_unit(fact: str) -> str:
 
     The currency of a price is in the facts of the robots.
     """
-    quantity = fact_quantity(fact)
-    return "" if quantity == MONEY else _shown(QUANTITIES[quantity].unit)
+    return fact_quantity(fact).unit
 
 
 def variable_unit(variable: Variable) -> str:
@@ -194,9 +194,5 @@ def variable_unit(variable: Variable) -> str:
         return ""
     for quantity in QUANTITIES.values():
         if dimension == quantity.dimensions[0]:
-            return _shown(quantity.unit)
+            return si.unit_of(quantity.name)
     return ""
-
-
-def _shown(unit: str) -> str:
-    return "" if unit == "1" else unit

@@ -21,7 +21,7 @@ from thorvaldc.compiler.pipeline import library_folders_of
 from thorvaldc.compiler.result.compilation import Compilation, Compile, SourceFile
 from thorvaldc.compiler.scenario.fleet_compilation import open_named_file
 from thorvaldc.compiler.scenario.scenario_compilation import compile_scenario
-from thorvaldc.compiler.scenario.scenario_reader import metric_names
+from thorvaldc.compiler.scenario.scenario_reader import metric_units
 from thorvaldc.compiler.scenario.variations import read_range
 from thorvaldc.compiler.source.input_file import read_bytes, unsaved_texts
 from thorvaldc.compiler.source.node import Node
@@ -32,9 +32,9 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.report import Proposal
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
-from thorvaldc.model.facts.fact_quantities import MONEY, fact_quantity
+from thorvaldc.model import quantities as si
 from thorvaldc.model.facts.facts_document import facts_document
-from thorvaldc.model.facts.robot_facts import robot_facts
+from thorvaldc.model.facts.robot_facts import fact_quantity, robot_facts
 from thorvaldc.tools.study.replaced_values import (
     PathError,
     find_value,
@@ -344,7 +344,7 @@ class _StudyReader:
     def _constraints(self) -> Iterator[Constraint]:
         for name, node in entries(self.document.get("constraints")).items():
             fact = self._fact(node.get("fact"))
-            quantity = fact_quantity(fact) if fact else ""
+            quantity = fact_quantity(fact).kind if fact else ""
             least, most = (self._bound(node.get(key), quantity) for key in ("at_least", "at_most"))
             if node.get("at_least") is None and node.get("at_most") is None:
                 self.report.add(
@@ -367,7 +367,7 @@ class _StudyReader:
         if node is None or node.value is None:
             return None
         text = str(node.value)
-        if quantity == MONEY:
+        if quantity == si.MONEY.kind:
             return self._money(text, node)
         if isinstance(node.value, int | float):
             return float(node.value)
@@ -403,7 +403,7 @@ class _StudyReader:
             known = [
                 f"{scenario}.{metric_name}"
                 for scenario in scenarios
-                for metric_name in metric_names()
+                for metric_name in metric_units()
             ]
             if metric is not None and metric.value not in known:
                 self.report.add(

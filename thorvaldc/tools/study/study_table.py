@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.compiler.scenario.scenario_reader import metric_names
+from thorvaldc.compiler.scenario.scenario_reader import metric_units
 from thorvaldc.compiler.source.node import Value
 from thorvaldc.compiler.source.units import UnitError, parse_any
 from thorvaldc.diagnostics.foreign_json import read_json
@@ -39,7 +39,7 @@ def write_table(study: Study, rows: Sequence[Row], folder: Path) -> None:
     Each file is either written completely or not changed.  Equal rows give equal bytes.
     """
     variables = {variable.name: _sql_type(variable) for variable in study.variables}
-    metrics = ", ".join(f'"{name}" DOUBLE' for name in metric_names())
+    metrics = ", ".join(f'"{name}" DOUBLE' for name in metric_units())
     columns = {
         "sample": "INTEGER",
         **dict.fromkeys(("key", "status", "code", "message"), "VARCHAR"),
