@@ -219,7 +219,7 @@ def test_columns_and_markdown_are_laid_out_in_one_place(
     assert escapers == {"diagnostics/text_layout.py"}
     assert padding == {
         "cli/progress.py",  # a bar
-        "compiler/shapes/mesh_formats.py",  # bytes
+        "model/stl.py",  # bytes
         "diagnostics/renderers.py",  # line numbers beside an excerpt
         "diagnostics/text_layout.py",
     }

@@ -7,16 +7,17 @@ gravity vector, as the MuJoCo scene has.
 from __future__ import annotations
 
 import math
-import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 from thorvaldc.backends.colors_and_meshes import BLOCK_COLORS
 from thorvaldc.backends.sdf_elements import add_geometry, add_pose, add_system
 from thorvaldc.backends.sdf_sensors import SENSORS
 from thorvaldc.backends.xml_writer import Element, number, numbers
 from thorvaldc.model import Ground, Pose, Robot, World
-from thorvaldc.model.spatial import clean, cross, norm, sub
+from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.gravity import GRAVITY
+from thorvaldc.model.stl import Triangle, binary_stl
 
 STEP = 0.001
 """Time step of the physics in s."""
@@ -97,7 +98,7 @@ def add_ground(
         [ground.amplitude * (2.0 * height - 1.0) for height in row]
         for row in heights(ground, starts)
     ]
-    return {f"sdf/{TERRAIN}": _stl(scaled, ground.size)}
+    return {f"sdf/{TERRAIN}": binary_stl(_triangles(scaled, ground.size), bytes(80))}
 
 
 def add_blocks(world: Element, surroundings: World) -> None:
@@ -127,8 +128,8 @@ def _add_material(visual: Element, color: tuple[float, float, float, float]) -> 
         material.add(name).text = numbers(color)
 
 
-def _stl(rows: Sequence[Sequence[float]], size: tuple[float, float]) -> bytes:
-    """Return a grid of heights in m as a binary STL file, two triangles for each cell.
+def _triangles(rows: Sequence[Sequence[float]], size: tuple[float, float]) -> Iterator[Triangle]:
+    """Yield the triangles of a grid of heights in m, two for each cell.
 
     ``rows`` has one row for each y coordinate; ``size`` has the edges along x and y in m.
     """
@@ -137,15 +138,7 @@ def _stl(rows: Sequence[Sequence[float]], size: tuple[float, float]) -> bytes:
         [(size[0] * (i / nx - 0.5), size[1] * (j / ny - 0.5), z) for i, z in enumerate(row)]
         for j, row in enumerate(rows)
     ]
-    triangles = bytearray()
-    for j in range(ny):
-        for i in range(nx):
-            a, b = points[j][i], points[j][i + 1]
-            c, d = points[j + 1][i + 1], points[j + 1][i]
-            for corners in ((a, b, c), (a, c, d)):
-                x, y, z = cross(sub(corners[1], corners[0]), sub(corners[2], corners[0]))
-                length = norm((x, y, z))
-                values = [x / length, y / length, z / length]
-                values += [value for corner in corners for value in corner]
-                triangles += struct.pack("<12fH", *values, 0)
-    return bytes(80) + struct.pack("<I", 2 * nx * ny) + bytes(triangles)
+    for low, high in pairwise(points):
+        for (a, b), (d, c) in zip(pairwise(low), pairwise(high), strict=True):
+            yield a, b, c
+            yield a, c, d

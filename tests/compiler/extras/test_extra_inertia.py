@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from tests.compiler.extras.xacro_files import BOX, HEAD, STL, TRIANGLES, Loaded, load
-from thorvaldc.compiler.shapes.mesh_formats import binary_stl
 from thorvaldc.model import Box, Cylinder
+from thorvaldc.model.stl import binary_stl
 
 # The tetrahedron of TRIANGLES has the volume 1/6 and the centre (1/4, 1/4, 1/4).
 MESH = '<geometry><mesh filename="m.stl"/></geometry>'

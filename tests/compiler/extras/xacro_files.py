@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from thorvaldc.compiler.extras.load_extras import Attachment, ExtraParts, load_extras
-from thorvaldc.compiler.shapes.mesh_formats import binary_stl
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Diagnostic, Report, Span
 from thorvaldc.model import Joint, Link, Pose
+from thorvaldc.model.stl import binary_stl
 
 LINKS = {"base_link": Span("robot.yaml"), "frame_body": Span("robot.yaml", 3)}
 JOINTS = {"frame_mount": Span("robot.yaml", 3)}

@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 from thorvaldc.compiler.shapes import meshes
-from thorvaldc.compiler.shapes.mesh_formats import binary_stl
 from thorvaldc.compiler.shapes.meshes import load_mesh
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Mesh
+from thorvaldc.model.stl import binary_stl
 
 ASKED = Span("module.yaml", 7, 3, 7, 20)
 P = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 3.0)]

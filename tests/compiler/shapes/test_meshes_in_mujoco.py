@@ -7,10 +7,10 @@ from pathlib import Path
 import mujoco
 import pytest
 
-from thorvaldc.compiler.shapes.mesh_formats import binary_stl
 from thorvaldc.compiler.shapes.meshes import load_mesh
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Vec3
+from thorvaldc.model.stl import binary_stl
 
 CORNERS: list[Vec3] = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
 FACES = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]

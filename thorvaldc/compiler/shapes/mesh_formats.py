@@ -1,6 +1,6 @@
 """Reads and checks the content of STL and OBJ files.
 
-A mesh is refused if MuJoCo cannot load it.  The module imports only the standard library, because
+A mesh is refused if MuJoCo cannot load it.  The module imports no package of others, because
 worker processes import it.
 """
 
@@ -15,6 +15,7 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from thorvaldc.diagnostics.plain_numbers import plain
+from thorvaldc.model.stl import Triangle, binary_stl, stl_triangles, triangle_normal
 
 if TYPE_CHECKING:
     from thorvaldc.model.spatial import Vec3
@@ -30,7 +31,6 @@ _MAX_FLOAT32 = 3.4028234e38
 _FLAT = 1e-6
 _SAMPLE = 100  # triangles that decide for most meshes whether they are flat
 
-_RECORD = struct.Struct("<12xfffffffff2x")
 _FLOAT32 = struct.Struct("<3f")
 _VERTEX = re.compile(rb"(?<!\S)vertex(?!\S)\s*(\S*)\s*(\S*)\s*(\S*)", re.IGNORECASE)
 # The function ``bytes.translate`` tests the last byte of each little-endian float32 with the tables
@@ -40,8 +40,6 @@ _VERTEX = re.compile(rb"(?<!\S)vertex(?!\S)\s*(\S*)\s*(\S*)\s*(\S*)", re.IGNOREC
 # of float32 numbers with a magnitude below 8.
 _BELOW_HUGE = bytes(b for b in range(256) if b & 0x7F != 0x7F)
 _BELOW_8 = bytes(b for b in range(256) if b & 0x7F < 0x41)
-
-Triangle = tuple["Vec3", "Vec3", "Vec3"]
 
 
 class MeshError(Exception):
@@ -85,7 +83,7 @@ def check_mesh(suffix: str, data: bytes, scale: Vec3) -> CheckedMesh:
     if suffix == "stl":
         data, is_large = _check_stl(data)
         count = (len(data) - 84) // 50
-        source: Callable[[int], Iterable[Triangle]] = partial(_stl_triangles, data)
+        source: Callable[[int], Iterable[Triangle]] = partial(stl_triangles, data)
     else:
         data, is_large = _check_obj(data)
         listed = [*_obj_triangles(data)]
@@ -126,24 +124,15 @@ def too_large(text: str) -> MeshError:
     )
 
 
-def binary_stl(triangles: Iterable[Triangle]) -> bytes:
-    """Returns the content of a binary STL file that contains the triangles.
+def checked_stl(triangles: Iterable[Triangle]) -> bytes:
+    """Returns the content of a binary STL file.
 
-    Each triangle has three corners (x, y, z in m).  The function computes the normal vectors of the
-    triangles from the corners.  Raises ``MeshError`` if a coordinate is too large for a float32.
+    Raises ``MeshError`` if a coordinate is too large for a float32.
     """
-    body = bytearray()
-    count = 0
-    for a, b, c in triangles:
-        nx, ny, nz = _normal(a, b, c)
-        length = math.sqrt(nx * nx + ny * ny + nz * nz) or 1.0
-        try:
-            body += struct.pack("<12fH", nx / length, ny / length, nz / length, *a, *b, *c, 0)
-        except OverflowError as error:
-            text = "has a coordinate that is not a finite number"
-            raise MeshError("mesh-invalid", text) from error
-        count += 1
-    return b"binary stl".ljust(80) + struct.pack("<I", count) + bytes(body)
+    try:
+        return binary_stl(triangles)
+    except OverflowError as error:
+        raise _invalid("has a coordinate that is not a finite number") from error
 
 
 def _invalid(text: str) -> MeshError:
@@ -156,9 +145,7 @@ def _check_stl(data: bytes) -> tuple[bytes, bool]:
     Returns the content of the binary STL file without trailing bytes.  The second return value is
     true if a coordinate of the mesh may have a magnitude of 8 m or more.
 
-    A binary STL file contains a header of 80 bytes, the number of triangles as a uint32, and 50
-    bytes for each triangle.  The 50 bytes of a triangle are a normal vector and three corners as
-    float32 values, followed by 2 bytes of attributes.
+    ``model/stl`` describes the layout of the bytes.
     """
     count = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else None
     if count is None or len(data) != 84 + 50 * count:
@@ -200,7 +187,7 @@ def _text_stl(data: bytes) -> tuple[bytes, bool]:
     points = [(numbers[i], numbers[i + 1], numbers[i + 2]) for i in range(0, len(numbers), 3)]
     triangles = [(points[i], points[i + 1], points[i + 2]) for i in range(0, len(points), 3)]
     check_count(len(triangles))
-    return _check_stl(binary_stl(triangles))
+    return _check_stl(checked_stl(triangles))
 
 
 def _check_obj(data: bytes) -> tuple[bytes, bool]:
@@ -262,13 +249,6 @@ def _check_obj(data: bytes) -> tuple[bytes, bool]:
     return b"\n".join(lines), largest >= 8.0
 
 
-def _stl_triangles(data: bytes, step: int) -> Iterator[Triangle]:
-    """Yields every ``step``-th triangle of a binary STL file."""
-    for start in range(84, len(data), 50 * step):
-        t = _RECORD.unpack_from(data, start)
-        yield t[0:3], t[3:6], t[6:9]
-
-
 def _obj_triangles(data: bytes) -> Iterator[Triangle]:
     """Yields the triangles of a checked OBJ file, with coordinates that MuJoCo reads: float32."""
     points: list[Vec3] = []
@@ -301,7 +281,7 @@ def _check_shape(triangles: Iterable[Triangle], is_large: bool) -> None:
             text = f"has a coordinate of more than {plain(_MAX_COORDINATE)} m"
             raise MeshError("mesh-invalid", text, hint)
         if not is_solid:
-            area += 0.5 * math.hypot(*_normal(*corners))
+            area += 0.5 * math.hypot(*triangle_normal(*corners))
             distinct.update(corners)
             is_solid = len(distinct) >= 4 and area > _MIN_AREA
         elif not is_large:
@@ -314,13 +294,6 @@ def _check_shape(triangles: Iterable[Triangle], is_large: bool) -> None:
         raise MeshError("mesh-invalid", text, hint)
 
 
-def _normal(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
-    """Returns the cross product of two edges of a triangle."""
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-
-
 def _is_flat(points: Sequence[Vec3]) -> bool:
     """Whether the distances of points to a plane are below ``_FLAT`` of the size of the mesh.
 
@@ -329,8 +302,8 @@ def _is_flat(points: Sequence[Vec3]) -> bool:
     """
     a = points[0]
     b = max(points, key=lambda p: math.dist(a, p))
-    c = max(points, key=lambda p: math.hypot(*_normal(a, b, p)))
-    normal = _normal(a, b, c)
+    c = max(points, key=lambda p: math.hypot(*triangle_normal(a, b, p)))
+    normal = triangle_normal(a, b, c)
     length = math.hypot(*normal)
     limit = _FLAT * math.dist(a, b) * length
     x, y, z = normal

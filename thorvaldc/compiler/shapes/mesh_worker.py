@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 
 from thorvaldc.compiler.shapes.mesh_formats import (
     MeshError,
-    binary_stl,
     check_count,
     check_mesh,
+    checked_stl,
 )
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def answer(request: dict[str, Any], data: bytes) -> tuple[dict[str, Any], bytes]
     try:
         mesh = files.pop(request["files"][0][0])
         if suffix not in ("stl", "obj"):
-            mesh, suffix = binary_stl(_triangles(suffix, mesh, files)), "stl"
+            mesh, suffix = checked_stl(_triangles(suffix, mesh, files)), "stl"
         checked = check_mesh(suffix, mesh, (x, y, z))
     except MeshError as error:
         return {"code": error.code, "text": error.text, "hint": error.hint}, b""

@@ -11,13 +11,11 @@ from typing import TYPE_CHECKING
 
 from thorvaldc.model.robot import Box, Cylinder, Mesh, Shape, Sphere
 from thorvaldc.model.spatial import Inertial, Pose, Vec3, combine
+from thorvaldc.model.stl import HEADER, NUMPY_RECORD
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-
-# A triangle of a binary STL file: normal vector, corners, attributes.
-_STL_TRIANGLE = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")]
 
 
 def uniform_solid(shape: Shape, mass: float, wall: float | None = None) -> Inertial:
@@ -91,7 +89,7 @@ def mesh_triangles(mesh: Mesh) -> NDArray[np.float64]:
     import numpy as np
 
     if not mesh.name.endswith(".obj"):
-        records = np.frombuffer(mesh.data, _STL_TRIANGLE, offset=84)
+        records = np.frombuffer(mesh.data, NUMPY_RECORD, offset=HEADER)
         return np.asarray(records["corners"], np.float64)
     points: list[list[float]] = []
     triangles: list[tuple[int, int, int]] = []

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import struct
 import time
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from urllib.parse import unquote
 
 from thorvaldc.compiler.shapes.meshes import load_mesh, shared_mesh_workers
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Mesh, Vec3
+from thorvaldc.model.stl import RECORD, stl_triangles
 from thorvaldc.tools.audit.audit_facts import Body, Description, Evidence, SolidShape
 
 SECONDS = 30.0
@@ -98,11 +99,8 @@ def _bounds(mesh: Mesh) -> Box | None:
 
 
 def _stl_points(data: bytes) -> Iterator[tuple[float, ...]]:
-    count = (len(data) - 84) // 50
-    step = max(1, count * 3 // _VERTICES)
-    for index in range(0, count, step):
-        values = struct.unpack_from("<9f", data, 84 + 50 * index + 12)
-        yield from (values[0:3], values[3:6], values[6:9])
+    step = max(1, len(data) // RECORD * 3 // _VERTICES)
+    return chain.from_iterable(stl_triangles(data, step))
 
 
 def _obj_points(data: bytes) -> Iterator[tuple[float, ...]]:

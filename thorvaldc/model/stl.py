@@ -1,0 +1,49 @@
+"""Binary STL files, the format of the meshes of a model.
+
+A file has a header of 80 bytes and the number of triangles (uint32). A triangle has 50 bytes: its
+normal vector and three corners as float32, and 2 bytes of attributes, all in little-endian order.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterable, Iterator
+
+from thorvaldc.model.spatial import Vec3
+
+Triangle = tuple[Vec3, Vec3, Vec3]
+HEADER, RECORD = 84, 50  # bytes
+_CORNERS = struct.Struct("<12x9f2x")
+NUMPY_RECORD = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")]
+"""The type of a triangle in numpy, which is not imported here."""
+
+
+def binary_stl(triangles: Iterable[Triangle], name: bytes = b"binary stl".ljust(80)) -> bytes:
+    """Return the content of a binary STL file. The normals are computed from the corners.
+
+    - ``triangles``: the corners of each triangle in m.
+    - ``name``: first 80 bytes of the file.
+
+    Raises ``OverflowError`` if a coordinate is too large for a float32.
+    """
+    body = bytearray()
+    for a, b, c in triangles:
+        nx, ny, nz = triangle_normal(a, b, c)
+        length = math.sqrt(nx * nx + ny * ny + nz * nz) or 1.0
+        body += struct.pack("<12fH", nx / length, ny / length, nz / length, *a, *b, *c, 0)
+    return name + struct.pack("<I", len(body) // RECORD) + bytes(body)
+
+
+def stl_triangles(data: bytes, step: int = 1) -> Iterator[Triangle]:
+    """Yield every ``step``-th triangle of a binary STL file, without the bytes after the last."""
+    for start in range(HEADER, len(data) - RECORD + 1, RECORD * step):
+        t = _CORNERS.unpack_from(data, start)
+        yield t[0:3], t[3:6], t[6:9]
+
+
+def triangle_normal(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
+    """Return the cross product of two edges of a triangle."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
