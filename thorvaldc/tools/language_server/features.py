@@ -23,11 +23,10 @@ from thorvaldc.tools.language_server.document_tree import tree_around
 from thorvaldc.tools.language_server.formatting import formatted
 from thorvaldc.tools.language_server.hover import hover_at
 from thorvaldc.tools.language_server.module_view import ModuleView
-from thorvaldc.tools.language_server.open_document import OpenDocument, uri_of
+from thorvaldc.tools.language_server.open_document import OpenDocument, uri_of, workspace_documents
 from thorvaldc.tools.language_server.outline import Entry, outline_of
 from thorvaldc.tools.language_server.proposals import Proposed, proposals_at
 from thorvaldc.tools.language_server.source_text import SourceText
-from thorvaldc.tools.language_server.workspace_files import workspace_documents
 
 MAX_VIEWS = 16
 """Number of documents whose modules stay in memory."""

@@ -1,17 +1,19 @@
-"""The documents that are open in the editor, and their kinds."""
+"""The documents that are open in the editor or in its workspace, and their kinds."""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from urllib.parse import quote, unquote, urlsplit
 
 from thorvaldc.compiler.modules.library import FILE as MODULE_FILE
+from thorvaldc.compiler.source.input_file import read_bytes, unsaved_texts
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.diagnostics import Report
 from thorvaldc.schema.documents import Kind
 from thorvaldc.tools.language_server.document_tree import tree_of
 from thorvaldc.tools.language_server.source_text import SourceText
@@ -128,3 +130,43 @@ def uri_of(path: Path | str) -> str:
     """Returns the URI of an absolute path."""
     text = os.fspath(path).replace("\\", "/")
     return "file://" + quote(text if text.startswith("/") else f"/{text}", errors="surrogateescape")
+
+
+# -- documents in the folders of the workspace ---------------------------------------------
+
+MAX_ENTRIES = 20_000
+"""Greatest number of files and folders that are searched."""
+MAX_BYTES = 1_000_000
+
+_SKIPPED = frozenset(["node_modules", "build", "install", "log", "__pycache__"])
+
+
+def workspace_documents(
+    folders: Iterable[Path], texts: Mapping[str, bytes], uris: Mapping[str, str]
+) -> Iterator[OpenDocument]:
+    """Yields the documents of thorvaldc in the folders of the workspace, and the open ones.
+
+    - ``texts``: unsaved texts by real path.
+    - ``uris``: URIs of the open documents by real path, as the editor wrote them.
+    """
+    paths = dict.fromkeys([*texts, *_yaml_files(folders)])
+    with unsaved_texts(texts):
+        for path in paths:
+            data = read_bytes(Path(path), path, Report(), limit=MAX_BYTES)
+            if data is None or b"thorvaldc" not in data:
+                continue
+            text = data.decode("utf-8", "replace")
+            yield open_document(uris.get(path, uri_of(path)), None, text, Path())
+
+
+def _yaml_files(folders: Iterable[Path]) -> Iterator[str]:
+    count = 0
+    for folder in folders:
+        for root, names, files in os.walk(folder):
+            names[:] = sorted(n for n in names if n not in _SKIPPED and not n.startswith("."))
+            count += len(names) + len(files)
+            if count > MAX_ENTRIES:
+                return
+            for file in sorted(files):
+                if file.endswith((".yaml", ".yml")):
+                    yield os.path.realpath(os.path.join(root, file))
