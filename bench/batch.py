@@ -14,11 +14,13 @@ import numpy as np
 
 from bench.figure import EXAMPLE, ROOT, Figure, python
 from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.compiler.scenario.planned_variations import plan_variations
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
 from thorvaldc.simulation.vectorised.rollouts import Rollouts
-from thorvaldc.tools.batch.scenario_batch import Batch, plan_variations, processors
+from thorvaldc.simulation.worker_processes import processors
+from thorvaldc.tools.batch.scenario_batch import Batch
 
 SCENARIO = ROOT / "examples" / "scenarios" / "field_edge.yaml"
 RUNS, SECONDS = 48, 20

@@ -173,7 +173,7 @@ def test_json_of_others_is_read_in_one_place(trees: dict[Path, ast.Module]) -> N
         "compiler/output/writer.py",
         "diagnostics/foreign_json.py",
         "schema/documents.py",
-        "tools/comparison/leaf_differences.py",
+        "comparison/leaf_differences.py",
         "tools/provenance/model_paths.py",
     }
 

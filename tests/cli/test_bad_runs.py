@@ -126,7 +126,7 @@ def test_a_full_disk_is_reported_with_the_name_of_the_file(
 
 def test_a_robot_that_tips_over_is_reported_and_recorded(thorvaldc: Command) -> None:
     path = scenario(TALL, 40, "slope, angle: 58 deg, direction: 90 deg", 4.5)
-    result = thorvaldc("sim", path, "--record", "r.csv", "--junit", "j.xml", "--plot", "p.png")
+    result = thorvaldc("scenario", path, "--record", "r.csv", "--junit", "j.xml", "--plot", "p.png")
     assert result.status == 1
     assert "cart fell over to its right after 1." in result.err
     assert "ended after 1." in result.out
@@ -148,7 +148,7 @@ def test_a_diverged_robot_is_reported_with_time_and_cause(thorvaldc: Command) ->
     assert "stiff.yaml:2:7: error[TV805]" in result.err
     assert "after 0.0" in result.err
     assert "the joint `wild/" in result.err
-    replayed = thorvaldc("sim", "s.yaml", "--replay", "r.mcap", "--plot", "q.png")
+    replayed = thorvaldc("replay", "s.yaml", "r.mcap", "--plot", "q.png")
     assert replayed.status == 0
     assert "wild" in replayed.out
 
@@ -178,7 +178,7 @@ def test_a_terminated_run_leaves_a_readable_record(
             process.kill()
     assert (process.returncode, out, err) == (status, "", expected)
     assert not list(Path().glob(".*"))
-    result = thorvaldc("sim", path, "--replay", record, "--json")
+    result = thorvaldc("replay", path, record, "--json")
     assert result.status == 0, result.err
     assert result.err == ""
     if record.endswith(".csv"):

@@ -8,18 +8,9 @@ import sys
 import pytest
 
 from tests.cli.conftest import Command
-from thorvaldc.cli.app import COMMANDS
-from thorvaldc.cli.command import CommandEntry, GroupEntry
+from thorvaldc.cli.command import all_commands
 
-PATHS = [
-    path
-    for entry in COMMANDS
-    for path in (
-        [(entry.name,)]
-        if isinstance(entry, CommandEntry)
-        else [(entry.name, command.name) for command in entry.commands]
-    )
-]
+PATHS = [tuple(entry.name.split()) for entry in all_commands() if entry.target]
 HEAVY = [
     "numpy",
     "trimesh",
@@ -60,7 +51,8 @@ def test_the_help_of_the_groups_loads_no_command() -> None:
         "    for words in (['--help'], ['can', '--help'], ['modules', '--help']):\n"
         "        sys.argv = ['thorvaldc', *words]\n"
         "        run_command()\n"
-        "print([name for name in sys.modules if name.startswith('thorvaldc.cli.commands.')])\n"
+        "names = [name for name in sys.modules if name.startswith('thorvaldc.')]\n"
+        "print([n for n in names if '.cli.commands.' in n or n.endswith('_command')])\n"
     )
     result = subprocess.run(
         [sys.executable, "-c", script],
@@ -74,14 +66,11 @@ def test_the_help_of_the_groups_loads_no_command() -> None:
 
 @pytest.mark.parametrize("group", [(), ("can",), ("modules",)])
 def test_each_command_has_one_line_of_help(group: tuple[str, ...], thorvaldc: Command) -> None:
-    entries = COMMANDS
-    for entry in COMMANDS:
-        if isinstance(entry, GroupEntry) and group == (entry.name,):
-            entries = entry.commands
+    entries = [e for e in all_commands() if e.group == " ".join(group) and not e.hidden]
     output = thorvaldc(*group, "--help").out
     lines = output.partition("Commands:\n")[2].splitlines()
-    visible = [entry for entry in entries if not entry.hidden]
-    assert [line.split()[0] for line in lines] == [entry.name for entry in visible]
-    for line, entry in zip(lines, visible, strict=True):
-        assert line.endswith(entry.help)
-        assert len(line) <= 80
+    shown = {line.split()[0]: line for line in lines if line.startswith("  ")}
+    assert list(shown) == [entry.word for entry in entries]
+    for entry in entries:
+        assert shown[entry.word].endswith(entry.help)
+        assert len(shown[entry.word]) <= 80

@@ -14,10 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_command_table import HEAVY, PATHS
+from tests.cli.test_command_table import HEAVY
 from tests.examples import FOLDER
-from thorvaldc.cli.app import COMMANDS
-from thorvaldc.cli.command import CommandEntry, GroupEntry, load_command
 from thorvaldc.cli.completion import joined_words
 from thorvaldc.runtime.control.control_server import ControlServer
 from thorvaldc.runtime.service_table import Services
@@ -183,38 +181,3 @@ def test_completion_loads_no_heavy_package(
     loaded = set((shell / "loaded").read_text().split())
     assert "typer" in loaded
     assert not loaded.intersection([*HEAVY, "thorvaldc.compiler.pipeline", "thorvaldc.simulation"])
-
-
-def test_completion_knows_the_options_of_every_command(
-    shell: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The placeholders hide no option."""
-    entries: dict[tuple[str, ...], CommandEntry] = {}
-    for entry in COMMANDS:
-        if isinstance(entry, GroupEntry):
-            entries |= {(entry.name, command.name): command for command in entry.commands}
-        else:
-            entries[(entry.name,)] = entry
-    assert sorted(entries) == sorted(PATHS)
-    script = (
-        "from thorvaldc.cli.app import COMMANDS\n"
-        "from thorvaldc.cli.command import GroupEntry, load_command\n"
-        "from thorvaldc.cli.completion import placeholders\n"
-        "for entry in COMMANDS:\n"
-        "    group = isinstance(entry, GroupEntry)\n"
-        "    for command in entry.commands if group else (entry,):\n"
-        "        with placeholders():\n"
-        "            loaded = load_command(command)\n"
-        "        words = [word for p in loaded.params for word in (p.name, *p.opts)]\n"
-        "        print(*([entry.name] if group else []), command.name, '|', *words)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60
-    )
-    found = {}
-    for line in done.stdout.splitlines():
-        path, _, words = line.partition(" | ")
-        found[tuple(path.split())] = words.split()
-    for path, entry in entries.items():
-        parameters = load_command(entry).params
-        assert found[path] == [word for p in parameters for word in (p.name, *p.opts)], path

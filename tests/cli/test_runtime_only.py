@@ -17,7 +17,7 @@ from thorvaldc.compiler.pipeline import compile_file, emit
 
 PACKAGE = Path(__file__).resolve().parents[2] / "thorvaldc"
 ROOMS = ("runtime", "can", "commissioning", "model", "diagnostics", "cli")
-TOOLS = ("monitor", "teleoperation")
+TOOLS = ("monitor", "service_calls", "teleoperation")
 MISSING = ("numpy", "mujoco", "yaml", "jsonschema")
 # Runs the command where the packages of MISSING cannot be imported.
 SCRIPT = f"""
@@ -40,7 +40,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copytree(PACKAGE / room, package / room, ignore=ignore)
     for tool in TOOLS:
         shutil.copytree(PACKAGE / "tools" / tool, package / "tools" / tool, ignore=ignore)
-    for file in ("__init__.py", "__main__.py", "tools/__init__.py"):
+    for file in ("__init__.py", "__main__.py", "tool_folders.py", "tools/__init__.py"):
         shutil.copy(PACKAGE / file, package / file)
     (folder / "good.yaml").write_text(GOOD, encoding="utf-8")
     model = compile_file(folder / "good.yaml").model

@@ -25,12 +25,12 @@ expect: {{path: {{max: 1 m}}, collisions: {{max: 0}}}}
 def test_expectations_decide_the_status(thorvaldc: Command, tmp_path: Path) -> None:
     path, report = tmp_path / "s.yaml", tmp_path / "out.xml"
     path.write_text(SCENARIO)
-    result = thorvaldc("sim", str(path), "--junit", str(report))
+    result = thorvaldc("scenario", str(path), "--junit", str(report))
     assert result.status == 0
     assert "short: 2 of 2 expectations met" in result.out
     assert ET.parse(report).getroot().get("failures") == "0"
     path.write_text(SCENARIO.replace("1 m}", "0.1 m}"))
-    result = thorvaldc("sim", str(path), "--junit", str(report), "--json")
+    result = thorvaldc("scenario", str(path), "--junit", str(report), "--json")
     assert result.status == 1
     assert "s.yaml:6:10: error[TV820]" in result.err
     summary = json.loads(result.out)
@@ -49,7 +49,7 @@ def test_another_robot_drives_the_scenario(thorvaldc: Command, tmp_path: Path) -
     path.write_text(SCENARIO)
     other_robot = ROOT / "examples/6wd6ws/robot.yaml"
     result = thorvaldc(
-        "sim", str(other_robot), "--scenario", str(path), "--record", str(tmp_path / "r")
+        "scenario", str(path), "--robot", str(other_robot), "--record", str(tmp_path / "r")
     )
     assert result.status == 0
     assert "6: 6/6" in result.out
@@ -73,8 +73,8 @@ def test_options_of_a_drive_are_refused_for_a_scenario(thorvaldc: Command, tmp_p
     path = tmp_path / "s.yaml"
     path.write_text(SCENARIO)
     assert thorvaldc("sim", str(path), "--twist", "1,0,0").status == 2
-    assert thorvaldc("sim", str(ROBOT), "--junit", str(tmp_path / "a.xml")).status == 2
-    assert thorvaldc("sim", str(ROBOT), "--scenario", str(ROBOT)).status == 2
+    assert thorvaldc("scenario", str(ROBOT), "--junit", str(tmp_path / "a.xml")).status == 2
+    assert thorvaldc("scenario", str(ROBOT), "--robot", str(ROBOT)).status == 2
 
 
 def test_the_suffix_selects_the_format_of_the_record(thorvaldc: Command, tmp_path: Path) -> None:

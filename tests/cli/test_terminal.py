@@ -13,7 +13,7 @@ import pytest
 
 from tests.child_process import ChildProcess
 from tests.cli.conftest import BAD, GOOD
-from thorvaldc.cli.commands.view import has_display
+from thorvaldc.tools.pictures.view_command import has_display
 
 
 def on_terminal(folder: Path, *arguments: str, **environment: str) -> tuple[int, str]:

@@ -9,8 +9,7 @@ import pytest
 
 from tests.cli.conftest import Command
 from tests.cli.test_command_table import PATHS
-from thorvaldc.cli.app import COMMANDS
-from thorvaldc.cli.command import CommandEntry, GroupEntry, load_command
+from thorvaldc.cli.command import find_command, load_command
 
 SCENARIO = """\
 thorvaldc: 1
@@ -74,9 +73,8 @@ MISSING_FOLDER_IS_NEW = {("build", "--output"), ("demo", "--output"), ("modules 
 
 
 def _command(path: tuple[str, ...]) -> Any:
-    entry: CommandEntry | GroupEntry = next(e for e in COMMANDS if e.name == path[0])
-    if isinstance(entry, GroupEntry):
-        entry = next(e for e in entry.commands if e.name == path[1])
+    entry = find_command(" ".join(path))
+    assert entry is not None
     return load_command(entry)
 
 

@@ -168,7 +168,7 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
     if command == "why" and isinstance(compilation.model, Robot):
         explain(entry, compilation.model, case["path"], compilation.report)
     if command == "replay" and isinstance(compilation.model, Robot):
-        from thorvaldc.tools.replay.replay_record import read_replay_record
+        from thorvaldc.tools.pictures.replay_record import read_replay_record
 
         read_replay_record(
             Path("record.csv"),

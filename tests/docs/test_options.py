@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from thorvaldc.cli.app import COMMANDS
-from thorvaldc.cli.command import CommandEntry, GroupEntry, load_command
+from thorvaldc.cli.command import all_commands, load_command
+from thorvaldc.tool_folders import CommandEntry
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted(
@@ -25,12 +25,8 @@ def options_of(entry: CommandEntry) -> set[str]:
 
 
 OPTIONS: dict[str, set[str]] = {"--help": set(), "--install-completion": set()}
-for entry in COMMANDS:
-    if isinstance(entry, GroupEntry):
-        OPTIONS[entry.name] = {"-h", "--help"}
-        OPTIONS |= {f"{entry.name} {part.name}": options_of(part) for part in entry.commands}
-    else:
-        OPTIONS[entry.name] = options_of(entry)
+for entry in all_commands():
+    OPTIONS[entry.name] = options_of(entry) if entry.target else {"-h", "--help"}
 
 
 def unknown_options(page: str) -> list[str]:

@@ -18,9 +18,10 @@ from thorvaldc.cli.diagnostic_output import message, report_of
 from thorvaldc.cli.exits import INPUT
 from thorvaldc.cli.hardware_warning import is_hardware
 from thorvaldc.cli.installation import check_full_installation
-from thorvaldc.cli.options import refuse_options, select_bus
+from thorvaldc.cli.options import refuse_options
 from thorvaldc.cli.progress import Progress
 from thorvaldc.cli.robot_file import load_robot
+from thorvaldc.cli.selected_bus import select_bus
 from thorvaldc.commissioning.bus_configuration import BusConfiguration, configuration_of
 from thorvaldc.commissioning.bus_master import BusMaster, other_master_error
 from thorvaldc.commissioning.plan import Plan, PlanStep

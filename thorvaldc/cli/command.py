@@ -6,45 +6,20 @@ All parameters of a command function are texts, lists of texts or flags.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
-from importlib import import_module
-from typing import Any, ClassVar, NamedTuple, ParamSpec
+from collections.abc import Callable, Iterator
+from typing import Any, ClassVar, ParamSpec
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from thorvaldc.cli.completion import placeholders
+from thorvaldc.cli.command_table import CORE
 from thorvaldc.cli.exits import protect
 from thorvaldc.cli.installation import is_runtime_only, require_full_installation
+from thorvaldc.tool_folders import CommandEntry, load_target, tool_commands
 
 P = ParamSpec("P")
-PACKAGE = "thorvaldc.cli.commands"
-
-
-class CommandEntry(NamedTuple):
-    """A row of the command table for one command.
-
-    - ``target``: function of the command as ``module:function`` in the package
-      ``thorvaldc.cli.commands``.
-    - ``help``: help text on one line, for the list of commands and for the help of the command.
-    - ``hidden_options``: options that the command accepts but its help does not show.
-    """
-
-    name: str
-    target: str
-    help: str
-    hidden: bool = False
-    hidden_options: tuple[str, ...] = ()
-
-
-class GroupEntry(NamedTuple):
-    """A row of the command table for a group of commands, such as ``thorvaldc can``."""
-
-    name: str
-    commands: tuple[CommandEntry, ...]
-    help: str
-    hidden: bool = False
+PLUGINS = "thorvaldc.commands"
 
 
 class _PlainText:
@@ -62,79 +37,115 @@ def _without_conversion(parameters: list[Any]) -> list[Any]:
     return parameters
 
 
-class LightCommand(TyperCommand):
+class PlainCommand(TyperCommand):
     """A typer command whose parameters are texts, lists of texts and flags.
 
-    By default, typer converts parameters with pydantic. The import of pydantic takes longer than
-    the compilation of a robot: ``--help`` takes 172 ms without pydantic and 333 ms with pydantic. A
-    command without conversions sets typer's attribute ``_runtime_param`` to avoid the import of
-    pydantic. A version of typer without ``_runtime_param`` ignores the attribute.
+    By default, typer converts every parameter with pydantic, whose import takes a third of the time
+    of a short command (60 of 200 ms).  typer's attribute ``_runtime_param`` avoids the import; a
+    version of typer without the attribute ignores it.
     """
 
     def get_params(self, ctx: Any) -> list[Any]:
         return _without_conversion(super().get_params(ctx))
 
 
-class LazyGroup(TyperGroup):
-    """A command group that imports the module of a command only when the user calls the command.
+class CommandGroup(TyperGroup):
+    """The commands of the core, of the tools and of other packages.
 
-    The help text of the command group needs only the table ``entries``.
+    A command of the core is found in the table alone.  The declarations of the tools are read for
+    other names, the metadata of installed packages only for a name that no tool has.  The help
+    reads all of them and imports no command.
+
+    - ``group``: name of a group within the program, such as ``can``, or empty.
     """
 
-    entries: ClassVar[tuple[CommandEntry | GroupEntry, ...]] = ()
-
-    def __init__(self, **attributes: Any) -> None:
-        super().__init__(**attributes)
-        self._entries = {entry.name: entry for entry in self.entries}
-        # If a user types an unknown command, TyperGroup suggests a similar name from ``commands``.
-        self.commands: Any = dict.fromkeys(self._entries)
+    group: ClassVar[str] = ""
 
     def get_params(self, ctx: Any) -> list[Any]:
         return _without_conversion(super().get_params(ctx))
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return [entry.word for _, entries in self._sections() for entry in entries]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        entry = self._entries.get(cmd_name)
+        entry = find_command(f"{self.group} {cmd_name}".strip())
         if entry is None:
+            # TyperGroup suggests a similar name from ``commands``.
+            self.commands: Any = dict.fromkeys(self.list_commands(ctx))
             return None
-        if isinstance(entry, GroupEntry):
-            return lazy_group(entry.commands)(
+        if not entry.target:
+            return command_group(entry.name)(
                 name=entry.name, help=entry.help, no_args_is_help=True, rich_markup_mode=None
             )
-        if ctx.resilient_parsing:  # shell completion
-            with placeholders():
-                return load_command(entry)
-        try:
-            return load_command(entry)
-        except ImportError:
-            if not is_runtime_only():
-                raise
-            require_full_installation(f"`{ctx.command_path} {entry.name}`")
+        return load_command(entry)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        rows = [(entry.name, entry.help) for entry in self.entries if not entry.hidden]
-        with formatter.section("Commands"):
-            formatter.write_dl(rows)
+        for title, entries in self._sections():
+            with formatter.section(title):
+                formatter.write_dl([(entry.word, entry.help) for entry in entries])
+
+    def _sections(self) -> Iterator[tuple[str, list[CommandEntry]]]:
+        """Yields the visible rows of this group, and the title of each part of them."""
+        own, of_tools = (
+            [e for e in CORE if e.group == self.group],
+            list(tool_commands(self.group)),
+        )
+        sections = [("Commands", [*own, *of_tools])]
+        if not self.group:
+            sections = [("Commands", own), ("Tools", of_tools), ("Plug-ins", plugin_commands())]
+        for title, entries in sections:
+            visible = [entry for entry in entries if not entry.hidden]
+            if visible:
+                yield title, visible
 
 
-def lazy_group(table: tuple[CommandEntry | GroupEntry, ...]) -> type[LazyGroup]:
-    """Returns a typer group class for the commands of a table."""
-    return type("CommandGroup", (LazyGroup,), {"entries": table})
+def find_command(name: str) -> CommandEntry | None:
+    """Returns the row of a command or group, such as ``can scan``, or ``None``."""
+    for entry in CORE:
+        if entry.name == name:
+            return entry
+    for entry in tool_commands(name.rpartition(" ")[0]):
+        if entry.name == name:
+            return entry
+    return next((entry for entry in plugin_commands() if entry.name == name), None)
+
+
+def command_group(name: str) -> type[CommandGroup]:
+    """Returns the typer class of a group of commands."""
+    return type("CommandGroup", (CommandGroup,), {"group": name})
+
+
+def plugin_commands() -> list[CommandEntry]:
+    """Returns the commands of other packages: their entry points ``thorvaldc.commands``.
+
+    The function ``module:function`` of an entry point is a command as those of the tools, and its
+    docstring is its help.
+    """
+    from importlib.metadata import entry_points
+
+    return [
+        CommandEntry(entry.name, entry.value, f"Of the package {entry.dist.name}.", package="")
+        for entry in entry_points(group=PLUGINS)
+        if entry.dist is not None
+    ]
+
+
+def all_commands() -> list[CommandEntry]:
+    """Returns the rows of all commands of this package, without those of other packages."""
+    return [*CORE, *tool_commands()]
 
 
 def load_command(entry: CommandEntry) -> Any:
     """Imports the module of a command and builds the typer command from the signature of its
     function."""
-    module, function = entry.target.split(":")
     app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-    declare = app.command(entry.name, cls=LightCommand, help=entry.help, hidden=entry.hidden)
-    declare(guarded(getattr(import_module(f"{PACKAGE}.{module}"), function)))
-    command: Any = get_command(app)
-    for parameter in command.params:
-        parameter.hidden = parameter.hidden or bool(set(parameter.opts) & set(entry.hidden_options))
-    return command
+    help_text = entry.help if entry.package else None
+    declare = app.command(entry.word, cls=PlainCommand, help=help_text, hidden=entry.hidden)
+    declare(guarded(load_target(entry), entry.name))
+    return get_command(app)
 
 
-def guarded(function: Callable[P, int]) -> Callable[P, None]:
+def guarded(function: Callable[P, int], name: str) -> Callable[P, None]:
     """Returns a function that calls ``function`` and ends the process with the returned exit
     status.
 
@@ -143,6 +154,14 @@ def guarded(function: Callable[P, int]) -> Callable[P, None]:
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> None:
-        raise typer.Exit(protect(lambda: function(*args, **kwargs)))
+        raise typer.Exit(protect(lambda: run(*args, **kwargs)))
+
+    def run(*args: P.args, **kwargs: P.kwargs) -> int:
+        try:
+            return function(*args, **kwargs)
+        except ImportError:
+            if not is_runtime_only():
+                raise
+            require_full_installation(f"`thorvaldc {name}`")
 
     return call

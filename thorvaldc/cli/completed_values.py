@@ -17,7 +17,7 @@ import typer
 Values = Callable[[typer.Context, str], list[str]]
 
 
-def _completer(propose: Callable[[typer.Context, str], Iterator[str]]) -> Values:
+def completer(propose: Callable[[typer.Context, str], Iterator[str]]) -> Values:
     """Returns a completer with the proposed values that begin with the incomplete word."""
 
     @functools.wraps(propose)
@@ -31,7 +31,7 @@ def _completer(propose: Callable[[typer.Context, str], Iterator[str]]) -> Values
     return values
 
 
-@_completer
+@completer
 def target_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes targets, also after a comma."""
     from thorvaldc import backends
@@ -42,7 +42,7 @@ def target_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
             yield ",".join([*chosen, name])
 
 
-@_completer
+@completer
 def preset_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes the presets of new robots."""
     from thorvaldc.compiler.scaffolding.new_robot import presets
@@ -50,7 +50,7 @@ def preset_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     yield from presets()
 
 
-@_completer
+@completer
 def module_types(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes the module types of the library and of the folders of ``--library``."""
     from thorvaldc.compiler.modules.library import Library
@@ -59,7 +59,7 @@ def module_types(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     yield from Library(folders).names()
 
 
-@_completer
+@completer
 def diagnostic_codes(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes numbers of diagnostics, and names where the word begins as none."""
     from thorvaldc.diagnostics.codes import CODES
@@ -70,7 +70,7 @@ def diagnostic_codes(ctx: typer.Context, incomplete: str) -> Iterator[str]:
             yield code.name
 
 
-@_completer
+@completer
 def schema_kinds(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes the kinds of documents that have a schema."""
     from thorvaldc.schema.documents import KINDS
@@ -78,7 +78,7 @@ def schema_kinds(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     yield from (*KINDS, "model")
 
 
-@_completer
+@completer
 def view_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes the named viewing directions of pictures."""
     from thorvaldc.simulation.pictures.render import VIEWS
@@ -86,13 +86,13 @@ def view_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     yield from VIEWS
 
 
-@_completer
+@completer
 def driver_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes the running drivers of this user."""
     yield from _socket_names("-control")
 
 
-@_completer
+@completer
 def service_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes the services of the running driver in the argument NAME."""
     from thorvaldc.runtime.control.control_client import ControlClient
@@ -104,7 +104,7 @@ def service_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
         client.close()
 
 
-@_completer
+@completer
 def bus_interfaces(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes CAN interfaces: simulated buses that run, SocketCAN, serial ports and the rest."""
     name, equals, _ = incomplete.partition("=")
@@ -118,13 +118,13 @@ def bus_interfaces(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     yield start + "udp"
 
 
-@_completer
+@completer
 def base_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes the bases that ``teleop --on`` drives."""
     yield from ("sim", "ideal", *bus_interfaces(ctx, ""))
 
 
-@_completer
+@completer
 def scenario_variables(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes the paths of the numbers, texts and flags of the scenario, for ``--set``."""
     from thorvaldc.compiler.source.reader import read_file
@@ -136,25 +136,6 @@ def scenario_variables(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     document = read_file(Path(name), name, Report())
     if document is not None:
         yield from (f"{path}=" for path in _paths(document.plain(), ""))
-
-
-@_completer
-def value_paths(ctx: typer.Context, incomplete: str) -> Iterator[str]:
-    """Proposes the names of the numbers of the robot in the argument ROBOT, part by part."""
-    from contextlib import ExitStack
-
-    from thorvaldc.compiler.pipeline import compile_file
-    from thorvaldc.model import Robot
-    from thorvaldc.tools.provenance.explanation import Explainer
-    from thorvaldc.tools.provenance.known_paths import known_paths, next_names
-
-    file = Path(ctx.params["file"])
-    library = [Path(name) for name in ctx.params.get("library") or ()]
-    robot = compile_file(file, library=library).model
-    assert isinstance(robot, Robot)  # a fleet has no values to explain
-    with ExitStack() as stack:
-        explainer = Explainer(file, robot, library, False, stack)
-        yield from next_names(known_paths(explainer), incomplete)
 
 
 def _paths(value: Any, path: str) -> Iterator[str]:

@@ -2,7 +2,8 @@
 
 The runtime package is for the computer of a robot, which needs neither the compiler nor the
 simulation. The runtime wheel contains the packages ``runtime``, ``can``, ``commissioning``,
-``model``, ``diagnostics``, ``cli``, ``tools.monitor`` and ``tools.teleoperation``.
+``model``, ``diagnostics``, ``cli``, ``tools.monitor``, ``tools.service_calls`` and
+``tools.teleoperation``.
 """
 
 from __future__ import annotations

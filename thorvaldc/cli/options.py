@@ -11,9 +11,6 @@ from typing import Annotated, TypeVar
 import typer
 
 from thorvaldc.cli.completed_values import bus_interfaces, scenario_variables
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus
-from thorvaldc.model.require_bus import require_bus
 
 T = TypeVar("T")
 
@@ -272,26 +269,3 @@ def library_folders(names: Sequence[str], option: str = "'--library'") -> list[P
         if not Path(name).is_dir():
             raise typer.BadParameter(f"there is no folder {name!r}", param_hint=option)
     return [Path(name) for name in names]
-
-
-def select_bus(robot: Robot, spec: str) -> tuple[Bus, str]:
-    """Returns the CAN bus of the robot and the CAN interface that the option ``--bus`` selects.
-
-    For a robot with several CAN buses, ``--bus`` must name the bus and its interface, as in
-    ``left=socketcan:can0``. For a robot with one CAN bus, ``--bus`` needs only the CAN interface.
-    Raises ``DiagnosticError`` for a robot without a CAN bus. Raises ``typer.BadParameter`` if
-    ``--bus`` does not name a CAN bus of the robot.
-    """
-    require_bus(robot)
-    buses = {bus.name: bus for bus in robot.buses}
-    name, equals, interface = spec.partition("=")
-    if equals and name in buses:
-        return buses[name], interface
-    if len(buses) == 1:
-        return robot.buses[0], spec
-    example = (interface if equals else spec) or "socketcan:can0"
-    problem = f"the robot has no bus {name}, but" if equals else "the robot has the buses"
-    raise typer.BadParameter(
-        f"{problem} {', '.join(buses)}; select one: {robot.buses[0].name}={example}",
-        param_hint="'--bus'",
-    )

@@ -4,7 +4,7 @@ run."""
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,13 +15,13 @@ from thorvaldc.cli.exits import OutsideError
 from thorvaldc.cli.progress import Progress
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.simulation.control_loop import ControlLoop, Sample
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.pictures import PictureError, check_pillow
 from thorvaldc.simulation.pictures.opengl_backend import choose_opengl_backend
 from thorvaldc.simulation.pictures.plot import FORMATS as PLOT_FORMATS
 from thorvaldc.simulation.pictures.plot import check_plotting, plot
 from thorvaldc.simulation.pictures.video import FORMATS as VIDEO_FORMATS
 from thorvaldc.simulation.pictures.video import RATES, VideoRecorder, encoder
-from thorvaldc.tools.replay.replay import Replay
 
 
 @contextmanager
@@ -79,15 +79,20 @@ class RunPictures:
         if self._video_recorder is not None and loop.scene is not None:
             self._video_recorder.on_tick(loop.scene)
 
-    def take_record(self, samples: Mapping[str, Sequence[Sample]], replay: Replay | None) -> None:
+    def take_record(
+        self,
+        samples: Mapping[str, Sequence[Sample]],
+        scenes: Callable[[float], Iterable[MujocoScene]] | None,
+    ) -> None:
         """Stores the samples of a recorded run for the plot and the video.
 
-        The function ``replay`` moves the robots of the MuJoCo scene for the video.
+        The function ``scenes`` returns the MuJoCo scene at each picture of the video, for a rate in
+        Hz.
         """
         self._samples = {name: list(of_robot) for name, of_robot in samples.items()}
-        if self._video_recorder is not None and replay is not None:
-            for _ in replay.times(self._video_recorder.rate):
-                self._video_recorder.store(replay.scene)
+        if self._video_recorder is not None and scenes is not None:
+            for scene in scenes(self._video_recorder.rate):
+                self._video_recorder.store(scene)
 
     def write(
         self,

@@ -44,7 +44,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.model_json import to_json
-from thorvaldc.model.tool_folders import document_compiler
+from thorvaldc.tool_folders import document_compiler
 
 # The scenario classes are imported only for type checkers, because the import takes several
 # milliseconds.

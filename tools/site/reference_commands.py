@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from thorvaldc.cli.app import COMMANDS
-from thorvaldc.cli.command import CommandEntry, GroupEntry, load_command
+from thorvaldc.cli.command import all_commands, load_command
+from thorvaldc.tool_folders import CommandEntry
 
 
 def page() -> str:
@@ -16,13 +16,8 @@ def page() -> str:
         "Every command with its arguments and options, as `thorvaldc COMMAND --help` prints them."
         " [Commands](../commands.md) lists them by task.",
     ]
-    for entry in COMMANDS:
-        if entry.hidden:
-            continue
-        if isinstance(entry, GroupEntry):
-            for part in entry.commands:
-                lines += section(f"{entry.name} {part.name}", part)
-        else:
+    for entry in all_commands():
+        if entry.target and not entry.hidden:
             lines += section(entry.name, entry)
     return "\n".join(lines) + "\n"
 

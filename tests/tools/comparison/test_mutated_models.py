@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from tests.examples import example_fleet, example_robot
+from thorvaldc.comparison.difference_text import difference_document, difference_text
+from thorvaldc.comparison.robot_comparison import compare_fleets, compare_robots
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.model_json import ModelFormatError, from_json, to_json
-from thorvaldc.tools.comparison.difference_text import difference_document, difference_text
-from thorvaldc.tools.comparison.robot_comparison import compare_fleets, compare_robots
 
 Step = tuple[Any, Any]  # a container and the key of a value in it
 

@@ -24,10 +24,10 @@ from tests.accessibility import axe_script, violations
 from tests.child_process import ChildProcess
 from tests.examples import example_robot
 from tests.outside_tools import path_of
+from thorvaldc.comparison.robot_comparison import compare_robots
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.simulation.web_viewer.view_page import view_page
 from thorvaldc.tools.comparison.difference_page import difference_page
-from thorvaldc.tools.comparison.robot_comparison import compare_robots
 
 ROOT = Path(__file__).parents[3]
 GOOD = (ROOT / "examples" / "4wd4ws_wide" / "robot.yaml").read_text(encoding="utf-8")

@@ -51,7 +51,7 @@ samples: {{method: grid, number: 5}}
 def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is drawn, to save time, also if another test has drawn before."""
     monkeypatch.setattr(
-        "thorvaldc.cli.commands.study_report.picture_fault", lambda: "MuJoCo cannot draw"
+        "thorvaldc.tools.study.report_robots.picture_fault", lambda: "MuJoCo cannot draw"
     )
 
 

@@ -8,22 +8,17 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thorvaldc import __version__, backends
 from thorvaldc.cli.completed_values import target_names
-from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
 from thorvaldc.cli.exits import OutsideError
 from thorvaldc.cli.options import Format, Library, ModelFiles, Trust, library_folders
-from thorvaldc.compiler.bus.lock_file import without_lock_files
-from thorvaldc.compiler.output.build_freshness import check_freshness
-from thorvaldc.compiler.output.writer import WriteError, write_build, write_locks
-from thorvaldc.compiler.pipeline import compile_file, emit
-from thorvaldc.compiler.result.compilation import Compilation
-from thorvaldc.diagnostics import Report
-from thorvaldc.model import Fleet, Robot
+
+if TYPE_CHECKING:
+    from thorvaldc.compiler.result.compilation import Compilation
+    from thorvaldc.model import Fleet, Robot
 
 
 def build(
@@ -59,6 +54,13 @@ def build(
         ),
     ] = False,
 ) -> int:
+    from thorvaldc import __version__
+    from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
+    from thorvaldc.compiler.bus.lock_file import without_lock_files
+    from thorvaldc.compiler.output.build_freshness import check_freshness
+    from thorvaldc.compiler.output.writer import WriteError, write_locks
+    from thorvaldc.compiler.pipeline import compile_file
+
     check_format(format)
     targets = _parse_targets(target)
     folders = library_folders(library)
@@ -115,6 +117,8 @@ def _parse_targets(text: str | None) -> list[str]:
     If the text is ``None``, the function returns the default targets. Raises ``typer.BadParameter``
     for an unknown target and for a backend that cannot be loaded.
     """
+    from thorvaldc import backends
+
     if text is None:
         return list(backends.DEFAULT_TARGETS)
     targets = list(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
@@ -133,6 +137,9 @@ def _emit(compilation: Compilation, targets: list[str]) -> dict[str, bytes]:
 
     The function adds the diagnostics of the backends to the report of the compilation.
     """
+    from thorvaldc.compiler.pipeline import emit
+    from thorvaldc.diagnostics import Report
+
     if compilation.model is None:
         return {}
     report = Report()
@@ -144,6 +151,9 @@ def _emit(compilation: Compilation, targets: list[str]) -> dict[str, bytes]:
 def _write(
     compilation: Compilation, model: Robot | Fleet, contents: Mapping[str, bytes], folder: Path
 ) -> None:
+    from thorvaldc import __version__
+    from thorvaldc.compiler.output.writer import write_build
+
     write_build(
         contents,
         folder,

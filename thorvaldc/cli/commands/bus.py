@@ -7,11 +7,10 @@ import signal
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thorvaldc.cli.diagnostic_output import message, print_json, report_of, show_report
 from thorvaldc.cli.exits import DONE, INPUT
 from thorvaldc.cli.options import (
     InjectedFaults,
@@ -25,17 +24,11 @@ from thorvaldc.cli.options import (
     check_physics,
     parse_seed,
 )
-from thorvaldc.cli.robot_file import load_robot
-from thorvaldc.cli.virtual_robot import describe_injected_fault, make_mujoco_base, read_store
-from thorvaldc.compiler.bus.injected_fault_file import read_faults
-from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model import Robot
-from thorvaldc.model.bus_faults import BusFault
-from thorvaldc.simulation.bus.bus_server import BusServer
-from thorvaldc.simulation.bus.device_memory import write_memory
-from thorvaldc.simulation.bus.fault_injection import FaultInjector
-from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+
+if TYPE_CHECKING:
+    from thorvaldc.model import Robot
+    from thorvaldc.model.bus_faults import BusFault
+    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 REPORTED_DELAY = 50_000_000
 """Longest delay of the simulation behind the clock, in ns, that the command does not report."""
@@ -72,6 +65,15 @@ def bus(
     library: Library = [],  # noqa: B006
     trust: Trust = False,
 ) -> int:
+    from thorvaldc.cli.diagnostic_output import report_of, show_report
+    from thorvaldc.cli.robot_file import load_robot
+    from thorvaldc.cli.virtual_robot import make_mujoco_base, read_store
+    from thorvaldc.compiler.bus.injected_fault_file import read_faults
+    from thorvaldc.diagnostics import Report
+    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.simulation.bus.fault_injection import FaultInjector
+    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+
     check_physics(physics)
     number = parse_seed(seed)
     loaded = load_robot(file, library, trust)
@@ -124,6 +126,9 @@ def _serve(
     When the simulation ends, the non-volatile memory of the simulated devices is written to the
     file ``store``.
     """
+    from thorvaldc.simulation.bus.bus_server import BusServer
+    from thorvaldc.simulation.bus.device_memory import write_memory
+
     server = BusServer(
         simulated.timeline,
         {name: simulated.wires[bus] for bus, name in channels.items()},
@@ -146,6 +151,8 @@ def _serve(
 
 
 def _show_start(robot: Robot, channels: Mapping[str, str], json: bool) -> None:
+    from thorvaldc.cli.diagnostic_output import message, print_json
+
     buses = {bus.name: bus for bus in robot.buses}
     if json:
         values = [
@@ -172,11 +179,15 @@ def _show_start(robot: Robot, channels: Mapping[str, str], json: bool) -> None:
 
 
 def _show_injected_fault(time: float, fault: BusFault, begins: bool) -> None:
+    from thorvaldc.cli.virtual_robot import describe_injected_fault
+
     description = describe_injected_fault(fault, begins)
     print(f"{time:.3f} s: {description}", file=sys.stderr, flush=True)
 
 
 def _show_end(simulated: SimulatedRobot, behind: int) -> None:
+    from thorvaldc.cli.diagnostic_output import message
+
     seconds = simulated.timeline.seconds
     for name, wire in simulated.wires.items():
         load = wire.busy / max(simulated.timeline.now, 1)

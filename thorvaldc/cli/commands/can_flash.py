@@ -5,13 +5,10 @@ from __future__ import annotations
 import sys
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thorvaldc.cli.bus_access import BusAccess, with_bus
-from thorvaldc.cli.console_operator import agrees
-from thorvaldc.cli.diagnostic_output import count, message, print_json, table_width
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.options import (
     BusInterface,
@@ -22,12 +19,11 @@ from thorvaldc.cli.options import (
     Trust,
     refuse_options,
 )
-from thorvaldc.commissioning.commissioning_text import plan_as_json, plan_table
-from thorvaldc.commissioning.flash import Flash
-from thorvaldc.commissioning.journal import Journal, JournalFile
-from thorvaldc.commissioning.plan import Plan
-from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model.model_json import is_model_file
+
+if TYPE_CHECKING:
+    from thorvaldc.cli.bus_access import BusAccess
+    from thorvaldc.commissioning.journal import JournalFile
+    from thorvaldc.commissioning.plan import Plan
 
 
 def flash(
@@ -61,6 +57,8 @@ def flash(
     library: Library = [],  # noqa: B006
     trust: Trust = False,
 ) -> int:
+    from thorvaldc.cli.bus_access import with_bus
+
     modes = {"--apply": apply, "--resume": resume, "--rollback": rollback}
     selected = [option for option, is_set in modes.items() if is_set]
     if len(selected) > 1:
@@ -83,6 +81,9 @@ def flash(
 
 
 def _dry_run(access: BusAccess, json: bool) -> int:
+    from thorvaldc.cli.diagnostic_output import message, print_json, table_width
+    from thorvaldc.commissioning.commissioning_text import plan_as_json, plan_table
+
     plan = access.make_plan()
     if json:
         print_json({**plan_as_json(plan), "applied": False})
@@ -100,6 +101,8 @@ def _default_journal(file: str, access: BusAccess) -> str:
     model.json is in the current folder, because the next build replaces the files in the build
     folder.
     """
+    from thorvaldc.model.model_json import is_model_file
+
     path = Path(file)
     bus = f".{access.bus.name}" if len(access.robot.buses) > 1 else ""
     if is_model_file(path):
@@ -110,6 +113,13 @@ def _default_journal(file: str, access: BusAccess) -> str:
 def _write(
     access: BusAccess, mode: str, path: Path, expected_hash: str, yes: bool, json: bool
 ) -> int:
+    from thorvaldc.cli.console_operator import agrees
+    from thorvaldc.cli.diagnostic_output import message
+    from thorvaldc.commissioning.commissioning_text import plan_table
+    from thorvaldc.commissioning.flash import Flash
+    from thorvaldc.commissioning.journal import Journal
+    from thorvaldc.diagnostics.error import DiagnosticError
+
     if mode != "--apply" and not path.exists():
         raise typer.BadParameter(f"there is no journal {path}", param_hint="'--journal'")
     if mode == "--apply" and path.exists():
@@ -162,6 +172,8 @@ def _write(
 
 
 def _opened(path: Path) -> JournalFile:
+    from thorvaldc.commissioning.journal import JournalFile
+
     try:
         return JournalFile(path)
     except OSError as error:
@@ -169,6 +181,9 @@ def _opened(path: Path) -> JournalFile:
 
 
 def _show_result(json: bool, plan: Plan, result: str) -> int:
+    from thorvaldc.cli.diagnostic_output import count, print_json
+    from thorvaldc.commissioning.commissioning_text import plan_as_json
+
     if json:
         print_json({**plan_as_json(plan), "applied": True, "result": result})
     else:

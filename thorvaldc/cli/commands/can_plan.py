@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from thorvaldc.cli.bus_access import BusAccess, with_bus
-from thorvaldc.cli.diagnostic_output import print_json, table_width
+from typing import TYPE_CHECKING
+
 from thorvaldc.cli.exits import DONE, INPUT
 from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store, Trust
-from thorvaldc.commissioning.commissioning_text import plan_as_json, plan_table
+
+if TYPE_CHECKING:
+    from thorvaldc.cli.bus_access import BusAccess
 
 
 def plan(
@@ -17,6 +19,10 @@ def plan(
     library: Library = [],  # noqa: B006
     trust: Trust = False,
 ) -> int:
+    from thorvaldc.cli.bus_access import with_bus
+    from thorvaldc.cli.diagnostic_output import print_json, table_width
+    from thorvaldc.commissioning.commissioning_text import plan_as_json, plan_table
+
     def work(access: BusAccess) -> int:
         plan = access.make_plan()
         if json:

@@ -3,15 +3,15 @@ robot."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thorvaldc.cli.bus_access import BusAccess, with_bus
-from thorvaldc.cli.diagnostic_output import message, print_json, table_width
 from thorvaldc.cli.exits import DONE, INPUT
 from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store, Trust
-from thorvaldc.commissioning.commissioning_text import scan_notes, scan_table
+
+if TYPE_CHECKING:
+    from thorvaldc.cli.bus_access import BusAccess
 
 
 def scan(
@@ -25,6 +25,10 @@ def scan(
     library: Library = [],  # noqa: B006
     trust: Trust = False,
 ) -> int:
+    from thorvaldc.cli.bus_access import with_bus
+    from thorvaldc.cli.diagnostic_output import message, print_json, table_width
+    from thorvaldc.commissioning.commissioning_text import scan_notes, scan_table
+
     def work(access: BusAccess) -> int:
         scanner = access.scanner()
         scan = scanner.active(values=False) if active else scanner.passive()

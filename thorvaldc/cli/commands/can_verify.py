@@ -3,12 +3,13 @@ periods and load of a CAN bus."""
 
 from __future__ import annotations
 
-from thorvaldc.cli.bus_access import BusAccess, with_bus
-from thorvaldc.cli.diagnostic_output import count, message, print_json, table_width
+from typing import TYPE_CHECKING
+
 from thorvaldc.cli.exits import DONE, INPUT
 from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store, Trust
-from thorvaldc.commissioning.commissioning_text import verification_table
-from thorvaldc.commissioning.verify import verify as verify_bus
+
+if TYPE_CHECKING:
+    from thorvaldc.cli.bus_access import BusAccess
 
 
 def verify(
@@ -19,6 +20,11 @@ def verify(
     library: Library = [],  # noqa: B006
     trust: Trust = False,
 ) -> int:
+    from thorvaldc.cli.bus_access import with_bus
+    from thorvaldc.cli.diagnostic_output import count, message, print_json, table_width
+    from thorvaldc.commissioning.commissioning_text import verification_table
+    from thorvaldc.commissioning.verify import verify as verify_bus
+
     def work(access: BusAccess) -> int:
         verification = verify_bus(
             access.master, access.configuration, access.bus, access.show_progress

@@ -5,19 +5,15 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from contextlib import ExitStack
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count, has_color
 from thorvaldc.cli.options import Library, Strict, Trust, library_folders
-from thorvaldc.cli.standard_input import NAME, standard_input
-from thorvaldc.compiler.bus.lock_file import without_lock_files
-from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.compiler.sandbox.worker_process import missing_limits
-from thorvaldc.diagnostics import Accepted, Severity
-from thorvaldc.diagnostics.renderers import render_accepted
-from thorvaldc.model import Fleet, Robot
+
+if TYPE_CHECKING:
+    from thorvaldc.diagnostics import Accepted
+    from thorvaldc.model import Fleet, Robot
 
 
 def check(
@@ -42,6 +38,13 @@ def check(
         bool, typer.Option("--verbose", "-v", help="Show accepted warnings with their reasons.")
     ] = False,
 ) -> int:
+    from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, has_color
+    from thorvaldc.cli.standard_input import NAME, standard_input
+    from thorvaldc.compiler.bus.lock_file import without_lock_files
+    from thorvaldc.compiler.pipeline import compile_file
+    from thorvaldc.compiler.sandbox.worker_process import missing_limits
+    from thorvaldc.diagnostics.renderers import render_accepted
+
     if format != "badge":
         check_format(format)
     folders = library_folders(library)
@@ -68,6 +71,9 @@ def check(
 
 def _accepted(accepted: list[Accepted]) -> str:
     """Returns the numbers of accepted warnings and notes, such as ``1 warning, 2 notes``."""
+    from thorvaldc.cli.diagnostic_output import count
+    from thorvaldc.diagnostics import Severity
+
     numbers = Counter(entry.diagnostic.severity for entry in accepted)
     kinds = (Severity.WARNING, Severity.NOTE)
     return ", ".join(count(numbers[kind], kind.value) for kind in kinds if numbers[kind])
@@ -75,6 +81,9 @@ def _accepted(accepted: list[Accepted]) -> str:
 
 def _summary(model: Robot | Fleet) -> str:
     """Returns a summary of a robot, such as ``4 wheels (4 driven, 4 steered), 213.4 kg``."""
+    from thorvaldc.cli.diagnostic_output import count
+    from thorvaldc.model import Fleet
+
     if isinstance(model, Fleet):
         return count(len(model.placements), "robot")
     driven = sum(1 for wheel in model.wheels if wheel.driven)

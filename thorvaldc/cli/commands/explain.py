@@ -8,8 +8,6 @@ import typer
 
 from thorvaldc.cli.completed_values import diagnostic_codes
 from thorvaldc.cli.exits import DONE
-from thorvaldc.diagnostics.explain import UnknownCode
-from thorvaldc.diagnostics.explain import explain as page_of
 
 
 def explain(
@@ -20,6 +18,9 @@ def explain(
         ),
     ],
 ) -> int:
+    from thorvaldc.diagnostics.explain import UnknownCode
+    from thorvaldc.diagnostics.explain import explain as page_of
+
     try:
         print(page_of(code), end="")
     except UnknownCode as error:

@@ -9,9 +9,7 @@ from typing import Annotated
 
 import typer
 
-from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
 from thorvaldc.cli.options import Format, Strict, library_folders
-from thorvaldc.compiler.catalogue.library_check import check_library
 
 
 def check_modules(
@@ -22,6 +20,9 @@ def check_modules(
     format: Format = "text",
     strict: Strict = False,
 ) -> int:
+    from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
+    from thorvaldc.compiler.catalogue.library_check import check_library
+
     check_format(format)
     output = DiagnosticOutput(format, sys.stdout)
     paths: list[Path | None] = [*library_folders(folders, "DIR")]

@@ -8,16 +8,7 @@ from typing import Annotated
 
 import typer
 
-from thorvaldc.cli.diagnostic_output import show_report
 from thorvaldc.cli.exits import DONE
-from thorvaldc.compiler.modules.library import FILE, Library
-from thorvaldc.compiler.scaffolding.new_module import (
-    is_module_type,
-    module_files,
-    module_mesh,
-    write_module,
-)
-from thorvaldc.diagnostics import Report
 
 
 def new_module(
@@ -29,6 +20,16 @@ def new_module(
         str, typer.Option("--library", metavar="DIR", help="Folder of your modules.")
     ] = "modules",
 ) -> int:
+    from thorvaldc.cli.diagnostic_output import show_report
+    from thorvaldc.compiler.modules.library import FILE, Library
+    from thorvaldc.compiler.scaffolding.new_module import (
+        is_module_type,
+        module_files,
+        module_mesh,
+        write_module,
+    )
+    from thorvaldc.diagnostics import Report
+
     if not is_module_type(type):
         raise typer.BadParameter(
             f"{type!r} is no name of a module type: category/name in small letters, digits and _",

@@ -7,20 +7,7 @@ from typing import Annotated
 import typer
 
 from thorvaldc.cli.completed_values import module_types
-from thorvaldc.cli.diagnostic_output import print_json, print_table, show_report
 from thorvaldc.cli.options import Json, Library, library_folders
-from thorvaldc.compiler.catalogue.module_description import describe_module
-from thorvaldc.compiler.catalogue.module_text import (
-    description_document,
-    description_rows,
-    mass_rows,
-    parameter_rows,
-    port_rows,
-)
-from thorvaldc.compiler.modules.library import Library as ModuleLibrary
-from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Report, Span
-from thorvaldc.diagnostics.suggest import nearest
 
 
 def show_module(
@@ -33,6 +20,20 @@ def show_module(
     json: Json = False,
     library: Library = [],  # noqa: B006
 ) -> int:
+    from thorvaldc.cli.diagnostic_output import print_json, print_table, show_report
+    from thorvaldc.compiler.catalogue.module_description import describe_module
+    from thorvaldc.compiler.catalogue.module_text import (
+        description_document,
+        description_rows,
+        mass_rows,
+        parameter_rows,
+        port_rows,
+    )
+    from thorvaldc.compiler.modules.library import Library as ModuleLibrary
+    from thorvaldc.compiler.source.node import Node
+    from thorvaldc.diagnostics import Report, Span
+    from thorvaldc.diagnostics.suggest import nearest
+
     folders = library_folders(library)
     module_library = ModuleLibrary([(folder, str(folder)) for folder in folders])
     names = module_library.names()

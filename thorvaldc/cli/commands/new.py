@@ -9,8 +9,6 @@ import typer
 
 from thorvaldc.cli.completed_values import preset_names
 from thorvaldc.cli.exits import DONE
-from thorvaldc.compiler.scaffolding.new_project import project_files, robot_files, write_new_files
-from thorvaldc.compiler.scaffolding.new_robot import is_robot_name, presets
 
 
 def new(
@@ -31,6 +29,13 @@ def new(
         ),
     ] = False,
 ) -> int:
+    from thorvaldc.compiler.scaffolding.new_project import (
+        project_files,
+        robot_files,
+        write_new_files,
+    )
+    from thorvaldc.compiler.scaffolding.new_robot import is_robot_name, presets
+
     if not is_robot_name(name):
         raise typer.BadParameter(
             f"{name!r} is no name for a robot: small letters, digits and _, a letter first",

@@ -5,16 +5,12 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Mapping
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thorvaldc.can.interface import CanInterface
-from thorvaldc.can.open_interface import lock_buses, open_interfaces
 from thorvaldc.cli.completed_values import bus_interfaces
-from thorvaldc.cli.diagnostic_output import print_json
 from thorvaldc.cli.exits import INPUT, OutsideError
-from thorvaldc.cli.hardware_warning import is_hardware, warn_once
 from thorvaldc.cli.installation import check_full_installation
 from thorvaldc.cli.options import (
     InjectedFaults,
@@ -31,13 +27,13 @@ from thorvaldc.cli.options import (
     parsed,
     refuse_options,
 )
-from thorvaldc.cli.robot_file import load_robot
-from thorvaldc.cli.status_view import StatusView
-from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model import Robot
-from thorvaldc.runtime.run_session import RunSession
-from thorvaldc.runtime.twist_text import parse_twist
+
+if TYPE_CHECKING:
+    from thorvaldc.can.interface import CanInterface
+    from thorvaldc.cli.robot_file import LoadedRobot
+    from thorvaldc.diagnostics import Report
+    from thorvaldc.model import Robot
+    from thorvaldc.runtime.run_session import RunSession
 
 
 def run(
@@ -82,6 +78,14 @@ def run(
     library: Library = [],  # noqa: B006
     trust: Trust = False,
 ) -> int:
+    from thorvaldc.can.open_interface import lock_buses, open_interfaces
+    from thorvaldc.cli.hardware_warning import is_hardware, warn_once
+    from thorvaldc.cli.robot_file import load_robot
+    from thorvaldc.diagnostics import Report
+    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.runtime.run_session import RunSession
+    from thorvaldc.runtime.twist_text import parse_twist
+
     seconds = parse_duration(duration, "--duration") if duration else math.inf
     commanded_twist = parsed(twist, parse_twist, "--twist") if twist else None
     check_physics(physics)
@@ -129,16 +133,25 @@ def run(
         if is_hardware(bus):
             warn_once()
         loaded.show(report)
-        with StatusView(session) as view:
-            diagnostic = session.run(None if json else view.watch)
-        if json:
-            print_json(session.summary())
-        else:
-            print(session.status_line())
-        final_report = Report()
-        if diagnostic is not None:
-            final_report.put(diagnostic)
-        return loaded.show(final_report)
+        return _drive(session, loaded, json)
+
+
+def _drive(session: RunSession, loaded: LoadedRobot, json: bool) -> int:
+    """Runs the base driver, prints its state and returns the exit status."""
+    from thorvaldc.cli.diagnostic_output import print_json
+    from thorvaldc.cli.status_view import StatusView
+    from thorvaldc.diagnostics import Report
+
+    with StatusView(session) as view:
+        diagnostic = session.run(None if json else view.watch)
+    if json:
+        print_json(session.summary())
+    else:
+        print(session.status_line())
+    report = Report()
+    if diagnostic is not None:
+        report.put(diagnostic)
+    return loaded.show(report)
 
 
 def _virtual_interfaces(

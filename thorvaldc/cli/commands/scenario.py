@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thorvaldc.cli.compiling import compile_and_show
 from thorvaldc.cli.exits import INPUT
 from thorvaldc.cli.options import (
     JointLog,
@@ -22,9 +21,9 @@ from thorvaldc.cli.options import (
     Trust,
     Video,
 )
-from thorvaldc.cli.run_pictures import RunPictures
-from thorvaldc.cli.scenario_runs import plan_runs, run_scenario, single_run
-from thorvaldc.compiler.scenario.variations import Change
+
+if TYPE_CHECKING:
+    from thorvaldc.compiler.scenario.variations import Change
 
 
 def scenario(
@@ -49,6 +48,10 @@ def scenario(
     library: Library = [],  # noqa: B006
     trust: Trust = False,
 ) -> int:
+    from thorvaldc.cli.compiling import compile_and_show
+    from thorvaldc.cli.run_pictures import RunPictures
+    from thorvaldc.cli.scenario_runs import plan_runs, run_scenario, single_run
+
     changes: Sequence[Change] = ()
     if settings:
         variations = plan_runs(file, settings, "", "", from_document=False)

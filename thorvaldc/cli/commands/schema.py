@@ -9,8 +9,7 @@ import typer
 
 from thorvaldc.cli.completed_values import schema_kinds
 from thorvaldc.cli.exits import DONE
-from thorvaldc.model.json_schema import model_schema_text
-from thorvaldc.schema.documents import KINDS, schema_text
+from thorvaldc.schema.documents import KINDS
 
 MODEL = "model"
 
@@ -25,6 +24,9 @@ def schema(
         ),
     ],
 ) -> int:
+    from thorvaldc.model.json_schema import model_schema_text
+    from thorvaldc.schema.documents import schema_text
+
     if kind not in (*KINDS, MODEL):
         kinds = ", ".join((*KINDS, MODEL))
         raise typer.BadParameter(f"{kind!r} is none of {kinds}", param_hint="KIND")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from thorvaldc import backends
-from thorvaldc.cli.diagnostic_output import print_json, print_table
 from thorvaldc.cli.exits import DONE
 from thorvaldc.cli.options import Json
 
 
 def targets(json: Json = False) -> int:
+    from thorvaldc import backends
+    from thorvaldc.cli.diagnostic_output import print_json, print_table
+
     summaries: dict[str, str] = {}
     for name in backends.names():
         try:

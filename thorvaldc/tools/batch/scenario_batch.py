@@ -5,7 +5,6 @@ The results do not depend on the number of processes.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -19,45 +18,9 @@ from thorvaldc.compiler.result.compilation import Compilation
 from thorvaldc.compiler.scenario.variations import (
     Change,
     Variations,
-    read_variations,
-    without_variations,
 )
-from thorvaldc.compiler.source.reader import read_file
-from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.diagnostics import Report
 from thorvaldc.simulation.worker_processes import ignored_interrupts, worker_pool
-
-__all__ = ["Batch", "Run", "plan_variations", "processors"]
-
-
-def plan_variations(
-    path: Path | str,
-    settings: Sequence[str] = (),
-    draws: int | None = None,
-    seed: int | None = None,
-    *,
-    from_document: bool = True,
-    report: Report,
-) -> Variations | None:
-    """Returns the variations of a scenario.
-
-    The scenario document and the argument ``settings`` define the variations.  With
-    ``from_document=False`` only ``settings`` defines the variations.  Returns ``None`` if the file
-    is not a scenario.  The function ``read_variations`` describes the arguments ``settings``,
-    ``draws`` and ``seed``.
-    """
-    document_report = Report()  # compile_file reports these problems again, so they are dropped
-    document = read_file(Path(path), str(path), document_report)
-    if document is None:
-        report.extend(document_report)
-        return Variations(())
-    if document.get("scenario") is None:
-        return None
-    check(document, "scenario", document_report)
-    document = without_invalid_values(document, document_report)
-    if not from_document:
-        document = without_variations(document)
-    return read_variations(document, settings, draws, seed, report)
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,10 +169,3 @@ class _Job:
                 report.put(error.diagnostic)
         errors = tuple(f"{d.code.severity}[{d.code.number}]: {d.message}" for d in report.errors)
         return Run(self.number, values, result, errors)
-
-
-def processors() -> int:
-    """Returns the number of processors that the current process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

@@ -1,1 +1,10 @@
 """Compares robots, builds and git revisions; begin at ``compared_inputs``."""
+
+from thorvaldc.tool_folders import CommandEntry
+
+COMMANDS = (
+    CommandEntry("diff", "diff_command:diff", "Compare two robots, builds or git revisions."),
+    CommandEntry(
+        "info", "info_command:info", "Show size, loads, limits, wiring and parts of a robot."
+    ),
+)

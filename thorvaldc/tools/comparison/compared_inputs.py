@@ -10,6 +10,9 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from thorvaldc.comparison.module_outline import Outline, outline_of_file
+from thorvaldc.comparison.robot_comparison import compare_fleets, compare_robots
+from thorvaldc.comparison.robot_difference import Difference
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.result.compilation import Compilation
 from thorvaldc.diagnostics import Label, Report, Span
@@ -22,9 +25,6 @@ from thorvaldc.tools.comparison.git_revision import (
     is_revision,
     split_revision,
 )
-from thorvaldc.tools.comparison.module_outline import Outline, outline_of_file
-from thorvaldc.tools.comparison.robot_comparison import compare_fleets, compare_robots
-from thorvaldc.tools.comparison.robot_difference import Difference
 
 MAX_MESH_BYTES = 64_000_000
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from html import escape
 
+from thorvaldc.comparison.difference_rows import headline, sections_of
+from thorvaldc.comparison.difference_text import EQUAL, summaries_of
+from thorvaldc.comparison.robot_difference import Difference
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.simulation.web_viewer.view_page import view_page
-from thorvaldc.tools.comparison.difference_rows import headline, sections_of
-from thorvaldc.tools.comparison.difference_text import EQUAL, summaries_of
-from thorvaldc.tools.comparison.robot_difference import Difference
 
 
 def difference_page(difference: Difference, before: Robot | Fleet, after: Robot | Fleet) -> str:

@@ -8,3 +8,9 @@ files and writes none: changes are answers to the editor, which applies them.
 - ``analysis``: the diagnostics of one document.
 - ``diagnostic_publisher``: the analyses in a thread of their own, and their publication.
 """
+
+from thorvaldc.tool_folders import CommandEntry
+
+COMMANDS = (
+    CommandEntry("lsp", "lsp_command:lsp", "Serve editors: diagnostics, completion, navigation."),
+)

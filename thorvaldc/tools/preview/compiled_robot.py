@@ -10,6 +10,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from thorvaldc.comparison.difference_text import difference_text
+from thorvaldc.comparison.robot_comparison import compare_fleets, compare_robots
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.renderers import render_text
@@ -18,8 +20,6 @@ from thorvaldc.model.facts.fact_tables import fact_tables
 from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.simulation.web_viewer.viewed_robot import MeshCache, MeshData
 from thorvaldc.simulation.web_viewer.viewer_data import page_data
-from thorvaldc.tools.comparison.difference_text import difference_text
-from thorvaldc.tools.comparison.robot_comparison import compare_fleets, compare_robots
 
 MESHES = "meshes"
 """Folder of the meshes of a module, beside its file."""

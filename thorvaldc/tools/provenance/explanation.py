@@ -11,6 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc import backends
+from thorvaldc.comparison.field_names import field_unit
+from thorvaldc.comparison.leaf_differences import (
+    ABSENT,
+    ORDER,
+    ValuePath,
+    leaf_differences,
+    model_document,
+)
+from thorvaldc.comparison.robot_comparison import is_derived
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.error import DiagnosticError
@@ -22,15 +31,6 @@ from thorvaldc.model.facts.facts_document import facts_document
 from thorvaldc.model.facts.size import size_of
 from thorvaldc.model.facts.slopes import slopes_of
 from thorvaldc.model.facts.stability import stability_of
-from thorvaldc.tools.comparison.field_names import field_unit
-from thorvaldc.tools.comparison.leaf_differences import (
-    ABSENT,
-    ORDER,
-    ValuePath,
-    leaf_differences,
-    model_document,
-)
-from thorvaldc.tools.comparison.robot_comparison import is_derived
 from thorvaldc.tools.provenance.influence_search import (
     INTEGER_STEPS,
     SMALL_CHANGE,

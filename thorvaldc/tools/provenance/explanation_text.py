@@ -7,13 +7,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from thorvaldc.comparison.difference_rows import shortened, value_text
 from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.value_reader import items
 from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.excerpt import Excerpts
 from thorvaldc.diagnostics.text_layout import paragraph, text_list
-from thorvaldc.tools.comparison.difference_rows import shortened, value_text
 from thorvaldc.tools.provenance.explanation import Explanation, OutputUse
 from thorvaldc.tools.provenance.influence_search import Influence
 from thorvaldc.tools.provenance.parameter_chain import Step

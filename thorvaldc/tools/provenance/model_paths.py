@@ -7,15 +7,15 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
-from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.diagnostics.suggest import nearest
-from thorvaldc.model import Robot
-from thorvaldc.model.model_json import from_json, to_json
-from thorvaldc.tools.comparison.leaf_differences import (
+from thorvaldc.comparison.leaf_differences import (
     ORDER,
     ValuePath,
     element_names,
 )
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics.suggest import nearest
+from thorvaldc.model import Robot
+from thorvaldc.model.model_json import from_json, to_json
 
 # Other names of parts of the model: of the robot itself, and of parts that lie deeper.
 _ALIASES: dict[str, ValuePath] = {

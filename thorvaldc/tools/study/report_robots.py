@@ -7,6 +7,9 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from thorvaldc.comparison.difference_rows import Section, sections_of
+from thorvaldc.comparison.module_outline import Outline, outline_of_file
+from thorvaldc.comparison.robot_comparison import compare_robots
 from thorvaldc.compiler.pipeline import compile_robot, emit_without_model
 from thorvaldc.compiler.result.compilation import SourceFile
 from thorvaldc.compiler.source.input_file import unsaved_texts
@@ -17,9 +20,6 @@ from thorvaldc.model.facts.fact_tables import FactTable, fact_tables
 from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.simulation.pictures import PictureError, check_pillow
 from thorvaldc.simulation.pictures.opengl_backend import choose_opengl_backend
-from thorvaldc.tools.comparison.difference_rows import Section, sections_of
-from thorvaldc.tools.comparison.module_outline import Outline, outline_of_file
-from thorvaldc.tools.comparison.robot_comparison import compare_robots
 from thorvaldc.tools.study.design_evaluation import StudyInputs, robot_text
 from thorvaldc.tools.study.replaced_values import PathError
 from thorvaldc.tools.study.sample_points import Design

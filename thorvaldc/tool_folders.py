@@ -1,0 +1,77 @@
+"""Finds the tools of this package by their folders, so that the core names none of them.
+
+A tool is a folder ``thorvaldc/tools/<name>/``.  Its ``__init__.py`` declares what the tool adds to
+the core, and imports nothing else of the tool:
+
+- ``COMMANDS``: rows of the command table.
+- ``DOCUMENTS``: the function ``"module:function"`` that compiles a kind of document, by the kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+_FOLDER = Path(__file__).resolve().parent / "tools"
+
+
+class CommandEntry(NamedTuple):
+    """A row of the command table.
+
+    - ``name``: name of the command, after the name of its group: ``build``, ``can scan``.
+    - ``target``: function of the command as ``module:function`` in ``package``, or empty for a
+      group of commands.
+    - ``help``: help text on one line, for the list of commands and for the help of the command.
+    """
+
+    name: str
+    target: str
+    help: str
+    hidden: bool = False
+    package: str = "thorvaldc.cli.commands"
+
+    @property
+    def group(self) -> str:
+        """Name of the group of the command, or empty."""
+        return self.name.rpartition(" ")[0]
+
+    @property
+    def word(self) -> str:
+        """Name of the command within its group."""
+        return self.name.rpartition(" ")[2]
+
+
+def tools() -> Iterator[ModuleType]:
+    """Yields the packages of the tools in alphabetical order."""
+    for path in sorted(_FOLDER.glob("*/__init__.py")):
+        yield import_module(f"thorvaldc.tools.{path.parent.name}")
+
+
+def tool_commands(group: str | None = None) -> Iterator[CommandEntry]:
+    """Yields the rows of the tools in the command table: those of a group, or all."""
+    for tool in tools():
+        for entry in getattr(tool, "COMMANDS", ()):
+            if group is None or entry.group == group:
+                yield entry._replace(package=tool.__name__)
+
+
+def load_target(entry: CommandEntry) -> Any:
+    """Imports and returns the function of a command."""
+    return _load(entry.package, entry.target)
+
+
+def _load(package: str, target: str) -> Any:
+    module, function = target.split(":")
+    return getattr(import_module(f"{package}.{module}".lstrip(".")), function)
+
+
+def document_compiler(kind: str) -> Callable[..., Any] | None:
+    """Returns the function of a tool that compiles a kind of document, or ``None``."""
+    for tool in tools():
+        target = getattr(tool, "DOCUMENTS", {}).get(kind)
+        if target is not None:
+            return _load(tool.__name__, target)  # type: ignore[no-any-return]
+    return None

@@ -1,0 +1,36 @@
+"""The command ``thorvaldc audit``: reports contradictions in the files of any robot."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from thorvaldc.cli.options import Format, Strict, Trust
+
+
+def audit(
+    names: Annotated[
+        list[str],
+        typer.Argument(metavar="DIR|FILE", help="Folders or files of a robot, of any origin."),
+    ],
+    format: Format = "text",
+    strict: Strict = False,
+    trust: Trust = False,
+) -> int:
+    from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
+    from thorvaldc.tools.audit.audit_run import audit as audit_files
+
+    check_format(format)
+    output = DiagnosticOutput(format, sys.stdout)
+    result = audit_files(names, trust=trust)
+    output.add(result.report, result.sources)
+    evidence = result.evidence
+    read = [
+        count(len(evidence.descriptions), "description"),
+        count(len(evidence.sections), "section") + " of parameters",
+        count(len(evidence.launches), "launch file"),
+    ]
+    output.result(f"{', '.join(names)}: {', '.join(read)}")
+    return output.finish(strict)

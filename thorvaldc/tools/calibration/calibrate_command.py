@@ -1,0 +1,106 @@
+"""The command ``thorvaldc calibrate``: finds wheel radii and steering offsets from a joint log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli.options import Json, Library, Parameters, Trust
+
+
+def calibrate(
+    log: Annotated[
+        str, typer.Argument(metavar="LOG", help="Recorded joint states: CSV, as of sim --log.")
+    ],
+    robot: Annotated[str, typer.Argument(metavar="ROBOT", help="The robot's robot.yaml.")],
+    output: Annotated[
+        str,
+        typer.Option(
+            "--output", "-o", metavar="OUT", help="Calibration to write.", show_default=False
+        ),
+    ] = "",
+    distance: Annotated[
+        str,
+        typer.Option(
+            "--distance",
+            metavar="LENGTH",
+            help="Measured distance between the first and the last pose of the log: '10.00 m'."
+            " Determines the common scale of the radii.",
+        ),
+    ] = "",
+    parameters: Parameters = "",
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+    trust: Trust = False,
+) -> int:
+    from thorvaldc.cli.compiling import compile_and_show
+    from thorvaldc.cli.diagnostic_output import (
+        message,
+        print_json,
+        report_of,
+        show_report,
+        table_width,
+    )
+    from thorvaldc.diagnostics import Report
+    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.model import Robot
+    from thorvaldc.runtime.run_time_parameters import Parameters as DriverParameters
+    from thorvaldc.simulation.records.joint_csv import read_log
+
+    metres = _parse_distance(distance) if distance else None
+    compilation = compile_and_show(robot, library, trust=trust)
+    model = compilation.model
+    if model is None:
+        return INPUT
+    if not isinstance(model, Robot):
+        raise typer.BadParameter(f"{robot} is a fleet; name one robot's file", param_hint="ROBOT")
+    try:
+        DriverParameters.from_robot(model, parameters or None)
+    except DiagnosticError as error:
+        return show_report(compilation.located(report_of(error)), compilation.sources)
+    # The calibration module is imported only in this command, because it imports numpy.
+    from thorvaldc.tools.calibration.calibration_file import overlay_text, write_calibration
+    from thorvaldc.tools.calibration.calibration_text import as_json, table
+    from thorvaldc.tools.calibration.self_calibration import calibrate as estimate
+
+    report = Report()
+    joint_log = read_log(Path(log), log, model, report)
+    result = None
+    if joint_log is not None:
+        result = estimate(model, joint_log, report, metres, log, parameters or None)
+    status = show_report(report, compilation.sources | {log: Path(log)})
+    if result is None:
+        return status
+    if json:
+        print_json(as_json(result))
+    else:
+        print(table(result, table_width()))
+    if output and status == DONE:
+        if not result.determines_anything:
+            message(f"{output} is not written: the log determines nothing")
+            return INPUT
+        try:
+            write_calibration(Path(output), overlay_text(result, Path(robot)))
+        except FileExistsError as error:
+            raise OutsideError(str(error)) from None
+        message(f"{output}: include it in {robot} by `calibration: {Path(output).name}`")
+    return status
+
+
+def _parse_distance(text: str) -> float:
+    """Parses the text of an option and returns the distance in m. Raises ``typer.BadParameter`` if
+    the text of the option is no distance."""
+    from thorvaldc.compiler.source.units import UnitError, parse_quantity
+
+    try:
+        metres = parse_quantity(text, "length")
+    except UnitError as error:
+        raise typer.BadParameter(f"{text!r}: {error}", param_hint="'--distance'") from None
+    if not 0.0 < metres <= 1e6:
+        raise typer.BadParameter(
+            f"{text!r} is not between 0 and 1000 km", param_hint="'--distance'"
+        )
+    return metres

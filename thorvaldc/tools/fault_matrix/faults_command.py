@@ -1,0 +1,74 @@
+"""The command ``thorvaldc faults``: measures how a robot reacts to faults on its simulated bus."""
+
+from __future__ import annotations
+
+import gc
+from typing import Annotated
+
+import typer
+
+from thorvaldc.cli.exits import DONE, INPUT
+from thorvaldc.cli.options import (
+    Jobs,
+    Json,
+    Library,
+    Parameters,
+    RobotFile,
+    Seed,
+    Trust,
+    parse_count,
+    parse_seed,
+)
+
+
+def faults(
+    file: RobotFile,
+    parameters: Parameters = "",
+    only: Annotated[
+        str,
+        typer.Option("--only", metavar="TEXT", help="Only faults whose name contains this text."),
+    ] = "",
+    seed: Seed = "",
+    jobs: Jobs = "",
+    json: Json = False,
+    library: Library = [],  # noqa: B006
+    trust: Trust = False,
+) -> int:
+    from thorvaldc.cli.diagnostic_output import message, print_json, report_of, table_width
+    from thorvaldc.cli.progress import Progress
+    from thorvaldc.cli.robot_file import load_robot
+    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.simulation.worker_processes import processors
+    from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix
+    from thorvaldc.tools.fault_matrix.fault_table import markdown, matrix_json
+    from thorvaldc.tools.fault_matrix.rehearsal import RehearsalError
+
+    processes = parse_count(jobs, "--jobs", 1) or processors()
+    number = parse_seed(seed) or 0
+    loaded = load_robot(file, library, trust)
+    if loaded is None:
+        return INPUT
+    gc.enable()
+    try:
+        matrix = FaultMatrix(loaded.robot, parameters=parameters or None, seed=number)
+        names = list(dict.fromkeys(case.name for case in matrix.cases))
+        matrix.cases = [case for case in matrix.cases if only in case.name]
+        if not matrix.cases:
+            raise typer.BadParameter(
+                f"no fault contains {only!r}; there are: {'; '.join(names)}", param_hint="'--only'"
+            )
+        progress = Progress(matrix.cells, "reactions")
+        try:
+            rows = matrix.rows(processes, progress.show)
+        finally:
+            progress.clear()
+    except DiagnosticError as error:
+        return loaded.show(report_of(error))
+    except RehearsalError as error:
+        message(f"error: {file}: {error}")
+        return INPUT
+    if json:
+        print_json(matrix_json(matrix, rows, file))
+    else:
+        print("\n".join(markdown(matrix, rows, file, table_width())))
+    return DONE if all(row.passed for row in rows) else INPUT

@@ -1,0 +1,126 @@
+"""The command ``thorvaldc can monitor``: shows the CAN frames on a robot's bus."""
+
+from __future__ import annotations
+
+import gc
+import math
+import sys
+from collections import deque
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from thorvaldc.cli.completed_values import bus_interfaces
+from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.cli.options import Library, RobotFile, Trust, parse_duration
+
+if TYPE_CHECKING:
+    from thorvaldc.can.interface import CanInterface
+    from thorvaldc.model import Robot
+    from thorvaldc.model.bus import Bus
+
+LIVE_INTERVAL = 0.25
+INTERVAL = 1.0
+SHORTEST = 0.05
+"""Time in s between two views."""
+
+
+def monitor(
+    file: RobotFile,
+    bus: Annotated[
+        str,
+        typer.Option(
+            "--bus",
+            metavar="BUS",
+            autocompletion=bus_interfaces,
+            help="sim:NAME, slcan:PORT, socketcan:can0, udp, or INTERFACE:CHANNEL of python-can;"
+            " for a robot with several buses NAME=BUS.",
+        ),
+    ],
+    duration: Annotated[
+        str, typer.Option("--duration", metavar="TIME", help="Duration of the monitoring: 10 s.")
+    ] = "",
+    interval: Annotated[
+        str,
+        typer.Option(
+            "--interval",
+            metavar="TIME",
+            help="Time between two views.",
+            show_default="0.25 s on a terminal, else 1 s",
+        ),
+    ] = "",
+    json: Annotated[
+        bool, typer.Option("--json", help="Print a line of JSON for each interval.")
+    ] = False,
+    library: Library = [],  # noqa: B006
+    trust: Trust = False,
+) -> int:
+    from thorvaldc.cli.diagnostic_output import report_of
+    from thorvaldc.cli.robot_file import load_robot
+    from thorvaldc.cli.selected_bus import select_bus
+    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.tools.monitor.bus_monitor import BusMonitor
+    from thorvaldc.tools.monitor.live_view import watch_live, watch_stream
+
+    live = sys.stdout.isatty() and not json
+    seconds = parse_duration(duration, "--duration", SHORTEST) if duration else math.inf
+    period = LIVE_INTERVAL if live else INTERVAL
+    if interval:
+        period = parse_duration(interval, "--interval", SHORTEST)
+    loaded = load_robot(file, library, trust)
+    if loaded is None:
+        return INPUT
+    try:
+        model_bus, interface_name = select_bus(loaded.robot, bus)
+        interface = _open(interface_name, model_bus)
+    except DiagnosticError as error:
+        return loaded.show(report_of(error))
+    gc.enable()
+    try:
+        if live:
+            keys = sys.stdin if sys.stdin.isatty() else None
+            bus_monitor = BusMonitor(loaded.robot, model_bus)
+            watch_live(interface, bus_monitor, period, seconds, keys, sys.stdout)
+        elif json:
+            bus_monitor = BusMonitor(loaded.robot, model_bus)
+            watch_stream(interface, bus_monitor, period, seconds, _print_line)
+        else:
+            _print_last_page(loaded.robot, model_bus, interface, period, seconds)
+    except ConnectionError as error:
+        raise OutsideError(f"the CAN interface is lost: {error}") from None
+    finally:
+        interface.close()
+    return DONE
+
+
+def _open(name: str, bus: Bus) -> CanInterface:
+    from thorvaldc.can.open_interface import open_interface
+
+    if name == "virtual":
+        raise typer.BadParameter(
+            "a virtual bus exists only in its own process; run `thorvaldc bus FILE` and monitor"
+            " sim:NAME",
+            param_hint="'--bus'",
+        )
+    return open_interface(name, bus, listen_only=True)
+
+
+def _print_line(summary: Mapping[str, Any]) -> None:
+    from thorvaldc.cli.diagnostic_output import print_json
+
+    print_json(summary, one_line=True)
+
+
+def _print_last_page(
+    robot: Robot, bus: Bus, interface: CanInterface, period: float, seconds: float
+) -> None:
+    from thorvaldc.tools.monitor.bus_monitor import BusMonitor
+    from thorvaldc.tools.monitor.live_view import watch_stream
+    from thorvaldc.tools.monitor.monitor_text import monitor_lines
+
+    bus_monitor = BusMonitor(robot, bus)
+    summaries: deque[Mapping[str, Any]] = deque(maxlen=1)
+    watch_stream(interface, bus_monitor, period, seconds, summaries.append)
+    summary = summaries[0] if summaries else bus_monitor.summary(interface.now)
+    print("\n".join(monitor_lines(summary)))

@@ -1,0 +1,69 @@
+"""The command ``thorvaldc preview``: shows a robot in a browser while its file is edited."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import webbrowser
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thorvaldc.cli.exits import DONE, OutsideError
+from thorvaldc.cli.options import Library, ModelFile, Trust, library_folders
+
+MAX_PORT = 65535
+
+
+def preview(
+    file: ModelFile,
+    port: Annotated[
+        str,
+        typer.Option("--port", metavar="PORT", help="TCP port of the page.", show_default="free"),
+    ] = "0",
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Print the address and open no browser.")
+    ] = False,
+    library: Library = [],  # noqa: B006
+    trust: Trust = False,
+) -> int:
+    from thorvaldc.cli.diagnostic_output import show_report
+    from thorvaldc.compiler.source.reader import read_file
+    from thorvaldc.diagnostics import Report
+
+    number = int(port) if port.isascii() and port.isdigit() else -1
+    if not 0 <= number <= MAX_PORT:
+        raise typer.BadParameter(
+            f"expected a port from 0 to {MAX_PORT}, got {port!r}", param_hint="'--port'"
+        )
+    if not Path(file).is_file():
+        report = Report()
+        read_file(Path(file), file, report)
+        return show_report(report, {})
+    try:
+        from thorvaldc.tools.preview.compiled_robot import CompiledRobot
+        from thorvaldc.tools.preview.preview_server import HOST, PreviewServer
+    except ImportError as error:
+        if error.name is None or error.name.split(".")[0] not in ("aiohttp", "watchfiles"):
+            raise
+        raise OutsideError(
+            f"the preview needs {error.name}, which is not installed:"
+            " pip install 'thorvaldc[preview]'"
+        ) from None
+    gc.enable()
+    server = PreviewServer(CompiledRobot(Path(file), library_folders(library), trust))
+
+    def started() -> None:
+        print(server.url, flush=True)
+        if not no_browser:
+            webbrowser.open(server.url)
+
+    try:
+        asyncio.run(server.run(number, started))
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise OutsideError(
+            f"port {number} of {HOST} cannot be used: {reason}; --port names another one"
+        ) from None
+    return DONE

@@ -1,1 +1,0 @@
-"""Replays recorded runs without physics; begin at ``replay``."""
