@@ -7,15 +7,10 @@ nine equal drives, the hardware of the drive is computed once.
 from __future__ import annotations
 
 from collections.abc import Container, Iterator
+from typing import Any
 
-from thorvaldc.compiler.hardware.hardware_parts import (
-    BatteryPart,
-    Hardware,
-    LinkPart,
-    SensorPart,
-    WheelPart,
-)
-from thorvaldc.compiler.hardware.joint_reader import read_joints, read_motors
+from thorvaldc.compiler.hardware.hardware_parts import Hardware
+from thorvaldc.compiler.hardware.joint_reader import read_joints, read_motors, with_common_limits
 from thorvaldc.compiler.hardware.link_shapes import LinkShapeReader
 from thorvaldc.compiler.hardware.module_values import ModuleValues
 from thorvaldc.compiler.hardware.purchase_reader import read_purchase
@@ -25,12 +20,33 @@ from thorvaldc.compiler.source.expression_dimensions import element_of
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.value_reader import INVALID, entries, items
 from thorvaldc.diagnostics import Report
-from thorvaldc.model.robot import Collision, SourcedMass, Tread, Visual
+from thorvaldc.model.robot import (
+    Battery,
+    Collision,
+    Link,
+    Sensor,
+    SourcedMass,
+    Tread,
+    Visual,
+    Wheel,
+)
 from thorvaldc.model.spatial import Inertial, Pose, clean, combine
 
 MAX_CACHED = 256
 """Largest number of parameter values of a module type whose hardware is cached: a study compiles
 designs without end."""
+UNPLACED: dict[str, Any] = {
+    "spin_joint": "",
+    "steering_joint": None,
+    "swivel_joint": None,
+    "suspension_joint": None,
+    "driven": False,
+    "steering_sign": 1.0,
+    **dict.fromkeys(
+        ["x", "y", "heading", "trail", "lateral_offset", "load", "contact_height"], 0.0
+    ),
+}
+"""Fields of a wheel that depend on its place in the robot: ``make_wheels`` computes them."""
 MAX_REPETITIONS = 1000  # Largest number of copies of a link part with the key `for`.
 
 
@@ -71,6 +87,7 @@ class _HardwareReader:
         self.scope = scope
         self.report = report
         self.values = ModuleValues(module, scope, report)
+        self.masses: list[SourcedMass] = []
         self.shapes = LinkShapeReader(
             module.folder,
             module.display.startswith(BUILTIN_LIBRARY),
@@ -88,10 +105,10 @@ class _HardwareReader:
                 next(iter({**section("joints"), **section("links")}.values())).where,
                 hint="leave the whole module out instead: `type: none`",
             )
-            return Hardware((), (), (), None, None, None, Pose(), (), None)
+            return Hardware()
         links = tuple(self._link(name, section("links")[name]) for name in values.link_names)
         joints = read_joints(values)
-        motors = read_motors(values, joints)
+        joints, motors = with_common_limits(joints, read_motors(values, joints))
         for port in section("ports").values():
             values.link_name(port.get("link"))
         mount = document.get("mount")
@@ -109,6 +126,7 @@ class _HardwareReader:
             self._check_mass(links)
         return Hardware(
             links,
+            tuple(self.masses),
             joints,
             motors,
             self._wheel(wheel) if wheel is not None else None,
@@ -120,11 +138,11 @@ class _HardwareReader:
             read_purchase(document.get("purchase"), self.scope, self.report),
         )
 
-    def _check_mass(self, links: tuple[LinkPart, ...]) -> None:
+    def _check_mass(self, links: tuple[Link, ...]) -> None:
         """Checks that a module that is a body, and not only a frame, has a mass."""
         if self.report.has_errors:
             return  # a mass with an error is not missing
-        if links and not any(mass.mass for link in links for mass in link.masses):
+        if links and not any(mass.mass for mass in self.masses):
             self.report.add(
                 "module-massless",
                 f"`{self.module.name}` has no mass: the weight, the wheel loads and the tip-over "
@@ -148,14 +166,13 @@ class _HardwareReader:
 
     # -- links ------------------------------------------------------------------------
 
-    def _link(self, name: str, node: Node) -> LinkPart:
-        """Reads a link of a module document with the visual shapes, collision shapes and masses of
-        all parts of the link.
+    def _link(self, name: str, node: Node) -> Link:
+        """Reads a link of a module document with the visual shapes and collision shapes of all
+        parts of the link, and notes the masses of the parts.
         """
         visuals: list[Visual] = []
         collisions: list[Collision] = []
         inertials: list[Inertial] = []
-        masses: list[SourcedMass] = []
         for part in items(node.get("parts")):
             for scope in self._repetitions(part):
                 if scope.boolean(part.get("when"), True):
@@ -163,11 +180,9 @@ class _HardwareReader:
                     if mass is not None:
                         inertials.append(mass)
                         source = scope.text(part.get("source"))
-                        masses.append(SourcedMass(clean(mass.mass), source))
+                        self.masses.append(SourcedMass(clean(mass.mass), source))
         inertial = combine(inertials).clean() if inertials else None
-        return LinkPart(
-            name, inertial, tuple(visuals), tuple(collisions), tuple(masses), node.where
-        )
+        return Link(name, "", inertial, tuple(visuals), tuple(collisions), node.where)
 
     def _repetitions(self, part: Node) -> list[Scope]:
         """Returns the names for expressions for each copy of a part with the key `for`."""
@@ -199,21 +214,24 @@ class _HardwareReader:
 
     # -- wheel, sensor, battery -------------------------------------------------------------
 
-    def _wheel(self, node: Node) -> WheelPart:
+    def _wheel(self, node: Node) -> Wheel:
         """Reads the section `wheel` of a module document."""
         values, radii = self.values, node.get("radii")
         radius_names = entries(radii)
-        return WheelPart(
-            values.link_name(node.get("link")),
-            values.positive(node, "radius", "length", 0.1),
-            values.positive(node, "width", "length", 0.1),
-            tuple((key, values.positive(radii, key, "length", 0.1)) for key in radius_names)
+        return Wheel(
+            name="",
+            module="",
+            link=values.link_name(node.get("link")),
+            radius=values.positive(node, "radius", "length", 0.1),
+            width=values.positive(node, "width", "length", 0.1),
+            radii=tuple((key, values.positive(radii, key, "length", 0.1)) for key in radius_names)
             if radii
             else (),
-            self.scope.quantity(node.get("friction"), "ratio", 0.8),
-            self.scope.quantity(node.get("rolling_resistance"), "ratio", 0.0),
-            tuple(self._treads(node.get("treads"), radius_names)),
-            node.where,
+            friction=self.scope.quantity(node.get("friction"), "ratio", 0.8),
+            rolling_resistance=self.scope.quantity(node.get("rolling_resistance"), "ratio", 0.0),
+            treads=tuple(self._treads(node.get("treads"), radius_names)),
+            span=node.where,
+            **UNPLACED,
         )
 
     def _treads(self, node: Node | None, radius_names: Container[str]) -> Iterator[Tread]:
@@ -237,18 +255,15 @@ class _HardwareReader:
                 self.values.not_negative(entry, "flange", "length"),
             )
 
-    def _sensor(self, node: Node) -> SensorPart:
+    def _sensor(self, node: Node) -> Sensor:
         """Reads the section `sensor` of a module document."""
-        return SensorPart(
-            self.scope.text(node.get("type")),
-            self.values.link_name(node.get("link")),
-            self.values.properties(node.get("properties")),
-        )
+        kind, link = self.scope.text(node.get("type")), self.values.link_name(node.get("link"))
+        properties = self.values.properties(node.get("properties"))
+        return Sensor("", "", kind, link, properties, node.where)
 
-    def _battery(self, node: Node) -> BatteryPart:
+    def _battery(self, node: Node) -> Battery:
         """Reads the section `battery` of a module document."""
-        return BatteryPart(
-            self.scope.boolean(node.get("present"), True),
-            self.values.link_name(node.get("link")),
-            self.values.properties(node.get("properties")),
-        )
+        present = self.scope.boolean(node.get("present"), True)
+        link = self.values.link_name(node.get("link"))
+        properties = self.values.properties(node.get("properties"))
+        return Battery("", "", link, "" if present else None, properties, node.where)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
-from thorvaldc.compiler.hardware.hardware_parts import JointPart, MotorPart
 from thorvaldc.compiler.hardware.module_values import ModuleValues
 from thorvaldc.compiler.modules.module_parameters import hint_of_known
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label
 from thorvaldc.diagnostics.plain_numbers import plain
-from thorvaldc.model.robot import Brake
-from thorvaldc.model.spatial import Vec3, norm, scale
+from thorvaldc.model.robot import Actuator, Brake, Joint
+from thorvaldc.model.spatial import Vec3, clean, norm, scale
 
 
-def read_joints(values: ModuleValues) -> tuple[JointPart, ...]:
+def read_joints(values: ModuleValues) -> tuple[Joint, ...]:
     """Returns the joints of a module, and checks that the joints and links form a tree.
 
     Joints with a false condition `when` are left out.
@@ -28,7 +28,7 @@ def read_joints(values: ModuleValues) -> tuple[JointPart, ...]:
     return joints
 
 
-def read_motors(values: ModuleValues, joints: tuple[JointPart, ...]) -> tuple[MotorPart, ...]:
+def read_motors(values: ModuleValues, joints: tuple[Joint, ...]) -> tuple[Actuator, ...]:
     """Returns the motors of a module, and checks the joint of each motor.
 
     Motors with a false condition `when` are left out.
@@ -61,7 +61,7 @@ class _JointReader:
         self.stiffness = "stiffness" if linear else "rotational_stiffness"
         self.damping = "damping" if linear else "rotational_damping"
 
-    def read(self) -> JointPart:
+    def read(self) -> Joint:
         """Returns the joint of a module document, and reports errors."""
         values, node = self.values, self.node
         axis = self._axis()
@@ -71,22 +71,24 @@ class _JointReader:
         if spring is not None:
             stiffness = values.not_negative(spring, "stiffness", self.stiffness)
             spring_damping = values.not_negative(spring, "damping", self.damping)
-        return JointPart(
-            self.name,
-            self.type,
-            values.scope.text(node.get("role")),
-            values.link_name(node.get("parent")),
-            values.link_name(node.get("child")),
-            values.scope.pose(node).clean(),
-            axis,
-            lower if self.type != "continuous" else None,
-            upper if self.type != "continuous" else None,
-            self._positive_or_none("effort", self.effort),
-            self._positive_or_none("velocity", self.velocity),
-            spring_damping + values.not_negative(node, "damping", self.damping),
-            values.not_negative(node, "friction", self.effort),
-            stiffness,
-            node.where,
+        is_continuous = self.type == "continuous"
+        return Joint(
+            name=self.name,
+            module="",
+            type=self.type,
+            parent=values.link_name(node.get("parent")),
+            child=values.link_name(node.get("child")),
+            pose=values.scope.pose(node).clean(),
+            span=node.where,
+            axis=axis,
+            lower=None if is_continuous else lower,
+            upper=None if is_continuous else upper,
+            effort=self._positive_or_none("effort", self.effort),
+            velocity=self._positive_or_none("velocity", self.velocity),
+            damping=spring_damping + values.not_negative(node, "damping", self.damping),
+            friction=values.not_negative(node, "friction", self.effort),
+            stiffness=stiffness,
+            role=values.scope.text(node.get("role")),
         )
 
     def _axis(self) -> Vec3:
@@ -137,13 +139,13 @@ class _JointReader:
         return self.values.positive(self.node, key, quantity, 1.0)
 
 
-def _check_tree(joints: tuple[JointPart, ...], values: ModuleValues) -> None:
+def _check_tree(joints: tuple[Joint, ...], values: ModuleValues) -> None:
     """Checks that the links and joints of a module form a tree.
 
     Every link except the first must be the child of exactly one joint.
     """
     first_links = values.link_names[:1]
-    parent_joints: dict[str, JointPart] = {}
+    parent_joints: dict[str, Joint] = {}
     for joint in joints:
         if joint.child in parent_joints or joint.child in first_links:
             values.report.add(
@@ -188,9 +190,7 @@ def _whole_number(values: ModuleValues, node: Node, key: str, default: int) -> i
     return default
 
 
-def _read_motor(
-    values: ModuleValues, name: str, node: Node, joints: tuple[JointPart, ...]
-) -> MotorPart:
+def _read_motor(values: ModuleValues, name: str, node: Node, joints: tuple[Joint, ...]) -> Actuator:
     """Reads a motor and computes the limits of the motor at the joint."""
     scope = values.scope
     joint_node = node.get("joint")
@@ -208,24 +208,55 @@ def _read_motor(
     rotor_inertia = scope.quantity(node.get("rotor_inertia"), "inertia")
     encoder_ppr = _whole_number(values, node, "encoder_ppr", 1024)
     stated_velocity = scope.quantity(node.get("max_velocity"), "angular_velocity", math.inf)
-    return MotorPart(
-        name,
-        joint,
-        scope.text(node.get("role")),
-        gear_ratio,
-        encoder_ppr,
-        motor_max_speed,
-        min(stated_velocity, motor_max_speed / gear_ratio),
-        values.positive(node, "max_acceleration", "angular_acceleration", 1.0),
-        values.positive(node, "max_torque", "torque", 1.0),
+    return Actuator(
+        name=name,
+        module="",
+        joint=joint,
+        role=scope.text(node.get("role")),
+        gear_ratio=gear_ratio,
+        motor_max_speed=motor_max_speed,
+        encoder_ppr=encoder_ppr,
+        max_velocity=min(stated_velocity, motor_max_speed / gear_ratio),
+        max_acceleration=clean(
+            values.positive(node, "max_acceleration", "angular_acceleration", 1.0)
+        ),
+        max_torque=values.positive(node, "max_torque", "torque", 1.0),
         # A gear with the ratio n multiplies the motor torque by n and divides the motor's
         # acceleration by n.  For a gear with the ratio n, the inertia of the rotor at the joint is
         # therefore n^2 times the inertia at the motor shaft.
-        rotor_inertia * gear_ratio * gear_ratio,
-        values.not_negative(node, "back_driving_torque", "torque"),
-        _read_brake(values, node.get("brake"), gear_ratio),
-        node.where,
+        armature=clean(rotor_inertia * gear_ratio * gear_ratio),
+        node=None,
+        channel=None,
+        span=node.where,
+        back_driving_torque=clean(values.not_negative(node, "back_driving_torque", "torque")),
+        brake=_read_brake(values, node.get("brake"), gear_ratio),
     )
+
+
+def with_common_limits(
+    joints: tuple[Joint, ...], motors: tuple[Actuator, ...]
+) -> tuple[tuple[Joint, ...], tuple[Actuator, ...]]:
+    """Returns joints and motors with the lower of the limits of a joint and of its motor.
+
+    The joint gets the inertia of the rotor, too.
+    """
+    motor_of = {motor.joint: motor for motor in motors}
+    limits: dict[str, tuple[float, float]] = {}
+    limited_joints = []
+    for joint in joints:
+        motor = motor_of.get(joint.name)
+        if motor is not None:
+            effort = min(motor.max_torque, math.inf if joint.effort is None else joint.effort)
+            velocity = math.inf if joint.velocity is None else joint.velocity
+            velocity = clean(min(motor.max_velocity, velocity))
+            limits[joint.name] = effort, velocity
+            joint = replace(joint, effort=effort, velocity=velocity, armature=motor.armature)
+        limited_joints.append(joint)
+    limited_motors = []
+    for motor in motors:
+        effort, velocity = limits.get(motor.joint, (motor.max_torque, motor.max_velocity))
+        limited_motors.append(replace(motor, max_torque=effort, max_velocity=velocity))
+    return tuple(limited_joints), tuple(limited_motors)
 
 
 def _read_brake(values: ModuleValues, node: Node | None, gear_ratio: float) -> Brake | None:
@@ -239,11 +270,11 @@ def _read_brake(values: ModuleValues, node: Node | None, gear_ratio: float) -> B
 
 
 def _check_motors(
-    motors: tuple[MotorPart, ...], joints: tuple[JointPart, ...], values: ModuleValues
+    motors: tuple[Actuator, ...], joints: tuple[Joint, ...], values: ModuleValues
 ) -> None:
     """Checks that each motor turns a rotating joint, and that no joint has two motors."""
     types = {joint.name: joint.type for joint in joints}
-    first_motors: dict[str, MotorPart] = {}
+    first_motors: dict[str, Actuator] = {}
     for motor in motors:
         joint_type = types.get(motor.joint)
         first = first_motors.setdefault(motor.joint, motor)

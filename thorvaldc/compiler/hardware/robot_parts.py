@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import TypeVar
 
 from thorvaldc.compiler.hardware.hardware_parts import Hardware
 from thorvaldc.compiler.hardware.purchase_reader import purchase_of
-from thorvaldc.compiler.hardware.wheel_geometry import PlacedWheel
 from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.diagnostics.plain_numbers import millimetres
@@ -24,8 +23,11 @@ from thorvaldc.model.robot import (
     Module,
     Sensor,
     SourcedMass,
+    Wheel,
 )
 from thorvaldc.model.spatial import Pose, clean
+
+Placed = TypeVar("Placed", Link, Joint, Actuator, Wheel, Sensor, Battery)
 
 # Allowed difference (m) between the computed height of the root module and the height in the module
 # document.
@@ -46,7 +48,7 @@ class RobotParts:
     links: list[Link]
     joints: list[Joint] = field(default_factory=list)
     actuators: list[Actuator] = field(default_factory=list)
-    wheels: list[PlacedWheel] = field(default_factory=list)
+    wheels: list[Wheel] = field(default_factory=list)
     sensors: list[Sensor] = field(default_factory=list)
     batteries: list[Battery] = field(default_factory=list)
     meshes: dict[str, Mesh] = field(default_factory=dict)
@@ -62,94 +64,30 @@ class RobotParts:
         prefix = name_prefix(leaf.path)
         for mesh in part.meshes:
             self.meshes[mesh.name] = mesh
-        for link in part.links:
-            self.links.append(
-                Link(
-                    f"{prefix}_{link.name}",
-                    leaf.path,
-                    link.inertial,
-                    link.visuals,
-                    link.collisions,
-                    leaf.span,
-                )
-            )
+        self.links += (_placed(link, leaf) for link in part.links)
         self.joints.append(_mount_joint(leaf, hardware))
         if part.wheel is not None:
             link_name = f"{prefix}_{part.wheel.link}"
-            self.wheels.append(PlacedWheel(prefix, leaf.path, link_name, part.wheel, leaf.span))
+            self.wheels.append(_placed(part.wheel, leaf, name=prefix, link=link_name))
         if part.sensor is not None:
-            sensor = part.sensor
-            link_name = f"{prefix}_{sensor.link}"
-            self.sensors.append(
-                Sensor(prefix, leaf.path, sensor.type, link_name, sensor.properties, leaf.span)
-            )
+            link_name = f"{prefix}_{part.sensor.link}"
+            self.sensors.append(_placed(part.sensor, leaf, name=prefix, link=link_name))
         if part.battery is not None:
-            battery = part.battery
-            node = prefix if battery.present else None
-            link_name = f"{prefix}_{battery.link}"
+            link_name = f"{prefix}_{part.battery.link}"
+            node = prefix if part.battery.node is not None else None
             self.batteries.append(
-                Battery(prefix, leaf.path, link_name, node, battery.properties, leaf.span)
+                _placed(part.battery, leaf, name=prefix, link=link_name, node=node)
             )
         self.add_joints(leaf, part)
 
     def add_joints(self, leaf: Instance, hardware: Hardware) -> None:
         """Adds the joints and motors of a module."""
         prefix = name_prefix(leaf.path)
-        motors = {motor.joint: motor for motor in hardware.motors}
-        # Effort (N m) and velocity (rad/s) limits of each joint with a motor.
-        limits: dict[str, tuple[float, float]] = {}
         for joint in hardware.joints:
-            motor = motors.get(joint.name)
-            effort, velocity = joint.effort, joint.velocity
-            # Each effort or velocity limit is the lower of the joint's limit and the motor's limit.
-            if motor is not None:
-                effort = min(motor.max_torque, math.inf if effort is None else effort)
-                velocity = min(motor.max_velocity, math.inf if velocity is None else velocity)
-                velocity = clean(velocity)
-                limits[joint.name] = (effort, velocity)
-            self.joints.append(
-                Joint(
-                    name=f"{prefix}_{joint.name}",
-                    module=leaf.path,
-                    type=joint.type,
-                    parent=f"{prefix}_{joint.parent}",
-                    child=f"{prefix}_{joint.child}",
-                    pose=joint.pose,
-                    span=leaf.span,
-                    axis=joint.axis,
-                    lower=joint.lower,
-                    upper=joint.upper,
-                    effort=effort,
-                    velocity=velocity,
-                    damping=joint.damping,
-                    friction=joint.friction,
-                    stiffness=joint.stiffness,
-                    armature=clean(motor.armature) if motor is not None else 0.0,
-                    role=joint.role,
-                )
-            )
+            ends = {"parent": f"{prefix}_{joint.parent}", "child": f"{prefix}_{joint.child}"}
+            self.joints.append(_placed(joint, leaf, **ends))
         for motor in hardware.motors:
-            effort, velocity = limits.get(motor.joint, (motor.max_torque, motor.max_velocity))
-            self.actuators.append(
-                Actuator(
-                    name=f"{prefix}_{motor.name}",
-                    module=leaf.path,
-                    joint=f"{prefix}_{motor.joint}",
-                    role=motor.role,
-                    gear_ratio=motor.gear_ratio,
-                    motor_max_speed=motor.motor_max_speed,
-                    encoder_ppr=motor.encoder_ppr,
-                    max_velocity=velocity,
-                    max_acceleration=clean(motor.max_acceleration),
-                    max_torque=effort,
-                    armature=clean(motor.armature),
-                    node=None,
-                    channel=None,
-                    span=leaf.span,
-                    back_driving_torque=clean(motor.back_driving_torque),
-                    brake=motor.brake,
-                )
-            )
+            self.actuators.append(_placed(motor, leaf, joint=f"{prefix}_{motor.joint}"))
 
     def check_names(self, report: Report) -> None:
         """Reports two links or two joints with the same name.
@@ -231,10 +169,19 @@ def modules_of(
 def mass_by_source(hardware: Hardware) -> tuple[SourcedMass, ...]:
     """Returns the mass of a module by source, in the order of the module document."""
     masses: dict[str, float] = {}
-    for link in hardware.links:
-        for part in link.masses:
-            masses[part.source] = masses.get(part.source, 0.0) + part.mass
+    for part in hardware.masses:
+        masses[part.source] = masses.get(part.source, 0.0) + part.mass
     return tuple(SourcedMass(clean(mass), source) for source, mass in masses.items())
+
+
+def _placed(element: Placed, leaf: Instance, **changes: str | None) -> Placed:
+    """Returns an element of a module's hardware as an element of the robot.
+
+    ``changes``: names of other elements in the robot.  Without a new ``name``, the element gets
+    the name of the module as a prefix.
+    """
+    changes.setdefault("name", f"{name_prefix(leaf.path)}_{element.name}")
+    return replace(element, module=leaf.path, span=leaf.span, **changes)  # type: ignore[arg-type]
 
 
 def _mount_joint(leaf: Instance, hardware: Mapping[str, Hardware]) -> Joint:

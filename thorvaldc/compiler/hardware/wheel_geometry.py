@@ -21,8 +21,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from thorvaldc.compiler.hardware.hardware_parts import WheelPart
-from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics import Report
 from thorvaldc.model.robot import Actuator, Collision, Cylinder, Joint, Link, Wheel
 from thorvaldc.model.spatial import Pose, Vec3, add, clean, cross, dot, norm, scale
 from thorvaldc.model.statics.joint_tree import JointTree
@@ -34,16 +33,6 @@ _MIN_UPRIGHT = 0.5  # Cosine of 60 deg, the largest tilt of a steering axis.
 
 _SAME_PLACE = 1e-3  # m, and share of the unit vector of an axis
 _SAME_SIZE = 0.05  # share of the radius and width of a tyre
-
-
-class PlacedWheel(NamedTuple):
-    """A wheel of a robot before the wheel geometry is computed."""
-
-    name: str
-    module: str
-    link: str
-    part: WheelPart
-    span: Span
 
 
 class _WheelJoints(NamedTuple):
@@ -96,7 +85,7 @@ def spin_joint(tree: JointTree, link: str) -> Joint | None:
     return next((joint for joint in tree.joints_above(link) if joint.type != "fixed"), None)
 
 
-def ground_height(tree: JointTree, wheels: Sequence[PlacedWheel], report: Report) -> float:
+def ground_height(tree: JointTree, wheels: Sequence[Wheel], report: Report) -> float:
     """Returns the height (m) by which the robot must be raised to stand on the ground.
 
     The contact point of the lowest wheel of the raised robot is at z = 0.
@@ -105,18 +94,18 @@ def ground_height(tree: JointTree, wheels: Sequence[PlacedWheel], report: Report
     for wheel in wheels:
         joints = _wheel_joints(tree, wheel, report)
         if joints is not None:
-            point = lowest_point(tree.pose[wheel.link].xyz, joints.axis, wheel.part.radius)
+            point = lowest_point(tree.pose[wheel.link].xyz, joints.axis, wheel.radius)
             heights.append(point[2])
     return -min(heights) if heights else 0.0
 
 
 def make_wheels(
     tree: JointTree,
-    placed: Sequence[PlacedWheel],
+    placed: Sequence[Wheel],
     actuators: Mapping[str, Actuator],
     report: Report,
 ) -> list[Wheel]:
-    """Returns the wheels of the robot model.
+    """Returns the wheels with their joints and their places in the robot.
 
     The static loads of the returned wheels are 0 and are computed later.
 
@@ -127,7 +116,6 @@ def make_wheels(
         joints = _wheel_joints(tree, wheel, report)
         if joints is None:
             continue
-        part = wheel.part
         forward = cross(joints.axis, UP)
         if norm(forward) < _MIN_FORWARD:
             report.add(
@@ -138,15 +126,13 @@ def make_wheels(
             )
             continue
         heading = math.atan2(forward[1], forward[0])
-        contact = lowest_point(tree.pose[wheel.link].xyz, joints.axis, part.radius)
+        contact = lowest_point(tree.pose[wheel.link].xyz, joints.axis, wheel.radius)
         turning = _turning_point(tree, wheel, joints, contact, heading, report)
         if turning is None:
             continue
         wheels.append(
-            Wheel(
-                name=wheel.name,
-                module=wheel.module,
-                link=wheel.link,
+            replace(
+                wheel,
                 spin_joint=joints.spin.name,
                 steering_joint=joints.steering.name if joints.steering else None,
                 swivel_joint=joints.swivel.name if joints.swivel else None,
@@ -158,21 +144,13 @@ def make_wheels(
                 steering_sign=turning.sign,
                 trail=clean(round(turning.trail, 10)),
                 lateral_offset=clean(round(turning.lateral_offset, 10)),
-                radius=part.radius,
-                width=part.width,
-                radii=part.radii,
-                friction=part.friction,
-                rolling_resistance=part.rolling_resistance,
-                load=0.0,
                 contact_height=clean(round(contact[2], 9)),
-                span=wheel.span,
-                treads=part.treads,
             )
         )
     return wheels
 
 
-def _wheel_joints(tree: JointTree, wheel: PlacedWheel, report: Report) -> _WheelJoints | None:
+def _wheel_joints(tree: JointTree, wheel: Wheel, report: Report) -> _WheelJoints | None:
     """Returns the spin, steering, swivel and suspension joints of a wheel.
 
     Returns ``None`` and reports an error if no rotating joint carries the wheel.
@@ -201,7 +179,7 @@ def _wheel_joints(tree: JointTree, wheel: PlacedWheel, report: Report) -> _Wheel
 
 def _turning_point(
     tree: JointTree,
-    wheel: PlacedWheel,
+    wheel: Wheel,
     joints: _WheelJoints,
     contact: Vec3,
     heading: float,
@@ -235,7 +213,7 @@ def _turning_point(
     return _TurningPoint(x, y, trail, lateral_offset, sign)
 
 
-def add_wheel_collisions(links: list[Link], wheels: Sequence[PlacedWheel], tree: JointTree) -> None:
+def add_wheel_collisions(links: list[Link], wheels: Sequence[Wheel], tree: JointTree) -> None:
     """Adds a collision cylinder for each wheel to the link of the wheel.
 
     The axis of the collision cylinder is the spin axis of the wheel.  A cylinder of the module that
@@ -250,7 +228,7 @@ def add_wheel_collisions(links: list[Link], wheels: Sequence[PlacedWheel], tree:
         wheel_from_base = tree.pose[wheel.link].inverse()
         axis = wheel_from_base.rotate(tree.pose[spin.child].rotate(spin.axis))
         pose = Pose(quat=_rotation_from_z_to(axis)).clean()
-        cylinder = Collision(Cylinder(wheel.part.radius, wheel.part.width), pose)
+        cylinder = Collision(Cylinder(wheel.radius, wheel.width), pose)
         link = links[index[wheel.link]]
         others = tuple(c for c in link.collisions if not _is_same_tyre(c, cylinder))
         links[index[wheel.link]] = replace(link, collisions=(cylinder, *others))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
-from thorvaldc.compiler.hardware.wheel_geometry import PlacedWheel, spin_joint
+from thorvaldc.compiler.hardware.wheel_geometry import spin_joint
 from thorvaldc.compiler.robot_settings.driver_settings import noise_of
 from thorvaldc.compiler.source.near_files import DOCUMENTS, missing_file_hint
 from thorvaldc.compiler.source.node import Node
@@ -139,9 +139,7 @@ def _check_robot(calibration: Node, document: Node, report: Report) -> None:
         )
 
 
-def calibrate_wheels(
-    calibration: Calibration, wheels: list[PlacedWheel], report: Report
-) -> list[PlacedWheel]:
+def calibrate_wheels(calibration: Calibration, wheels: list[Wheel], report: Report) -> list[Wheel]:
     """Returns the wheels with the measured radii.
 
     A named wheel radius that equals the nominal ``radius`` of the wheel belongs to the same tyre.
@@ -159,15 +157,14 @@ def calibrate_wheels(
     return [_calibrate_wheel(calibration, wheel, report) for wheel in wheels]
 
 
-def _calibrate_wheel(calibration: Calibration, wheel: PlacedWheel, report: Report) -> PlacedWheel:
+def _calibrate_wheel(calibration: Calibration, wheel: Wheel, report: Report) -> Wheel:
     """Returns a wheel with the measured radii."""
-    part = wheel.part
-    nominal_radii = dict(part.radii)
-    radius, radii = part.radius, dict(nominal_radii)
+    nominal_radii = dict(wheel.radii)
+    radius, radii = wheel.radius, dict(nominal_radii)
     measured_radius = calibration.radii.get(wheel.name)
     if measured_radius is not None:
-        radius = _checked_radius(measured_radius, part.radius, wheel.name, report)
-        radii = {key: radius if r == part.radius else r for key, r in part.radii}
+        radius = _checked_radius(measured_radius, wheel.radius, wheel.name, report)
+        radii = {key: radius if r == wheel.radius else r for key, r in wheel.radii}
     for key, measured in calibration.named_radii.get(wheel.name, {}).items():
         if key in radii:
             radii[key] = _checked_radius(measured, nominal_radii[key], wheel.name, report)
@@ -180,7 +177,7 @@ def _calibrate_wheel(calibration: Calibration, wheel: PlacedWheel, report: Repor
                     key, radii, f"it has {', '.join(radii)}" if radii else "it has one radius"
                 ),
             )
-    return wheel._replace(part=part._replace(radius=radius, radii=tuple(radii.items())))
+    return replace(wheel, radius=radius, radii=tuple(radii.items()))
 
 
 def _checked_radius(measured: Measured, nominal: float, wheel: str, report: Report) -> float:
@@ -212,8 +209,8 @@ def _radius_hint(radius: float, nominal: float) -> str:
 def raise_axles(
     joints: list[Joint],
     tree: JointTree,
-    nominal_wheels: Sequence[PlacedWheel],
-    measured_wheels: Sequence[PlacedWheel],
+    nominal_wheels: Sequence[Wheel],
+    measured_wheels: Sequence[Wheel],
 ) -> None:
     """Raises the axle of each wheel by the difference of the measured and the nominal radius.
 
@@ -224,7 +221,7 @@ def raise_axles(
     """
     index = {joint.name: i for i, joint in enumerate(joints)}
     for nominal, measured in zip(nominal_wheels, measured_wheels, strict=True):
-        growth = measured.part.radius - nominal.part.radius
+        growth = measured.radius - nominal.radius
         spin = spin_joint(tree, nominal.link)
         if growth == 0.0 or spin is None:
             continue
