@@ -1,6 +1,9 @@
 """Backends write the files of a target, such as URDF, from the model of a robot.
 
-Each backend is one Python module and one row of the table ``TARGETS``.
+Each backend is one Python module and one row of the table ``TARGETS``; further modules of a target
+begin with its name, and its longer texts are in ``templates/``.  A backend computes no number that
+the model has, and imports only ``model`` and ``diagnostics``.  Begin with ``Backend`` below, then
+with ``urdf``, the shortest whole target.
 """
 
 from __future__ import annotations
