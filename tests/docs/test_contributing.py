@@ -58,6 +58,7 @@ def test_the_page_has_the_files_of_a_package() -> None:
         "acme/__init__.py",
         "acme/parts_list.py",
         "acme/gentle.py",
+        "acme/links.py",
         "modules/wheel/narrow/module.yaml",
         "robot.yaml",
     }
@@ -87,6 +88,12 @@ def test_the_backend_writes_its_file(package: Path) -> None:
         rows = list(csv.DictReader(file))
     assert sum(int(row["links"]) for row in rows) > 10
     assert "frame" in {row["module"] for row in rows}
+
+
+def test_the_command_is_listed_and_runs(package: Path) -> None:
+    assert "  links " in thorvaldc(package, "--help").stdout
+    assert "Print the number of links" in thorvaldc(package, "links", "--help").stdout
+    assert thorvaldc(package, "links", "robot.yaml").stdout.endswith(" links\n")
 
 
 def test_the_calculator_limits_the_yaw_rate(package: Path) -> None:

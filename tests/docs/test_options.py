@@ -25,6 +25,7 @@ def options_of(entry: CommandEntry) -> set[str]:
 
 
 OPTIONS: dict[str, set[str]] = {"--help": set(), "--install-completion": set()}
+OPTIONS["links"] = set()  # of the package that contributing.md builds
 for entry in all_commands():
     OPTIONS[entry.name] = options_of(entry) if entry.target else {"-h", "--help"}
 
