@@ -88,7 +88,7 @@ def test_an_output_that_cannot_be_written_is_reported_before_the_run(
     Path("full").mkdir()
     Path("full/cart.csv").symlink_to("/dev/full")
     started = time.monotonic()
-    result = thorvaldc("sim", scenario(duration=80000), option, value)
+    result = thorvaldc("scenario", scenario(duration=80000), option, value)
     assert (result.status, result.out) == (3, "")
     assert result.err.startswith("error: cannot write ")
     assert value in result.err

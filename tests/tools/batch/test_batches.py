@@ -111,7 +111,7 @@ def test_the_result_does_not_depend_on_the_processes(thorvaldc: Command, scenari
     third = listed[2]
     settings = [f"--set={path}={third[path]}" for path in
                 ("world.friction", "faults.0.angle", "noise.seed")]  # fmt: skip
-    alone = thorvaldc("sim", str(scenario), *settings, "--json")
+    alone = thorvaldc("scenario", str(scenario), *settings, "--json")
     assert json.loads(alone.out)["hash"] == third["hash"]
 
 
@@ -160,14 +160,13 @@ def test_wrong_options_are_usage_errors(thorvaldc: Command, scenario: Path) -> N
     several = ["--set", "world.friction=0.2,0.3"]
     for arguments in (
         [str(ROBOT), *several],
-        [str(scenario), "--draws", "2"],
         [str(scenario), "--set", "world.friction"],
         [str(scenario), *several, "--plot", "x.png"],
         [str(scenario), *several, "--jobs", "none"],
         [str(scenario), *several, "-o", "x.txt"],
     ):
-        assert thorvaldc("sim", *arguments).status == 2, arguments
-    assert thorvaldc("sim", str(scenario), *several, "-o", "none/x.csv").status == 3
+        assert thorvaldc("batch", *arguments).status == 2, arguments
+    assert thorvaldc("batch", str(scenario), *several, "-o", "none/x.csv").status == 3
 
 
 def test_ctrl_c_keeps_the_finished_runs(scenario: Path) -> None:
