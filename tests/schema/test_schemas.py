@@ -102,7 +102,6 @@ def test_defaults_are_within_the_bounds_of_quantities(kind: Kind) -> None:
         bounds = {key for key in schema if key.endswith(("-minimum", "-maximum"))}
         if not bounds:
             continue
-        assert isinstance(schema["x-quantity"], str), name
         for stated in (
             *schema.get("examples", ()),
             *(schema[k] for k in {"default"} & set(schema)),
@@ -111,7 +110,7 @@ def test_defaults_are_within_the_bounds_of_quantities(kind: Kind) -> None:
             document = {"key": stated} if not str(stated).startswith("${") else {}
             node = read_text(json.dumps(document).encode(), "schema", report)
             assert node is not None
-            Section(node, {"properties": {"key": schema}}, ValueReader(report))
+            Section(node, {"properties": {"key": schema}}, ValueReader(report)).read()
             assert not report.has_errors, (name, stated)
 
 

@@ -31,7 +31,7 @@ def read(text: str) -> tuple[Section, list[str]]:
     report = Report()
     node = read_text(text.encode(), "a.yaml", report)
     assert node is not None
-    section = Section(node, SCHEMA, ValueReader(report))
+    section = Section(node, SCHEMA, ValueReader(report)).read()
     return section, [f"{d.span}: {d.message}" for d in report]
 
 

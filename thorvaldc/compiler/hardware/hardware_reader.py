@@ -6,7 +6,7 @@ nine equal drives, the hardware of the drive is computed once.
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 from thorvaldc.compiler.hardware.hardware_parts import Hardware
@@ -18,6 +18,7 @@ from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY, ModuleType
 from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source.expression_dimensions import element_of
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import INVALID, entries, items
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.robot import (
@@ -132,7 +133,7 @@ class _HardwareReader:
             self._wheel(wheel) if wheel is not None else None,
             self._sensor(sensor) if sensor is not None else None,
             self._battery(battery) if battery is not None else None,
-            self.scope.pose(mount) if mount is not None else Pose(),
+            self.values.section(mount, "mount").pose() if mount is not None else Pose(),
             tuple(self.shapes.meshes.values()),
             self.scope.quantity(height, "length") if is_stated else None,
             read_purchase(document.get("purchase"), self.scope, self.report),
@@ -216,44 +217,37 @@ class _HardwareReader:
 
     def _wheel(self, node: Node) -> Wheel:
         """Reads the section `wheel` of a module document."""
-        values, radii = self.values, node.get("radii")
-        radius_names = entries(radii)
+        wheel = self.values.section(node, "wheel")
         return Wheel(
             name="",
             module="",
-            link=values.link_name(node.get("link")),
-            radius=values.positive(node, "radius", "length", 0.1),
-            width=values.positive(node, "width", "length", 0.1),
-            radii=tuple((key, values.positive(radii, key, "length", 0.1)) for key in radius_names)
-            if radii
-            else (),
-            friction=self.scope.quantity(node.get("friction"), "ratio", 0.8),
-            rolling_resistance=self.scope.quantity(node.get("rolling_resistance"), "ratio", 0.0),
-            treads=tuple(self._treads(node.get("treads"), radius_names)),
+            link=self.values.link_name(node.get("link")),
+            radius=wheel["radius"],
+            width=wheel["width"],
+            radii=tuple(wheel["radii"].items()),
+            friction=wheel["friction"],
+            rolling_resistance=wheel["rolling_resistance"],
+            treads=tuple(self._treads(wheel)),
             span=node.where,
             **UNPLACED,
         )
 
-    def _treads(self, node: Node | None, radius_names: Container[str]) -> Iterator[Tread]:
+    def _treads(self, wheel: Section) -> Iterator[Tread]:
         """Yields the treads of a wheel, which are the rolling surfaces of the wheel.
 
         Each tread of a wheel needs a radius of the same name in the section `radii`.
         """
-        for name, entry in entries(node).items():
+        radius_names = entries(wheel.node.get("radii"))
+        for name, tread in wheel["treads"].items():
             if name not in radius_names:
                 self.report.add(
                     "missing-key",
                     f"the ring `{name}` has no radius",
-                    entry.where,
+                    tread.node.where,
                     hint=f"add `radii: {{{name}: 90 mm}}`",
                 )
                 continue
-            yield Tread(
-                name,
-                self.scope.vector(entry.get("xyz"), "length"),
-                self.values.positive(entry, "width", "length", 0.1),
-                self.values.not_negative(entry, "flange", "length"),
-            )
+            yield Tread(name, tread["xyz"], tread["width"], tread["flange"])
 
     def _sensor(self, node: Node) -> Sensor:
         """Reads the section `sensor` of a module document."""

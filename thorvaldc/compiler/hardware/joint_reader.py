@@ -8,6 +8,7 @@ from dataclasses import replace
 from thorvaldc.compiler.hardware.module_values import ModuleValues
 from thorvaldc.compiler.modules.module_parameters import hint_of_known
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.diagnostics import Label
 from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model.robot import Actuator, Brake, Joint
@@ -46,7 +47,8 @@ class _JointReader:
     """Reads one joint of a module document.
 
     The limits of a prismatic joint are linear quantities, such as a length and a force.  The
-    limits of all other joints are rotational quantities, such as an angle and a torque.
+    limits of all other joints are rotational quantities, such as an angle and a torque, which the
+    schema names first.
     """
 
     def __init__(self, values: ModuleValues, name: str, node: Node) -> None:
@@ -54,23 +56,14 @@ class _JointReader:
         self.name = name
         self.node = node
         self.type = values.scope.text(node.get("type"), "fixed")
-        linear = self.type == "prismatic"
-        self.position = "length" if linear else "angle"
-        self.velocity = "velocity" if linear else "angular_velocity"
-        self.effort = "force" if linear else "torque"
-        self.stiffness = "stiffness" if linear else "rotational_stiffness"
-        self.damping = "damping" if linear else "rotational_damping"
+        self.section = values.section(node, "joints", int(self.type == "prismatic"))
 
     def read(self) -> Joint:
         """Returns the joint of a module document, and reports errors."""
-        values, node = self.values, self.node
+        values, node, section = self.values, self.node, self.section
         axis = self._axis()
         lower, upper = self._limits()
-        spring = node.get("spring")
-        stiffness = spring_damping = 0.0
-        if spring is not None:
-            stiffness = values.not_negative(spring, "stiffness", self.stiffness)
-            spring_damping = values.not_negative(spring, "damping", self.damping)
+        spring = section["spring"]
         is_continuous = self.type == "continuous"
         return Joint(
             name=self.name,
@@ -78,29 +71,28 @@ class _JointReader:
             type=self.type,
             parent=values.link_name(node.get("parent")),
             child=values.link_name(node.get("child")),
-            pose=values.scope.pose(node).clean(),
+            pose=section.pose().clean(),
             span=node.where,
             axis=axis,
             lower=None if is_continuous else lower,
             upper=None if is_continuous else upper,
-            effort=self._positive_or_none("effort", self.effort),
-            velocity=self._positive_or_none("velocity", self.velocity),
-            damping=spring_damping + values.not_negative(node, "damping", self.damping),
-            friction=values.not_negative(node, "friction", self.effort),
-            stiffness=stiffness,
+            effort=section["effort"],
+            velocity=section["velocity"],
+            damping=spring["damping"] + section["damping"],
+            friction=section["friction"],
+            stiffness=spring["stiffness"] if "spring" in section else 0.0,
             role=values.scope.text(node.get("role")),
         )
 
     def _axis(self) -> Vec3:
         """Returns the joint axis as a unit vector in the joint frame."""
-        axis_node = self.node.get("axis")
-        axis = self.values.scope.vector(axis_node, "ratio", (0.0, 0.0, 1.0))
+        axis: Vec3 = self.section["axis"]
         length = norm(axis)
         if length < 1e-9:
             self.values.report.add(
                 "axis-zero",
                 f"the axis of joint `{self.name}` has no direction",
-                axis_node.span if axis_node is not None else self.node.where,
+                self.section.entry("axis").span,
             )
             return (0.0, 0.0, 1.0)
         return axis if length == 1.0 else scale(1.0 / length, axis)
@@ -108,14 +100,10 @@ class _JointReader:
     def _limits(self) -> tuple[float | None, float | None]:
         """Returns the lower and upper position limits (m or rad), and checks the limits."""
         report = self.values.report
-        lower_node, upper_node = self.node.get("lower"), self.node.get("upper")
-        lower, upper = (
-            self.values.scope.quantity(limit, self.position) if limit is not None else None
-            for limit in (lower_node, upper_node)
-        )
+        lower, upper = self.section["lower"], self.section["upper"]
         if self.type in ("revolute", "prismatic"):
-            for key, limit in (("lower", lower), ("upper", upper)):
-                if limit is None:
+            for key in ("lower", "upper"):
+                if self.node.get(key) is None:
                     report.add(
                         "joint-limit-missing",
                         f"joint `{self.name}` is {self.type} and has no `{key}`",
@@ -131,12 +119,6 @@ class _JointReader:
                 self.node.where,
             )
         return lower, upper
-
-    def _positive_or_none(self, key: str, quantity: str) -> float | None:
-        """Returns the positive physical quantity of a key, or ``None`` if the key is missing."""
-        if self.node.get(key) is None:
-            return None
-        return self.values.positive(self.node, key, quantity, 1.0)
 
 
 def _check_tree(joints: tuple[Joint, ...], values: ModuleValues) -> None:
@@ -178,18 +160,6 @@ def _check_tree(joints: tuple[Joint, ...], values: ModuleValues) -> None:
             )
 
 
-def _whole_number(values: ModuleValues, node: Node, key: str, default: int) -> int:
-    """Returns a positive whole number, which an expression may compute."""
-    value = values.positive(node, key, "ratio", default)
-    entry = node.get(key)
-    if value.is_integer() or entry is None:
-        return int(value)
-    values.report.add(
-        "wrong-type", f"`{key}` is {value:.6g}; it must be a whole number", entry.span
-    )
-    return default
-
-
 def _read_motor(values: ModuleValues, name: str, node: Node, joints: tuple[Joint, ...]) -> Actuator:
     """Reads a motor and computes the limits of the motor at the joint."""
     scope = values.scope
@@ -203,11 +173,8 @@ def _read_motor(values: ModuleValues, name: str, node: Node, joints: tuple[Joint
             joint_node.span,
             hint=hint_of_known(joint, joint_names),
         )
-    gear_ratio = values.positive(node, "gear_ratio", "ratio", 1.0)
-    motor_max_speed = values.positive(node, "motor_max_speed", "angular_velocity", 1.0)
-    rotor_inertia = scope.quantity(node.get("rotor_inertia"), "inertia")
-    encoder_ppr = _whole_number(values, node, "encoder_ppr", 1024)
-    stated_velocity = scope.quantity(node.get("max_velocity"), "angular_velocity", math.inf)
+    section = values.section(node, "motors")
+    gear_ratio, motor_max_speed = section["gear_ratio"], section["motor_max_speed"]
     return Actuator(
         name=name,
         module="",
@@ -215,21 +182,19 @@ def _read_motor(values: ModuleValues, name: str, node: Node, joints: tuple[Joint
         role=scope.text(node.get("role")),
         gear_ratio=gear_ratio,
         motor_max_speed=motor_max_speed,
-        encoder_ppr=encoder_ppr,
-        max_velocity=min(stated_velocity, motor_max_speed / gear_ratio),
-        max_acceleration=clean(
-            values.positive(node, "max_acceleration", "angular_acceleration", 1.0)
-        ),
-        max_torque=values.positive(node, "max_torque", "torque", 1.0),
+        encoder_ppr=section["encoder_ppr"],
+        max_velocity=min(section.get("max_velocity", math.inf), motor_max_speed / gear_ratio),
+        max_acceleration=clean(section["max_acceleration"]),
+        max_torque=section["max_torque"],
         # A gear with the ratio n multiplies the motor torque by n and divides the motor's
         # acceleration by n.  For a gear with the ratio n, the inertia of the rotor at the joint is
         # therefore n^2 times the inertia at the motor shaft.
-        armature=clean(rotor_inertia * gear_ratio * gear_ratio),
+        armature=clean(section["rotor_inertia"] * gear_ratio * gear_ratio),
         node=None,
         channel=None,
         span=node.where,
-        back_driving_torque=clean(values.not_negative(node, "back_driving_torque", "torque")),
-        brake=_read_brake(values, node.get("brake"), gear_ratio),
+        back_driving_torque=clean(section["back_driving_torque"]),
+        brake=_read_brake(values, section, gear_ratio),
     )
 
 
@@ -259,14 +224,12 @@ def with_common_limits(
     return tuple(limited_joints), tuple(limited_motors)
 
 
-def _read_brake(values: ModuleValues, node: Node | None, gear_ratio: float) -> Brake | None:
+def _read_brake(values: ModuleValues, motor: Section, gear_ratio: float) -> Brake | None:
     """Returns the brake of a motor, or ``None`` for `none` and for a false condition `when`."""
-    if node is None or node.value == "none" or not values.is_present(node):
+    brake = motor["brake"]
+    if not isinstance(brake, Section) or not values.is_present(brake.node):
         return None
-    return Brake(
-        values.positive(node, "torque", "torque", 1.0) * gear_ratio,
-        values.not_negative(node, "closing_time", "time"),
-    )
+    return Brake(brake["torque"] * gear_ratio, brake["closing_time"])
 
 
 def _check_motors(

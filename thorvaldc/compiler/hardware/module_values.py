@@ -7,11 +7,12 @@ import contextlib
 from thorvaldc.compiler.modules.library import ModuleType
 from thorvaldc.compiler.modules.module_parameters import Scope, hint_of_known
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any
+from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.robot import Scalar
+from thorvaldc.schema.documents import inlined
 
 
 class ModuleValues:
@@ -52,39 +53,15 @@ class ModuleValues:
             )
         return name or first
 
-    def not_negative(self, node: Node, key: str, quantity: str) -> float:
-        """Returns the physical quantity of a key in SI units, and checks that the quantity is not
-        negative.
+    def section(self, node: Node, key: str, alternative: int = 0) -> Section:
+        """Returns an entry of a section of the module document such as `motors`, or the section
+        itself, with its values in SI units.
 
-        Returns 0 if the key is missing or the physical quantity is negative.
+        ``alternative``: as for ``Section``.
         """
-        entry = node.get(key)
-        value = self.scope.quantity(entry, quantity)
-        if value < 0 and entry is not None:
-            self.report.add(
-                "size-not-positive",
-                f"`{key}` is {QUANTITIES[quantity].format_value(value)}; it must not be negative",
-                entry.span,
-            )
-        return max(value, 0.0)
-
-    def positive(self, node: Node, key: str, quantity: str, default: float) -> float:
-        """Returns the physical quantity of a key in SI units, and checks that the quantity is
-        positive.
-
-        Returns the default value if the key is missing or the physical quantity is not valid.
-        """
-        entry = node.get(key)
-        value = self.scope.quantity(entry, quantity, default)
-        if value > 0:
-            return value
-        if entry is not None:
-            self.report.add(
-                "size-not-positive",
-                f"`{key}` is {QUANTITIES[quantity].format_value(value)}; it must be positive",
-                entry.span,
-            )
-        return default
+        schema = inlined("module")["properties"][key]
+        entry_schema = schema.get("additionalProperties") or schema
+        return Section(node, entry_schema, self.scope, alternative)
 
     def scalar(self, node: Node) -> Scalar:
         """Returns the value of a YAML node as a boolean, a number or a text.

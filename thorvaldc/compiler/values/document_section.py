@@ -26,54 +26,81 @@ _EMPTY: dict[str, Any] = {"array": (), "object": {}, "string": ""}
 class Section:
     """A mapping of a document, with its values in SI units.
 
+    Each value is converted and checked once, when it is read first, so that a module document is
+    read with the parameters in scope, and only as far as its conditions `when` hold.
+    ``read_document`` and ``read_section`` read everything at once, so that all errors are reported.
+
     The value of a key that the document does not state, or whose value is invalid, is the default
     of the schema.  A key that the schema requires has no default; if its value is invalid, an
     example of the schema takes its place, so that the other checks can continue.  What is neither
     stated nor has a default is an empty section, list or text, or else ``None``.
 
-    ``node``: the mapping in the document, for source spans.
+    Parameters
+    ----------
+    node : the mapping in the document, for source spans.
+    schema : the part of a JSON Schema that describes the mapping.
+    reader : evaluates expressions and converts units.
+    alternative : index of the kind of quantity where the schema allows several, such as the angle
+        of a revolute and the length of a prismatic joint.
     """
 
-    def __init__(self, node: Node, schema: Schema, reader: ValueReader) -> None:
-        """Converts all values of the mapping and reports the values out of bounds."""
+    def __init__(
+        self, node: Node, schema: Schema, reader: ValueReader, alternative: int = 0
+    ) -> None:
         self.node = node
         self._schema = schema
         self._reader = reader
+        self._alternative = alternative
+        self._entries = entries(node)
         self._values: dict[str, Any] = {}
-        properties, others = schema.get("properties", {}), schema.get("additionalProperties")
-        for key, entry in entries(node).items():
-            inner = properties.get(key, others)
-            if isinstance(inner, dict):  # The schema check has reported unknown keys.
-                value = _convert(entry, inner, reader, key)
-                if value is not INVALID:
-                    self._values[key] = value
+
+    def _stated(self, key: str) -> Any:
+        """Returns the value that the document states, or ``INVALID``."""
+        if key not in self._values:
+            others, entry = self._schema.get("additionalProperties"), self._entries.get(key)
+            schema = self._schema.get("properties", {}).get(key, others)
+            self._values[key] = INVALID
+            if entry is not None and isinstance(schema, dict):  # else a reported unknown key
+                self._values[key] = self._convert(entry, schema, key)
+        return self._values[key]
+
+    def read(self) -> Section:
+        """Converts all values of the section and reports their errors."""
+        for key in self._entries:
+            _read(self._stated(key))
+        return self
 
     def __getitem__(self, key: str) -> Any:
-        if key in self._values:
-            return self._values[key]
+        stated = self._stated(key)
+        if stated is not INVALID:
+            return stated
         schema = self._schema["properties"][key]
         kind = schema.get("type")
         if "default" in schema:
             content = schema["default"]
         elif key in self._schema.get("required", ()) and kind != "object":
-            content = schema.get("examples", [None])[0]
+            examples = schema.get("examples", ())
+            content = next((e for e in examples if "${" not in str(e)), 1)
         else:
             content = _EMPTY.get(str(kind))
         if content is None:
             return None
-        return _convert(_as_node(content, self.node.where), schema, self._reader, key)
+        return self._convert(_as_node(content, self.node.where), schema, key)
 
     def __contains__(self, key: str) -> bool:
         """Returns whether the document states a valid value of the key."""
-        return key in self._values
+        return self._stated(key) is not INVALID
 
     def get(self, key: str, otherwise: Any) -> Any:
         """Returns the value that the document states, or ``otherwise``."""
-        return self._values.get(key, otherwise)
+        stated = self._stated(key)
+        return otherwise if stated is INVALID else stated
 
     def items(self) -> Iterator[tuple[str, Any]]:
         """Yields the keys that the document states with their values, in the document's order."""
-        yield from self._values.items()
+        for key in self._entries:
+            if key in self:
+                yield key, self._stated(key)
 
     def entry(self, key: str) -> Node:
         """Returns the node of a key, or the node of this section if the key is not stated."""
@@ -85,51 +112,78 @@ class Section:
         ``bounds``: values in SI units by the keyword of a schema, such as ``x-minimum``.
         """
         schema, span = self._schema["properties"][key], self.entry(key).span
-        return _is_within(self[key], bounds, schema, span, key, self._reader.report)
+        quantity = schema["x-quantity"]
+        return _is_within(self[key], bounds, schema, quantity, span, key, self._reader.report)
 
     def shown(self, key: str, value: float) -> str:
         """Returns a value that the key can have as text with its SI unit."""
         return QUANTITIES[self._schema["properties"][key]["x-quantity"]].format_value(value)
+
+    def pose(self) -> Pose:
+        """Returns the pose of the keys `xyz` (m) and `rpy` (rad)."""
+        return Pose.from_xyz_rpy(self["xyz"], self["rpy"])
 
     def planar_pose(self) -> Pose:
         """Returns the pose of the keys `xyz` (m) and `yaw` (rad, reduced to -pi to pi)."""
         yaw = math.remainder(self["yaw"], 2 * math.pi)
         return Pose.from_xyz_rpy(self["xyz"], (0.0, 0.0, yaw)).clean()
 
+    def _convert(self, node: Node, schema: Schema, key: str) -> Any:
+        """Returns the value of a node in SI units, or ``INVALID`` if it has an error."""
+        value = node.value
+        if isinstance(value, dict):
+            return Section(node, schema, self._reader, self._alternative)
+        inner = schema.get("items", {})
+        if isinstance(value, tuple):
+            values = (self._convert(element, inner, key) for element in value)
+            if "x-quantity" in inner:  # A vector keeps its length.
+                return tuple(0.0 if value is INVALID else value for value in values)
+            return tuple(value for value in values if value is not INVALID)
+        if value is None:
+            return INVALID  # The schema check has already reported the invalid value.
+        if schema.get("x-verbatim") or value in schema.get("x-words", ()):
+            return value
+        if "x-quantity" in inner:  # An expression gives the vector.
+            return self._reader.vector(node, inner["x-quantity"])
+        quantity = self._quantity(schema)
+        if quantity is None:
+            return self._reader.value(node)
+        number = self._reader.quantity(node, quantity, math.nan)
+        if math.isnan(number):
+            return INVALID
+        if "integer" in schema.get("type", ()) and not number.is_integer():
+            message = f"`{key}` is {number:.6g}; it must be a whole number"
+            self._reader.report.add("wrong-type", message, node.span)
+            return INVALID
+        is_valid = _is_within(number, schema, schema, quantity, node.span, key, self._reader.report)
+        if not is_valid:
+            return INVALID
+        return int(number) if "integer" in schema.get("type", ()) else number
+
+    def _quantity(self, schema: Schema) -> str | None:
+        kinds: str | list[str] | None = schema.get("x-quantity")
+        if kinds is None and schema.get("type") == ["integer", "string"]:
+            return "number"  # An expression gives the whole number.
+        return kinds[self._alternative] if isinstance(kinds, list) else kinds
+
 
 def read_document(document: Node, kind: Kind, reader: ValueReader) -> Section:
     """Returns the content of a document that the schema check has checked."""
-    return Section(document, inlined(kind), reader)
+    return Section(document, inlined(kind), reader).read()
 
 
 def read_section(document: Node, kind: Kind, key: str, reader: ValueReader) -> Section:
     """Returns the content of one key of a checked document, such as `driver`."""
     node = document.get(key) or Node({}, document.span)
-    return Section(node, inlined(kind)["properties"][key], reader)
+    return Section(node, inlined(kind)["properties"][key], reader).read()
 
 
-def _convert(node: Node, schema: Schema, reader: ValueReader, key: str) -> Any:
-    """Returns the value of a node in SI units, or ``INVALID`` if it has an error."""
-    value = node.value
-    if isinstance(value, dict):
-        return Section(node, schema, reader)
-    if isinstance(value, tuple):
-        inner = schema.get("items", {})
-        values = (_convert(element, inner, reader, key) for element in value)
-        if "x-quantity" in inner:  # A vector keeps its length.
-            return tuple(0.0 if value is INVALID else value for value in values)
-        return tuple(value for value in values if value is not INVALID)
-    if value is None:
-        return INVALID  # The schema check has already reported the invalid value.
-    quantity = schema.get("x-quantity")
-    if schema.get("x-verbatim"):
-        return value
-    if quantity is None or value in schema.get("x-words", ()):
-        return reader.value(node)
-    number = reader.quantity(node, quantity, math.nan)
-    if math.isnan(number) or not _is_within(number, schema, schema, node.span, key, reader.report):
-        return INVALID
-    return number
+def _read(value: Any) -> None:
+    if isinstance(value, Section):
+        value.read()
+    elif isinstance(value, tuple):
+        for element in value:
+            _read(element)
 
 
 def _as_node(content: Any, span: Span) -> Node:
@@ -142,10 +196,15 @@ def _as_node(content: Any, span: Span) -> Node:
 
 
 def _is_within(
-    value: float, bounds: Schema, schema: Schema, span: Span, key: str, report: Report
+    value: float,
+    bounds: Schema,
+    schema: Schema,
+    quantity: str,
+    span: Span,
+    key: str,
+    report: Report,
 ) -> bool:
     """Checks that a quantity in SI units is within its bounds, and reports it if it is not."""
-    quantity = schema["x-quantity"]
 
     def in_si(keyword: str, otherwise: float) -> float:
         bound = bounds.get(keyword, otherwise)
@@ -162,12 +221,12 @@ def _is_within(
         for keyword, word in words.items()
         if (bound := bounds.get(keyword)) is not None
     ]
-    needed = " and ".join(parts)
+    needed = f"be {' and '.join(parts)}"
     if len(parts) == 1 and max(least, lower) == 0.0:
-        needed = "positive" if lower == 0.0 else "at least 0"
+        needed = "be positive" if lower == 0.0 else "not be negative"
     report.add(
         schema.get("x-code", "out-of-range"),
-        f"`{key}` is {kind.format_value(value)}; it must be {needed}",
+        f"`{key}` is {kind.format_value(value)}; it must {needed}",
         span,
     )
     return False
