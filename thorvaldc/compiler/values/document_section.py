@@ -79,7 +79,9 @@ class Section:
         if "default" in schema:
             content = schema["default"]
         elif key in self._schema.get("required", ()) and kind != "object":
-            examples = schema.get("examples", ())
+            # An expression, or an example of another kind of quantity, is no value here.
+            has_one_kind = not isinstance(schema.get("x-quantity"), list)
+            examples = schema.get("examples", ()) if has_one_kind else ()
             content = next((e for e in examples if "${" not in str(e)), 1)
         else:
             content = _EMPTY.get(str(kind))
