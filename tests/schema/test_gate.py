@@ -89,18 +89,18 @@ def test_valid_documents_pass(kind: Kind) -> None:
         assert gate.passes(inlined(kind), plain(path)), path
 
 
-@pytest.mark.parametrize("kind", ["robot", "module"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_the_gate_agrees_with_jsonschema(kind: Kind) -> None:
     validator = _validator(kind)
     chance = random.Random(1)
     documents = [plain(path) for path in FILES[kind]]
     invalid = 0
-    for turn in range(600):
+    for turn in range(300):
         document = mutate(documents[turn % len(documents)], chance)
         valid = validator.is_valid(document)
         invalid += not valid
         assert gate.passes(inlined(kind), document) == valid, document
-    assert 200 < invalid < 590
+    assert 100 < invalid < 300
 
 
 def test_a_schema_with_an_unsupported_keyword_is_rejected() -> None:

@@ -122,6 +122,22 @@ def test_a_required_key_has_no_default(kind: Kind) -> None:
             assert "default" not in stated.get(key, {}), (name, key)
 
 
+# Files below `compiler` that name kinds of quantities for values that no `Section` reads yet.
+OWN_QUANTITIES = (
+    "bus/device_frames bus/device_sections bus/node_ids bus/node_objects bus/wiring"
+    " hardware/couplings hardware/hardware_reader hardware/link_shapes hardware/purchase_reader"
+    " modules/module_parameters robot_settings/design_requirements values/value_reader"
+)
+
+
+def test_readers_take_kinds_of_quantities_from_the_schema() -> None:
+    folder = ROOT / "thorvaldc" / "compiler"
+    call = re.compile(r"\.(quantity|vector)\([^)]*\"[a-z_]+\"")
+    naming = [path for path in folder.rglob("*.py") if call.search(path.read_text("utf-8"))]
+    names = sorted(str(path.relative_to(folder).with_suffix("")) for path in naming)
+    assert names == sorted(OWN_QUANTITIES.split())
+
+
 def test_params_can_have_every_quantity() -> None:
     params = inlined("module")["properties"]["params"]["additionalProperties"]
     assert params["properties"]["quantity"]["enum"] == list(QUANTITIES)
