@@ -63,7 +63,7 @@ def test_an_output_that_cannot_be_written_is_reported_before_the_run(
     path.write_text(SCENARIO)
     existing_file.write_text("")
     for option, value in (("--record", existing_file), ("--junit", tmp_path / "none/out.xml")):
-        result = thorvaldc("sim", str(path), option, str(value))
+        result = thorvaldc("scenario", str(path), option, str(value))
         assert result.status == 3, option
         assert f"cannot write {value}" in result.err
         assert result.out == ""
