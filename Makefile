@@ -102,7 +102,7 @@ test-all: test test-slow
 
 test-matrix: $(READY)
 	@$(BIN)/python -c 'import uv' 2>/dev/null || $(call PIP_INSTALL,$(BIN)) uv
-	JOBS=$(JOBS) $(BIN)/python tools/test_matrix.py
+	JOBS=$(JOBS) $(BIN)/python workshop/test_matrix.py
 
 SEEDS ?= 0:200
 chaos: $(READY)
@@ -112,7 +112,7 @@ fuzz: $(READY)
 	$(BIN)/python -m tests.fuzz --seeds $(SEEDS) --jobs $(JOBS:auto=1)
 
 mutants: $(READY)
-	$(BIN)/python tools/mutants.py --number $(or $(NUMBER),10) --seed $(or $(SEED),1) \
+	$(BIN)/python workshop/mutants.py --number $(or $(NUMBER),10) --seed $(or $(SEED),1) \
 	  --jobs $(JOBS:auto=1) $(addprefix --layer ,$(LAYER))
 
 # The library to compare with comes into the environment of the first bench, not of every test.
@@ -129,8 +129,8 @@ golden: $(READY)
 	$(BIN)/python examples/odometry_experiment/run.py --write
 
 pictures: $(READY)
-	PYTHONPATH=. $(BIN)/python tools/render_examples.py
-	PYTHONPATH=. $(BIN)/python tools/render_modules.py
+	PYTHONPATH=. $(BIN)/python workshop/render_examples.py
+	PYTHONPATH=. $(BIN)/python workshop/render_modules.py
 
 # The variable silences the advertisement of another program.
 docs: $(READY)

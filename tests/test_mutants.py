@@ -1,4 +1,4 @@
-"""Tests of ``tools/mutants.py``, which changes the package to test the tests."""
+"""Tests of ``workshop/mutants.py``, which changes the package to test the tests."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.fixture
 def tool(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    monkeypatch.syspath_prepend(str(ROOT / "workshop"))
     for name in ("mutants", "executed_lines"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     return importlib.import_module("mutants")

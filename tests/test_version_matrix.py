@@ -1,4 +1,4 @@
-"""Tests of ``tools/test_matrix.py``: which failures of other versions are errors."""
+"""Tests of ``workshop/test_matrix.py``: which failures of other versions are errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.fixture
 def tool(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    monkeypatch.syspath_prepend(str(ROOT / "workshop"))
     monkeypatch.delitem(sys.modules, "test_matrix", raising=False)
     tool = importlib.import_module("test_matrix")
     pythons = {(3, 11): "/old/python", (3, 14): "/new/python"}

@@ -7,12 +7,12 @@ import re
 
 import thorvaldc
 from thorvaldc import model
-from tools import api_page
+from workshop import api_page
 
 
 def test_the_page_is_fresh() -> None:
     assert api_page.PAGE.read_text(encoding="utf-8") == api_page.page(), (
-        "docs/api.md differs from the docstrings; write it again: python tools/api_page.py"
+        "docs/api.md differs from the docstrings; write it again: python workshop/api_page.py"
     )
 
 

@@ -1,6 +1,6 @@
 """Writes docs/api.md, the reference of the Python API, from the docstrings.
 
-    python tools/api_page.py
+    python workshop/api_page.py
 
 The page reads well in a plain checkout and on the site.  A test compares it with the docstrings.
 """
@@ -31,7 +31,7 @@ INTERNAL = frozenset(["of", "located", "complete", "used_by", "excluding_spans_o
 """Methods for the stages of the compiler."""
 INTRODUCTION = """# Python API: reference
 
-<!-- Generated from the docstrings by tools/api_page.py. -->
+<!-- Generated from the docstrings by workshop/api_page.py. -->
 
 `import thorvaldc` has these names. [The Python API](python.md) shows how to use them.
 

@@ -1,4 +1,4 @@
-"""Renders each module of the library: ``python tools/render_modules.py [TYPE ...]``.
+"""Renders each module of the library: ``python workshop/render_modules.py [TYPE ...]``.
 
 The script compiles a small robot with the module, hides the rest of the robot, and writes the
 picture to ``docs/assets/modules/<category>_<name>.png``, for the reference of the site.

@@ -1,7 +1,7 @@
 """Changes the package in small ways and checks that a test fails.
 
     make mutants LAYER=runtime NUMBER=20 SEED=1    a sample of one layer
-    tools/mutants.py --layer can --list            show the sample, run nothing
+    workshop/mutants.py --layer can --list            show the sample, run nothing
 
 A mutant is the package with one change: another comparison, a sign, a number, a deleted statement,
 two swapped arguments.  A mutant that no test notices is a hole in the tests, or the change makes no

@@ -34,7 +34,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 CACHE = ROOT / ".mutants"
 COPIED = (
-    *("thorvaldc", "tests", "modules", "templates", "examples", "docs", "tools", "bench"),
+    *("thorvaldc", "tests", "modules", "templates", "examples", "docs", "workshop", "bench"),
     *("editors", "viewer"),
 )
 COPIED_FILES = (

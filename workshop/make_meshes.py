@@ -1,4 +1,4 @@
-"""Writes the meshes of the library and the examples: ``python tools/make_meshes.py [--check]``.
+"""Writes the meshes of the library and the examples: ``python workshop/make_meshes.py [--check]``.
 
 The meshes of a module go to ``modules/<type>/meshes/``, those of an example to
 ``examples/<name>/meshes/``.  ``--check`` writes nothing and exits with 1 if a file is not up

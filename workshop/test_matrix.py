@@ -1,8 +1,8 @@
 """Runs a part of the tests with other versions of Python and of the dependencies.
 
     make test-matrix                          every combination
-    tools/test_matrix.py --list               show the combinations
-    tools/test_matrix.py 3.13-lowest          run one of them
+    workshop/test_matrix.py --list               show the combinations
+    workshop/test_matrix.py 3.13-lowest          run one of them
 
 A combination is the oldest or the newest Python here with the lowest versions of the dependencies
 that pyproject.toml allows, or the newest Python with the newest versions.  Pythons are looked for

@@ -1,4 +1,4 @@
-"""Renders the examples: ``python tools/render_examples.py [NAME ...]``.
+"""Renders the examples: ``python workshop/render_examples.py [NAME ...]``.
 
 The script compiles each example and writes its picture to ``examples/<name>/picture.png``.
 The environment variable ``MUJOCO_GL`` selects the OpenGL backend.  Without it, the script uses
