@@ -90,7 +90,7 @@ name: cart
         ("mount: frame", "", "port-unknown"),
         ("mount: {port: frame.rear_right, rpy: [0, 0, 90 m]}", "", "wrong-dimension"),
         ("mount: frame.rear_right", "buses: {main: {bitrate: 333 kbit/s}}\n", "can-bitrate"),
-        ("mount: frame.rear_right", "driver: {rate: 0}\n", "size-not-positive"),
+        ("mount: frame.rear_right", "driver: {rate: 0}\n", "driver-cycle"),
         ("mount: frame.rear_right", "design: {slope: 10}\n", "number-out-of-range"),
     ],
 )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import resource
 import signal
 import subprocess
 import sys
 import time
 import xml.etree.ElementTree as ET
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -16,6 +16,7 @@ import pytest
 from tests.child_process import ChildProcess
 from tests.cli.conftest import Command
 from tests.cli.test_terminal import on_terminal
+from tests.full_disk import full_disk
 from thorvaldc.cli.progress import Progress
 from thorvaldc.simulation.control_loop import ControlLoop
 
@@ -107,16 +108,13 @@ def test_a_full_disk_is_reported_with_the_name_of_the_file(
     The record of an earlier run stays as it was, and the content so far is kept beside it.
     """
     Path(name).write_text("an earlier run")
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with ExitStack() as stack:
 
-    def watch(self: Progress, meter: ControlLoop) -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (20000, limits[1]))
+        def watch(self: Progress, meter: ControlLoop) -> None:
+            stack.enter_context(full_disk(20000))
 
-    monkeypatch.setattr(Progress, "watch", watch)
-    try:
+        monkeypatch.setattr(Progress, "watch", watch)
         result = thorvaldc("sim", scenario(duration=60), option, name)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert (result.status, result.out) == (3, "")
     assert result.err == f"error: {name}: File too large\n"
     assert 5000 < Path(f"{name}.incomplete").stat().st_size <= 20000

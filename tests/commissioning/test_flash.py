@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-import resource
 from collections.abc import Callable
 from pathlib import Path
 
@@ -22,6 +21,7 @@ from tests.commissioning.bench import (
 from tests.commissioning.robots import without_serials
 from tests.commissioning.situations import stop_halfway
 from tests.examples import example_robot
+from tests.full_disk import full_disk
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.bus_configuration import from_json, to_json
@@ -397,13 +397,11 @@ def test_a_full_disk_breaks_no_chain(tmp_path: Path) -> None:
     file = JournalFile(path)
     journal = Journal(file)
     journal.stop("first")
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 10, limits[1]))
-    try:
-        with pytest.raises(DiagnosticError, match=r"cannot write the journal.*File too large"):
-            journal.stop("second")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    with (
+        full_disk(path.stat().st_size + 10),
+        pytest.raises(DiagnosticError, match=r"cannot write the journal.*File too large"),
+    ):
+        journal.stop("second")
     journal.stop("third")
     file.close()
     data = path.read_bytes()

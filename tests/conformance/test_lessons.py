@@ -88,7 +88,7 @@ modules:
 
 def test_the_old_form_of_a_battery_id_is_imported(tmp_path: Path) -> None:
     """345 is battery 1, and -1 is an enclosure without a battery."""
-    original = Path(__file__).parents[1] / "compiler" / "importer" / "originals" / "standard.yaml"
+    original = Path(__file__).parents[1] / "tools" / "importer" / "originals" / "standard.yaml"
     imported = import_file(original, Report())
     assert imported is not None
     path = tmp_path / "robot.yaml"

@@ -3,27 +3,14 @@
 from __future__ import annotations
 
 import os
-import resource
 import stat
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
+from tests.full_disk import full_disk
 from thorvaldc.diagnostics.atomic_file import AtomicFile, append_whole, write_file
-
-
-@contextmanager
-def full_disk(limit: int = 1000) -> Iterator[None]:
-    """No file may grow beyond ``limit`` bytes."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limits[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
 @pytest.fixture
@@ -47,7 +34,7 @@ def test_a_file_is_replaced_in_one_step(path: Path) -> None:
 @pytest.mark.parametrize("size", [5000, 50_000])
 def test_a_full_disk_leaves_the_old_file(path: Path, size: int) -> None:
     """Small content reaches the disk only when the file is closed."""
-    with full_disk(), pytest.raises(OSError, match=r"File too large.*page\.html"):
+    with full_disk(1000), pytest.raises(OSError, match=r"File too large.*page\.html"):
         write_file(path, "x" * size)
     assert path.read_text() == "old"
     assert os.listdir(path.parent) == ["page.html"]
@@ -57,7 +44,7 @@ def test_what_was_written_is_kept_beside_it_on_demand(path: Path) -> None:
     file = AtomicFile(path, keep_incomplete=True)
     file.write("0123456789\n" * 50)
     file.flush()
-    with full_disk(), pytest.raises(OSError, match="page"):
+    with full_disk(1000), pytest.raises(OSError, match="page"):
         file.write("0123456789\n" * 10000)
     file.close()
     assert path.read_text() == "old"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import json
 import os
-import resource
 import signal
 import stat
 import subprocess
@@ -17,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from tests.child_process import ChildProcess
+from tests.full_disk import full_disk
 from thorvaldc.compiler.output import writer
 from thorvaldc.compiler.output.writer import WriteError, write_build, write_locks
 from thorvaldc.diagnostics import Report
@@ -323,12 +323,8 @@ def test_full_disk_keeps_the_last_lock_file(tmp_path: Path) -> None:
     lock = tmp_path / "robot.lock.yaml"
     report = Report()
     assert write_locks({lock: "old"}, report) == [lock]
-    old_limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100, old_limits[1]))
-    try:
+    with full_disk(100):
         assert write_locks({lock: "new " * 100}, report) == []
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, old_limits)
     assert lock.read_text() == "old"
     assert [d.message for d in report] == [f"cannot write {lock}: File too large"]
     assert os.listdir(tmp_path) == ["robot.lock.yaml"]
@@ -337,13 +333,8 @@ def test_full_disk_keeps_the_last_lock_file(tmp_path: Path) -> None:
 def test_full_disk_keeps_the_last_build(tmp_path: Path) -> None:
     out = tmp_path / "out"
     write(ONE, out)
-    old_limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, old_limits[1]))
-    try:
-        with pytest.raises(WriteError, match="File too large"):
-            write({**TWO, "big": b"x" * 2000}, out)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, old_limits)
+    with full_disk(1000), pytest.raises(WriteError, match="File too large"):
+        write({**TWO, "big": b"x" * 2000}, out)
     assert contents(out) == ONE
     assert is_complete(out)
     assert staging_folders(tmp_path) == []

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import resource
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
+from tests.full_disk import full_disk
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.scenario import GROUPS
@@ -197,13 +197,8 @@ def test_an_interrupted_run_leaves_a_complete_file(robot: Robot, tmp_path: Path)
 def test_a_full_disk_is_reported_and_leaves_the_incomplete_file(
     robot: Robot, tmp_path: Path
 ) -> None:
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, limits[1]))
-    try:
-        with pytest.raises(OSError, match=r"a\.mcap"):
-            drive(robot, tmp_path / "a.mcap", 20.0)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    with full_disk(1 << 16), pytest.raises(OSError, match=r"a\.mcap"):
+        drive(robot, tmp_path / "a.mcap", 20.0)
     assert os.listdir(tmp_path) == ["a.mcap.incomplete"]
     assert (tmp_path / "a.mcap.incomplete").stat().st_size > 1000
 
