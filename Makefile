@@ -93,10 +93,8 @@ test: lint
 	$(PYTEST) -n $(JOBS) -m "not slow" $(TESTS); tests=$$?; \
 	wait $$types; types=$$?; cat build/types.txt; test $$tests = 0 && test $$types = 0
 
-# Most of these tests wait for a clock or for another process: two for each processor.
-SLOW_JOBS ?= $$((2 * $$(getconf _NPROCESSORS_ONLN)))
 test-slow: $(READY)
-	$(PYTEST) -n $(SLOW_JOBS) -m slow $(TESTS)
+	$(PYTEST) -n $(JOBS) -m slow $(TESTS)
 
 test-all: test test-slow
 

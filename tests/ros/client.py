@@ -164,11 +164,13 @@ class Client:
     def arm(self) -> None:
         """Arms the robot, and waits for the homing of its steering.
 
-        On a busy computer a gap in time may refuse it for a moment.
+        On a busy computer a gap in time may refuse it for a moment, or be a fault.
         """
         end = time.monotonic() + TIMEOUT
         while not (answer := self.switch("enable"))[0] or answer[1].startswith("homing"):
             assert time.monotonic() < end, answer
+            if "is the computer too busy?" in answer[1]:
+                self.trigger("reset_faults")
             self.send(0.0)
             self.spin(0.05)
 

@@ -68,7 +68,11 @@ class CommandGroup(TyperGroup):
         return [entry.word for _, entries in self._sections() for entry in entries]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        entry = find_command(f"{self.group} {cmd_name}".strip())
+        name = f"{self.group} {cmd_name}".strip()
+        entry = find_command(name)
+        if entry is None and is_runtime_only() and not ctx.resilient_parsing:
+            # The commands of missing tools are not known here.
+            raise typer.Exit(protect(lambda: require_full_installation(f"`thorvaldc {name}`")))
         if entry is None:
             # TyperGroup suggests a similar name from ``commands``.
             self.commands: Any = dict.fromkeys(self.list_commands(ctx))
