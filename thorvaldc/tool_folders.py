@@ -50,12 +50,18 @@ def tools() -> Iterator[ModuleType]:
         yield import_module(f"thorvaldc.tools.{path.parent.name}")
 
 
-def tool_commands(group: str | None = None) -> Iterator[CommandEntry]:
-    """Yields the rows of the tools in the command table: those of a group, or all."""
-    for tool in tools():
-        for entry in getattr(tool, "COMMANDS", ()):
-            if group is None or entry.group == group:
-                yield entry._replace(package=tool.__name__)
+def tool_commands(group: str | None = None) -> list[CommandEntry]:
+    """Returns the rows of the tools in the command table: those of a group, or all.
+
+    The commands are in alphabetical order, and those of a group in the order of the tool.
+    """
+    entries = [
+        entry._replace(package=tool.__name__)
+        for tool in tools()
+        for entry in getattr(tool, "COMMANDS", ())
+        if group is None or entry.group == group
+    ]
+    return sorted(entries, key=lambda entry: entry.name.partition(" ")[0])
 
 
 def load_target(entry: CommandEntry) -> Any:

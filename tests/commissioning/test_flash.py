@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -408,6 +410,52 @@ def test_a_full_disk_breaks_no_chain(tmp_path: Path) -> None:
     assert [json.loads(line)["reason"] for line in data.splitlines()] == ["first", "third"]
     with pytest.raises(DiagnosticError, match="it does not begin with a plan"):
         Journal(MemoryStorage(data))  # but each record follows the one before
+
+
+@pytest.mark.parametrize("call", ["fsync", "write"])
+@pytest.mark.parametrize("number", range(2, 6))
+def test_an_interrupt_while_the_journal_is_written_breaks_no_chain(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str, number: int
+) -> None:
+    """Ctrl-C comes after the system call ``number``, before Python goes on."""
+    calls = itertools.count(1)
+    system_call = getattr(os, call)
+
+    def interrupted(*arguments: Any) -> Any:
+        result = system_call(*arguments)
+        if next(calls) == number:
+            raise KeyboardInterrupt
+        return result
+
+    bench = Bench(four_drives(), SWAPPED, timing=QUICK)
+    path = tmp_path / "robot.flash.jsonl"
+    file = JournalFile(path)
+    master = bench.master()
+    with monkeypatch.context() as patch:
+        patch.setattr(os, call, interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            Flash(master, bench.configuration, Journal(file)).apply()
+    file.close()
+    master.interface.close()
+    bench.storage = MemoryStorage(path.read_bytes())
+    (bench.resume if Journal(bench.storage).runs else bench.apply)()
+    assert Journal(bench.storage).unfinished is None
+
+
+def test_an_interrupt_after_a_record_was_written_breaks_no_chain() -> None:
+    class Storage(MemoryStorage):
+        def append(self, data: bytes) -> None:
+            super().append(data)
+            if len(self.flushed) == 3:
+                raise KeyboardInterrupt
+
+    bench = Bench(four_drives(), SWAPPED, timing=QUICK)
+    bench.storage = Storage()
+    with pytest.raises(KeyboardInterrupt):
+        bench.apply()
+    assert b"interrupted" in bench.storage.data
+    bench.resume()
+    assert Journal(bench.storage).unfinished is None
 
 
 def test_a_journal_is_a_regular_file(tmp_path: Path) -> None:

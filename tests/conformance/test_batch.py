@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tests.conformance.test_calculators import (
@@ -166,6 +166,7 @@ def test_exact_estimates_are_those_of_the_estimator_to_the_last_bit(
 
 @SETTINGS
 @given(wheels=st.one_of(any_wheels(), axle_wheels(), tricycle_wheels()), seed=st.integers(0, 10**6))
+@example(wheels=[wheel("w0", 0, 0, "steered", lateral=0.12, radius=0.1)], seed=0)  # rank 2
 def test_batch_compares_wheels_with_their_commands(wheels: list[WheelGeometry], seed: int) -> None:
     """In some columns the commands are unknown, and in some an encoder is dead or late."""
     calculator = make("general", wheels)

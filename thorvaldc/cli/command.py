@@ -16,6 +16,7 @@ from typer.main import get_command
 from thorvaldc.cli.command_table import CORE
 from thorvaldc.cli.exits import protect
 from thorvaldc.cli.installation import is_runtime_only, require_full_installation
+from thorvaldc.diagnostics.suggest import nearest
 from thorvaldc.tool_folders import CommandEntry, load_target, tool_commands
 
 P = ParamSpec("P")
@@ -70,12 +71,13 @@ class CommandGroup(TyperGroup):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         name = f"{self.group} {cmd_name}".strip()
         entry = find_command(name)
-        if entry is None and is_runtime_only() and not ctx.resilient_parsing:
-            # The commands of missing tools are not known here.
-            raise typer.Exit(protect(lambda: require_full_installation(f"`thorvaldc {name}`")))
         if entry is None:
             # TyperGroup suggests a similar name from ``commands``.
             self.commands: Any = dict.fromkeys(self.list_commands(ctx))
+            is_misspelt = nearest(cmd_name, self.commands) is not None
+            if is_runtime_only() and not is_misspelt and not ctx.resilient_parsing:
+                # The names of the tools that the runtime lacks are not known here.
+                raise typer.Exit(protect(lambda: require_full_installation(f"`thorvaldc {name}`")))
             return None
         if not entry.target:
             return command_group(entry.name)(
@@ -90,10 +92,8 @@ class CommandGroup(TyperGroup):
 
     def _sections(self) -> Iterator[tuple[str, list[CommandEntry]]]:
         """Yields the visible rows of this group, and the title of each part of them."""
-        own, of_tools = (
-            [e for e in CORE if e.group == self.group],
-            list(tool_commands(self.group)),
-        )
+        own = [e for e in CORE if e.group == self.group]
+        of_tools = tool_commands(self.group)
         sections = [("Commands", [*own, *of_tools])]
         if not self.group:
             sections = [("Commands", own), ("Tools", of_tools), ("Plug-ins", plugin_commands())]

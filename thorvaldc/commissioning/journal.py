@@ -22,7 +22,6 @@ devices is always read from the bus.
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import hashlib
 import json
@@ -107,15 +106,7 @@ class JournalFile:
         return b"".join(parts)
 
     def append(self, data: bytes) -> None:
-        size = os.fstat(self._file).st_size
-        try:
-            append_whole(self._file, data)
-            os.fsync(self._file)
-        except OSError:
-            # The next record is chained to the one before.
-            with contextlib.suppress(OSError):
-                os.ftruncate(self._file, size)
-            raise
+        append_whole(self._file, data, sync=True)
 
     def close(self) -> None:
         """Closes the journal file.  Deletes the journal file if it is new and still empty."""
@@ -177,6 +168,8 @@ class Journal:
         self.storage = storage
         self._data = storage.read()
         self._link = b""
+        self._is_in_doubt = False
+        """``True`` if an append did not return: only the file says whether it has the record."""
         self.runs = self._read(self._data)
 
     @property
@@ -247,15 +240,20 @@ class Journal:
     # -- inside -----------------------------------------------------------------------------
 
     def _append(self, record: dict[str, Any]) -> None:
+        if self._is_in_doubt:
+            self._data, self._link = self.storage.read(), b""
+            self._read(self._data)
         text = json.dumps(record, separators=(",", ":"), ensure_ascii=True).encode()[:-1]
         link = _next_link(self._link, text)
         line = b'%s,"chain":"%s"}\n' % (text, link)
         if self._data and not self._data.endswith(b"\n"):
             line = b"\n" + line
         self._data = b"\n"
+        self._is_in_doubt = True
         try:
             self.storage.append(line)
         except OSError as error:
+            self._is_in_doubt = False
             raise DiagnosticError(
                 "journal-unreadable",
                 f"cannot write the journal {self.storage.name}: {error.strerror or error}",
@@ -263,6 +261,7 @@ class Journal:
                 "another file with --journal",
             ) from None
         self._link = link
+        self._is_in_doubt = False
 
     def _read(self, data: bytes) -> list[Run]:
         runs: list[tuple[str, Plan, list[dict[str, Any]]]] = []

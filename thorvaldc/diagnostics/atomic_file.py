@@ -37,16 +37,19 @@ def write_file(path: Path, content: str | bytes, *, new: bool = False) -> None:
         file.write_bytes(data)
 
 
-def append_whole(descriptor: int, data: bytes) -> None:
-    """Appends bytes to an open file; if the disk is full, the file is cut back to its old size.
+def append_whole(descriptor: int, data: bytes, *, sync: bool = False) -> None:
+    """Appends bytes to an open file, all or none: if the disk is full or Ctrl-C comes in between,
+    the file is cut back to its old size.
 
-    Raises ``OSError``.
+    ``sync``: returns when the bytes are stored on the disk.  Raises ``OSError``.
     """
     size = os.fstat(descriptor).st_size
     try:
         while data:
             data = data[os.write(descriptor, data) :]
-    except OSError:
+        if sync:
+            os.fsync(descriptor)
+    except BaseException:
         with contextlib.suppress(OSError):
             os.ftruncate(descriptor, size)
         raise

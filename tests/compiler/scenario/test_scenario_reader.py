@@ -71,6 +71,13 @@ def test_fleet_file_in_a_scenario(tmp_path: Path) -> None:
     assert errors_of(tmp_path, text.format("scenario.yaml")) == [("fleet-in-fleet", 3)]
 
 
+def test_a_scenario_without_its_name_is_no_robot(tmp_path: Path) -> None:
+    text = "thorvaldc: 1\nrobot: robot.yaml\nduration: 1 s\nworld: {}\n"
+    assert errors_of(tmp_path, text) == [("missing-key", 1), ("unknown-key", 2)]
+    (missing, _) = compiled(tmp_path, text).report.errors
+    assert missing.message == "the scenario document has no `scenario`"
+
+
 def test_script_commands_all_robots_or_one(tmp_path: Path) -> None:
     robots = f"robots: {{a: {{robot: {SLIM}}}, b: {{robot: {SLIM}, xyz: [0, 5, 0]}}}}\n"
     text = "thorvaldc: 1\nscenario: x\n" + robots + "duration: 1 s\nscript:\n"

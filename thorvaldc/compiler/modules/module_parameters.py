@@ -14,7 +14,7 @@ from thorvaldc.compiler.modules.library import Library, ModuleType
 from thorvaldc.compiler.source.edits import insertion
 from thorvaldc.compiler.source.expression_dimensions import EXPECTED
 from thorvaldc.compiler.source.expression_dimensions import NONE as NO_DIMENSION
-from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.node import Node, describe_node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any
 from thorvaldc.compiler.values.value_reader import (
@@ -22,7 +22,6 @@ from thorvaldc.compiler.values.value_reader import (
     InvalidNameError,
     ReferenceCycleError,
     ValueReader,
-    describe_node,
     describe_value,
     entries,
     items,

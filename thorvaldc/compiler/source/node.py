@@ -42,3 +42,17 @@ class Node(NamedTuple):
     def where(self) -> Span:
         """Source span of the YAML key, or of the YAML value if the value has no key."""
         return self.key_span or self.span
+
+
+def describe_node(node: Node) -> str:
+    """Describes the value of a YAML node for an error message."""
+    if isinstance(node.value, dict):
+        return "a mapping"
+    if isinstance(node.value, tuple):
+        return "a list"
+    if node.value is None:
+        return "nothing"
+    if isinstance(node.value, bool):
+        return f"`{str(node.value).lower()}`"
+    text = str(node.value)
+    return f"`{text if len(text) <= 60 else text[:57] + '...'}`"

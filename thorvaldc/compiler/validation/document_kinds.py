@@ -11,14 +11,17 @@ _SCENARIO_KEYS = ("duration", "script", "world", "expect")
 def is_scenario(document: Node | None) -> bool:
     """Returns whether a YAML document is a scenario.
 
-    A document with robots and with other keys of a scenario is a scenario without a name.
+    A document with robots and another key of a scenario, or without modules and with two keys of
+    a scenario, is a scenario without a name.
     """
     if document is None:
         return False
     if document.get("scenario") is not None:
         return True
-    has_robots = document.get("robots") is not None or document.get("fleet") is not None
-    return has_robots and any(document.get(key) is not None for key in _SCENARIO_KEYS)
+    keys = [key for key in _SCENARIO_KEYS if document.get(key) is not None]
+    if document.get("robots") is not None or document.get("fleet") is not None:
+        return bool(keys)
+    return document.get("modules") is None and len(keys) >= 2
 
 
 def is_study(document: Node | None) -> bool:

@@ -7,7 +7,7 @@ import unicodedata
 from typing import Any
 
 from thorvaldc.compiler.source.edits import insertion, yaml_text
-from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.node import Node, describe_node
 from thorvaldc.compiler.source.units import QUANTITIES
 from thorvaldc.compiler.validation.misspelt_keys import meant_key, misspelt_keys
 from thorvaldc.diagnostics import Label, Proposal, Report, Span
@@ -480,12 +480,5 @@ def _text(node: Node) -> str:
 
 def _actual(node: Node) -> str:
     """Returns a description of an invalid value for an error message, such as ``a list``."""
-    if isinstance(node.value, dict):
-        return "a mapping"
-    if isinstance(node.value, tuple):
-        return "a list"
-    if node.value is None:
-        return "nothing"
-    if isinstance(node.value, str):
-        return f"the text `{_text(node)}`"
-    return f"`{_text(node)}`"
+    is_text = isinstance(node.value, str)
+    return f"the text {describe_node(node)}" if is_text else describe_node(node)

@@ -26,7 +26,7 @@ from thorvaldc.compiler.source.expressions import (
     expression_of,
     infer_dimension,
 )
-from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.node import Node, describe_node
 from thorvaldc.compiler.source.unit_table import QUANTITIES, Dimension
 from thorvaldc.compiler.source.units import UnitError, is_bare_number, parse_quantity
 from thorvaldc.compiler.values.plausible_numbers import probable_unit
@@ -345,19 +345,6 @@ class ValueReader(Mapping[str, Any]):
 
     def _report_type(self, expected: str, node: Node) -> None:
         self.report.add("wrong-type", f"expected {expected}, got {describe_node(node)}", node.span)
-
-
-def describe_node(node: Node) -> str:
-    """Describes the value of a YAML node for an error message."""
-    if isinstance(node.value, dict):
-        return "a mapping"
-    if isinstance(node.value, tuple):
-        return "a list"
-    if node.value is None:
-        return "nothing"
-    if isinstance(node.value, bool):
-        return f"`{str(node.value).lower()}`"
-    return f"`{node.value}`"
 
 
 def describe_value(node: Node, value: Any) -> str:

@@ -227,7 +227,7 @@ class General(BaseCalculator):
             target, unreachable = self._reachable.project(twist)
             infeasible = Twist(twist.vx - target.vx, twist.vy - target.vy, twist.wz - target.wz)
         rates: Sequence[float] = self._zeros
-        if not self._steering:  # the steps below only concern wheels that turn: half of the time
+        if not self._steering:  # a shortcut: the steps below change nothing without steering joints
             target_speeds, scale = self._target_speeds(target)
             if scale < 1.0:
                 target = target.scaled(scale)

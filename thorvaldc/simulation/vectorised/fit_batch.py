@@ -146,9 +146,9 @@ def unweighted_fit(
     """Returns unweighted least-squares twists about the centroid, and a mask of low ranks.
 
     The mask is ``True`` for robot states in which the measurements do not determine the whole twist
-    (rank below 3).  The mask is ``None`` if the rank is 3 in all robot states.  The mask is also
-    ``None`` if ``estimator.inverse`` is used, because ``estimator.inverse`` already contains the
-    rank.
+    (rank below 3); their twists here are zero, and the scalar estimator computes them.  The mask is
+    ``None`` if the rank is 3 in all robot states, or if ``estimator.inverse`` is used, which
+    already contains the rank.
     """
     b1, b2, b3 = np.zeros(n), np.zeros(n), np.zeros(n)
     if estimator.inverse is not None and yaw_rates is None:
@@ -201,7 +201,11 @@ def unweighted_fit(
     with np.errstate(divide="ignore", invalid="ignore"):  # singular matrices
         equations: list[Any] = [a11, a12, a13, a22, a23, a33, b1, b2, b3]
         twist: Any = solve3(*equations)
-    return twist, low if low.any() else None
+    if not low.any():
+        return twist, None
+    # The solution of a singular matrix may be infinite, of which numpy warns in the next step.
+    vx, vy, wz = (np.where(low, 0.0, value) for value in twist)
+    return (vx, vy, wz), low
 
 
 def fit_twists(
