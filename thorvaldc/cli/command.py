@@ -16,7 +16,6 @@ from typer.main import get_command
 from thorvaldc.cli.command_table import CORE
 from thorvaldc.cli.exits import protect
 from thorvaldc.cli.installation import is_runtime_only, require_full_installation
-from thorvaldc.diagnostics.suggest import nearest
 from thorvaldc.tool_folders import CommandEntry, load_target, tool_commands
 
 P = ParamSpec("P")
@@ -74,8 +73,7 @@ class CommandGroup(TyperGroup):
         if entry is None:
             # TyperGroup suggests a similar name from ``commands``.
             self.commands: Any = dict.fromkeys(self.list_commands(ctx))
-            is_misspelt = nearest(cmd_name, self.commands) is not None
-            if is_runtime_only() and not is_misspelt and not ctx.resilient_parsing:
+            if is_runtime_only() and not ctx.resilient_parsing and not self._is_near(cmd_name):
                 # The names of the tools that the runtime lacks are not known here.
                 raise typer.Exit(protect(lambda: require_full_installation(f"`thorvaldc {name}`")))
             return None
@@ -84,6 +82,12 @@ class CommandGroup(TyperGroup):
                 name=entry.name, help=entry.help, no_args_is_help=True, rich_markup_mode=None
             )
         return load_command(entry)
+
+    def _is_near(self, name: str) -> bool:
+        """Returns whether a name is a misspelled command of this group."""
+        from thorvaldc.diagnostics.suggest import nearest
+
+        return nearest(name, self.commands) is not None
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         for title, entries in self._sections():
