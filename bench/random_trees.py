@@ -26,7 +26,7 @@ from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.model.statics.standing import spring_loads
 
 if TYPE_CHECKING:
-    from thorvaldc.model.spatial import Vec3
+    from thorvaldc.model import Vec3
 
 SPAN = Span("random")
 RADIUS, WIDTH = 0.15, 0.06  # m, of all wheels

@@ -6,7 +6,7 @@ import dataclasses
 import math
 
 from tests.robots import SPAN, make_robot
-from thorvaldc.model.robot import Battery, Bus, Channel, FrameDefinition, Node, Robot, Signal
+from thorvaldc.model import Battery, Bus, Channel, FrameDefinition, Node, Robot, Signal
 
 GEAR, STEERING_GEAR = 42.0, 42.857  # gear ratios
 PPR = 1024  # encoder pulses per turn of the motor

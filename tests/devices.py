@@ -14,7 +14,7 @@ from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Diagnostic, Report, Span
-from thorvaldc.model.robot import Actuator, Bus, FrameDefinition, Signal
+from thorvaldc.model import Actuator, Bus, FrameDefinition, Signal
 
 MODULES = Path(__file__).parents[1] / "modules"
 DRIVE = "controller/propulsion_steering"

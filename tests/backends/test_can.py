@@ -16,7 +16,7 @@ from tests.buses import GEAR, LIMIT, MAX_SPEED, PPR, STEERING_GEAR, robot_with_b
 from tests.robots import FOUR_STEERED, SPAN, make_robot
 from thorvaldc.backends.can import Can
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.model.robot import Bus, FrameDefinition, Node, Robot, Signal
+from thorvaldc.model import Bus, FrameDefinition, Node, Robot, Signal
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

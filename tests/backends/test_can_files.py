@@ -20,7 +20,7 @@ from tests.examples import ROBOTS, example_robot
 from tests.robots import FOUR_STEERED, SPAN, make_robot
 from thorvaldc.backends.can import Can
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.model.robot import Bus, FrameDefinition, Robot, Signal
+from thorvaldc.model import Bus, FrameDefinition, Robot, Signal
 
 DRIVES = """\
 thorvaldc: 1

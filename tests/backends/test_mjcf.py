@@ -15,6 +15,8 @@ from tests.examples import example_robot
 from thorvaldc.backends.mjcf import Mjcf, simulation_files
 from thorvaldc.model import (
     Block,
+    Box,
+    Collision,
     Fleet,
     Ground,
     Inertial,
@@ -26,7 +28,6 @@ from thorvaldc.model import (
     Visual,
     World,
 )
-from thorvaldc.model.robot import Box, Collision
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 Written = Callable[[Robot], Path]

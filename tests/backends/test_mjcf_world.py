@@ -10,8 +10,18 @@ import pytest
 from tests.backend_files import files_of
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.backends.mjcf import Mjcf
-from thorvaldc.model import Block, Fleet, Ground, Placement, Pose, World, Zone
-from thorvaldc.model.robot import Box, Cylinder, Sphere
+from thorvaldc.model import (
+    Block,
+    Box,
+    Cylinder,
+    Fleet,
+    Ground,
+    Placement,
+    Pose,
+    Sphere,
+    World,
+    Zone,
+)
 
 POSE = Pose.from_xyz_rpy((5.0, 6.0, 0.5), (0.0, 0.0, math.pi / 2))
 

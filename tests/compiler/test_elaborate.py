@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from tests.workshop import CART, MODULES, Workshop
-from thorvaldc.model import Cylinder, Robot
-from thorvaldc.model.robot import Wheel
+from thorvaldc.model import Cylinder, Robot, Wheel
 
 SOURCE = 'source: "chosen: for a test"'
 

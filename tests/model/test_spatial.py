@@ -10,11 +10,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from thorvaldc.model import Inertial, Pose, Vec3
 from thorvaldc.model.spatial import (
-    Inertial,
-    Pose,
     Quat,
-    Vec3,
     clean,
     combine,
     cross,

@@ -10,8 +10,7 @@ import pytest
 
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import compiled
-from thorvaldc.model import Robot
-from thorvaldc.model.robot import ParameterSet
+from thorvaldc.model import ParameterSet, Robot
 from thorvaldc.model.stopping import (
     DRIVER_DEAD,
     KINDS,

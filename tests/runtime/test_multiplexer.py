@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from tests.robots import FOUR_STEERED, make_robot
-from thorvaldc.model.robot import TwistInput
+from thorvaldc.model import TwistInput
 from thorvaldc.runtime.driver import BaseDriver, DriveMode
 from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.multiplexer import Multiplexer

@@ -19,11 +19,11 @@ from thorvaldc.backends.datasheet_outlines import (
     OutlineProjector,
     View,
 )
-from thorvaldc.model import Robot
+from thorvaldc.model import Robot, Vec3
 from thorvaldc.model.facts.robot_facts import RobotFacts
 from thorvaldc.model.facts.size import Size
 from thorvaldc.model.facts.stability import DIRECTIONS, Stability
-from thorvaldc.model.spatial import Vec3, dot
+from thorvaldc.model.spatial import dot
 from thorvaldc.model.statics.convex_hull import Point, convex_hull
 
 _MARGIN = 0.17

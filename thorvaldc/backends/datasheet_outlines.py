@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from thorvaldc.model import Box, Collision, Cylinder, MeshShape, Robot, Shape, Sphere, Visual
-from thorvaldc.model.spatial import Quat, Vec3, cross, dot, rotate
+from thorvaldc.model import Box, Collision, Cylinder, MeshShape, Robot, Shape, Sphere, Vec3, Visual
+from thorvaldc.model.spatial import Quat, cross, dot, rotate
 from thorvaldc.model.statics.convex_hull import Point, convex_hull
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.mesh_vertices import mesh_vertices

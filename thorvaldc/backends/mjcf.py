@@ -25,8 +25,7 @@ from thorvaldc.backends.statics_backend import StaticsBackend
 from thorvaldc.backends.urdf_only import urdf_only_elements
 from thorvaldc.backends.xml_writer import Element, to_bytes
 from thorvaldc.diagnostics import Diagnostic
-from thorvaldc.model import Fleet, Pose, Robot
-from thorvaldc.model.robot import MeshShape
+from thorvaldc.model import Fleet, MeshShape, Pose, Robot
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.standing_pose import Statics, solve_statics
 

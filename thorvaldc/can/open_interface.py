@@ -25,9 +25,9 @@ from thorvaldc.can.interface import CanInterface
 from thorvaldc.can.python_can_interface import PythonCanInterface, one_line
 from thorvaldc.can.simulated_bus_client import SimulatedBusClient
 from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model import Robot
 from thorvaldc.model.bus import Bus
 from thorvaldc.model.require_bus import require_bus
-from thorvaldc.model.robot import Robot
 
 if TYPE_CHECKING:
     import can

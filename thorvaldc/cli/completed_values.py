@@ -62,7 +62,7 @@ def module_types(ctx: typer.Context, incomplete: str) -> Iterator[str]:
 @completer
 def diagnostic_codes(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes numbers of diagnostics, and names where the word begins as none."""
-    from thorvaldc.diagnostics.codes import CODES
+    from thorvaldc.diagnostics import CODES
 
     for code in CODES.values():
         yield code.number

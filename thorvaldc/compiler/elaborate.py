@@ -47,8 +47,8 @@ from thorvaldc.compiler.robot_settings.wheel_calibration import (
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import read_section
 from thorvaldc.diagnostics import Report
-from thorvaldc.model.robot import Link, Robot, Wheel
-from thorvaldc.model.spatial import Inertial, clean
+from thorvaldc.model import Inertial, Link, Robot, Wheel
+from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.model.statics.standing import spring_loads
 from thorvaldc.model.stopping import driven_wheels

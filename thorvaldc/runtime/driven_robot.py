@@ -22,7 +22,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
-from thorvaldc.model.robot import Robot
+from thorvaldc.model import Robot
 from thorvaldc.runtime.arming import ArmableRobot
 from thorvaldc.runtime.base_interface import BaseHandle
 from thorvaldc.runtime.control.control_server import ControlServer

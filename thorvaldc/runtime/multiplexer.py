@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model import Robot
+from thorvaldc.model import Robot, TwistInput
 from thorvaldc.model.drive_settings import ZERO_FIRST
 from thorvaldc.model.float_sum import float_sum
-from thorvaldc.model.robot import TwistInput
 from thorvaldc.runtime.driver import MAX_TWIST, BaseDriver
 from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.owned_stop import THIS_PROGRAM, OwnedStop

@@ -18,7 +18,7 @@ from typing import Any
 from thorvaldc.can.interface import CanInterface
 from thorvaldc.diagnostics import CODES, Diagnostic
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model.robot import Robot, TwistInput
+from thorvaldc.model import Robot, TwistInput
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driven_robot import DrivenRobot, Watch

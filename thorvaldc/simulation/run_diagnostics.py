@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from thorvaldc.diagnostics import Report
-from thorvaldc.model.robot import Robot, Wheel
+from thorvaldc.model import Robot, Wheel
 from thorvaldc.model.statics.mobility import roll_speeds
 from thorvaldc.runtime.lasting_difference import is_axle_swing
 from thorvaldc.runtime.se2 import Twist

@@ -13,7 +13,7 @@ from thorvaldc.compiler.bus.assemble_buses import BusSpec
 from thorvaldc.compiler.bus.lock_file import Lock, has_pins, lock_text, read_lock
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Report
-from thorvaldc.model.robot import Bus, Robot
+from thorvaldc.model import Bus, Robot
 
 TWO_BUSES = (BusSpec("main", 500_000, line(98)), BusSpec("true", 250_000, line(99)))
 

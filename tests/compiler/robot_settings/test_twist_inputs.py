@@ -11,9 +11,8 @@ from thorvaldc.backends.ros2_parameter_file import parameter_file
 from thorvaldc.backends.ros2_parameters import twist_mux
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.result.compilation import Compilation
-from thorvaldc.model import Robot
+from thorvaldc.model import Robot, TwistInput
 from thorvaldc.model.model_json import from_json, to_json
-from thorvaldc.model.robot import TwistInput
 from thorvaldc.runtime.multiplexer import Multiplexer
 from thorvaldc.runtime.se2 import Twist
 

@@ -14,8 +14,7 @@ from tests.compiler.sandbox.test_worker_process import ROBOT
 from tests.compiler.shapes.test_meshes import collada
 from tests.compiler.shapes.test_meshes_in_mujoco import CORNERS, FACES, obj, ply, scaled, stl
 from thorvaldc.compiler.pipeline import compile_file, emit
-from thorvaldc.model import Robot, Vec3
-from thorvaldc.model.robot import MeshShape
+from thorvaldc.model import MeshShape, Robot, Vec3
 
 FORMATS = ["stl", "obj", "ply", "off", "gltf", "dae"]
 POINTS: dict[str, tuple[list[Vec3], str]] = {  # with the diagnostic

@@ -19,8 +19,7 @@ import pytest
 
 from tests.examples import example_fleet, example_robot
 from tests.outside_tools import path_of
-from thorvaldc.model import Fleet, Robot, Sphere
-from thorvaldc.model.spatial import Pose
+from thorvaldc.model import Fleet, Pose, Robot, Sphere
 from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.simulation.pictures.surfaces import is_closed, surface
 from thorvaldc.simulation.web_viewer.view_page import view_page

@@ -14,9 +14,8 @@ import pytest
 from tests.examples import example_fleet
 from thorvaldc.backends.mjcf_terrain import heights
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.model import Fleet, Ground, World
-from thorvaldc.model.fleet import Zone
-from thorvaldc.model.spatial import Pose, rotate
+from thorvaldc.model import Fleet, Ground, Pose, World, Zone
+from thorvaldc.model.spatial import rotate
 from thorvaldc.simulation.web_viewer.viewed_world import MAX_CELLS
 from thorvaldc.simulation.web_viewer.viewer_data import page_data
 

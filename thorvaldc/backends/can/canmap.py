@@ -10,8 +10,7 @@ import json
 from collections.abc import Iterable
 from typing import Any
 
-from thorvaldc.model import Robot
-from thorvaldc.model.robot import Actuator, Bus, Channel, FrameDefinition, Joint, Node, Signal
+from thorvaldc.model import Actuator, Bus, Channel, FrameDefinition, Joint, Node, Robot, Signal
 
 FORMAT = "thorvaldc-canmap"
 VERSION = 3

@@ -11,7 +11,7 @@ from itertools import groupby
 from typing import NamedTuple
 
 from thorvaldc.diagnostics import CODES, Diagnostic
-from thorvaldc.model.robot import Bus, FrameDefinition, Signal
+from thorvaldc.model import Bus, FrameDefinition, Signal
 
 ENCODING = "cp1252"  # the encoding that readers of DBC files assume
 LONGEST_NAME = 32  # characters of a name in a DBC file; an attribute contains a longer name

@@ -32,8 +32,8 @@ from thorvaldc.compiler.bus.stopping_distance import master_heartbeat_period
 from thorvaldc.compiler.bus.wiring_checks import check_wiring
 from thorvaldc.compiler.source import node as source
 from thorvaldc.diagnostics import Report
+from thorvaldc.model import Actuator, Bus, FrameDefinition, Signal
 from thorvaldc.model.bus_timing import bus_load, frame_response_times
-from thorvaldc.model.robot import Actuator, Bus, FrameDefinition, Signal
 
 __all__ = ["BusSpec", "Device", "Wire", "build_buses", "connect_actuators"]
 

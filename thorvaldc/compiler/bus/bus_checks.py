@@ -16,7 +16,7 @@ from thorvaldc.compiler.bus.id_checks import (
     check_restricted,
 )
 from thorvaldc.diagnostics import Label, Report
-from thorvaldc.model.robot import Bus, FrameDefinition
+from thorvaldc.model import Bus, FrameDefinition
 
 LOAD_LIMIT, LOAD_WARNING = 0.80, 0.50
 

@@ -31,8 +31,8 @@ from thorvaldc.compiler.source.unit_table import Dimension
 from thorvaldc.compiler.source.units import UnitError, parse_unit
 from thorvaldc.diagnostics import Label, Proposal, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.model import FrameDefinition, Signal
 from thorvaldc.model.bus import OBJECT_TYPES
-from thorvaldc.model.robot import FrameDefinition, Signal
 
 HEARTBEAT_PERIOD = 0.1  # default heartbeat period of a device in s
 LAST_PDO = 512

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source import node as source
 from thorvaldc.diagnostics import Span
-from thorvaldc.model.robot import Actuator, FrameDefinition, Node
+from thorvaldc.model import Actuator, FrameDefinition, Node
 
 MASTER = "master"
 MASTER_ID = 127

@@ -15,8 +15,8 @@ from thorvaldc.compiler.modules.library import Library
 from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source import node as source
 from thorvaldc.diagnostics import Report, Span
+from thorvaldc.model import FrameDefinition, Node
 from thorvaldc.model.bus import CANOPEN
-from thorvaldc.model.robot import FrameDefinition, Node
 
 PROTOCOL = "foreign"
 

@@ -8,7 +8,7 @@ from thorvaldc.compiler.bus.device_sections import Device, Wire, entries, listed
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model.robot import Signal
+from thorvaldc.model import Signal
 
 ROUNDING = 1e-9
 FLOAT_LENGTHS = (32, 64)  # lengths (bits) of the floating-point formats of IEEE 754

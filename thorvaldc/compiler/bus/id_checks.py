@@ -17,7 +17,7 @@ from thorvaldc.compiler.bus.device_sections import (
 )
 from thorvaldc.compiler.bus.node_objects import serial_number
 from thorvaldc.diagnostics import Label, Report, Span
-from thorvaldc.model.robot import Bus, FrameDefinition
+from thorvaldc.model import Bus, FrameDefinition
 
 # First and last identifier of each range that CiA 301 reserves (table "restricted CAN-IDs").
 RESTRICTED = (

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.model.robot import Robot
+from thorvaldc.model import Robot
 
 VERSION_KEY, VERSION = "thorvaldc_lock", 1
 ADDRESSES = "addresses"

@@ -30,8 +30,8 @@ from thorvaldc.compiler.source.expression_dimensions import EXPECTED
 from thorvaldc.compiler.source.units import UnitError, parse_any
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.model import Channel, FrameDefinition, Node, Scalar
 from thorvaldc.model.bus import CANOPEN
-from thorvaldc.model.robot import Channel, FrameDefinition, Node, Scalar
 
 # Default number of missed heartbeats after which a CANopen node counts as lost, if the module
 # document contains no `heartbeat_timeout`.

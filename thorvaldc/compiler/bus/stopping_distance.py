@@ -23,7 +23,7 @@ from thorvaldc.compiler.robot_settings.design_requirements import DesignRequirem
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Proposal, Report
 from thorvaldc.diagnostics.plain_numbers import plain
-from thorvaldc.model.robot import DriverSettings, ParameterSet, Robot
+from thorvaldc.model import DriverSettings, ParameterSet, Robot
 from thorvaldc.model.statics.stopping_slope import SlopeStops, steepest_stops
 from thorvaldc.model.stopping import (
     COMMAND_TIMEOUT,

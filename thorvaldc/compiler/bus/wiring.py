@@ -15,7 +15,7 @@ from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
 from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
-from thorvaldc.model.robot import Actuator, Bus, Joint
+from thorvaldc.model import Actuator, Bus, Joint
 
 DEFAULT_BITRATE = 500_000  # bit/s
 DEFAULT_BUS = "main"

@@ -13,7 +13,7 @@ from thorvaldc.compiler.bus.device_sections import (
 from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model.robot import Actuator, Robot
+from thorvaldc.model import Actuator, Robot
 from thorvaldc.model.statics.contact_point import contact_point
 
 _SIDES = (("left", "right", 1), ("front", "rear", 0))

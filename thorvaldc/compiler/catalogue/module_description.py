@@ -16,9 +16,9 @@ from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.diagnostics import Report, Span
+from thorvaldc.model import Link, SourcedMass, Vec3
 from thorvaldc.model.float_sum import float_sum
-from thorvaldc.model.robot import Link, SourcedMass
-from thorvaldc.model.spatial import Vec3, clean, clean3
+from thorvaldc.model.spatial import clean, clean3
 from thorvaldc.model.statics.joint_tree import JointTree
 
 

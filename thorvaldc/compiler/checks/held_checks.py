@@ -6,7 +6,7 @@ import math
 
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.diagnostics.plain_numbers import millimetres
-from thorvaldc.model.robot import Joint, Robot
+from thorvaldc.model import Joint, Robot
 from thorvaldc.model.statics.standing import Standing, standing_of
 from thorvaldc.model.statics.tip_over import support_of
 

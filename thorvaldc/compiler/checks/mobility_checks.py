@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from thorvaldc.diagnostics import Label, Report
-from thorvaldc.model.robot import Robot
+from thorvaldc.model import Robot
 from thorvaldc.model.statics.mobility import (
     cannot_turn,
     feasible_twists,

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report
-from thorvaldc.model.robot import Robot
+from thorvaldc.model import Robot
 from thorvaldc.model.statics.mobility import feasible_twists, roll_speeds
 from thorvaldc.model.stopping import driven_wheels
 

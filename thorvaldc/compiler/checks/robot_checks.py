@@ -9,8 +9,8 @@ from thorvaldc.compiler.checks.mobility_checks import check_controllable, check_
 from thorvaldc.compiler.robot_settings.design_requirements import DesignRequirements
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.diagnostics.plain_numbers import millimetres, plain
+from thorvaldc.model import Robot, Wheel
 from thorvaldc.model.float_sum import float_sum
-from thorvaldc.model.robot import Robot, Wheel
 from thorvaldc.model.statics.contact_point import contact_point
 from thorvaldc.model.statics.gravity import GRAVITY
 from thorvaldc.model.statics.joint_tree import tree_of

@@ -17,7 +17,7 @@ from thorvaldc.compiler.modules.port_references import References
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Label, Report, Span
-from thorvaldc.model.robot import Joint, Mimic
+from thorvaldc.model import Joint, Mimic
 from thorvaldc.model.statics.passive_joints import Coordinate, Member, follow
 
 

@@ -9,18 +9,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from thorvaldc.model import Actuator, Battery, Joint, Link, Mesh, Pose, Sensor, SourcedMass, Wheel
 from thorvaldc.model.module import NOT_STATED, Purchase
-from thorvaldc.model.robot import (
-    Actuator,
-    Battery,
-    Joint,
-    Link,
-    Mesh,
-    Sensor,
-    SourcedMass,
-    Wheel,
-)
-from thorvaldc.model.spatial import Pose
 
 
 class Hardware(NamedTuple):

@@ -21,17 +21,19 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import INVALID, entries, items
 from thorvaldc.diagnostics import Report
-from thorvaldc.model.robot import (
+from thorvaldc.model import (
     Battery,
     Collision,
+    Inertial,
     Link,
+    Pose,
     Sensor,
     SourcedMass,
     Tread,
     Visual,
     Wheel,
 )
-from thorvaldc.model.spatial import Inertial, Pose, clean, combine
+from thorvaldc.model.spatial import clean, combine
 
 MAX_CACHED = 256
 """Largest number of parameter values of a module type whose hardware is cached: a study compiles

@@ -11,8 +11,8 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.diagnostics import Label
 from thorvaldc.diagnostics.plain_numbers import plain
-from thorvaldc.model.robot import Actuator, Brake, Joint
-from thorvaldc.model.spatial import Vec3, clean, norm, scale
+from thorvaldc.model import Actuator, Brake, Joint, Vec3
+from thorvaldc.model.spatial import clean, norm, scale
 
 
 def read_joints(values: ModuleValues) -> tuple[Joint, ...]:

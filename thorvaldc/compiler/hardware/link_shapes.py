@@ -13,8 +13,18 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.value_reader import items
 from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.diagnostics.plain_numbers import plain
-from thorvaldc.model.robot import Box, Collision, Cylinder, Mesh, MeshShape, Shape, Sphere, Visual
-from thorvaldc.model.spatial import Inertial, Vec3
+from thorvaldc.model import (
+    Box,
+    Collision,
+    Cylinder,
+    Inertial,
+    Mesh,
+    MeshShape,
+    Shape,
+    Sphere,
+    Vec3,
+    Visual,
+)
 
 RGBA = tuple[float, float, float, float]
 DEFAULT_COLOR = "#9a9a9a"

@@ -11,7 +11,7 @@ from thorvaldc.compiler.source.units import UnitError, parse_any
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report
-from thorvaldc.model.robot import Scalar
+from thorvaldc.model import Scalar
 from thorvaldc.schema.documents import inlined
 
 

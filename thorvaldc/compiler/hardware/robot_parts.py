@@ -12,8 +12,7 @@ from thorvaldc.compiler.hardware.purchase_reader import purchase_of
 from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.diagnostics.plain_numbers import millimetres
-from thorvaldc.model.module import Purchase
-from thorvaldc.model.robot import (
+from thorvaldc.model import (
     Actuator,
     Battery,
     Joint,
@@ -21,11 +20,13 @@ from thorvaldc.model.robot import (
     Link,
     Mesh,
     Module,
+    Pose,
     Sensor,
     SourcedMass,
     Wheel,
 )
-from thorvaldc.model.spatial import Pose, clean
+from thorvaldc.model.module import Purchase
+from thorvaldc.model.spatial import clean
 
 Placed = TypeVar("Placed", Link, Joint, Actuator, Wheel, Sensor, Battery)
 

@@ -22,8 +22,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from thorvaldc.diagnostics import Report
-from thorvaldc.model.robot import Actuator, Collision, Cylinder, Joint, Link, Wheel
-from thorvaldc.model.spatial import Pose, Vec3, add, clean, cross, dot, norm, scale
+from thorvaldc.model import Actuator, Collision, Cylinder, Joint, Link, Pose, Vec3, Wheel
+from thorvaldc.model.spatial import add, clean, cross, dot, norm, scale
 from thorvaldc.model.statics.joint_tree import JointTree
 
 UP: Vec3 = (0.0, 0.0, 1.0)

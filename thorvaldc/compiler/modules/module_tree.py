@@ -11,7 +11,7 @@ from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Label, Span
-from thorvaldc.model.spatial import Pose
+from thorvaldc.model import Pose
 
 
 @dataclass(eq=False)

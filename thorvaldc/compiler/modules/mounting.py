@@ -8,7 +8,7 @@ from thorvaldc.compiler.modules.port_references import References
 from thorvaldc.compiler.source.edits import removal
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Proposal, Report
-from thorvaldc.model.spatial import Pose
+from thorvaldc.model import Pose
 
 
 class Mounting:

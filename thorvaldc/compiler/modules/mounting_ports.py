@@ -10,8 +10,7 @@ from thorvaldc.compiler.modules.port_references import References
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.value_reader import items
 from thorvaldc.diagnostics import Report
-from thorvaldc.model import Robot
-from thorvaldc.model.spatial import Pose
+from thorvaldc.model import Pose, Robot
 
 EXTRAS = "extras"
 

@@ -15,8 +15,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import CODES, Diagnostic, Report, Severity, Span
-from thorvaldc.diagnostics.codes import Code
+from thorvaldc.diagnostics import CODES, Code, Diagnostic, Report, Severity, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 
 SECTION = "accept"

@@ -8,8 +8,9 @@ from collections.abc import Sequence
 from thorvaldc.compiler.source.edits import insertion
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Proposal, Report
+from thorvaldc.model import Battery
 from thorvaldc.model.facts.energy import battery_voltage
-from thorvaldc.model.robot import PARALLEL, SEPARATE, Battery
+from thorvaldc.model.robot import PARALLEL, SEPARATE
 
 
 def read_battery_connection(

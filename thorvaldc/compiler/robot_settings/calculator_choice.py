@@ -5,7 +5,7 @@ from __future__ import annotations
 from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Proposal, Report
-from thorvaldc.model.robot import CalculatorChoice, Robot
+from thorvaldc.model import CalculatorChoice, Robot
 
 
 def read_calculator(document: Node, scope: Scope) -> CalculatorChoice:

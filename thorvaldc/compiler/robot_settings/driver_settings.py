@@ -18,13 +18,8 @@ from typing import Any
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model.robot import (
-    Actuator,
-    BatterySettings,
-    DriverSettings,
-    ParameterSet,
-    Wheel,
-)
+from thorvaldc.model import Actuator, DriverSettings, ParameterSet, Wheel
+from thorvaldc.model.robot import BatterySettings
 from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.contact_point import contact_point
 

@@ -6,7 +6,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Label, Proposal, Report
-from thorvaldc.model.robot import Robot
+from thorvaldc.model import Robot
 from thorvaldc.model.ros import (
     MAP_FRAME,
     ODOM_FRAME,

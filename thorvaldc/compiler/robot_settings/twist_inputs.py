@@ -16,7 +16,8 @@ from dataclasses import replace
 
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.diagnostics import Label, Report
-from thorvaldc.model.robot import SAFETY_STOP, STOP_PRIORITY, TwistInput
+from thorvaldc.model import TwistInput
+from thorvaldc.model.robot import SAFETY_STOP, STOP_PRIORITY
 
 # The default twist sources and twist locks have the same names, priorities and ROS topics as in the
 # twist multiplexer of the original system.  Commanded twists of the joystick have a higher priority

@@ -19,7 +19,7 @@ from thorvaldc.compiler.values.value_reader import ValueReader
 from thorvaldc.diagnostics import Label, Proposal, Report, Span
 from thorvaldc.diagnostics.plain_numbers import millimetres
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model.robot import Actuator, Joint, Wheel
+from thorvaldc.model import Actuator, Joint, Wheel
 from thorvaldc.model.spatial import add, clean
 from thorvaldc.model.statics.joint_tree import JointTree
 

@@ -16,8 +16,7 @@ from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries, items
 from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.diagnostics.plain_numbers import plain
-from thorvaldc.model import Block, Box, Cylinder, Fleet, Placement, Pose, Shape, Sphere
-from thorvaldc.model.spatial import Vec3
+from thorvaldc.model import Block, Box, Cylinder, Fleet, Placement, Pose, Shape, Sphere, Vec3
 from thorvaldc.model.statics.convex_hull import Point, convex_hull, overlap
 from thorvaldc.model.statics.joint_tree import tree_of
 

@@ -18,7 +18,7 @@ from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model.stl import Triangle, binary_stl, stl_triangles, triangle_normal
 
 if TYPE_CHECKING:
-    from thorvaldc.model.spatial import Vec3
+    from thorvaldc.model import Vec3
 
 # The STL reader of MuJoCo accepts at most 200 000 triangles.
 MAX_TRIANGLES = 200_000

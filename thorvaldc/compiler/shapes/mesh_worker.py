@@ -25,7 +25,7 @@ from thorvaldc.compiler.shapes.mesh_formats import (
 )
 
 if TYPE_CHECKING:
-    from thorvaldc.model.spatial import Vec3
+    from thorvaldc.model import Vec3
 
 IMPORTS = ("numpy", "trimesh", "collada")
 """Modules that a worker process for other formats than STL and OBJ imports at its start."""

@@ -9,8 +9,8 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
-from thorvaldc.model.robot import Box, Cylinder, Mesh, Shape, Sphere
-from thorvaldc.model.spatial import Inertial, Pose, Vec3, combine
+from thorvaldc.model import Box, Cylinder, Inertial, Mesh, Pose, Shape, Sphere, Vec3
+from thorvaldc.model.spatial import combine
 from thorvaldc.model.stl import HEADER, NUMPY_RECORD
 
 if TYPE_CHECKING:

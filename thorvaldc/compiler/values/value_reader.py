@@ -32,7 +32,7 @@ from thorvaldc.compiler.source.units import UnitError, is_bare_number, parse_qua
 from thorvaldc.compiler.values.plausible_numbers import probable_unit
 from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.diagnostics.plain_numbers import plain
-from thorvaldc.model.spatial import Pose, Vec3
+from thorvaldc.model import Pose, Vec3
 
 # Least and greatest absolute value of every physical quantity in SI units, except 0.  Squares and
 # products of two quantities within the bounds do not overflow.

@@ -43,8 +43,8 @@ from dataclasses import dataclass, replace
 
 from thorvaldc.can.canopen import NmtCommand, NmtState
 from thorvaldc.can.error_state import ErrorState
+from thorvaldc.model import Robot
 from thorvaldc.model.required_objects import start_reading_time
-from thorvaldc.model.robot import Robot
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.even_stop import hold_time

@@ -17,8 +17,8 @@ from thorvaldc.can.canopen import (
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.interface import CanInterface
+from thorvaldc.model import Robot
 from thorvaldc.model.bus import Bus, FrameDefinition, Node
-from thorvaldc.model.robot import Robot
 from thorvaldc.runtime.can_base.battery_and_io_drivers import (
     BatteryDriver,
     IoBoardDriver,

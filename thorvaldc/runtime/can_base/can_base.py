@@ -41,9 +41,9 @@ from thorvaldc.can.canopen import NmtCommand
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.interface import CanInterface
 from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model import Robot
 from thorvaldc.model.drive_settings import AT_START
 from thorvaldc.model.require_bus import require_bus
-from thorvaldc.model.robot import Robot
 from thorvaldc.model.stopping import REPORT_TIMEOUT
 from thorvaldc.runtime.base_interface import (
     BaseHandle,

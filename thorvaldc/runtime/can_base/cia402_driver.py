@@ -17,8 +17,8 @@ from thorvaldc.can.cia402 import (
     Mode,
 )
 from thorvaldc.can.frame import CanFrame
+from thorvaldc.model import Robot
 from thorvaldc.model.bus import Bus, Node
-from thorvaldc.model.robot import Robot
 from thorvaldc.runtime.can_base.motor_controller import Axis, Intent, MotorController
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 

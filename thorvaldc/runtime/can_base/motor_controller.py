@@ -10,10 +10,10 @@ from typing import NamedTuple, TypeVar
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.model import Actuator, Robot
 from thorvaldc.model.bus import Bus, Node, ObjectValue
 from thorvaldc.model.plugins import PluginFailure, PluginTable
 from thorvaldc.model.required_objects import required_objects
-from thorvaldc.model.robot import Actuator, Robot
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
 T = TypeVar("T")

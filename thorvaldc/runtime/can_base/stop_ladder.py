@@ -40,7 +40,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from thorvaldc.can.canopen import NmtCommand
-from thorvaldc.model.robot import Robot
+from thorvaldc.model import Robot
 from thorvaldc.model.statics.unpowered import holds_without_torque
 from thorvaldc.model.stopping import (
     DETECTED_FAULT,

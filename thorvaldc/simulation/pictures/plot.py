@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from thorvaldc.diagnostics.atomic_file import write_file
-from thorvaldc.model import Robot
-from thorvaldc.model.fleet import World
+from thorvaldc.model import Robot, World
 from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.runtime.se2 import Pose2
 from thorvaldc.simulation.control_loop import Sample

@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from thorvaldc.model import Box, Cylinder, MeshShape, Robot, Sphere
-from thorvaldc.model.robot import Shape
-from thorvaldc.model.spatial import Pose, Vec3
+from thorvaldc.model import Box, Cylinder, MeshShape, Pose, Robot, Shape, Sphere, Vec3
 
 Points = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]

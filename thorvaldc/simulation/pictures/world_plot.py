@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from thorvaldc.model import Robot
-from thorvaldc.model.fleet import World, Zone
+from thorvaldc.model import Robot, World, Zone
 
 BODY, ZONE = "#8c6d46", "#c6dbef"
 _FLAT = math.radians(0.1)

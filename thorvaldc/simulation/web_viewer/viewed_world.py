@@ -13,8 +13,7 @@ import numpy as np
 from thorvaldc.backends.colors_and_meshes import BLOCK_COLORS, Color
 from thorvaldc.backends.mjcf_terrain import heights, relief
 from thorvaldc.backends.mjcf_world import zone_color
-from thorvaldc.model import Box, Ground, Pose, World, Zone
-from thorvaldc.model.robot import Shape
+from thorvaldc.model import Box, Ground, Pose, Shape, World, Zone
 from thorvaldc.model.spatial import quat_from_axis_angle
 from thorvaldc.simulation.pictures.world_plot import zone_text
 from thorvaldc.simulation.web_viewer.viewed_robot import base64_of, pose_values

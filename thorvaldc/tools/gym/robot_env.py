@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model import Robot
-from thorvaldc.model.fleet import Fleet
+from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.scenario import Scenario
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.run_time_parameters import Parameters

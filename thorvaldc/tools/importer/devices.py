@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from thorvaldc.compiler.source.units import parse_quantity
 from thorvaldc.diagnostics import Label
-from thorvaldc.model.spatial import Pose
+from thorvaldc.model import Pose
 from thorvaldc.tools.importer.drives import NODE_IDS, Drive
 from thorvaldc.tools.importer.original_mapping import OriginalMapping
 from thorvaldc.tools.importer.robot_text import ROOT_MODULE, Module, Names, Value, angle

@@ -17,8 +17,7 @@ from typing import Any
 
 from lsprotocol import types
 
-from thorvaldc.diagnostics import Diagnostic, Severity, Span
-from thorvaldc.diagnostics.report import Fix
+from thorvaldc.diagnostics import Diagnostic, Fix, Severity, Span
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.tools.language_server.analysis import Analysis, analyse
 from thorvaldc.tools.language_server.open_document import OpenDocument, texts_of, uri_of

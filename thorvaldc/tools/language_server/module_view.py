@@ -18,7 +18,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.model.spatial import Pose
+from thorvaldc.model import Pose
 from thorvaldc.schema.documents import Kind
 from thorvaldc.tools.language_server.analysis import module_library
 from thorvaldc.tools.language_server.cursor import Path as KeyPath
