@@ -209,7 +209,7 @@ def explain(entry: str, robot: Robot, path: str, report: Report) -> None:
 
 
 def run_on_a_bus(robot: Robot, report: Report) -> None:
-    from thorvaldc.compiler.bus.injected_fault_file import read_faults
+    from thorvaldc.compiler.bus.injected_faults import read_faults
     from thorvaldc.diagnostics.error import DiagnosticError
     from thorvaldc.simulation.bus.fault_injection import FaultInjector
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
@@ -228,7 +228,7 @@ def run_on_a_bus(robot: Robot, report: Report) -> None:
 
 def drive_by_its_buses(robot: Robot, devices: str | None, report: Report) -> None:
     """Runs the base driver for a second on simulated devices of ``robot`` or of ``devices``."""
-    from thorvaldc.compiler.bus.injected_fault_file import read_faults
+    from thorvaldc.compiler.bus.injected_faults import read_faults
     from thorvaldc.compiler.pipeline import compile_file
     from thorvaldc.diagnostics.error import DiagnosticError
     from thorvaldc.runtime.run_session import RunSession

@@ -10,7 +10,7 @@ from pathlib import Path
 import typer
 
 from thorvaldc.cli.diagnostic_output import message, show_report
-from thorvaldc.compiler.bus.injected_fault_file import read_faults
+from thorvaldc.compiler.bus.injected_faults import read_faults
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot

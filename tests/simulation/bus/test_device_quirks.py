@@ -14,7 +14,7 @@ from tests.simulation.bus.robots import cia402_robot
 from tests.simulation.bus.test_canopen_device import Bench
 from thorvaldc.can.canopen import NMT
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.compiler.bus.injected_fault_file import read_faults
+from thorvaldc.compiler.bus.injected_faults import read_faults
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.bus_quirks import Quirk
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot

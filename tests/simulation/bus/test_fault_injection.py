@@ -14,7 +14,7 @@ from tests.simulation.bus.master import Master
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.compiler.bus.injected_fault_file import read_faults
+from thorvaldc.compiler.bus.injected_faults import read_faults
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import FAULT_KINDS, BusFault, BusFaults

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.completed_values import target_names
 from thorvaldc.cli.exits import OutsideError
-from thorvaldc.cli.options import Format, Library, ModelFiles, Trust, library_folders
 
 if TYPE_CHECKING:
     from thorvaldc.compiler.result.compilation import Compilation
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def build(
-    files: ModelFiles,
+    files: options.ModelFiles,
     target: Annotated[
         str | None,
         typer.Option(
@@ -44,9 +44,9 @@ def build(
             help="Folder to write; for several FILEs, the parent of a folder for each.",
         ),
     ] = "",
-    format: Format = "text",
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    format: options.Format = "text",
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
     check: Annotated[
         bool,
         typer.Option(
@@ -63,7 +63,7 @@ def build(
 
     check_format(format)
     targets = _parse_targets(target)
-    folders = library_folders(library)
+    folders = options.library_folders(library)
     files = without_lock_files(files)
     shown = DiagnosticOutput(format, sys.stderr)
     builds: list[dict[str, Any]] = []

@@ -11,19 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT
-from thorvaldc.cli.options import (
-    InjectedFaults,
-    Json,
-    Library,
-    Physics,
-    RobotFile,
-    Seed,
-    Store,
-    Trust,
-    check_physics,
-    parse_seed,
-)
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
@@ -35,7 +24,7 @@ REPORTED_DELAY = 50_000_000
 
 
 def bus(
-    file: RobotFile,
+    file: options.RobotFile,
     channel: Annotated[
         str,
         typer.Option(
@@ -45,10 +34,10 @@ def bus(
             show_default="the robot's name",
         ),
     ] = "",
-    physics: Physics = "ideal",
-    faults: InjectedFaults = "",
-    seed: Seed = "",
-    store: Store = "",
+    physics: options.Physics = "ideal",
+    faults: options.InjectedFaults = "",
+    seed: options.Seed = "",
+    store: options.Store = "",
     delivered: Annotated[
         bool,
         typer.Option(
@@ -61,21 +50,21 @@ def bus(
             "--lockstep", help="Advance time only while all programs in lockstep wait for it."
         ),
     ] = False,
-    json: Json = False,
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.diagnostic_output import report_of, show_report
     from thorvaldc.cli.robot_file import load_robot
     from thorvaldc.cli.virtual_robot import make_mujoco_base, read_store
-    from thorvaldc.compiler.bus.injected_fault_file import read_faults
+    from thorvaldc.compiler.bus.injected_faults import read_faults
     from thorvaldc.diagnostics import Report
     from thorvaldc.diagnostics.error import DiagnosticError
     from thorvaldc.simulation.bus.fault_injection import FaultInjector
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
-    check_physics(physics)
-    number = parse_seed(seed)
+    options.check_physics(physics)
+    number = options.parse_seed(seed)
     loaded = load_robot(file, library, trust)
     if loaded is None:
         return INPUT

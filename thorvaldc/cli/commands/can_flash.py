@@ -9,16 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
-from thorvaldc.cli.options import (
-    BusInterface,
-    Json,
-    Library,
-    RobotFile,
-    Store,
-    Trust,
-    refuse_options,
-)
 
 if TYPE_CHECKING:
     from thorvaldc.cli.bus_access import BusAccess
@@ -27,8 +19,8 @@ if TYPE_CHECKING:
 
 
 def flash(
-    file: RobotFile,
-    bus: BusInterface,
+    file: options.RobotFile,
+    bus: options.BusInterface,
     apply: Annotated[
         bool, typer.Option("--apply", help="Write; the default is a dry run.")
     ] = False,
@@ -52,10 +44,10 @@ def flash(
             show_default="<robot>.flash.jsonl",
         ),
     ] = "",
-    store: Store = "",
-    json: Json = False,
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    store: options.Store = "",
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.bus_access import with_bus
 
@@ -69,7 +61,7 @@ def flash(
         )
 
     if not apply:
-        refuse_options({"--plan": plan}, "needs --apply")
+        options.refuse_options({"--plan": plan}, "needs --apply")
 
     def work(access: BusAccess) -> int:
         if not selected:

@@ -7,23 +7,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT
-from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store, Trust
 
 if TYPE_CHECKING:
     from thorvaldc.cli.bus_access import BusAccess
 
 
 def scan(
-    file: RobotFile,
-    bus: BusInterface,
+    file: options.RobotFile,
+    bus: options.BusInterface,
     active: Annotated[
         bool, typer.Option("--active", help="Listen, then send a request to every node.")
     ] = False,
-    store: Store = "",
-    json: Json = False,
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    store: options.Store = "",
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.bus_access import with_bus
     from thorvaldc.cli.diagnostic_output import message, print_json, table_width

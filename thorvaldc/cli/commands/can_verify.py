@@ -5,20 +5,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT
-from thorvaldc.cli.options import BusInterface, Json, Library, RobotFile, Store, Trust
 
 if TYPE_CHECKING:
     from thorvaldc.cli.bus_access import BusAccess
 
 
 def verify(
-    file: RobotFile,
-    bus: BusInterface,
-    store: Store = "",
-    json: Json = False,
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    file: options.RobotFile,
+    bus: options.BusInterface,
+    store: options.Store = "",
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.bus_access import with_bus
     from thorvaldc.cli.diagnostic_output import count, message, print_json, table_width

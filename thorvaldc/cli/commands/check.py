@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thorvaldc.cli.options import Library, Strict, Trust, library_folders
+from thorvaldc.cli import options
 
 if TYPE_CHECKING:
     from thorvaldc.diagnostics import Accepted
@@ -31,9 +31,9 @@ def check(
             help="Output format of the diagnostics; badge: the JSON of a shields.io endpoint.",
         ),
     ] = "text",
-    strict: Strict = False,
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    strict: options.Strict = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Show accepted warnings with their reasons.")
     ] = False,
@@ -47,7 +47,7 @@ def check(
 
     if format != "badge":
         check_format(format)
-    folders = library_folders(library)
+    folders = options.library_folders(library)
     output = DiagnosticOutput(format, sys.stdout)
     with ExitStack() as inputs:
         text = inputs.enter_context(standard_input()) if NAME in files else None

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from thorvaldc.cli.options import Format, Strict, library_folders
+from thorvaldc.cli import options
 
 
 def check_modules(
@@ -17,15 +17,15 @@ def check_modules(
         list[str],
         typer.Argument(metavar="[DIR]...", help="Library folders.", show_default="the project's"),
     ] = [],  # noqa: B006
-    format: Format = "text",
-    strict: Strict = False,
+    format: options.Format = "text",
+    strict: options.Strict = False,
 ) -> int:
     from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
     from thorvaldc.compiler.catalogue.library_check import check_library
 
     check_format(format)
     output = DiagnosticOutput(format, sys.stdout)
-    paths: list[Path | None] = [*library_folders(folders, "DIR")]
+    paths: list[Path | None] = [*options.library_folders(folders, "DIR")]
     for folder in paths or [None]:
         result = check_library(folder)
         output.add(result.report, result.sources)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from thorvaldc.cli.options import Json, Library, library_folders
+from thorvaldc.cli import options
 
 
-def list_modules(json: Json = False, library: Library = []) -> int:  # noqa: B006
+def list_modules(json: options.Json = False, library: options.Library = []) -> int:  # noqa: B006
     from thorvaldc.cli.diagnostic_output import print_json, print_table, show_report
     from thorvaldc.compiler.catalogue.module_text import first_sentence, module_summary
     from thorvaldc.compiler.modules.library import Library as ModuleLibrary
     from thorvaldc.compiler.source.node import Node
     from thorvaldc.diagnostics import Report, Span
 
-    folders = library_folders(library)
+    folders = options.library_folders(library)
     module_library = ModuleLibrary([(folder, str(folder)) for folder in folders])
     report = Report()
     loaded = [

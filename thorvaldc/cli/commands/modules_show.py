@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.completed_values import module_types
-from thorvaldc.cli.options import Json, Library, library_folders
 
 
 def show_module(
@@ -17,8 +17,8 @@ def show_module(
             metavar="TYPE", autocompletion=module_types, help="For instance drive/standard."
         ),
     ],
-    json: Json = False,
-    library: Library = [],  # noqa: B006
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
 ) -> int:
     from thorvaldc.cli.diagnostic_output import print_json, print_table, show_report
     from thorvaldc.compiler.catalogue.module_description import describe_module
@@ -34,7 +34,7 @@ def show_module(
     from thorvaldc.diagnostics import Report, Span
     from thorvaldc.diagnostics.suggest import nearest
 
-    folders = library_folders(library)
+    folders = options.library_folders(library)
     module_library = ModuleLibrary([(folder, str(folder)) for folder in folders])
     names = module_library.names()
     if type not in names:

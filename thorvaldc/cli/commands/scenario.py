@@ -7,28 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import INPUT
-from thorvaldc.cli.options import (
-    JointLog,
-    Json,
-    JUnit,
-    Library,
-    Parameters,
-    Plot,
-    Record,
-    ScenarioFile,
-    ScenarioRobot,
-    Trust,
-    Video,
-)
 
 if TYPE_CHECKING:
     from thorvaldc.compiler.scenario.variations import Change
 
 
 def scenario(
-    file: ScenarioFile,
-    robot: ScenarioRobot = "",
+    file: options.ScenarioFile,
+    robot: options.ScenarioRobot = "",
     settings: Annotated[
         list[str],
         typer.Option(
@@ -38,15 +26,15 @@ def scenario(
             show_default=False,
         ),
     ] = [],  # noqa: B006
-    parameters: Parameters = "",
-    junit: JUnit = "",
-    record: Record = "",
-    log: JointLog = "",
-    plot: Plot = "",
-    video: Video = "",
-    json: Json = False,
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    parameters: options.Parameters = "",
+    junit: options.JUnit = "",
+    record: options.Record = "",
+    log: options.JointLog = "",
+    plot: options.Plot = "",
+    video: options.Video = "",
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.compiling import compile_and_show
     from thorvaldc.cli.run_pictures import RunPictures

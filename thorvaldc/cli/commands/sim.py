@@ -7,21 +7,8 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import INPUT
-from thorvaldc.cli.options import (
-    Duration,
-    JointLog,
-    Json,
-    Library,
-    Parameters,
-    Plot,
-    Record,
-    Trust,
-    Video,
-    parse_duration,
-    parsed,
-    refuse_options,
-)
 
 
 def sim(
@@ -37,8 +24,8 @@ def sim(
             " robot can do.",
         ),
     ] = "",
-    duration: Duration = "",
-    parameters: Parameters = "",
+    duration: options.Duration = "",
+    parameters: options.Parameters = "",
     ideal: Annotated[
         bool, typer.Option("--ideal", help="Simulate ideal joints instead of physics.")
     ] = False,
@@ -46,13 +33,13 @@ def sim(
         bool,
         typer.Option("--open-loop", help="Drive without speed control, for a log to calibrate."),
     ] = False,
-    record: Record = "",
-    log: JointLog = "",
-    plot: Plot = "",
-    video: Video = "",
-    json: Json = False,
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    record: options.Record = "",
+    log: options.JointLog = "",
+    plot: options.Plot = "",
+    video: options.Video = "",
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.compiling import compile_and_show
     from thorvaldc.cli.drive_runs import run_drive
@@ -60,15 +47,15 @@ def sim(
     from thorvaldc.cli.scenario_runs import run_scenario
     from thorvaldc.runtime.twist_text import parse_twist
 
-    seconds = parse_duration(duration, "--duration") if duration else 0.0
-    commanded_twist = parsed(twist, parse_twist, "--twist") if twist else None
+    seconds = options.parse_duration(duration, "--duration") if duration else 0.0
+    commanded_twist = options.parsed(twist, parse_twist, "--twist") if twist else None
     pictures = RunPictures(plot, video, ideal=ideal)
     compilation = compile_and_show(file, library, trust=trust)
     if compilation.model is None:
         return INPUT
     if compilation.scenario is not None:
         drive_options = {"--duration": duration, "--twist": twist, "--ideal": ideal}
-        refuse_options(drive_options, "the scenario defines this")
+        options.refuse_options(drive_options, "the scenario defines this")
         scenario_model = compilation.scenario
         return run_scenario(
             compilation,

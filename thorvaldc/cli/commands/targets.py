@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE
-from thorvaldc.cli.options import Json
 
 
-def targets(json: Json = False) -> int:
+def targets(json: options.Json = False) -> int:
     from thorvaldc import backends
     from thorvaldc.cli.diagnostic_output import print_json, print_table
 

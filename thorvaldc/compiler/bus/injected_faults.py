@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 from thorvaldc.compiler.modules.library import Library
 from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.reader import read_file
+from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.compiler.values.document_section import Section, read_document
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.suggest import did_you_mean
@@ -187,3 +190,20 @@ class _Reader:
             )
             return False
         return True
+
+
+def read_faults(path: Path | str, robot: Robot, report: Report) -> BusFaults | None:
+    """Reads the injected faults from a file.
+
+    Returns ``None`` and reports the errors if the file is not valid.
+    """
+    shape, content = Report(), Report()
+    document = read_file(Path(path), str(path), shape)
+    if document is None:
+        report.extend(shape)
+        return None
+    check(document, "bus_faults", shape)
+    script = read_bus_faults(without_invalid_values(document, shape), robot, content)
+    report.extend(shape)
+    report.extend(content.excluding_spans_of(shape))
+    return None if shape.has_errors or content.has_errors else script

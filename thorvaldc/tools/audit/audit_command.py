@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from thorvaldc.cli.options import Format, Strict, Trust
+from thorvaldc.cli import options
 
 
 def audit(
@@ -15,9 +15,9 @@ def audit(
         list[str],
         typer.Argument(metavar="DIR|FILE", help="Folders or files of a robot, of any origin."),
     ],
-    format: Format = "text",
-    strict: Strict = False,
-    trust: Trust = False,
+    format: options.Format = "text",
+    strict: options.Strict = False,
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
     from thorvaldc.tools.audit.audit_run import audit as audit_files

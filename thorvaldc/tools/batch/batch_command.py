@@ -2,34 +2,22 @@
 
 from __future__ import annotations
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import INPUT
-from thorvaldc.cli.options import (
-    BatchOutput,
-    Draws,
-    DrawSeed,
-    Jobs,
-    Json,
-    Library,
-    ScenarioFile,
-    ScenarioRobot,
-    Settings,
-    Trust,
-    Variations,
-)
 
 
 def batch(
-    file: ScenarioFile,
-    robot: ScenarioRobot = "",
-    settings: Settings = [],  # noqa: B006
-    variations: Variations = False,
-    draws: Draws = "",
-    seed: DrawSeed = "",
-    jobs: Jobs = "",
-    output: BatchOutput = "",
-    json: Json = False,
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    file: options.ScenarioFile,
+    robot: options.ScenarioRobot = "",
+    settings: options.Settings = [],  # noqa: B006
+    variations: options.Variations = False,
+    draws: options.Draws = "",
+    seed: options.DrawSeed = "",
+    jobs: options.Jobs = "",
+    output: options.BatchOutput = "",
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.scenario_runs import plan_runs
     from thorvaldc.tools.batch.batch_run import run_batch

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
-from thorvaldc.cli.options import Json, Library, Parameters, Trust
 
 
 def calibrate(
@@ -31,10 +31,10 @@ def calibrate(
             " Determines the common scale of the radii.",
         ),
     ] = "",
-    parameters: Parameters = "",
-    json: Json = False,
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    parameters: options.Parameters = "",
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.compiling import compile_and_show
     from thorvaldc.cli.diagnostic_output import (

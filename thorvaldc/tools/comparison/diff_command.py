@@ -9,8 +9,8 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT
-from thorvaldc.cli.options import ANY_MODEL, Json, Library, ResultFormat, Trust, library_folders
 
 
 def diff(
@@ -18,12 +18,12 @@ def diff(
         str,
         typer.Argument(
             metavar="A",
-            help=ANY_MODEL,
+            help=options.ANY_MODEL,
         ),
     ],
     after: Annotated[str, typer.Argument(metavar="B", help="The robot to compare with A.")],
-    format: ResultFormat = "text",
-    json: Json = False,
+    format: options.ResultFormat = "text",
+    json: options.Json = False,
     everything: Annotated[
         bool, typer.Option("--all", help="List derived values as well, such as poses and shapes.")
     ] = False,
@@ -34,8 +34,8 @@ def diff(
     exit_code: Annotated[
         bool, typer.Option("--exit-code", help="End with the exit status 1 if A and B differ.")
     ] = False,
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.diagnostic_output import (
         RESULT_FORMATS,
@@ -61,7 +61,7 @@ def diff(
     check_format(format, RESULT_FORMATS)
     if html:
         check_output(html, ["html", "htm"], "--html")
-    folders = library_folders(library)
+    folders = options.library_folders(library)
     inputs = []
     models = []
     with ExitStack() as temporary:

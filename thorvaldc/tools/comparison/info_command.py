@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import INPUT
-from thorvaldc.cli.options import ANY_MODEL, Json, Library, ResultFormat, Trust, library_folders
 
 
 def info(
@@ -17,16 +17,16 @@ def info(
         str,
         typer.Argument(
             metavar="ROBOT",
-            help=ANY_MODEL,
+            help=options.ANY_MODEL,
         ),
     ],
-    format: ResultFormat = "text",
-    json: Json = False,
+    format: options.ResultFormat = "text",
+    json: options.Json = False,
     everything: Annotated[
         bool, typer.Option("--all", help="List every module with the source of its mass.")
     ] = False,
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.diagnostic_output import (
         RESULT_FORMATS,
@@ -42,7 +42,7 @@ def info(
 
     check_format(format, RESULT_FORMATS)
     with ExitStack() as temporary:
-        loaded = read_input(file, temporary, library_folders(library), trust=trust)
+        loaded = read_input(file, temporary, options.library_folders(library), trust=trust)
         status = show_report(loaded.report, loaded.sources)
     model = loaded.model
     if model is None:

@@ -7,32 +7,22 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT
-from thorvaldc.cli.options import (
-    Jobs,
-    Json,
-    Library,
-    Parameters,
-    RobotFile,
-    Seed,
-    Trust,
-    parse_count,
-    parse_seed,
-)
 
 
 def faults(
-    file: RobotFile,
-    parameters: Parameters = "",
+    file: options.RobotFile,
+    parameters: options.Parameters = "",
     only: Annotated[
         str,
         typer.Option("--only", metavar="TEXT", help="Only faults whose name contains this text."),
     ] = "",
-    seed: Seed = "",
-    jobs: Jobs = "",
-    json: Json = False,
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    seed: options.Seed = "",
+    jobs: options.Jobs = "",
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.diagnostic_output import message, print_json, report_of, table_width
     from thorvaldc.cli.progress import Progress
@@ -43,8 +33,8 @@ def faults(
     from thorvaldc.tools.fault_matrix.fault_table import markdown, matrix_json
     from thorvaldc.tools.fault_matrix.rehearsal import RehearsalError
 
-    processes = parse_count(jobs, "--jobs", 1) or processors()
-    number = parse_seed(seed) or 0
+    processes = options.parse_count(jobs, "--jobs", 1) or processors()
+    number = options.parse_seed(seed) or 0
     loaded = load_robot(file, library, trust)
     if loaded is None:
         return INPUT

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import OutsideError
-from thorvaldc.cli.options import Format
 
 
 def import_original(
@@ -23,7 +23,7 @@ def import_original(
         str,
         typer.Option("--output", "-o", metavar="OUT", help="File to write.", show_default="stdout"),
     ] = "",
-    format: Format = "text",
+    format: options.Format = "text",
 ) -> int:
     from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format
     from thorvaldc.tools.importer.original_import import import_original as convert

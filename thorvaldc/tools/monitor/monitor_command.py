@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.completed_values import bus_interfaces
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
-from thorvaldc.cli.options import Library, RobotFile, Trust, parse_duration
 
 if TYPE_CHECKING:
     from thorvaldc.can.interface import CanInterface
@@ -27,7 +27,7 @@ SHORTEST = 0.05
 
 
 def monitor(
-    file: RobotFile,
+    file: options.RobotFile,
     bus: Annotated[
         str,
         typer.Option(
@@ -53,8 +53,8 @@ def monitor(
     json: Annotated[
         bool, typer.Option("--json", help="Print a line of JSON for each interval.")
     ] = False,
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.diagnostic_output import report_of
     from thorvaldc.cli.robot_file import load_robot
@@ -64,10 +64,10 @@ def monitor(
     from thorvaldc.tools.monitor.live_view import watch_live, watch_stream
 
     live = sys.stdout.isatty() and not json
-    seconds = parse_duration(duration, "--duration", SHORTEST) if duration else math.inf
+    seconds = options.parse_duration(duration, "--duration", SHORTEST) if duration else math.inf
     period = LIVE_INTERVAL if live else INTERVAL
     if interval:
-        period = parse_duration(interval, "--interval", SHORTEST)
+        period = options.parse_duration(interval, "--interval", SHORTEST)
     loaded = load_robot(file, library, trust)
     if loaded is None:
         return INPUT

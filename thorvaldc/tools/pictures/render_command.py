@@ -7,20 +7,13 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.completed_values import view_names
 from thorvaldc.cli.exits import INPUT
-from thorvaldc.cli.options import (
-    Library,
-    ModelFile,
-    Trust,
-    parse_record_time,
-    parsed,
-    refuse_options,
-)
 
 
 def render(
-    file: ModelFile,
+    file: options.ModelFile,
     output: Annotated[
         str,
         typer.Option(
@@ -49,8 +42,8 @@ def render(
             "--at", metavar="TIME", help="Time in the record: 5, or '5 s'.", show_default="its end"
         ),
     ] = "",
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.compiling import compile_and_show
     from thorvaldc.cli.diagnostic_output import show_report
@@ -68,11 +61,11 @@ def render(
     with picture_errors():  # before MuJoCo is imported
         check_pillow()
         choose_opengl_backend()
-    pixels = parsed(size, parse_size, "--size")
-    camera = parsed(view, parse_view, "--view")
+    pixels = options.parsed(size, parse_size, "--size")
+    camera = options.parsed(view, parse_view, "--view")
     if not replay:
-        refuse_options({"--at": at}, "this is a time of --replay")
-    time = parsed(at, parse_record_time, "--at")
+        options.refuse_options({"--at": at}, "this is a time of --replay")
+    time = options.parsed(at, options.parse_record_time, "--at")
     if output:
         check_output(output, ["png"], "--output")
     compilation = compile_and_show(file, library, trust=trust)

@@ -9,8 +9,8 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import INPUT
-from thorvaldc.cli.options import Json, Library, Plot, ScenarioRobot, Trust, Video
 
 
 def replay(
@@ -20,16 +20,16 @@ def replay(
     source: Annotated[
         str, typer.Argument(metavar="RECORD", help="A record of `sim --record` or `scenario`.")
     ],
-    robot: ScenarioRobot = "",
+    robot: options.ScenarioRobot = "",
     record: Annotated[
         str,
         typer.Option("--record", metavar="OUT", help="Convert the record: OUT.mcap, or CSV files."),
     ] = "",
-    plot: Plot = "",
-    video: Video = "",
-    json: Json = False,
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    plot: options.Plot = "",
+    video: options.Video = "",
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.compiling import compile_and_show
     from thorvaldc.cli.run_pictures import RunPictures

@@ -9,12 +9,12 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
-from thorvaldc.cli.options import Library, ModelFile, Trust
 
 
 def view(
-    file: ModelFile,
+    file: options.ModelFile,
     html: Annotated[
         bool, typer.Option("--html", help="Write a web page even if there is a display.")
     ] = False,
@@ -24,8 +24,8 @@ def view(
             "--output", "-o", metavar="OUT.html", help="Page to write.", show_default="<name>.html"
         ),
     ] = "",
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.compiling import compile_and_show
     from thorvaldc.cli.diagnostic_output import show_report

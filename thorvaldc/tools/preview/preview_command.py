@@ -10,14 +10,14 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, OutsideError
-from thorvaldc.cli.options import Library, ModelFile, Trust, library_folders
 
 MAX_PORT = 65535
 
 
 def preview(
-    file: ModelFile,
+    file: options.ModelFile,
     port: Annotated[
         str,
         typer.Option("--port", metavar="PORT", help="TCP port of the page.", show_default="free"),
@@ -25,8 +25,8 @@ def preview(
     no_browser: Annotated[
         bool, typer.Option("--no-browser", help="Print the address and open no browser.")
     ] = False,
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.diagnostic_output import show_report
     from thorvaldc.compiler.source.reader import read_file
@@ -52,7 +52,7 @@ def preview(
             " pip install 'thorvaldc[preview]'"
         ) from None
     gc.enable()
-    server = PreviewServer(CompiledRobot(Path(file), library_folders(library), trust))
+    server = PreviewServer(CompiledRobot(Path(file), options.library_folders(library), trust))
 
     def started() -> None:
         print(server.url, flush=True)

@@ -10,9 +10,9 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.completed_values import completer
 from thorvaldc.cli.exits import DONE, INPUT
-from thorvaldc.cli.options import Json, Library, Trust, library_folders
 
 
 @completer
@@ -43,10 +43,10 @@ def why(
             " file, FILE:NAME or FILE:LINE.",
         ),
     ],
-    json: Json = False,
+    json: options.Json = False,
     everything: Annotated[bool, typer.Option("--all", help="Write long lists in full.")] = False,
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.compiling import compile_and_show
     from thorvaldc.cli.diagnostic_output import print_json, report_of, show_report
@@ -69,7 +69,9 @@ def why(
             f"{file} is a fleet: give the file of one of its robots", param_hint="'ROBOT'"
         )
     with ExitStack() as stack:
-        explainer = Explainer(Path(file), compilation.model, library_folders(library), trust, stack)
+        explainer = Explainer(
+            Path(file), compilation.model, options.library_folders(library), trust, stack
+        )
         progress = Progress(MOST_COMPILATIONS, "compilations", "searching")
         explainer.probe.on_compilation = progress.show
         try:

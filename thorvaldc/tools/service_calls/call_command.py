@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.completed_values import driver_names, service_names
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
-from thorvaldc.cli.options import Json
 
 if TYPE_CHECKING:
     from thorvaldc.runtime.control.control_client import ControlClient
@@ -38,7 +38,7 @@ def call(
     arguments: Annotated[
         list[str], typer.Argument(metavar="ARGUMENT=VALUE", help="Values as JSON, or text.")
     ] = [],  # noqa: B006
-    json: Json = False,
+    json: options.Json = False,
 ) -> int:
     from thorvaldc.cli.diagnostic_output import message, print_json
     from thorvaldc.runtime.control.control_client import ControlClient

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
-from thorvaldc.cli.options import Library, StudyFile, StudyResults, Trust
 
 if TYPE_CHECKING:
     from thorvaldc.tools.study.study_definition import Objective
 
 
 def write_best(
-    study: StudyFile,
+    study: options.StudyFile,
     output: Annotated[
         str, typer.Option("--output", "-o", metavar="FILE", help="The robot file to write.")
     ],
@@ -23,9 +23,9 @@ def write_best(
         str,
         typer.Option("--by", metavar="OBJECTIVE", help="The objective, if the study has several."),
     ] = "",
-    results: StudyResults = "",
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    results: options.StudyResults = "",
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.diagnostic_output import message, show_report
     from thorvaldc.tools.study.study_journal import read_results

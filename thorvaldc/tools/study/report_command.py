@@ -7,14 +7,14 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
-from thorvaldc.cli.options import Library, StudyFile, StudyResults, Trust
 
 REPORT = "report.html"
 
 
 def write_report(
-    study: StudyFile,
+    study: options.StudyFile,
     output: Annotated[
         str,
         typer.Option(
@@ -25,9 +25,9 @@ def write_report(
             show_default=f"{REPORT} in the folder of the results",
         ),
     ] = "",
-    results: StudyResults = "",
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    results: options.StudyResults = "",
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.diagnostic_output import message
     from thorvaldc.cli.progress import Progress

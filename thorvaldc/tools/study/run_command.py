@@ -7,21 +7,21 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
-from thorvaldc.cli.options import Jobs, Json, Library, StudyFile, Trust, parse_count
 
 
 def run_study(
-    study: StudyFile,
+    study: options.StudyFile,
     output: Annotated[
         str,
         typer.Option(
             "--output", "-o", metavar="DIR", help="Folder of the results (default: study/NAME)."
         ),
     ] = "",
-    jobs: Jobs = "",
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    jobs: options.Jobs = "",
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
     scheduler: Annotated[
         str,
         typer.Option(
@@ -30,7 +30,7 @@ def run_study(
             help="Evaluate on the workers of this Dask scheduler: tcp://HOST:PORT.",
         ),
     ] = "",
-    json: Json = False,
+    json: options.Json = False,
 ) -> int:
     from thorvaldc.cli.diagnostic_output import count, message, print_json, table_width
     from thorvaldc.simulation.worker_processes import processors
@@ -46,7 +46,7 @@ def run_study(
     from thorvaldc.tools.study.study_table import TABLE, StudyTable, load_duckdb
     from thorvaldc.tools.study.study_text import summary, summary_text
 
-    process_count = parse_count(jobs, "--jobs", 1) or processors()
+    process_count = options.parse_count(jobs, "--jobs", 1) or processors()
     address = parse_scheduler(scheduler)
     gc.enable()
     try:

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, OutsideError
-from thorvaldc.cli.options import Json, StudyResults
 
 
 def show_study(
@@ -19,8 +19,8 @@ def show_study(
         str,
         typer.Option("--sql", metavar="QUERY", help="Ask the table `designs` in SQL (DuckDB)."),
     ] = "",
-    results: StudyResults = "",
-    json: Json = False,
+    results: options.StudyResults = "",
+    json: options.Json = False,
 ) -> int:
     from thorvaldc.cli.diagnostic_output import print_json, table_width
     from thorvaldc.compiler.source.reader import read_file

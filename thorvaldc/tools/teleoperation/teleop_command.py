@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from thorvaldc.cli import options
 from thorvaldc.cli.completed_values import base_names, driver_names
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.installation import check_full_installation
-from thorvaldc.cli.options import Library, Trust, library_folders
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
@@ -75,8 +75,8 @@ def teleop(
             "--map", metavar="ENTRIES", help="Axes and buttons of the joystick: enable=BTN_TL,..."
         ),
     ] = "",
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.runtime.end_signals import end_signals
     from thorvaldc.tools.teleoperation.console import drive_from_console
@@ -88,7 +88,7 @@ def teleop(
             f"{on!r} is none of sim, ideal, virtual, sim:NAME, slcan:PORT, socketcan:can0, udp",
             param_hint="'--on'",
         )
-    library_folders(library)
+    options.library_folders(library)
     share = _parse_share(speed)
     if map and not joystick:
         raise typer.BadParameter("is for a --joystick", param_hint="'--map'")
