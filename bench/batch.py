@@ -1,4 +1,4 @@
-"""Many runs: one result whatever runs it, and how fast processes and rollouts are."""
+"""Many runs: one result whatever runs it, and how fast processes are."""
 
 from __future__ import annotations
 
@@ -10,15 +10,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import numpy as np
-
 from bench.figure import EXAMPLE, ROOT, Figure, python
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.compiler.scenario.planned_variations import plan_variations
 from thorvaldc.diagnostics import Report
-from thorvaldc.model import Robot
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
-from thorvaldc.simulation.vectorised.rollouts import Rollouts
 from thorvaldc.simulation.worker_processes import processors
 from thorvaldc.tools.batch.scenario_batch import Batch
 
@@ -39,7 +35,6 @@ def figures() -> Iterator[Figure]:
         path = Path(folder, "many.yaml")
         path.write_text(MANY, encoding="utf-8")
         yield from _processes(path)
-    yield from _rollouts()
 
 
 def _repeats() -> Figure:
@@ -105,35 +100,4 @@ def _processes(path: Path) -> Iterator[Figure]:
         "lower",
         f"of those {RUNS} runs over {processors()} processes, over that in one, which took"
         f" {work[0]:.3g} s: what it costs to begin them",
-    )
-
-
-def _rollouts() -> Iterator[Figure]:
-    robot = compile_file(EXAMPLE).model
-    if not isinstance(robot, Robot):
-        raise SystemExit(f"{EXAMPLE} does not compile")
-    files = emit(robot, ["mjcf"])
-    chance = np.random.default_rng(1)
-    ticks, period = 50, 0.1
-    speeds = chance.normal(0.0, 2.0, (64, 1, len(robot.wheels))) * np.ones((1, ticks, 1))
-    rates = []
-    for threads in dict.fromkeys((1, processors())):
-        rollouts = Rollouts(robot, files, threads)
-        steps = len(speeds) * ticks * round(period / rollouts.scene.timestep)
-        rollouts.run(speeds[:2], period=period)
-        taken = []
-        for _ in range(3):
-            started = time.perf_counter()
-            rollouts.run(speeds, period=period)
-            taken.append(time.perf_counter() - started)
-        rates.append(steps / min(taken) / 1000)
-        rollouts.close()
-    yield Figure(
-        "open-loop rollouts",
-        rates[-1],
-        "k steps/s",
-        None,
-        "higher",
-        f"64 runs of 5 s of 4WD4WS at once, {processors()} threads, that is"
-        f" {rates[-1] * 5:.0f} times real time without driver; one thread: {rates[0]:.4g}",
     )

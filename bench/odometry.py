@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -89,9 +89,11 @@ def _estimates(geometry: BaseGeometry, noise: Noise, driven: Drive, polish: int 
 
 
 def _least_squares(geometry: BaseGeometry, driven: Drive) -> Array:
-    twists = np.empty_like(driven.twists)
-    CalculatorBatch(General(geometry)).least_squares(driven.speeds, driven.angles, twists)
-    return twists
+    estimator, still = General(geometry).estimator, [0.0] * len(geometry.wheels)
+    joints = zip(driven.speeds.T.tolist(), driven.angles.T.tolist(), strict=True)
+    twists = [estimator.least_squares(JointStates(0.0, *j, still)) for j in joints]
+    estimates: Array = np.array(twists).T
+    return estimates
 
 
 def _random_pairs(geometry: BaseGeometry, driven: Drive, how: str, states: int = PAIRED) -> Array:
@@ -337,37 +339,25 @@ def _distance(a: Pose2, b: Pose2) -> float:
 def _batch(geometry: BaseGeometry) -> Iterator[Figure]:
     n = 100_000
     rng = np.random.default_rng(6)
-    batch = CalculatorBatch(General(geometry))
+    batch = CalculatorBatch(General(geometry, GeneralOptions(faulty_wheels=0)))
     twists = rng.uniform(-1.0, 1.0, (3, n))
-    speeds, angles = np.empty((2, len(geometry.wheels), n))
+    driven = drive(geometry, twists, Noise(), rng)
+    speeds, angles = driven.speeds, driven.angles
     covariances, copies = np.empty((6, n)), [np.empty_like(a) for a in (twists, speeds, angles)]
 
     def copy() -> None:
         for a, b in zip((twists, speeds, angles), copies, strict=True):
             np.copyto(b, a)
 
-    copied, inverse, least, weighted = least_times(
-        (
-            copy,
-            lambda: batch.inverse(twists, speeds, angles),
-            lambda: batch.least_squares(speeds, angles, twists),
-            lambda: batch.weighted(speeds, angles, twists, covariances),
-        ),
-        15,
+    copied, weighted = least_times(
+        (copy, lambda: batch.estimate(speeds, angles, twists, covariances)), 15
     )
-    # The bounds are 60 and 120 ns where a copy takes 2.
-    rows: Sequence[tuple[str, float, float | None]] = (
-        ("inverse", inverse, 30.0),
-        ("least squares", least, 60.0),
-        ("weighted with covariance", weighted, None),
+    yield Figure(
+        "batch weighted with covariance, N=4",
+        weighted / copied,
+        "x copy",
+        None,
+        "lower",
+        f"{weighted / n * 1e9:.0f} ns a state over {n} states; "
+        f"a copy of the same arrays: {copied / n * 1e9:.1f} ns",
     )
-    for name, seconds, bound in rows:
-        yield Figure(
-            f"batch {name}, N=4",
-            seconds / copied,
-            "x copy",
-            bound,
-            "lower",
-            f"{seconds / n * 1e9:.0f} ns a state over {n} states; "
-            f"a copy of the same arrays: {copied / n * 1e9:.1f} ns",
-        )

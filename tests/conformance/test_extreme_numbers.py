@@ -74,16 +74,9 @@ def test_results_are_finite_or_refused(name: str, largest: float) -> None:
         batch = CalculatorBatch(calculator)
         speeds, angles = np.array([joints(STATES) for _ in range(2 * n)]).reshape(2, n, STATES)
         twists, covariances = np.empty((3, STATES)), np.empty((6, STATES))
-        for estimate in (batch.weighted, batch.estimate):
-            try:
-                estimate(speeds, angles, twists, covariances)
-                assert np.isfinite(twists).all()
-                assert np.isfinite(covariances).all()
-            except NotFiniteError:
-                pass
         try:
-            batch.inverse(np.array([joints(STATES) for _ in range(3)]), speeds, angles)
-            assert np.isfinite(speeds).all()
-            assert np.isfinite(angles).all()
+            batch.estimate(speeds, angles, twists, covariances)
+            assert np.isfinite(twists).all()
+            assert np.isfinite(covariances).all()
         except NotFiniteError:
             pass

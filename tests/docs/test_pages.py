@@ -8,7 +8,6 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -122,14 +121,6 @@ def script(page: str, first_line: str) -> str:
     block = re.search(rf"```python\n({first_line}.*?)```", text, re.S)
     assert block is not None
     return block[1]
-
-
-def test_the_rollouts_of_the_page_run() -> None:
-    space: dict[str, Any] = {}
-    exec(script("docs/batches.md", "import numpy").replace("examples/", f"{ROOT}/examples/"), space)
-    assert space["result"].poses.shape == (64, 20, 3)
-    assert (space["result"].poses[:, -1, 0] > 0.5).all()
-    space["rollouts"].close()
 
 
 def test_the_environment_of_the_page_runs() -> None:

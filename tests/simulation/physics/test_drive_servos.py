@@ -131,17 +131,17 @@ def test_servos_of_an_arm_are_no_drives(tmp_path: Path) -> None:
     assert len(all_servos) == len(drives) + 4
     chosen = DriveServos(scene.model, scene.data, drives)
     by_default = DriveServos(scene.model, scene.data)
-    pairs = [(servos, servos.memory(0.0)) for servos in (chosen, by_default)]
-    arguments = [scene.data.ctrl.tolist(), [], [50.0] * scene.model.nq, [0.0] * scene.model.nv]
+    data = scene.data
+    data.qpos[:], data.qvel[:] = 50.0, 0.0
     for k, command in enumerate((1.0, 0.0, 0.0), start=1):
-        for i in all_servos:
-            arguments[0][i] = command
+        data.time = k * 0.01
+        data.ctrl[list(all_servos)] = command
         results = []
-        for servos, memory in pairs:
-            arguments[1] = [1e3] * scene.model.na
-            assert servos.limit_activations(memory, k * 0.01, *arguments)
-            results.append(arguments[1])
-        assert results[0] == results[1]
+        for servos in (chosen, by_default):
+            data.act[:] = 1e3
+            servos.limit()
+            results.append(data.act.tolist())
+        assert results[0] == results[1] != [1e3] * scene.model.na
 
 
 def test_reset_forgets_the_last_command() -> None:

@@ -34,7 +34,7 @@ continues to push.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 from thorvaldc.model.statics.gravity import GRAVITY
@@ -69,21 +69,6 @@ class _Servo(NamedTuple):
     damping: float
     torque: float
     release: float
-
-
-class ServoMemory:
-    """What the drive servos of one simulation remember.
-
-    - ``time``: simulated time (s) of the last call.
-    - ``commands``: last commanded speed (rad/s) of each drive servo.
-    - ``stops``: time (s) of the last stop command of each drive servo at which the robot was
-      under a large load.
-    """
-
-    def __init__(self, servos: int, time: float) -> None:
-        self.time = time
-        self.commands = [0.0] * servos
-        self.stops = [-math.inf] * servos
 
 
 class DriveServos:
@@ -132,11 +117,15 @@ class DriveServos:
             )
         # Views of the MuJoCo arrays.  Creating a view takes several times as long as reading it.
         self._act, self._ctrl, self._qpos, self._qvel = data.act, data.ctrl, data.qpos, data.qvel
-        self._memory = self.memory(float(data.time))
+        self._reset(float(data.time))
 
-    def memory(self, time: float) -> ServoMemory:
-        """Returns the memory of a simulation that starts at the time ``time`` (s)."""
-        return ServoMemory(len(self._servos), time)
+    def _reset(self, time: float) -> None:
+        self._time = time
+        self._commands = [0.0] * len(self._servos)
+        """Last commanded speed (rad/s) of each drive servo."""
+        self._stops = [-math.inf] * len(self._servos)
+        """Time (s) of the last stop command of each drive servo while the robot was under a large
+        load."""
 
     def limit(self) -> None:
         """Limits the set points of the drive servos in ``data``; see the module.
@@ -145,32 +134,14 @@ class DriveServos:
         time, no drive servo is in its release time.
         """
         now = float(self._data.time)
-        if now <= self._memory.time:
-            if now < self._memory.time:
-                self._memory = self.memory(now)
+        if now <= self._time:
+            if now < self._time:
+                self._reset(now)
             return
-        act = self._act.tolist()
-        if self.limit_activations(
-            self._memory, now, self._ctrl.tolist(), act, self._qpos.tolist(), self._qvel.tolist()
-        ):
-            self._act[:] = act
-
-    def limit_activations(
-        self,
-        memory: ServoMemory,
-        now: float,
-        ctrl: Sequence[float],
-        act: list[float],
-        qpos: Sequence[float],
-        qvel: Sequence[float],
-    ) -> bool:
-        """Limits the set points in the activations ``act`` at the time ``now`` (s).
-
-        ``ctrl``, ``qpos`` and ``qvel`` are the arrays of MuJoCo as lists.  Returns whether a value
-        of ``act`` changed.
-        """
-        memory.time = now
-        commands, stops = memory.commands, memory.stops
+        self._time = now
+        act, ctrl = self._act.tolist(), self._ctrl.tolist()
+        qpos, qvel = self._qpos.tolist(), self._qvel.tolist()
+        commands, stops = self._commands, self._stops
         changed = False
         for i, servo in enumerate(self._servos):
             actuator, activation, position, speed, kp, kv, limit, release = servo
@@ -184,15 +155,15 @@ class DriveServos:
                 commands[i] = command
             if command == 0.0 and now < stops[i] + RELEASE_TIME:
                 act[activation] = qpos[position]
-                changed = True
-                continue
-            if torque > limit:
+            elif torque > limit:
                 act[activation] = qpos[position] + (limit + damping) / kp
-                changed = True
             elif torque < -limit:
                 act[activation] = qpos[position] + (damping - limit) / kp
-                changed = True
-        return changed
+            else:
+                continue
+            changed = True
+        if changed:
+            self._act[:] = act
 
 
 def _turns_wheel(model: Any, actuator: int) -> bool:

@@ -11,7 +11,6 @@ is allocated.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,6 @@ from thorvaldc.runtime.calculators import BaseCalculator
 from thorvaldc.runtime.calculators.twist_estimator import TwistEstimator
 from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.simulation.vectorised import fit_batch
-from thorvaldc.simulation.vectorised.inverse_batch import InverseBatch
 
 Array = NDArray[np.float64]
 _PIECE_SIZE = 8192
@@ -43,80 +41,6 @@ class CalculatorBatch:
         self.calculator = calculator
         self._as_scalar = as_scalar
         self.wheels = len(calculator.geometry.wheels)
-        self._inverse: InverseBatch | None = None
-
-    def inverse(self, twists: Array, speeds: Array, angles: Array) -> None:
-        """Computes wheel speeds (rad/s) and steering angles (rad) for ``twists``.
-
-        Each twist in the array is processed independently of the other twists.  The result for a
-        twist is the command that the calculator computes after a reset without joint states.  All
-        steering joints therefore start at the angle 0.
-
-        Raises ``ValueError`` if an array has the wrong shape, or if the contact of a steered wheel
-        lies ahead of or behind its steering axis.  Raises ``NotFiniteError`` if a twist is not
-        finite or not below 1e9. After an error, the result arrays are unchanged.
-        """
-        n = self._size(twists)
-        for array in (speeds, angles):
-            _check(array, (self.wheels, n))
-        _check_finite(twists, "twists")
-        if self._inverse is None:
-            self._inverse = InverseBatch(self.calculator)
-        for piece in _pieces(n):
-            self._inverse.solve(twists[:, piece], speeds[:, piece], angles[:, piece])
-
-    def least_squares(
-        self, speeds: Array, angles: Array, twists: Array, rates: Array | None = None
-    ) -> None:
-        """Computes unweighted least-squares twists, as ``TwistEstimator.least_squares`` does.
-
-        - ``speeds``: wheel speeds, rad/s.
-        - ``angles``: steering angles, rad.
-        - ``twists``: array for the resulting twists.
-        - ``rates``: steering rates, rad/s.  Steering rates affect only wheels whose contact lies
-          beside, ahead of or behind the steering axis.
-
-        Raises ``ValueError`` if an array has the wrong shape, and ``NotFiniteError`` if a joint
-        state is not finite or not below 1e9.
-        """
-        n = self._check_joints(speeds, angles, twists, rates)
-        estimator = self.calculator.estimator
-        for piece in _pieces(n):
-            joints = _piece(speeds, angles, rates, piece)
-            measurements = fit_batch.measure(estimator, *joints, as_scalar=self._as_scalar)
-            twist, low_rank = fit_batch.unweighted_fit(
-                estimator, measurements, None, piece.stop - piece.start
-            )
-            self._put_twist(twist, twists[:, piece])
-            for k in _indices(low_rank):
-                twists[:, piece.start + k] = estimator.least_squares(_state(*joints, None, k))
-
-    def weighted(
-        self,
-        speeds: Array,
-        angles: Array,
-        twists: Array,
-        covariances: Array | None = None,
-        chi_squares: Array | None = None,
-        rates: Array | None = None,
-        yaw_rates: Array | None = None,
-    ) -> None:
-        """Computes weighted least-squares twists with covariances and chi-squares of the wheels.
-
-        The results equal the results of ``TwistEstimator.estimate`` with ``faulty`` = 0, so no
-        wheel is left out.
-
-        - ``speeds``, ``angles``, ``twists``, ``rates``: the same arrays as in ``least_squares``.
-        - ``covariances``: array (6, n) for the elements xx, xy, xw, yy, yw and ww of the twist's
-          covariance, in SI units.
-        - ``chi_squares``: array (wheels, n) for the chi-squares.
-        - ``yaw_rates``: yaw rates (n) measured by a gyro, rad/s.
-
-        Raises the same errors as ``least_squares``.
-        """
-        self._estimate(
-            speeds, angles, twists, covariances, chi_squares, rates, yaw_rates, reject=False
-        )
 
     def estimate(
         self,
@@ -132,40 +56,27 @@ class CalculatorBatch:
     ) -> dict[int, tuple[int, ...]]:
         """Estimates twists without faulty wheels, as ``TwistEstimator.estimate`` does.
 
-        The parameters are the same as in ``weighted``.  ``commanded`` returns the commanded wheel
-        speeds (rad/s) of an array column, if they are known.  Returns a dictionary with the indices
-        of the faulty wheels, for each column with faulty wheels.  ``suspects`` receives the indices
-        of the wheels that may be faulty, for each column with such wheels.  The scalar estimator
-        computes the few columns in which a wheel disagrees with the other wheels or with its
-        command.  Raises the same errors as ``least_squares``.
-        """
-        return self._estimate(
-            speeds,
-            angles,
-            twists,
-            covariances,
-            chi_squares,
-            rates,
-            yaw_rates,
-            commanded,
-            suspects,
-            reject=True,
-        )
+        - ``speeds``: wheel speeds, rad/s.
+        - ``angles``: steering angles, rad.
+        - ``twists``: array for the resulting twists.
+        - ``covariances``: array (6, n) for the elements xx, xy, xw, yy, yw and ww of the twist's
+          covariance, in SI units.
+        - ``chi_squares``: array (wheels, n) for the chi-squares.
+        - ``rates``: steering rates, rad/s.  Steering rates affect only wheels whose contact lies
+          beside, ahead of or behind the steering axis.
+        - ``yaw_rates``: yaw rates (n) measured by a gyro, rad/s.
+        - ``commanded``: returns the commanded wheel speeds (rad/s) of an array column, if they are
+          known.
+        - ``suspects``: receives the indices of the wheels that may be faulty, for each column with
+          such wheels.
 
-    def _estimate(
-        self,
-        speeds: Array,
-        angles: Array,
-        twists: Array,
-        covariances: Array | None,
-        chi_squares: Array | None,
-        rates: Array | None,
-        yaw_rates: Array | None,
-        commanded: Callable[[int], Sequence[float] | None] | None = None,
-        suspects: dict[int, tuple[int, ...]] | None = None,
-        *,
-        reject: bool,
-    ) -> dict[int, tuple[int, ...]]:
+        Returns a dictionary with the indices of the faulty wheels, for each column with faulty
+        wheels.  The scalar estimator computes the few columns in which a wheel disagrees with the
+        other wheels or with its command.  With the option ``faulty`` = 0 no wheel is left out.
+
+        Raises ``ValueError`` if an array has the wrong shape, and ``NotFiniteError`` if a joint
+        state is not finite or not below 1e9.
+        """
         n = self._check_joints(speeds, angles, twists, rates)
         if covariances is not None:
             _check(covariances, (6, n))
@@ -175,7 +86,7 @@ class CalculatorBatch:
             _check(yaw_rates, (n,))
             _check_finite(yaw_rates, "yaw rates")
         estimator = self.calculator.estimator
-        scalar_estimator = estimator if reject else self._estimator_without_rejection()
+        reject = estimator.options.faulty > 0
         gates = np.array(estimator.gates)[:, np.newaxis]
         if self._as_scalar:
             # The chi-squares have rounding errors, and the scalar estimator decides on close ones.
@@ -199,7 +110,7 @@ class CalculatorBatch:
             if chi_squares is not None:
                 chi_squares[:, piece] = 0.0
                 chi_squares[[wheel.number for wheel in estimator.wheels], piece] = tests[:, :size]
-            if reject and estimator.options.faulty:
+            if reject:
                 suspect: NDArray[np.bool_] = np.any(tests[:, :size] > gates, axis=0)
                 if commanded is not None:
                     suspect |= _deviating(estimator, speeds[:, piece], piece, commanded)
@@ -207,7 +118,7 @@ class CalculatorBatch:
             for k in _indices(scalar_mask):
                 index = piece.start + k
                 wheel_commands = None if commanded is None else commanded(index)
-                estimate = scalar_estimator.estimate(_state(*joints, gyro, k), wheel_commands)
+                estimate = estimator.estimate(_state(*joints, gyro, k), wheel_commands)
                 twists[:, index] = estimate.twist
                 if covariances is not None:
                     (a, b, c), (_, d, e), (_, _, f) = estimate.covariance
@@ -219,11 +130,6 @@ class CalculatorBatch:
                 if estimate.suspects and suspects is not None:
                     suspects[index] = estimate.suspects
         return dropped
-
-    def _estimator_without_rejection(self) -> TwistEstimator:
-        estimator = self.calculator.estimator
-        options = replace(estimator.options, faulty=0)
-        return TwistEstimator(self.calculator.geometry, estimator.noise, options)
 
     def _put_twist(self, twist: tuple[Array, Array, Array], out: Array) -> None:
         """Writes twists of ``base_link`` into ``out``, computed from twists about the centroid."""
