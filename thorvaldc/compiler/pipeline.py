@@ -39,7 +39,7 @@ from thorvaldc.compiler.result.lock_update import read_robot_lock, update_robot_
 from thorvaldc.compiler.robot_settings.calculator_choice import check_calculator
 from thorvaldc.compiler.robot_settings.design_requirements import read_design
 from thorvaldc.compiler.shapes.meshes import shared_mesh_workers
-from thorvaldc.compiler.source.near_files import FOLDERS, missing_file_hint
+from thorvaldc.compiler.source.input_file import FOLDERS, missing_file_hint
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Robot

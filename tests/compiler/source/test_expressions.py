@@ -11,13 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from thorvaldc.compiler.source.expression_dimensions import EXPECTED
-from thorvaldc.compiler.source.expressions import (
-    ExpressionError,
-    evaluate,
-    evaluate_text,
-    infer_dimension,
-)
+from thorvaldc.compiler.source.dimensions import EXPECTED, infer_dimension
+from thorvaldc.compiler.source.expression_parser import ExpressionError
+from thorvaldc.compiler.source.expressions import evaluate
 
 SCOPE: dict[str, Any] = {
     "length": 1.1,
@@ -171,13 +167,13 @@ def test_hints(text: str, hint: str) -> None:
     ],
 )
 def test_hostile_expressions_take_less_than_a_second(text: str) -> None:
-    began = time.perf_counter()
+    began = time.process_time()
     try:
         value = evaluate(text, SCOPE)
         assert isinstance(value, bool | int | float)
     except ExpressionError:
         pass
-    assert time.perf_counter() - began < 1
+    assert time.process_time() - began < 1
 
 
 def test_only_needed_names_are_looked_up() -> None:
@@ -198,17 +194,6 @@ def test_only_needed_names_are_looked_up() -> None:
     assert looked_up == ["a"]
 
 
-def test_text_that_contains_expressions() -> None:
-    assert evaluate_text("plain", SCOPE) == "plain"
-    assert evaluate_text("${count}", SCOPE) == 4
-    assert evaluate_text("a${count}_${side}", SCOPE) == "a4_left"
-    assert evaluate_text("${'}'}", SCOPE) == "}"
-    for text, offset in (("ab${nope}", 4), ("ab${1 + }", 7), ("ab${1", 2)):
-        with pytest.raises(ExpressionError) as caught:
-            evaluate_text(text, SCOPE)
-        assert caught.value.offset == offset
-
-
 def value_or_error(function: Callable[[], Any]) -> Any:
     """Returns the value, or the ExpressionError."""
     try:
@@ -219,9 +204,8 @@ def value_or_error(function: Callable[[], Any]) -> Any:
 
 @given(st.text(max_size=40))
 def test_any_text_has_a_value_or_raises_an_error(text: str) -> None:
-    for shown in (text, f"${{{text}}}"):
-        result = value_or_error(lambda text=shown: evaluate_text(text, SCOPE))
-        assert not isinstance(result, ExpressionError) or 0 <= result.offset <= len(shown)
+    result = value_or_error(lambda: evaluate(text, SCOPE))
+    assert not isinstance(result, ExpressionError) or 0 <= result.offset <= len(text)
 
 
 words = ["length", "count", "wheel", ".", "radius", "(", ")", "[", "]", "+", "-", "*", "**", "/"]

@@ -10,15 +10,16 @@ from hypothesis import strategies as st
 
 from tests.compiler.modules.test_module_parameters import PARAM
 from tests.workshop import CART, Workshop
-from thorvaldc.compiler.source.expression_dimensions import (
+from thorvaldc.compiler.source.dimensions import (
     EXPECTED,
     fits,
     in_words,
+    infer_dimension,
     multiply,
     number_dimension,
     unit_text,
 )
-from thorvaldc.compiler.source.expressions import ExpressionError, infer_dimension
+from thorvaldc.compiler.source.expression_parser import ExpressionError
 from thorvaldc.compiler.source.unit_table import QUANTITIES, Dimension
 from thorvaldc.compiler.source.units import parse_with_dimension
 from thorvaldc.diagnostics import Diagnostic

@@ -24,9 +24,8 @@ from thorvaldc.compiler.bus.device_sections import (
 )
 from thorvaldc.compiler.bus.frame_checks import check_channels, check_layout, check_scales
 from thorvaldc.compiler.modules.module_parameters import Scope
-from thorvaldc.compiler.source.edits import insertion
-from thorvaldc.compiler.source.expression_dimensions import EXPECTED, without_angle
-from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source import dimensions
+from thorvaldc.compiler.source.node import Node, insertion
 from thorvaldc.compiler.source.unit_table import Dimension
 from thorvaldc.compiler.source.units import UnitError, parse_unit
 from thorvaldc.diagnostics import Label, Proposal, Report, Span
@@ -59,13 +58,13 @@ def channel_names(device: Device) -> dict[str, dict[str, float | int]]:
 
 
 CHANNEL_DIMENSIONS = {
-    "gear_ratio": EXPECTED["ratio"],
-    "encoder_ppr": EXPECTED["number"],
-    "motor_max_speed": EXPECTED["angular_velocity"],
-    "max_velocity": EXPECTED["angular_velocity"],
-    "max_acceleration": EXPECTED["angular_acceleration"],
-    "lower": EXPECTED["angle"],
-    "upper": EXPECTED["angle"],
+    "gear_ratio": dimensions.EXPECTED["ratio"],
+    "encoder_ppr": dimensions.EXPECTED["number"],
+    "motor_max_speed": dimensions.EXPECTED["angular_velocity"],
+    "max_velocity": dimensions.EXPECTED["angular_velocity"],
+    "max_acceleration": dimensions.EXPECTED["angular_acceleration"],
+    "lower": dimensions.EXPECTED["angle"],
+    "upper": dimensions.EXPECTED["angle"],
 }
 """Dimensions of the values of ``channel_names``."""
 
@@ -324,7 +323,7 @@ def _si_dimension(unit_name: str) -> tuple[Dimension, ...]:
     except UnitError:
         return ()
     is_si = unit.numerator == unit.denominator and not unit.pi_power and not unit.offset
-    return (without_angle(unit.dimension),) if is_si else ()
+    return (dimensions.without_angle(unit.dimension),) if is_si else ()
 
 
 def _calibrated(signal: Signal, wire: Wire, commands: bool) -> Signal:

@@ -26,7 +26,7 @@ from thorvaldc.compiler.bus.lock_file import Lock, Pin
 from thorvaldc.compiler.bus.node_objects import objects_of
 from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source import node as source
-from thorvaldc.compiler.source.expression_dimensions import EXPECTED
+from thorvaldc.compiler.source.dimensions import EXPECTED
 from thorvaldc.compiler.source.units import UnitError, parse_any
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean

@@ -36,7 +36,7 @@ from thorvaldc.compiler.extras.xacro_expand import (
     search_paths,
 )
 from thorvaldc.compiler.shapes.meshes import load_mesh
-from thorvaldc.compiler.source.near_files import FOLDERS, XACRO_FILES, missing_file_hint
+from thorvaldc.compiler.source.input_file import FOLDERS, XACRO_FILES, missing_file_hint
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.units import UnitError, parse_quantity
 from thorvaldc.diagnostics import Label, Report, Span

@@ -16,7 +16,7 @@ from thorvaldc.compiler.hardware.module_values import ModuleValues
 from thorvaldc.compiler.hardware.purchase_reader import read_purchase
 from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY, ModuleType
 from thorvaldc.compiler.modules.module_parameters import Scope
-from thorvaldc.compiler.source.expression_dimensions import element_of
+from thorvaldc.compiler.source.dimensions import element_of
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import INVALID, entries, items

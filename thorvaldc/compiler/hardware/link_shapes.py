@@ -8,7 +8,7 @@ from pathlib import Path
 from thorvaldc.compiler.modules.module_parameters import Scope, hint_of_known
 from thorvaldc.compiler.shapes.meshes import load_mesh
 from thorvaldc.compiler.shapes.solids import uniform_solid
-from thorvaldc.compiler.source.expression_dimensions import EXPECTED
+from thorvaldc.compiler.source.dimensions import EXPECTED
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.value_reader import items
 from thorvaldc.diagnostics import Proposal, Report

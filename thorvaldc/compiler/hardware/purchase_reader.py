@@ -14,8 +14,7 @@ from typing import NamedTuple
 from thorvaldc.compiler.hardware.hardware_parts import Hardware
 from thorvaldc.compiler.modules.library import Library, ModuleType
 from thorvaldc.compiler.modules.module_tree import Instance
-from thorvaldc.compiler.source.edits import insertion
-from thorvaldc.compiler.source.node import Node, describe_node
+from thorvaldc.compiler.source.node import Node, describe_node, insertion
 from thorvaldc.compiler.values.value_reader import (
     INVALID,
     ValueReader,

@@ -11,10 +11,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from thorvaldc.compiler.modules.library import Library, ModuleType
-from thorvaldc.compiler.source.edits import insertion
-from thorvaldc.compiler.source.expression_dimensions import EXPECTED
-from thorvaldc.compiler.source.expression_dimensions import NONE as NO_DIMENSION
-from thorvaldc.compiler.source.node import Node, describe_node
+from thorvaldc.compiler.source.dimensions import EXPECTED
+from thorvaldc.compiler.source.dimensions import NONE as NO_DIMENSION
+from thorvaldc.compiler.source.node import Node, describe_node, insertion
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any
 from thorvaldc.compiler.values.value_reader import (
@@ -164,7 +163,7 @@ class Scope(ValueReader):
     def with_names(self, extra: dict[str, Any], dimensions: dict[str, Any]) -> Scope:
         """Returns a copy of the scope with additional names for expressions.
 
-        ``dimensions``: dimensions of the names, as ``expression_dimensions`` describes them.
+        ``dimensions``: dimensions of the names, as ``dimensions`` describes them.
         """
         inner = Scope(self.module, self._arguments, self.library, self.report, self._entry)
         inner._values = {**self._values, **extra}

@@ -5,8 +5,7 @@ from __future__ import annotations
 from thorvaldc.compiler.modules.module_parameters import hint_of_known
 from thorvaldc.compiler.modules.module_tree import Instance, Mount, last_name, used_by
 from thorvaldc.compiler.modules.port_references import References
-from thorvaldc.compiler.source.edits import removal
-from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.node import Node, removal
 from thorvaldc.diagnostics import Label, Proposal, Report
 from thorvaldc.model import Pose
 

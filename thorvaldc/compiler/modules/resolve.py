@@ -15,8 +15,7 @@ from thorvaldc.compiler.modules.module_parameters import NONE, ModuleChoice, Sco
 from thorvaldc.compiler.modules.module_tree import Instance, used_by
 from thorvaldc.compiler.modules.mounting import Mounting
 from thorvaldc.compiler.modules.port_references import References
-from thorvaldc.compiler.source.edits import removal
-from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.node import Node, removal
 from thorvaldc.compiler.values.value_reader import INVALID, entries
 from thorvaldc.diagnostics import Report, Span
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from thorvaldc.compiler.source.edits import insertion
-from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.node import Node, insertion
 from thorvaldc.diagnostics import Label, Proposal, Report
 from thorvaldc.model import Battery
 from thorvaldc.model.facts.energy import battery_voltage

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from thorvaldc.compiler.hardware.wheel_geometry import spin_joint
 from thorvaldc.compiler.robot_settings.driver_settings import noise_of
-from thorvaldc.compiler.source.near_files import DOCUMENTS, missing_file_hint
+from thorvaldc.compiler.source.input_file import DOCUMENTS, missing_file_hint
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values

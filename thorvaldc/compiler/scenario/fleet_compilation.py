@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from thorvaldc.compiler.result.compilation import Compilation, Compile, SourceFile
 from thorvaldc.compiler.scenario.fleet_placement import Placements
-from thorvaldc.compiler.source.near_files import DOCUMENTS, missing_file_hint
+from thorvaldc.compiler.source.input_file import DOCUMENTS, missing_file_hint
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import Section, read_document
 from thorvaldc.compiler.values.value_reader import ValueReader

@@ -17,7 +17,7 @@ from thorvaldc.compiler.scenario.fleet_compilation import open_named_file, read_
 from thorvaldc.compiler.scenario.fleet_placement import Placements, robots_of
 from thorvaldc.compiler.scenario.scenario_reader import read_scenario
 from thorvaldc.compiler.scenario.variations import Change, with_changes, without_variations
-from thorvaldc.compiler.source.near_files import LOGS, missing_file_hint
+from thorvaldc.compiler.source.input_file import LOGS, missing_file_hint
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import Section, read_document
 from thorvaldc.compiler.values.value_reader import ValueReader

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from thorvaldc.compiler.scenario.obstacle_reader import ObstacleReader
 from thorvaldc.compiler.scenario.zone_reader import CELLS_PER_WAVE, MAX_CELLS, read_zones
-from thorvaldc.compiler.source.edits import insertion, removal
+from thorvaldc.compiler.source.node import insertion, removal
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.plain_numbers import plain

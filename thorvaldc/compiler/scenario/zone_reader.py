@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 
-from thorvaldc.compiler.source.edits import removal
-from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.node import Node, removal
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.plain_numbers import plain

@@ -26,7 +26,7 @@ from urllib.parse import unquote
 from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError, WorkerLimits, WorkerProcess
 from thorvaldc.compiler.shapes.mesh_formats import CheckedMesh, MeshError, check_mesh, too_large
 from thorvaldc.compiler.shapes.mesh_worker import IMPORTS
-from thorvaldc.compiler.source.near_files import missing_file_hint, near_path
+from thorvaldc.compiler.source.input_file import missing_file_hint, near_path
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.bounded_file import read_bounded

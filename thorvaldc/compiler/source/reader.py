@@ -1,6 +1,6 @@
 """Reads YAML documents, and keeps the line and column of each value (source span).
 
-The package PyYAML parses the text of a YAML document.  The module ``scalars`` converts unquoted
+The package PyYAML parses the text of a YAML document.  The module ``node`` converts unquoted
 YAML scalars by the core schema of YAML 1.2.  Values such as ``on`` and ``010`` are reported,
 because YAML 1.1 and YAML 1.2 interpret them differently.  If a YAML value has an error, the reader
 returns the most likely value.  With the most likely value, later stages of the compiler can
@@ -15,11 +15,8 @@ from typing import Any
 
 import yaml
 
-from thorvaldc.compiler.source import lookalikes, split_values, yaml_errors
 from thorvaldc.compiler.source.input_file import read_bytes
-from thorvaldc.compiler.source.node import Node
-from thorvaldc.compiler.source.scalars import key_kind, plain_scalar
-from thorvaldc.compiler.source.xml_documents import report_xml
+from thorvaldc.compiler.source.node import Node, join_split_values, key_kind, plain_scalar
 from thorvaldc.diagnostics import Label, Proposal, Report, Span
 
 MAX_BYTES = 1_000_000
@@ -75,7 +72,9 @@ def compose(
     try:
         root = _root_of(text)
     except yaml.MarkedYAMLError as error:
-        yaml_errors.explain(error, text, file, report)
+        from thorvaldc.compiler.source.yaml_errors import explain
+
+        explain(error, text, file, report)
         return None
     except _YamlError as error:
         report.add(error.code, error.message, _character_span(error.mark, file), hint=error.hint)
@@ -88,6 +87,38 @@ def compose(
 
 _COLON_WITHOUT_SPACE = re.compile(r"([a-z_][a-z0-9_]*):(\S.*)")
 _EMPTY_HINT = "a document starts with `thorvaldc: 1`"
+
+
+# -- robot descriptions in XML in place of YAML -------------------------------------
+
+_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*<(?:[?!]|\w+[\s/>])")
+_ROOT = re.compile(rb"<(robot|sdf|mujoco)[\s/>]")
+_HEAD = 100_000  # bytes in which the root element is searched; comments can stand before it
+_AUDIT = "`thorvaldc audit DIR` checks the files of any robot"
+_KINDS = {b"robot": "a URDF file", b"sdf": "an SDF file", b"mujoco": "an MJCF file"}
+
+
+def report_xml(data: bytes, file: str, report: Report) -> bool:
+    """Reports an error and returns ``True`` if a document is XML instead of YAML.
+
+    - ``data``: the whole document.
+    - ``file``: file name in source spans.
+    """
+    start = _START.match(data)
+    if start is None:
+        return False
+    root = _ROOT.search(data, 0, _HEAD)
+    name = root[1] if root is not None else b""
+    hint = _AUDIT
+    if name == b"robot":
+        hint = (
+            "a robot file joins it to its modules: "
+            f"`extras: [{{xacro: {file}, parent: frame}}]`; {_AUDIT}"
+        )
+    kind = _KINDS.get(name, "an XML file")
+    report.add("other-document", f"this is {kind}; expected YAML", Span(file), hint=hint)
+    return True
+
 
 # -- characters -------------------------------------------------------------------
 
@@ -145,11 +176,14 @@ def _decode(data: bytes, file: str, report: Report) -> str | None:
             hint=Proposal("remove it, or write it as an escape in double quotes", ""),
         )
         return None
-    space = None if text.isascii() else lookalikes.STRUCTURAL_SPACE.search(text)
-    if space is not None:
-        index = space.start(space.lastgroup or 0)
-        lookalikes.report_space(text[index], _span_at(text, index, file), report)
-        return None
+    if not text.isascii():
+        from thorvaldc.compiler.source.yaml_errors import STRUCTURAL_SPACE, report_space
+
+        space = STRUCTURAL_SPACE.search(text)
+        if space is not None:
+            index = space.start(space.lastgroup or 0)
+            report_space(text[index], _span_at(text, index, file), report)
+            return None
     return text
 
 
@@ -302,9 +336,7 @@ class _Reader:
         span = self._span(raw)
         if raw.style:
             return Node(raw.value, span, key_span, True)
-        text = raw.value
-        if not text.isascii():
-            text = lookalikes.corrected(text, span, self.report)
+        text = self._corrected(raw.value, span)
         return Node(plain_scalar(text, span, self.report), span, key_span)
 
     def _template(self, raw: Any, name: str, key_span: Span | None) -> Node:
@@ -372,7 +404,7 @@ class _Reader:
             values[key] = last
         span = self._collection_span(raw, last.span if last else None)
         if raw.flow_style:
-            values = split_values.joined(values, self.report)
+            values = join_split_values(values, self.report)
         for key, entry_span in numbers.items():
             if key in values:
                 self._report_key(key, "a number", entry_span)
@@ -417,8 +449,7 @@ class _Reader:
             self._report_tag(raw)
         if raw.style:
             return text
-        if not text.isascii():
-            text = lookalikes.corrected(text, key_span, self.report)
+        text = self._corrected(text, key_span)
         if text == "<<":
             self.report.add(
                 "yaml-merge-key",
@@ -431,6 +462,14 @@ class _Reader:
         if kind is not None:
             self._report_key(text, kind, key_span)
         return text
+
+    def _corrected(self, text: str, span: Span) -> str:
+        """Returns an unquoted scalar without characters that only look like spaces and quotes."""
+        if text.isascii():
+            return text
+        from thorvaldc.compiler.source.yaml_errors import corrected
+
+        return corrected(text, span, self.report)
 
     def _report_key(self, text: str, kind: str, key_span: Span) -> None:
         """Reports an unquoted key that YAML reads as a number or another value, and not as text."""

@@ -6,8 +6,7 @@ import re
 import unicodedata
 from typing import Any
 
-from thorvaldc.compiler.source.edits import insertion, yaml_text
-from thorvaldc.compiler.source.node import Node, describe_node
+from thorvaldc.compiler.source.node import Node, describe_node, insertion, yaml_text
 from thorvaldc.compiler.source.units import QUANTITIES
 from thorvaldc.compiler.validation.misspelt_keys import meant_key, misspelt_keys
 from thorvaldc.diagnostics import Label, Proposal, Report, Span

@@ -12,24 +12,12 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from thorvaldc.compiler.source.expression_dimensions import (
-    EXPECTED,
-    DimensionError,
-    fits,
-    in_words,
-    number_dimension,
-    written_dimension,
-)
-from thorvaldc.compiler.source.expressions import (
-    ExpressionError,
-    evaluate,
-    expression_of,
-    infer_dimension,
-)
+from thorvaldc.compiler.source import dimensions
+from thorvaldc.compiler.source.expression_parser import ExpressionError
+from thorvaldc.compiler.source.expressions import evaluate, expression_of
 from thorvaldc.compiler.source.node import Node, describe_node
 from thorvaldc.compiler.source.unit_table import QUANTITIES, Dimension
 from thorvaldc.compiler.source.units import UnitError, is_bare_number, parse_quantity
-from thorvaldc.compiler.values.plausible_numbers import probable_unit
 from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Pose, Vec3
@@ -82,7 +70,7 @@ class ValueReader(Mapping[str, Any]):
         self._dimensions: dict[str, Any] = {}  # of expressions that were evaluated
 
     def dimension(self, name: str) -> Any:
-        """Returns the dimension of a name, as ``expression_dimensions`` describes it.
+        """Returns the dimension of a name, as ``dimensions`` describes it.
 
         Raises ``KeyError`` if the name is unknown.
         """
@@ -117,10 +105,10 @@ class ValueReader(Mapping[str, Any]):
         try:
             result = evaluate(text, self)
             if text not in self._dimensions:
-                self._dimensions[text] = infer_dimension(text, self)
+                self._dimensions[text] = dimensions.infer_dimension(text, self)
             return result
-        except DimensionError as error:
-            expected = EXPECTED[quantity] if quantity is not None else None
+        except dimensions.DimensionError as error:
+            expected = dimensions.EXPECTED[quantity] if quantity is not None else None
             self._report_dimension(
                 node, f"{error.message}, in `{value}`", expected, (error.first, error.second)
             )
@@ -169,12 +157,12 @@ class ValueReader(Mapping[str, Any]):
         if text is not None:
             if text not in self._dimensions:
                 with contextlib.suppress(ExpressionError, ReferenceCycleError, RecursionError):
-                    self._dimensions[text] = infer_dimension(text, self)
+                    self._dimensions[text] = dimensions.infer_dimension(text, self)
             return self._dimensions.get(text)
         if isinstance(value, tuple):
             return [self.dimension_of(element) for element in value]
         if isinstance(value, str) and not node.quoted:
-            return written_dimension(value)
+            return dimensions.written_dimension(value)
         return value if isinstance(value, int | float) and not isinstance(value, bool) else None
 
     def has_dimension(self, node: Node, *allowed: Dimension, quantity: str) -> bool:
@@ -184,15 +172,15 @@ class ValueReader(Mapping[str, Any]):
         - ``quantity``: expected kind of quantity.
         """
         part = self._dimensions.get(expression_of(node) or "")
-        if part is None or part == EXPECTED[quantity]:
+        if part is None or part == dimensions.EXPECTED[quantity]:
             return True
         for element in part if isinstance(part, list) else (part,):
-            dimension = number_dimension(element)
-            expected = (EXPECTED[quantity], *allowed)
-            if dimension is None or any(fits(dimension, kind) for kind in expected):
+            dimension = dimensions.number_dimension(element)
+            expected = (dimensions.EXPECTED[quantity], *allowed)
+            if dimension is None or any(dimensions.fits(dimension, kind) for kind in expected):
                 continue
-            words = " or ".join([str(QUANTITIES[quantity]), *map(in_words, allowed)])
-            message = f"`{node.value}` is {in_words(dimension)}; expected {words}"
+            words = " or ".join([str(QUANTITIES[quantity]), *map(dimensions.in_words, allowed)])
+            message = f"`{node.value}` is {dimensions.in_words(dimension)}; expected {words}"
             self._report_dimension(node, message, expected[-1], (dimension,), words)
             return False
         return True
@@ -359,3 +347,49 @@ def describe_value(node: Node, value: Any) -> str:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+# -- numbers without a unit that were probably meant in another unit, such as mm ----
+
+_USUAL: dict[str, tuple[float, float, tuple[str, ...]]] = {
+    "length": (0.0, 20.0, ("mm",)),
+    "mass": (0.0, 5_000.0, ("g",)),
+    "time": (0.0, 60.0, ("ms",)),
+    "velocity": (0.0, 30.0, ("mm/s", "km/h")),
+    "acceleration": (0.0, 100.0, ("mm/s^2",)),
+    "angular_velocity": (0.0, 2_000.0, ("rpm",)),
+    "torque": (0.0, 20_000.0, ("N mm",)),
+    "voltage": (0.0, 1_500.0, ("mV",)),
+    "current": (0.0, 2_000.0, ("mA",)),
+    "density": (20.0, math.inf, ("g/cm^3",)),
+}
+"""Least and largest usual value on a robot in SI units, and the units of other numbers.
+
+The largest values are above those of large field robots, with a length of 10 m and a mass of 2 t.
+"""
+
+
+_USUAL_IN_SCENARIO: dict[str, tuple[float, float, tuple[str, ...]]] = {
+    "length": (0.0, 1_000.0, ("mm",)),
+    "time": (0.0, 14_400.0, ("ms",)),
+    "velocity": (0.0, 30.0, ("mm/s", "km/h")),
+    "angular_velocity": (0.0, 20.0, ("deg/s", "rpm")),
+    "energy": (0.0, math.inf, ()),
+}
+"""Values as in ``_USUAL`` of numbers in fleets and scenarios: places, commands and durations."""
+
+
+def probable_unit(value: float, quantity: str, *, on_robot: bool = True) -> str:
+    """Returns the unit in which a number was probably meant, or an empty text if it is SI.
+
+    - ``value``: number without a unit, which the compiler takes in SI units.
+    - ``quantity``: kind of quantity, such as ``length``.
+    - ``on_robot``: whether the number describes a robot, and not a fleet or scenario.
+    """
+    table = _USUAL if on_robot else _USUAL_IN_SCENARIO
+    least, largest, units = table.get(quantity, (0.0, math.inf, ()))
+    size = abs(value)
+    if size == 0.0 or least <= size <= largest:
+        return ""
+    usual = (u for u in units if least <= parse_quantity(f"{size!r} {u}", quantity) <= largest)
+    return next(usual, "")

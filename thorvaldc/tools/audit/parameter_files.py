@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.node import Node, plain_scalar
 from thorvaldc.compiler.source.reader import MAX_DEPTH, MAX_VALUES, compose
-from thorvaldc.compiler.source.scalars import plain_scalar
 from thorvaldc.diagnostics import CODES, Diagnostic, Label, Report, Span
 from thorvaldc.tools.audit.audit_facts import Fact, ParameterSection
 

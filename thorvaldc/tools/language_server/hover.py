@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from thorvaldc.compiler.catalogue.module_text import module_facts
-from thorvaldc.compiler.source.edits import yaml_text
+from thorvaldc.compiler.source.node import yaml_text
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any, parse_quantity
 from thorvaldc.compiler.values.value_reader import INVALID

@@ -9,7 +9,7 @@ from functools import cache
 
 from thorvaldc.compiler.catalogue.module_text import first_sentence
 from thorvaldc.compiler.scaffolding.new_robot import presets, robot_text
-from thorvaldc.compiler.source.edits import yaml_text
+from thorvaldc.compiler.source.node import yaml_text
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_quantity
 from thorvaldc.compiler.values.value_reader import entries

@@ -8,7 +8,7 @@ from typing import Any
 
 from thorvaldc.compiler.modules.module_parameters import ModuleChoice, Scope
 from thorvaldc.compiler.modules.module_tree import Instance
-from thorvaldc.compiler.source.expression_tokens import ExpressionError, tokenize
+from thorvaldc.compiler.source.expression_parser import ExpressionError, tokenize
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.values.value_reader import INVALID

@@ -6,8 +6,7 @@ import functools
 import re
 from collections.abc import Iterable, Sequence
 
-from thorvaldc.compiler.source.edits import insertion, yaml_text
-from thorvaldc.compiler.source.node import Node, Value
+from thorvaldc.compiler.source.node import Node, Value, insertion, yaml_text
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Report, Span
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.compiler.values.plausible_numbers import probable_unit
+from thorvaldc.compiler.values.value_reader import probable_unit
 
 ROBOT = """\
 thorvaldc: 1

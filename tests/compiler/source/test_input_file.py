@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from thorvaldc.compiler.source.near_files import DOCUMENTS, FOLDERS, MAX_ENTRIES, near_path
+from thorvaldc.compiler.source.input_file import DOCUMENTS, FOLDERS, MAX_ENTRIES, near_path
 
 FILES = (
     "robot.yaml",

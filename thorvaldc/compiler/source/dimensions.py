@@ -1,8 +1,7 @@
 """Physical dimensions of the expressions of module documents (``${...}``).
 
-The module has the same functions as ``expression_operations``.  Their closures compute the
-dimension of a part of an expression instead of its value, in both branches of a choice and on both
-sides of ``and`` and ``or``.  An angle has no dimension in an expression, as in SI: ``arm * 15 deg``
+The dimension of an expression is computed in both branches of a choice and on both sides of ``and``
+and ``or``.  An angle has no dimension in an expression, as in SI: ``arm * 15 deg``
 is a length.  The dimension of a part is one of:
 
 - a ``Dimension``: a number with this dimension.
@@ -18,11 +17,11 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any, Protocol
 
-from thorvaldc.compiler.source import expression_operations as operations
-from thorvaldc.compiler.source.expression_tokens import ExpressionError, Token
+from thorvaldc.compiler.source.expression_parser import ExpressionError, Part, Token, parse
+from thorvaldc.compiler.source.expressions import combine
 from thorvaldc.compiler.source.unit_table import BASE_UNITS, PLAIN, QUANTITIES, Dimension
 from thorvaldc.compiler.source.units import UnitError, parse_with_dimension
 
@@ -36,9 +35,6 @@ class Dimensions(Protocol):
 
     def dimension(self, name: str) -> Any:
         """Returns the dimension of a name.  Raises ``KeyError`` if the name is unknown."""
-
-
-Infer = Callable[[Dimensions], Any]
 
 
 class DimensionError(ExpressionError):
@@ -151,45 +147,17 @@ def _to_power(part: Any, exponent: float, offset: int) -> Dimension | None:
     return result
 
 
-# -- values -------------------------------------------------------------------------
+# -- parts of an expression ---------------------------------------------------------
 
 
-def constant(token: Token) -> Infer:
-    if token.dimension is not None:
-        dimension = without_angle(token.dimension)
-        return lambda scope: dimension
-    value = token.value if token.kind == "number" else None
-    return lambda scope: value
+def infer_dimension(text: str, scope: Dimensions) -> Any:
+    """Returns the dimension of an expression.
 
+    - ``text``: the expression, which a document contains between ``${`` and ``}``.
 
-def look_up_name(name: str, offset: int) -> Infer:
-    def look_up(scope: Dimensions) -> Any:
-        try:
-            return scope.dimension(name)
-        except KeyError:
-            return math.pi if name == "pi" else None
-
-    return look_up
-
-
-def attribute(operand: Infer, name: str, offset: int) -> Infer:
-    def read(scope: Dimensions) -> Any:
-        part = operand(scope)
-        try:
-            return part(name) if callable(part) else None
-        except KeyError:
-            return None
-
-    return read
-
-
-def element(operand: Infer, index: Infer, offset: int) -> Infer:
-    def read(scope: Dimensions) -> Any:
-        position = index(scope)
-        _require_plain(position, offset, "[", "a number without a unit")
-        return element_of(operand(scope), position)
-
-    return read
+    Raises ``DimensionError`` if parts of the expression have dimensions that do not fit.
+    """
+    return parse(text)(_DimensionAlgebra(scope))
 
 
 def element_of(part: Any, position: Any) -> Any:
@@ -202,111 +170,93 @@ def element_of(part: Any, position: Any) -> Any:
     return part[position] if is_inside else None
 
 
-def list_of(elements: list[Infer]) -> Infer:
-    return lambda scope: [element(scope) for element in elements]
+class _DimensionAlgebra:
+    """The algebra of dimensions."""
 
+    def __init__(self, scope: Dimensions) -> None:
+        self.scope = scope
 
-# -- logic --------------------------------------------------------------------------
+    def constant(self, token: Token) -> Any:
+        if token.dimension is not None:
+            return without_angle(token.dimension)
+        return token.value if token.kind == "number" else None
 
+    def name(self, name: str, offset: int) -> Any:
+        try:
+            return self.scope.dimension(name)
+        except KeyError:
+            return math.pi if name == "pi" else None
 
-def choose(condition: Infer, value: Infer, otherwise: Infer, offset: int) -> Infer:
-    def run(scope: Dimensions) -> Any:
-        condition(scope)
-        first, second = value(scope), otherwise(scope)
+    def attribute(self, operand: Any, name: str, offset: int) -> Any:
+        try:
+            return operand(name) if callable(operand) else None
+        except KeyError:
+            return None
+
+    def element(self, operand: Any, index: Any, offset: int) -> Any:
+        _require_plain(index, offset, "[", "a number without a unit")
+        return element_of(operand, index)
+
+    def choose(self, condition: Part, value: Part, otherwise: Part, offset: int) -> Any:
+        condition(self)
+        first, second = value(self), otherwise(self)
         if isinstance(first, list) and isinstance(second, list):
             return [_common([*first, *second], offset, "if")]
         if callable(first) or isinstance(first, list):
             return first
         return _common([first, second], offset, "if") or second
 
-    return run
+    def logical(self, word: str, decisive: bool, operands: list[Part], offset: int) -> None:
+        for operand in operands:
+            operand(self)
 
-
-def logical(word: str, decisive: bool, operands: list[Infer], offset: int) -> Infer:
-    return lambda scope: [operand(scope) for operand in operands] and None
-
-
-def negate(operand: Infer, count: int, offset: int) -> Infer:
-    return lambda scope: operand(scope) and None
-
-
-def compare(first: Infer, rest: list[tuple[str, Infer, int]]) -> Infer:
-    def run(scope: Dimensions) -> None:
-        left = first(scope)
-        for symbol, operand, offset in rest:
-            right = operand(scope)
-            _common((left, right), offset, symbol)
-            left = right
-
-    return run
-
-
-# -- arithmetic ---------------------------------------------------------------------
-
-
-def signed(operand: Infer, minus: bool, offset: int) -> Infer:
-    def run(scope: Dimensions) -> Any:
-        part = operand(scope)
-        return -part if minus and isinstance(part, int | float) else part
-
-    return run
-
-
-def chain(first: Infer, rest: list[tuple[str, Infer, int]]) -> Infer:
-    def run(scope: Dimensions) -> Any:
-        part = first(scope)
-        for symbol, operand, offset in rest:
-            part = _combine(symbol, part, operand(scope), offset)
-        return part
-
-    return run
-
-
-def _combine(symbol: str, left: Any, right: Any, offset: int) -> Any:
-    if isinstance(left, int | float) and isinstance(right, int | float):
-        try:
-            return operations.combine(symbol, left, right, offset)
-        except ExpressionError:
-            return NONE  # of a branch that is not computed
-    if symbol == "+" and isinstance(left, list) and isinstance(right, list):
-        return [*left, *right]
-    if symbol in "+-%":
-        return _common((left, right), offset, symbol)
-    if symbol == "**":
-        _require_plain(right, offset, "**", "an exponent without a unit")
-        if isinstance(right, int | float):
-            return _to_power(left, right, offset)
-        base = number_dimension(left)
-        if base is None or fits(base, NONE):
-            return base
-        raise ExpressionError(
-            f"the exponent of {in_words(base)} must be a number of the expression",
-            offset,
-            hint="write it as in `x ** 2`, or divide the base by its unit: `(x / 1 m) ** n`",
-            code="wrong-dimension",
-        )
-    first, second = number_dimension(left), number_dimension(right)
-    if first is None or second is None:
+    def negate(self, operand: Any, is_odd: bool, offset: int) -> None:
         return None
-    return multiply(first, second, -1 if symbol == "/" else 1)
 
+    def compare(self, symbol: str, left: Any, right: Any, offset: int) -> None:
+        _common((left, right), offset, symbol)
 
-# -- functions ----------------------------------------------------------------------
+    def signed(self, operand: Any, minus: bool, offset: int) -> Any:
+        return -operand if minus and isinstance(operand, int | float) else operand
 
+    def combine(self, symbol: str, left: Any, right: Any, offset: int) -> Any:
+        if isinstance(left, int | float) and isinstance(right, int | float):
+            try:
+                return combine(symbol, left, right, offset)
+            except ExpressionError:
+                return NONE  # of a branch that is not computed
+        if symbol == "+" and isinstance(left, list) and isinstance(right, list):
+            return [*left, *right]
+        if symbol in "+-%":
+            return _common((left, right), offset, symbol)
+        if symbol == "**":
+            _require_plain(right, offset, "**", "an exponent without a unit")
+            if isinstance(right, int | float):
+                return _to_power(left, right, offset)
+            base = number_dimension(left)
+            if base is None or fits(base, NONE):
+                return base
+            raise ExpressionError(
+                f"the exponent of {in_words(base)} must be a number of the expression",
+                offset,
+                hint="write it as in `x ** 2`, or divide the base by its unit: `(x / 1 m) ** n`",
+                code="wrong-dimension",
+            )
+        first, second = number_dimension(left), number_dimension(right)
+        if first is None or second is None:
+            return None
+        return multiply(first, second, -1 if symbol == "/" else 1)
 
-def call(name: str, arguments: list[Infer], offset: int) -> Infer:
-    def run(scope: Dimensions) -> Any:
-        parts = [argument(scope) for argument in arguments]
+    def call(self, name: str, arguments: list[Any], offset: int) -> Any:
+        first = arguments[0]
         if name in ("min", "max", "hypot", "abs"):
-            return _common(parts[0] if isinstance(parts[0], list) else parts, offset, name)
+            return _common(first if isinstance(first, list) else arguments, offset, name)
         if name == "sqrt":
-            return _to_power(parts[0], 0.5, offset)
+            return _to_power(first, 0.5, offset)
         if name == "atan2":
-            _common(parts, offset, name)
+            _common(arguments, offset, name)
         elif name in ("floor", "ceil"):
-            _require_plain(parts[0], offset, name, "a number without a unit")
+            _require_plain(first, offset, name, "a number without a unit")
         elif name != "len":
-            _require_plain(parts[0], offset, name, "an angle or a number without a unit")
+            _require_plain(first, offset, name, "an angle or a number without a unit")
         return NONE
-
-    return run
