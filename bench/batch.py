@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 
 from bench.figure import EXAMPLE, ROOT, Figure, python
 from thorvaldc.compiler.pipeline import compile_file, emit
-from thorvaldc.compiler.scenario.planned_variations import plan_variations
+from thorvaldc.compiler.scenario.variations import plan_variations
 from thorvaldc.diagnostics import Report
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
 from thorvaldc.simulation.worker_processes import processors

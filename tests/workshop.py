@@ -6,7 +6,7 @@ import textwrap
 from pathlib import Path
 
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.compiler.result.compilation import Compilation
+from thorvaldc.compiler.result import Compilation
 from thorvaldc.diagnostics import Diagnostic
 from thorvaldc.model import Robot
 

@@ -47,10 +47,9 @@ __all__ = [
 # Type checkers and editors read the imports; the program reads the table below.  A test compares
 # the two.
 if TYPE_CHECKING:
-    from thorvaldc.compiler.loading import CompileError, load, load_fleet
+    from thorvaldc.compiler.pipeline import CompileError, emit, load, load_fleet
     from thorvaldc.compiler.pipeline import compile_file as compile
-    from thorvaldc.compiler.pipeline import emit
-    from thorvaldc.compiler.result.compilation import Compilation
+    from thorvaldc.compiler.result import Compilation
     from thorvaldc.diagnostics import Diagnostic, Report, Severity, Span
     from thorvaldc.diagnostics.error import DiagnosticError
     from thorvaldc.model import Fleet, Robot
@@ -63,8 +62,8 @@ else:
     # Type checkers do not see ``__getattr__``: they would accept every name, with the type Any.
     _API = {
         "BaseDriver": "runtime.driver",
-        "Compilation": "compiler.result.compilation",
-        "CompileError": "compiler.loading",
+        "Compilation": "compiler.result",
+        "CompileError": "compiler.pipeline",
         "Diagnostic": "diagnostics",
         "DiagnosticError": "diagnostics.error",
         "DriverState": "runtime.driver",
@@ -81,8 +80,8 @@ else:
         "Twist": "runtime.se2",
         "compile": "compiler.pipeline:compile_file",
         "emit": "compiler.pipeline",
-        "load": "compiler.loading",
-        "load_fleet": "compiler.loading",
+        "load": "compiler.pipeline",
+        "load_fleet": "compiler.pipeline",
     }
 
     def __getattr__(name):

@@ -13,8 +13,7 @@ import pytest
 import yaml
 
 from tests.cli.conftest import Command
-from thorvaldc.compiler.scaffolding.new_project import project_files
-from thorvaldc.compiler.scaffolding.new_robot import presets
+from thorvaldc.compiler.scaffolding import presets, project_files
 
 
 def test_every_command_of_its_ci_succeeds(

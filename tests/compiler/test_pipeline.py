@@ -16,7 +16,7 @@ from tests.workshop import CART, Workshop
 from thorvaldc.backends import DEFAULT_TARGETS
 from thorvaldc.compiler import pipeline
 from thorvaldc.compiler.pipeline import MODEL_FILE, compile_file, emit
-from thorvaldc.compiler.result.compilation import Compilation
+from thorvaldc.compiler.result import Compilation
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import from_json

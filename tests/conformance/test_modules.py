@@ -15,7 +15,7 @@ import pytest
 import trimesh
 import yaml
 
-from thorvaldc.compiler.catalogue.library_check import check_library
+from thorvaldc.compiler.catalogue import check_library
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 

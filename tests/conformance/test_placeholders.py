@@ -13,8 +13,7 @@ from tests.examples import FLEETS, ROBOTS, example_fleet, example_robot
 from thorvaldc import backends
 from thorvaldc.backends.ros2 import package_of
 from thorvaldc.compiler.pipeline import compile_file, emit
-from thorvaldc.compiler.scaffolding.new_project import project_files, robot_files
-from thorvaldc.compiler.scaffolding.new_robot import presets
+from thorvaldc.compiler.scaffolding import presets, project_files, robot_files
 from thorvaldc.model import Fleet, Robot
 
 PLACEHOLDER = re.compile(r"@[A-Z][A-Z0-9_]*@|\{\{|\{%|# %")

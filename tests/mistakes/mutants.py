@@ -19,7 +19,7 @@ from typing import NamedTuple
 from tests.diagnostics.test_hints import apply
 from tests.mistakes.test_mistakes import FILES, write
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.compiler.result.compilation import Compilation
+from thorvaldc.compiler.result import Compilation
 from thorvaldc.diagnostics import Severity
 from thorvaldc.model.model_json import to_json
 

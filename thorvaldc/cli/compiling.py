@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from thorvaldc.cli.diagnostic_output import show_report
 from thorvaldc.cli.options import library_folders
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.compiler.result.compilation import Compilation
+from thorvaldc.compiler.result import Compilation
 from thorvaldc.compiler.scenario.variations import Change
 
 

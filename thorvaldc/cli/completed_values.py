@@ -45,7 +45,7 @@ def target_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
 @completer
 def preset_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes the presets of new robots."""
-    from thorvaldc.compiler.scaffolding.new_robot import presets
+    from thorvaldc.compiler.scaffolding import presets
 
     yield from presets()
 

@@ -15,9 +15,8 @@ from thorvaldc.cli.progress import Progress
 from thorvaldc.cli.run_pictures import RunPictures, check_output
 from thorvaldc.cli.run_records import call_all, open_joint_logs, open_recorders, record_summary
 from thorvaldc.compiler.pipeline import emit
-from thorvaldc.compiler.result.compilation import Compilation
-from thorvaldc.compiler.scenario.planned_variations import plan_variations
-from thorvaldc.compiler.scenario.variations import Change, Variations
+from thorvaldc.compiler.result import Compilation
+from thorvaldc.compiler.scenario.variations import Change, Variations, plan_variations
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.diagnostics.error import DiagnosticError

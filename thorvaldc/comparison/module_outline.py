@@ -17,7 +17,7 @@ from thorvaldc.compiler.modules.module_parameters import ModuleChoice
 from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.pipeline import library_folders_of
-from thorvaldc.compiler.result.compilation import SourceFile
+from thorvaldc.compiler.result import SourceFile
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.values.value_reader import INVALID

@@ -9,20 +9,17 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from thorvaldc.compiler.bus.assemble_buses import connect_actuators
+from thorvaldc.compiler.bus.assemble_buses import Wiring, connect_actuators
 from thorvaldc.compiler.bus.lock_file import Lock
 from thorvaldc.compiler.bus.stopping_distance import (
     check_stopping_distance,
     longest_watchdog,
     with_command_timeout,
 )
-from thorvaldc.compiler.bus.wiring import Wiring
 from thorvaldc.compiler.extras.extras_attachment import add_extras
-from thorvaldc.compiler.hardware.couplings import couple_joints
-from thorvaldc.compiler.hardware.hardware_parts import Hardware
-from thorvaldc.compiler.hardware.hardware_reader import hardware_of
+from thorvaldc.compiler.hardware.hardware_reader import Hardware, hardware_of
 from thorvaldc.compiler.hardware.purchase_reader import read_purchases
-from thorvaldc.compiler.hardware.robot_parts import RobotParts, modules_of
+from thorvaldc.compiler.hardware.robot_parts import RobotParts, couple_joints, modules_of
 from thorvaldc.compiler.hardware.wheel_geometry import (
     add_wheel_collisions,
     ground_height,
@@ -31,11 +28,13 @@ from thorvaldc.compiler.hardware.wheel_geometry import (
 from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.modules.module_tree import Instance, used_by
 from thorvaldc.compiler.modules.resolve import Resolver
-from thorvaldc.compiler.robot_settings.battery_connection import read_battery_connection
-from thorvaldc.compiler.robot_settings.calculator_choice import read_calculator
-from thorvaldc.compiler.robot_settings.driver_settings import DriverSettingsReader
-from thorvaldc.compiler.robot_settings.ros_settings import check_ros_names, read_ros_settings
-from thorvaldc.compiler.robot_settings.twist_inputs import TwistInputReader
+from thorvaldc.compiler.robot_settings.driver_settings import DriverSettingsReader, TwistInputReader
+from thorvaldc.compiler.robot_settings.robot_sections import (
+    check_ros_names,
+    read_battery_connection,
+    read_calculator,
+    read_ros_settings,
+)
 from thorvaldc.compiler.robot_settings.wheel_calibration import (
     MAX_RADIUS_CHANGE,
     Calibration,

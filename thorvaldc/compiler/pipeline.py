@@ -12,44 +12,47 @@ Stages of the compilation of a robot file:
 `compile_file` runs the stages 1 to 5 and returns a `Compilation`, which contains the model and
 all diagnostics.  `emit` runs stage 6 and returns the files of the targets in memory.
 `fleet_compilation` and `scenario_compilation` run the same stages for each robot file that a
-fleet or scenario file names.
+fleet or scenario file names.  `load` and `load_fleet` return the model, or raise all errors of the
+file as one exception.
 """
 
 from __future__ import annotations
 
 import os
 import posixpath
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from thorvaldc import backends
+from thorvaldc.compiler.bus.bus_checks import check_sides
+from thorvaldc.compiler.bus.lock_file import Lock, has_pins, lock_path, lock_text, read_lock
 from thorvaldc.compiler.bus.stopping_distance import check_stops_on_slope
-from thorvaldc.compiler.bus.wiring_checks import check_sides
-from thorvaldc.compiler.checks.purpose_checks import check_purpose
+from thorvaldc.compiler.checks.mobility_checks import check_purpose
 from thorvaldc.compiler.checks.robot_checks import check_robot
 from thorvaldc.compiler.elaborate import elaborate
 from thorvaldc.compiler.modules.library import Library
 from thorvaldc.compiler.modules.resolve import Resolver
-from thorvaldc.compiler.result.acceptances import read_acceptances
-from thorvaldc.compiler.result.compilation import Compilation, Compile, SourceFile
-from thorvaldc.compiler.result.lock_update import read_robot_lock, update_robot_lock
-from thorvaldc.compiler.robot_settings.calculator_choice import check_calculator
-from thorvaldc.compiler.robot_settings.design_requirements import read_design
+from thorvaldc.compiler.result import Compilation, Compile, SourceFile, read_acceptances
+from thorvaldc.compiler.robot_settings.robot_sections import check_calculator, read_design
 from thorvaldc.compiler.shapes.meshes import shared_mesh_workers
 from thorvaldc.compiler.source.input_file import FOLDERS, missing_file_hint
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Report
+from thorvaldc.compiler.source.reader import MAX_BYTES, read_file
+from thorvaldc.diagnostics import Diagnostic, Report, Severity, Span
+from thorvaldc.diagnostics.bounded_file import read_bounded
+from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics.renderers import render_text
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.model.model_json import to_json
+from thorvaldc.model.model_json import is_model_file, load_model, to_json
 from thorvaldc.tool_folders import document_compiler
 
-# The scenario classes are imported only for type checkers, because the import takes several
-# milliseconds.
+# The import of scenarios takes several milliseconds.
 if TYPE_CHECKING:
     from thorvaldc.compiler.scenario.variations import Change
+
 
 MODEL_FILE = "model.json"
 
@@ -279,3 +282,151 @@ def _modules_are_valid(source: SourceFile) -> bool:
     """Returns whether the section ``modules`` of a document has no errors against the schema."""
     modules = source.document.get("modules") if source.document is not None else None
     return modules is None or not source.shape.has_error_in(modules.span)
+
+
+def read_robot_lock(source: SourceFile, compilation: Compilation, report: Report) -> Lock | None:
+    """Returns the node ids in a robot's lock file, or ``None`` if the robot has no lock file."""
+    path = lock_path(source.path)
+    if not os.path.lexists(path):
+        return None
+    compilation.sources[os.path.normpath(path)] = path
+    document = read_file(path, lock_path(Path(source.name)).as_posix(), report)
+    return read_lock(document, report) if document is not None else {}
+
+
+def update_robot_lock(source: SourceFile, robot: Robot, compilation: Compilation) -> str:
+    """Returns the new text of the lock file, or ``""`` if the robot needs no lock file.
+
+    If the new text differs from the lock file on the disk, the new text is added to
+    ``compilation.locks``.
+    """
+    path = lock_path(source.path)
+    was_read = os.path.normpath(path) in compilation.sources
+    if not was_read and not has_pins(robot):
+        return ""
+    text = lock_text(robot, source.path.name)
+    if not was_read or read_bounded(path, MAX_BYTES + 1, cut=True) != text.encode():
+        compilation.locks[path] = text
+    return text
+
+
+# -- for programs that need the model and cannot continue without it ---------------------
+
+
+class CompileError(Exception):
+    """Raised if a robot, fleet or scenario file has errors.
+
+    The text of the exception is the report that ``thorvaldc check`` prints: every error and
+    warning with its file, line, column, excerpt and hint.
+
+    Attributes
+    ----------
+    diagnostics : the errors and warnings as data, in the order of file and line.
+    """
+
+    def __init__(self, text: str, diagnostics: Sequence[Diagnostic] = ()) -> None:
+        super().__init__(text, tuple(diagnostics))  # all arguments: the exception can be pickled
+        self.diagnostics: tuple[Diagnostic, ...] = tuple(diagnostics)
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+    @property
+    def errors(self) -> tuple[Diagnostic, ...]:
+        """The diagnostics that are errors."""
+        return tuple(d for d in self.diagnostics if d.severity is Severity.ERROR)
+
+
+def load(path: Path | str, *, library: Sequence[Path | str] = (), trust: bool = False) -> Robot:
+    """Returns the robot of a robot.yaml, or of the ``model.json`` of a build.
+
+    All values of the robot are in SI units, and poses are in the frames that the class names; a
+    robot is immutable.  The returned robot has no errors; ``compile(path).report`` has its
+    warnings.
+
+    Parameters
+    ----------
+    path : path of the file.
+    library : folders with module types, beside the project's library and the folders that the
+        file names.
+    trust : whether xacro files are expanded without restrictions, as programs that the caller
+        trusts.
+
+    Raises ``CompileError`` with all errors of the file.  A file with a fleet or a scenario is an
+    error too: ``load_fleet`` reads it.
+
+    >>> import thorvaldc
+    >>> robot = thorvaldc.load("examples/4wd4ws_wide/robot.yaml")
+    >>> robot
+    <Robot thorvald_4wd4ws_wide: 4 wheels, 190.6 kg>
+    >>> robot.wheels[0].radius
+    0.2
+    """
+    model = _load(path, library, trust)
+    if not isinstance(model, Robot):
+        raise _other_model(path, "a fleet", "a robot", "thorvaldc.load_fleet")
+    return model
+
+
+def load_fleet(
+    path: Path | str, *, library: Sequence[Path | str] = (), trust: bool = False
+) -> Fleet:
+    """Returns the fleet of a fleet or scenario file, or of the ``model.json`` of a build.
+
+    The placements of the fleet have the robots with their poses in the scene (m, rad).
+
+    Parameters
+    ----------
+    path : path of the file.
+    library : folders with module types, beside the project's library and the folders that the
+        files name.
+    trust : whether xacro files are expanded without restrictions.
+
+    Raises ``CompileError`` with all errors of the file and of its robots.  A file with a single
+    robot is an error too: ``load`` reads it.
+
+    >>> import thorvaldc
+    >>> fleet = thorvaldc.load_fleet("examples/fleet_of_four/fleet.yaml")
+    >>> fleet
+    <Fleet fleet_of_four: 4 robots>
+    >>> [placement.name for placement in fleet.placements]
+    ['tall', 'slim', 'wide', 'six']
+    """
+    model = _load(path, library, trust)
+    if not isinstance(model, Fleet):
+        raise _other_model(path, "a robot", "a fleet", "thorvaldc.load")
+    return model
+
+
+def _load(path: Path | str, library: Sequence[Path | str], trust: bool) -> Robot | Fleet:
+    path = Path(path)
+    if is_model_file(path) or path.name == MODEL_FILE:
+        try:
+            return load_model(path)
+        except DiagnosticError as error:
+            raise _compile_error([error.diagnostic], {}) from error
+    compilation = compile_file(path, library=library, trust=trust)
+    if compilation.model is None:
+        raise _compile_error(compilation.report, compilation.sources)
+    return compilation.model
+
+
+def _compile_error(
+    diagnostics: Sequence[Diagnostic] | Report, sources: Mapping[str, Path]
+) -> CompileError:
+    report = Report()
+    report.extend(diagnostics)
+    count = len(report.errors)
+    text = render_text(report, sources).rstrip()
+    return CompileError(f"{count} error{'' if count == 1 else 's'}\n{text}", report.sorted())
+
+
+def _other_model(path: Path | str, content: str, expected: str, function: str) -> CompileError:
+    report = Report()
+    report.add(
+        "other-document",
+        f"expected {expected}, got {content}",
+        Span(os.fspath(path)),
+        hint=f"{function}() reads this file",
+    )
+    return _compile_error(report, {})

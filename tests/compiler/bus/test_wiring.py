@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import GOOD
-from thorvaldc.compiler.bus import wiring
+from thorvaldc.compiler.bus import assemble_buses
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model.model_json import to_json
 
@@ -44,7 +44,7 @@ def test_remembered_buses_are_those_of_each_robot(tmp_path: Path) -> None:
     expected = {name: compiled(path, text) for name, text in VARIANTS.items()}
     assert len({model for model, _ in expected.values()}) == len(VARIANTS)
     assert [name for name, (model, _) in expected.items() if not model] == ["a duplicate id"]
-    with wiring.remembered_buses():
+    with assemble_buses.remembered_buses():
         for _ in range(2):
             for name, text in VARIANTS.items():
                 assert compiled(path, text) == expected[name], name
@@ -54,15 +54,15 @@ def test_buses_are_built_again_only_when_their_devices_change(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     built = []
-    build_buses = wiring.build_buses
+    build_buses = assemble_buses.build_buses
 
     def counted(*arguments: object, **options: object) -> object:
         built.append(arguments)
         return build_buses(*arguments, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(wiring, "build_buses", counted)
+    monkeypatch.setattr(assemble_buses, "build_buses", counted)
     path = tmp_path / "robot.yaml"
-    with wiring.remembered_buses():
+    with assemble_buses.remembered_buses():
         for width in (0.8, 0.9, 1.0, 1.1):
             compiled(path, ROBOT.replace("width: 0.9", f"width: {width}"))
         assert len(built) == 1

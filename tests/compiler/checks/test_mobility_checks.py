@@ -9,7 +9,7 @@ import pytest
 
 from tests.robots import make_robot
 from thorvaldc.compiler.checks.robot_checks import check_robot
-from thorvaldc.compiler.robot_settings.design_requirements import DesignRequirements
+from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.model.statics.mobility import feasible_twists

@@ -12,7 +12,7 @@ from tests.robots import FOUR_STEERED, make_robot
 from tests.workshop import CART, Workshop
 from thorvaldc.compiler.checks.robot_checks import check_robot
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.compiler.robot_settings.design_requirements import DesignRequirements
+from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from tests.workshop import CART, EXPECTED, Workshop, format_report
-from thorvaldc.compiler.catalogue.library_check import check_library
+from thorvaldc.compiler.catalogue import check_library
 from thorvaldc.model import Robot
 from thorvaldc.model.statics.joint_tree import JointTree
 

@@ -12,7 +12,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from thorvaldc.compiler.pipeline import compile_file, emit
-from thorvaldc.compiler.result.compilation import Compilation
+from thorvaldc.compiler.result import Compilation
 from thorvaldc.diagnostics import Report
 from thorvaldc.model.scenario import Command
 from thorvaldc.simulation.records.csv_record import CsvRecorder

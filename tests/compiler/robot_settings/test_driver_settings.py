@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.compiler.result.compilation import Compilation
+from thorvaldc.compiler.result import Compilation
 from thorvaldc.compiler.robot_settings.driver_settings import LIMITS
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import from_json, to_json

@@ -10,7 +10,7 @@ from tests.cli.conftest import GOOD
 from thorvaldc.backends.ros2_parameter_file import parameter_file
 from thorvaldc.backends.ros2_parameters import twist_mux
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.compiler.result.compilation import Compilation
+from thorvaldc.compiler.result import Compilation
 from thorvaldc.model import Robot, TwistInput
 from thorvaldc.model.model_json import from_json, to_json
 from thorvaldc.runtime.multiplexer import Multiplexer

@@ -9,7 +9,7 @@ import pytest
 
 from tests.workshop import CART, Workshop
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.compiler.result.compilation import Compilation
+from thorvaldc.compiler.result import Compilation
 from thorvaldc.model import Fleet
 
 

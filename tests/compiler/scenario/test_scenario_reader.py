@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from thorvaldc.compiler.pipeline import compile_file, emit
-from thorvaldc.compiler.result.compilation import Compilation
+from thorvaldc.compiler.result import Compilation
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Box, Cylinder, Ground, Sphere
 from thorvaldc.model.scenario import Command, Noise, Scenario

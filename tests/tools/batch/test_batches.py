@@ -16,8 +16,7 @@ import pytest
 
 from tests.child_process import ChildProcess
 from tests.cli.conftest import Command
-from thorvaldc.compiler.scenario.planned_variations import plan_variations
-from thorvaldc.compiler.scenario.variations import Variations
+from thorvaldc.compiler.scenario.variations import Variations, plan_variations
 from thorvaldc.diagnostics import Report
 from thorvaldc.tools.batch.scenario_batch import Batch
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from thorvaldc.compiler.scaffolding.new_robot import robot_text
+from thorvaldc.compiler.scaffolding import robot_text
 from thorvaldc.tools.language_server.cursor import cursor_at
 
 PLACES = [

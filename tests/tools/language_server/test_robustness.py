@@ -13,7 +13,7 @@ from lsprotocol import types
 
 from tests.tools.language_server.conftest import Editor
 from tests.tools.language_server.texts import POST, ROBOT
-from thorvaldc.compiler.scaffolding.new_robot import robot_text
+from thorvaldc.compiler.scaffolding import robot_text
 from thorvaldc.tools.language_server.diagnostic_publisher import DiagnosticPublisher
 from thorvaldc.tools.language_server.open_document import OpenDocument, uri_of
 

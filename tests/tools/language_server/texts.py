@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lsprotocol import types
 
-from thorvaldc.compiler.scaffolding.new_robot import robot_text
+from thorvaldc.compiler.scaffolding import robot_text
 
 ROBOT = robot_text("cart", "4wd4ws")
 POST = """\

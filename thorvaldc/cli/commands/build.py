@@ -17,7 +17,7 @@ from thorvaldc.cli.completed_values import target_names
 from thorvaldc.cli.exits import OutsideError
 
 if TYPE_CHECKING:
-    from thorvaldc.compiler.result.compilation import Compilation
+    from thorvaldc.compiler.result import Compilation
     from thorvaldc.model import Fleet, Robot
 
 

@@ -21,7 +21,7 @@ def check_modules(
     strict: options.Strict = False,
 ) -> int:
     from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
-    from thorvaldc.compiler.catalogue.library_check import check_library
+    from thorvaldc.compiler.catalogue import check_library
 
     check_format(format)
     output = DiagnosticOutput(format, sys.stdout)

@@ -7,7 +7,7 @@ from thorvaldc.cli import options
 
 def list_modules(json: options.Json = False, library: options.Library = []) -> int:  # noqa: B006
     from thorvaldc.cli.diagnostic_output import print_json, print_table, show_report
-    from thorvaldc.compiler.catalogue.module_text import first_sentence, module_summary
+    from thorvaldc.compiler.catalogue import first_sentence, module_summary
     from thorvaldc.compiler.modules.library import Library as ModuleLibrary
     from thorvaldc.compiler.source.node import Node
     from thorvaldc.diagnostics import Report, Span

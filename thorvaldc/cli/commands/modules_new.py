@@ -22,7 +22,7 @@ def new_module(
 ) -> int:
     from thorvaldc.cli.diagnostic_output import show_report
     from thorvaldc.compiler.modules.library import FILE, Library
-    from thorvaldc.compiler.scaffolding.new_module import (
+    from thorvaldc.compiler.scaffolding import (
         is_module_type,
         module_files,
         module_mesh,

@@ -21,8 +21,8 @@ def show_module(
     library: options.Library = [],  # noqa: B006
 ) -> int:
     from thorvaldc.cli.diagnostic_output import print_json, print_table, show_report
-    from thorvaldc.compiler.catalogue.module_description import describe_module
-    from thorvaldc.compiler.catalogue.module_text import (
+    from thorvaldc.compiler.catalogue import (
+        describe_module,
         description_document,
         description_rows,
         mass_rows,

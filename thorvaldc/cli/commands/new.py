@@ -29,12 +29,13 @@ def new(
         ),
     ] = False,
 ) -> int:
-    from thorvaldc.compiler.scaffolding.new_project import (
+    from thorvaldc.compiler.scaffolding import (
+        is_robot_name,
+        presets,
         project_files,
         robot_files,
         write_new_files,
     )
-    from thorvaldc.compiler.scaffolding.new_robot import is_robot_name, presets
 
     if not is_robot_name(name):
         raise typer.BadParameter(

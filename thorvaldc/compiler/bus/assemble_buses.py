@@ -1,20 +1,37 @@
-"""Builds the CAN buses of a robot from its CAN devices.
+"""Collects the CAN devices of a robot and its wired motors, and builds the CAN buses from them.
 
 A CAN bus in the robot model has nodes with node ids, and CAN frames with signals.  The section
 `can` of a module document defines the CAN frames of the module.  Expressions in the section `can`
 can use the node id of the device and the parameters of the connected motors.  The Python module
 `bus_checks` checks each CAN bus.
+
+A foreign device is a device on a CAN bus of the robot that is not a module of the robot.  The base
+driver relays only the CAN frames that the robot file declares for a foreign device.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
+from contextvars import ContextVar
 from dataclasses import replace
+from typing import Any, NamedTuple
 
 from thorvaldc.can.canopen import HEARTBEAT, NMT, SYNC, NmtCommand
-from thorvaldc.compiler.bus.bus_checks import LOAD_WARNING, check_bus, late_frames
-from thorvaldc.compiler.bus.device_frames import heartbeat
+from thorvaldc.compiler.bus.bus_checks import (
+    LOAD_WARNING,
+    check_bus,
+    check_serials,
+    check_wiring,
+    late_frames,
+)
+from thorvaldc.compiler.bus.device_frames import (
+    HEARTBEAT_PERIOD,
+    heartbeat,
+    minimum_interval,
+    standard_frames,
+)
 from thorvaldc.compiler.bus.device_sections import (
     MASTER,
     MASTER_HEARTBEAT_PERIOD,
@@ -23,19 +40,162 @@ from thorvaldc.compiler.bus.device_sections import (
     Device,
     Placed,
     Wire,
+    entries,
 )
-from thorvaldc.compiler.bus.foreign_devices import foreign_devices
-from thorvaldc.compiler.bus.id_checks import check_serials
 from thorvaldc.compiler.bus.lock_file import Lock
-from thorvaldc.compiler.bus.node_ids import assign_ids
+from thorvaldc.compiler.bus.node_ids import assign_ids, bus_name
 from thorvaldc.compiler.bus.stopping_distance import master_heartbeat_period
-from thorvaldc.compiler.bus.wiring_checks import check_wiring
+from thorvaldc.compiler.modules.library import Library
+from thorvaldc.compiler.modules.module_parameters import Scope
+from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
+from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.source import node as source
-from thorvaldc.diagnostics import Report
-from thorvaldc.model import Actuator, Bus, FrameDefinition, Signal
+from thorvaldc.diagnostics import Report, Span
+from thorvaldc.model import Actuator, Bus, FrameDefinition, Joint, Node, Signal
+from thorvaldc.model.bus import CANOPEN
 from thorvaldc.model.bus_timing import bus_load, frame_response_times
 
 __all__ = ["BusSpec", "Device", "Wire", "build_buses", "connect_actuators"]
+
+
+DEFAULT_BITRATE = 500_000  # bit/s
+DEFAULT_BUS = "main"
+
+
+MAX_REMEMBERED = 256
+"""Largest number of robots whose buses ``remembered_buses`` keeps."""
+
+_remembered: ContextVar[dict[Any, tuple[Bus, ...]] | None] = ContextVar("buses", default=None)
+
+
+@contextlib.contextmanager
+def remembered_buses() -> Iterator[None]:
+    """Within this context, the buses of equal devices are built once.
+
+    The context is for many compilations of one robot, in which other values than those of its
+    devices change.  Buses with diagnostics are built each time.
+    """
+    token = _remembered.set({})
+    try:
+        yield
+    finally:
+        _remembered.reset(token)
+
+
+class Wiring(NamedTuple):
+    """Collects the CAN devices of a robot and the motors on the channels of motor controllers.
+
+    - ``document``: robot document.
+    - ``resolver``: resolver of the references to motors.
+    - ``scope``: names and values for expressions in the robot document.
+    - ``actuators``: actuators of the model, by name.
+    - ``joints``: joints of the model, by name.
+    - ``lock``: node ids of the last build, from the lock file.
+    """
+
+    document: source.Node
+    resolver: Resolver
+    scope: Scope
+    actuators: dict[str, Actuator]
+    joints: dict[str, Joint]
+    lock: Lock
+    report: Report
+
+    def buses(self, robot: Instance, period: float, watchdog: float = math.inf) -> tuple[Bus, ...]:
+        """Returns the CAN buses of a robot.
+
+        - ``robot``: root of the tree of module instances.
+        - ``period``: control cycle of the base driver in s.
+        - ``watchdog``: longest heartbeat consumer time of a drive in s.
+        """
+        devices: list[Device] = []
+        for leaf in robot.leaves():
+            can = leaf.type.document.get("can") if leaf.type is not None else None
+            if can is not None:
+                devices.append(self._device(leaf, can))
+        specs, actuators = self._specs(), list(self.actuators.values())
+        foreign = self.document.get("foreign_devices")
+        remembered, key = _remembered.get(), None
+        if remembered is not None and foreign is None:
+            inputs = tuple(map(_inputs, devices))
+            key = (inputs, *specs, *actuators, *self.lock.items(), period, watchdog)
+            if key in remembered:
+                return remembered[key]
+        number = len(self.report)
+        buses = build_buses(
+            devices,
+            specs,
+            actuators,
+            period,
+            self.report,
+            foreign=foreign,
+            lock=self.lock,
+            watchdog=watchdog,
+        )
+        if remembered is not None and key is not None and len(self.report) == number:
+            if len(remembered) >= MAX_REMEMBERED:
+                remembered.clear()
+            remembered[key] = buses
+        return buses
+
+    def _specs(self) -> list[BusSpec]:
+        node = self.document.get("buses")
+        if node is None or not isinstance(node.value, dict) or not node.value:
+            named = self.document.get("name") or self.document
+            return [BusSpec(DEFAULT_BUS, DEFAULT_BITRATE, named.span, stated=False)]
+        return [
+            BusSpec(
+                name,
+                round(self.scope.quantity(entry.get("bitrate"), "bitrate", DEFAULT_BITRATE)),
+                entry.where,
+                stated=entry.get("bitrate") is not None,
+            )
+            for name, entry in node.value.items()
+        ]
+
+    def _device(self, leaf: Instance, can: source.Node) -> Device:
+        wires: list[Wire] = []
+        for channel, node in leaf.wiring.items():
+            wire = self._wire(leaf, channel, node)
+            if wire is not None:
+                wires.append(wire)
+        document = leaf.type.document if leaf.type is not None else can
+        return Device(
+            path=leaf.path,
+            name=name_prefix(leaf.path),
+            can=can,
+            channels=document.get("channels"),
+            wires=tuple(wires),
+            address=leaf.can,
+            scope=leaf.scope,
+            span=leaf.span,
+        )
+
+    def _wire(self, leaf: Instance, channel: str, node: source.Node) -> Wire | None:
+        inside = leaf.parent if leaf.parent is not None else leaf
+        reference = inside.scope.text(node)
+        if not reference:
+            return None
+        motor = self.resolver.references.find_motor(inside, reference, node)
+        if motor is None:
+            return None
+        actuator = self.actuators.get(f"{name_prefix(motor[0].path)}_{motor[1]}")
+        if actuator is None:
+            return None
+        joint = self.joints[actuator.joint]
+        return Wire(channel, actuator, joint.lower, joint.upper, node.where)
+
+
+def _inputs(device: Device) -> Hashable:
+    """Returns all of a device that its nodes and frames depend on.
+
+    The expressions in the section `can` use only the parameters of the module, and values that the
+    module document computes from them.
+    """
+    values = tuple(tuple(v) if isinstance(v, list) else v for v in device.scope.parameter_values())
+    address = None if device.address is None else repr(device.address)
+    return device.path, device.scope.module, values, device.wires, address, device.span
+
 
 # Bitrates (bit/s) of CiA 301 that are higher than the default bitrate.  If the robot file sets no
 # bitrate for a CAN bus and the default bitrate is too slow, the compiler tries higher bitrates.
@@ -241,3 +401,77 @@ def _master_frames(
         "The control cycle's beat, after its commands.",
     )
     yield heartbeat(MASTER, HEARTBEAT + MASTER_ID, MASTER, nodes, heartbeat_period, spec.span)
+
+
+# -- foreign devices ---------------------------------------------------------------------
+
+PROTOCOL = "foreign"
+
+
+def foreign_devices(
+    section: source.Node | None, specs: Sequence[BusSpec], report: Report
+) -> list[Placed]:
+    """Returns the foreign CAN devices of a robot with the CAN frames that the base driver relays.
+
+    - ``section``: section `foreign_devices` of the robot file.
+    """
+    scope = Scope(None, {}, Library(), report, None)
+    devices = []
+    for name, device in entries(section):
+        id_node = device.get("id")
+        node_id = id_node.value if id_node is not None and type(id_node.value) is int else None
+        services = device.get("canopen")
+        if services is not None and services.value and node_id is None:
+            report.add(
+                "missing-key",
+                f"`{name}` has CANopen services, but no node id for their frames",
+                services.where,
+                hint="add `id: ...`",
+            )
+            services = None
+        frames = [
+            *_relayed(name, device, scope, report),
+            *standard_frames(name, node_id or 0, services, HEARTBEAT_PERIOD),
+        ]
+        span = id_node.span if id_node is not None else device.where
+        devices.append(
+            Placed(
+                name,
+                bus_name(device.get("bus"), specs, report),
+                span,
+                span,
+                _node(name, node_id, device.where),
+                tuple(frames),
+                device.where,
+            )
+        )
+    return devices
+
+
+def _node(name: str, node_id: int | None, span: Span) -> Node:
+    id_space = CANOPEN if node_id is not None else ""
+    return Node(name, "", PROTOCOL, node_id or 0, id_space, None, None, (), (), span)
+
+
+def _relayed(
+    name: str, device: source.Node, scope: Scope, report: Report
+) -> Iterator[FrameDefinition]:
+    for key, node in entries(device.get("frames")):
+        cob_id, length = node.get("cob_id"), node.get("length")
+        if cob_id is None or type(cob_id.value) is not int:
+            continue  # the schema check reports a missing or invalid COB-ID
+        to_device = scope.text(node.get("direction")) == "command"
+        yield FrameDefinition(
+            f"{name}_{key}",
+            cob_id.value,
+            "relay",
+            MASTER if to_device else name,
+            (name,) if to_device else (MASTER,),
+            length.value if length is not None and type(length.value) is int else 8,
+            None,
+            None,
+            (),
+            node.where,
+            scope.text(node.get("description")),
+            minimum_interval(scope, node, report),
+        )

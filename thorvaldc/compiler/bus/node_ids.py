@@ -21,9 +21,9 @@ from thorvaldc.compiler.bus.device_sections import (
     integer,
     items,
     listed,
+    objects_of,
 )
 from thorvaldc.compiler.bus.lock_file import Lock, Pin
-from thorvaldc.compiler.bus.node_objects import objects_of
 from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source import node as source
 from thorvaldc.compiler.source.dimensions import EXPECTED

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from thorvaldc.compiler.bus.device_sections import MASTER_HEARTBEAT_PERIOD
-from thorvaldc.compiler.robot_settings.design_requirements import DesignRequirements
+from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Proposal, Report
 from thorvaldc.diagnostics.plain_numbers import plain

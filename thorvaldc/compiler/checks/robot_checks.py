@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 
-from thorvaldc.compiler.checks.held_checks import check_bodies_held
-from thorvaldc.compiler.checks.mobility_checks import check_controllable, check_steering_range
-from thorvaldc.compiler.robot_settings.design_requirements import DesignRequirements
+from thorvaldc.compiler.checks.mobility_checks import (
+    check_bodies_held,
+    check_controllable,
+    check_steering_range,
+)
+from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.diagnostics.plain_numbers import millimetres, plain
 from thorvaldc.model import Robot, Wheel

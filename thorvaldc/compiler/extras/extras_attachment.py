@@ -8,10 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from thorvaldc.compiler.hardware.hardware_parts import Hardware
+from thorvaldc.compiler.hardware.hardware_reader import Hardware
 from thorvaldc.compiler.hardware.robot_parts import RobotParts
-from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
-from thorvaldc.compiler.modules.port_references import References
+from thorvaldc.compiler.modules.module_tree import Instance, References, name_prefix
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.value_reader import items
 from thorvaldc.diagnostics import Report

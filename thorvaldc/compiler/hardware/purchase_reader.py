@@ -7,11 +7,8 @@ states or replaces them for a module type or for one module.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import replace
 from typing import NamedTuple
 
-from thorvaldc.compiler.hardware.hardware_parts import Hardware
 from thorvaldc.compiler.modules.library import Library, ModuleType
 from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.source.node import Node, describe_node, insertion
@@ -198,23 +195,3 @@ def read_purchases(
             )
         purchases[name] = read_purchase(node, reader, report)
     return purchases
-
-
-def purchase_of(
-    leaf: Instance, hardware: Mapping[str, Hardware], purchases: Mapping[str, Purchase]
-) -> Purchase:
-    """Returns the purchase data of a module.
-
-    A value that the robot document states for the module replaces the one for its type, which
-    replaces the one in the module document.
-    """
-    purchase = hardware[leaf.path].purchase
-    names = (leaf.type.name if leaf.type is not None else "", leaf.path)
-    for stated in (purchases[name] for name in names if name in purchases):
-        if stated.price is not None:
-            purchase = replace(purchase, price=stated.price, currency=stated.currency)
-        if stated.supplier:
-            purchase = replace(purchase, supplier=stated.supplier)
-        if stated.lead_time is not None:
-            purchase = replace(purchase, lead_time=stated.lead_time)
-    return purchase

@@ -2,5 +2,5 @@
 
 May import: ``values``, ``validation``, ``source``.  Begin with ``resolve.py``: it takes module
 types from ``library.py``, evaluates their parameters (``module_parameters.py``), mounts them on
-each other (``mounting.py``) and returns the tree (``module_tree.py``).
+each other (``mounting.py``) and returns the tree (``module_tree.py``, with references to ports).
 """

@@ -1,16 +1,21 @@
-"""Defines the module instance, which is one use of a module type in a robot."""
+"""The tree of module instances of a robot, and dotted references into it such as ``fl.steering``.
+
+A module instance is one use of a module type in a robot.  References name modules, ports and
+motors.
+"""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from thorvaldc.compiler.modules.library import ModuleType
-from thorvaldc.compiler.modules.module_parameters import Scope
+from thorvaldc.compiler.modules.module_parameters import Scope, hint_of_known
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.value_reader import entries
-from thorvaldc.diagnostics import Label, Span
+from thorvaldc.diagnostics import Label, Proposal, Report, Span
 from thorvaldc.model import Pose
 
 
@@ -135,3 +140,145 @@ def last_name(path: str) -> str:
 def name_prefix(path: str) -> str:
     """Returns the prefix of the names of a module's links and joints."""
     return path.replace(".", "_")
+
+
+# -- references --------------------------------------------------------------------------
+
+
+def _port_hint(inside: Instance, reference: str) -> Proposal | None:
+    """Returns the hint for a reference such as ``front_left``, which lacks the name of a module."""
+    for name, child in inside.children.items():
+        for port in child.type.section("ports") if child.type is not None else ():
+            if reference in (port, f"{name}_{port}", f"{name}{port}"):
+                return Proposal(f"did you mean `{name}.{port}`?", f"{name}.{port}")
+    return None
+
+
+def _none_hint(inside: Instance, reference: str, section: str, word: str) -> str:
+    """Returns the hint for a reference to a module that has no port or motor at all."""
+    others = (
+        f"`{name}`"
+        for name, child in inside.children.items()
+        if child.type is not None and child.type.section(section)
+    )
+    known = ", ".join(itertools.islice(others, 6))
+    return f"`{reference}` has no {word}s" + (f"; modules with {word}s: {known}" if known else "")
+
+
+class References:
+    """Finds the module, port or motor that a dotted reference names.
+
+    The argument ``inside`` of each method is the assembly or robot that contains the first name of
+    the reference.  The argument ``reference`` is a dotted reference, such as ``fl.steering``.  The
+    argument ``node`` is the YAML node that contains the reference.  A reference to an unknown
+    module is reported at the source span of ``node``.
+    """
+
+    def __init__(self, report: Report) -> None:
+        self.report = report
+
+    def find(
+        self, inside: Instance, reference: str, node: Node, *, optional: bool = False
+    ) -> tuple[Instance, list[str]] | None:
+        """Returns the module that a dotted reference names, and the remaining names after the
+        module name.
+
+        Returns ``None`` if the first name of the dotted reference is not the name of a module.  If
+        ``optional`` is true, a reference to a module that was left out of the robot is not
+        reported.
+        """
+        names = reference.split(".")
+        part = inside
+        while names and names[0] in part.children:
+            part = part.children[names.pop(0)]
+        if part is not inside:
+            return part, names
+        assembly = f" in `{inside.path}`" if inside.path else ""
+        if names[0] in inside.left_out:
+            if not optional:
+                self.report.add(
+                    "module-unknown",
+                    f"`{names[0]}` is left out{assembly}",
+                    node.span,
+                    hint=f"leave out the modules that need it, or choose a module for `{names[0]}`",
+                )
+        elif names[0] not in inside.failed:
+            self.report.add(
+                "module-unknown",
+                f"there is no module `{names[0]}`{assembly}",
+                node.span,
+                hint=_port_hint(inside, reference)
+                or hint_of_known(names[0], list(inside.children), reference),
+            )
+        return None
+
+    def find_port(
+        self, inside: Instance, reference: str, node: Node
+    ) -> tuple[Instance, str] | None:
+        """Returns the module that has the port, and the port's name in the module document."""
+        return self._find_in_section(inside, reference, node, "ports", "port")
+
+    def find_motor(
+        self, inside: Instance, reference: str, node: Node
+    ) -> tuple[Instance, str] | None:
+        """Returns the module that has the motor, and the motor's name in the module document."""
+        return self._find_in_section(inside, reference, node, "motors", "motor")
+
+    def _find_in_section(
+        self, inside: Instance, reference: str, node: Node, section: str, word: str
+    ) -> tuple[Instance, str] | None:
+        """Finds the port or motor that a dotted reference names.
+
+        The sections `ports` and `motors` of an assembly contain references to modules of the
+        assembly.  The method follows the references to the module that has the port or motor.
+        ``word`` is the word ``port`` or ``motor`` for error messages.
+        """
+        part_and_rest = self.find(inside, reference, node, optional=section == "motors")
+        if part_and_rest is None:
+            return None
+        part, rest = part_and_rest
+        if not rest and part.parent is not None and part.parent is not inside:
+            # A module in an assembly and a motor of the assembly may have the same name.  In this
+            # case, a reference such as `fl.steering` names the motor.
+            name = reference.rpartition(".")[2]
+            if part.parent.type is not None and name in part.parent.type.section(section):
+                part, rest = part.parent, [name]
+        available = part.type.section(section) if part.type is not None else {}
+        if len(rest) != 1:
+            if not rest:
+                first = next(iter(available), None)
+                message = f"`{reference}` is a module, not a {word}"
+                if first:
+                    hint = f"name its {word}: `{reference}.{first}`"
+                    hint = Proposal(hint, f"{reference}.{first}", is_example=True)
+                else:
+                    hint = _none_hint(inside, reference, section, word)
+            elif rest[0] in available:
+                message = f"`{part.path}.{rest[0]}` is a {word}; nothing can follow it"
+                shorter = reference.removesuffix("." + ".".join(rest[1:]))
+                hint = Proposal(f"write `{shorter}`", shorter)
+            else:
+                message = f"`{part.path}` has no part `{rest[0]}`"
+                hint = hint_of_known(rest[0], [*part.children, *available], reference)
+            self.report.add(f"{word}-unknown", message, node.span, hint=hint)
+            return None
+        name = rest[0]
+        if name not in available:
+            self.report.add(
+                f"{word}-unknown",
+                f"`{part.path}` ({part.type.name if part.type else ''}) has no {word} `{name}`",
+                node.span,
+                hint=hint_of_known(name, list(available), reference),
+            )
+            return None
+        if not part.is_leaf:
+            target = available[name]
+            return self._find_in_section(part, str(target.value), target, section, word)
+        if not part.scope.boolean(available[name].get("when"), True):
+            self.report.add(
+                f"{word}-unknown",
+                f"`{part.path}` has no {word} `{name}` with these parameters",
+                node.span,
+            )
+            return None
+        return part, name

@@ -12,9 +12,8 @@ from collections.abc import Iterable
 
 from thorvaldc.compiler.modules.library import Library, ModuleType
 from thorvaldc.compiler.modules.module_parameters import NONE, ModuleChoice, Scope, hint_of_known
-from thorvaldc.compiler.modules.module_tree import Instance, used_by
+from thorvaldc.compiler.modules.module_tree import Instance, References, used_by
 from thorvaldc.compiler.modules.mounting import Mounting
-from thorvaldc.compiler.modules.port_references import References
 from thorvaldc.compiler.source.node import Node, removal
 from thorvaldc.compiler.values.value_reader import INVALID, entries
 from thorvaldc.diagnostics import Report, Span

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from thorvaldc.compiler.output.writer import MANIFEST, listed_files, manifest
-from thorvaldc.compiler.result.compilation import Compilation
+from thorvaldc.compiler.result import Compilation
 from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.bounded_file import read_bounded
 from thorvaldc.diagnostics.foreign_json import read_json

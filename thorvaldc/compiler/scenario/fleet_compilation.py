@@ -1,18 +1,26 @@
-"""Compiles fleet files.  A fleet file names robot files and the pose of each robot."""
+"""Compiles fleet files.  A fleet file names robot files and the pose of each robot.
+
+The robots of a fleet have different names, and do not overlap.
+"""
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
-from thorvaldc.compiler.result.compilation import Compilation, Compile, SourceFile
-from thorvaldc.compiler.scenario.fleet_placement import Placements
+from thorvaldc.compiler.result import Compilation, Compile, SourceFile
 from thorvaldc.compiler.source.input_file import DOCUMENTS, missing_file_hint
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import Section, read_document
 from thorvaldc.compiler.values.value_reader import ValueReader
-from thorvaldc.diagnostics import Report
-from thorvaldc.model import Fleet, Robot
+from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.model import Fleet, Placement, Pose, Robot
+from thorvaldc.model.ros import package_name
+from thorvaldc.model.statics.contact_point import contact_point
+from thorvaldc.model.statics.convex_hull import Point, convex_hull, separates
 
 
 def compile_fleet(source: SourceFile, compile_robot: Compile) -> Compilation:
@@ -88,3 +96,142 @@ def open_named_file(source: SourceFile, node: Node, report: Report) -> SourceFil
         )
         return None
     return SourceFile(path, name, source.path.parent)
+
+
+# -- names, poses and overlaps -----------------------------------------------------------
+
+FAR_APART = 100.0  # Distance (m) in a grid with an invalid spacing: the robots do not overlap.
+
+
+class _Footprint(NamedTuple):
+    """Ground area of a placed robot.
+
+    Attributes
+    ----------
+    entry : name of the entry of the document that places the robot.
+    name : name of the robot.
+    x, y : position of the robot (m).
+    radius : radius (m) of a circle about the position that contains the outline.
+    outline : corners of the convex hull of the wheels in the scene (m), counter-clockwise.
+    """
+
+    entry: str
+    name: str
+    x: float
+    y: float
+    radius: float
+    outline: list[Point]
+
+    def overlaps(self, other: _Footprint) -> bool:
+        """Returns whether the areas of two robots overlap, on the ground."""
+        distance = math.hypot(self.x - other.x, self.y - other.y)
+        return distance < self.radius + other.radius and not any(
+            separates(a, b)
+            for a, b in ((self.outline, other.outline), (other.outline, self.outline))
+        )
+
+
+class Placements:
+    """Collects the robots of a fleet with their names and poses."""
+
+    def __init__(self, report: Report) -> None:
+        self.placed: list[Placement] = []
+        self._report = report
+        self._spans: dict[str, Span] = {}
+        self._packages: dict[str, tuple[str, Span]] = {}
+        self._footprints: list[_Footprint] = []
+
+    def add(self, entry: str, section: Section, robot: Robot) -> None:
+        """Places the robot, or the grid of robots, of an entry of the section `robots`.
+
+        Parameters
+        ----------
+        entry : name of the entry.
+        section : content of the entry.
+        robot : model of the robot.
+        """
+        reported_entries: set[str] = set()
+        node = section.node
+        for name, pose in self._poses(entry, section):
+            first_span = self._spans.setdefault(name, node.where)
+            if first_span is not node.where:
+                self._report.add(
+                    "fleet-name-twice",
+                    f"two robots have the name `{name}`",
+                    node.where,
+                    hint="rename one of the entries",
+                    labels=[Label(first_span, "first used here")],
+                )
+                return
+            placement = Placement(name, pose, self._member(name, robot, node))
+            self._check_overlap(_footprint(entry, placement), node.where, reported_entries)
+            self.placed.append(placement)
+
+    def _member(self, name: str, robot: Robot, node: Node) -> Robot:
+        """Returns the model of a robot with its name space and its ROS 2 package in the fleet."""
+        package = package_name(f"{robot.ros.package}_{name}")
+        first_name, first_span = self._packages.setdefault(package, (name, node.where))
+        if first_name != name:
+            self._report.add(
+                "ros-package-duplicate",
+                f"the ROS 2 packages of `{first_name}` and `{name}` have the name `{package}`",
+                node.where,
+                hint="rename one of the robots of the fleet",
+                labels=[Label(first_span, "first used here")],
+            )
+        return replace(robot, namespace=name, ros=replace(robot.ros, package=package))
+
+    def _poses(self, entry: str, section: Section) -> Iterator[tuple[str, Pose]]:
+        """Yields the name and the pose of each robot that an entry of the section `robots` places.
+
+        The robots of a grid are placed one row after another.
+        """
+        first = section.planar_pose()
+        if "grid" not in section:
+            yield entry, first
+            return
+        grid = section["grid"]
+        spacing = grid.get("spacing", FAR_APART)
+        for k in range(robots_of(section)):
+            x, y, z = first.xyz
+            row, column = divmod(k, grid["columns"])
+            xyz = (x + row * spacing, y + column * spacing, z)
+            yield f"{entry}_{k + 1}", replace(first, xyz=xyz).clean()
+
+    def _check_overlap(self, footprint: _Footprint, span: Span, reported_entries: set[str]) -> None:
+        """Reports an overlap of a robot with a robot that was placed earlier.
+
+        Each pair of entries in the section `robots` causes at most one diagnostic about overlapping
+        robots.
+        """
+        for earlier in self._footprints:
+            if earlier.entry not in reported_entries and footprint.overlaps(earlier):
+                reported_entries.add(earlier.entry)
+                self._report.add(
+                    "fleet-overlap",
+                    f"`{footprint.name}` stands in `{earlier.name}`",
+                    span,
+                    hint="widen the grid's `spacing`"
+                    if footprint.entry == earlier.entry
+                    else "give each robot its own `xyz`",
+                )
+        self._footprints.append(footprint)
+
+
+def robots_of(section: Section) -> int:
+    """Returns the number of robots that an entry of the section `robots` places."""
+    grid = section["grid"]
+    return int(grid["rows"] * grid["columns"])
+
+
+def _footprint(entry: str, placement: Placement) -> _Footprint:
+    """Computes the ground area of a placed robot."""
+    x, y, _ = placement.pose.xyz
+    corners = []
+    for wheel in placement.robot.wheels:
+        wheel_x, wheel_y = contact_point(wheel)
+        for dx, dy in ((a * wheel.radius, b * wheel.width / 2) for a in (-1, 1) for b in (-1, 1)):
+            corner = placement.pose.apply((wheel_x + dx, wheel_y + dy, 0.0))
+            corners.append((corner[0], corner[1]))
+    radius = max((math.hypot(a - x, b - y) for a, b in corners), default=0.0)
+    return _Footprint(entry, placement.name, x, y, radius, convex_hull(corners))

@@ -12,9 +12,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from thorvaldc.compiler.recordings.twist_log_reader import read_twists
-from thorvaldc.compiler.result.compilation import Compilation, Compile, SourceFile
-from thorvaldc.compiler.scenario.fleet_compilation import open_named_file, read_fleet
-from thorvaldc.compiler.scenario.fleet_placement import Placements, robots_of
+from thorvaldc.compiler.result import Compilation, Compile, SourceFile
+from thorvaldc.compiler.scenario.fleet_compilation import (
+    Placements,
+    open_named_file,
+    read_fleet,
+    robots_of,
+)
 from thorvaldc.compiler.scenario.scenario_reader import read_scenario
 from thorvaldc.compiler.scenario.variations import Change, with_changes, without_variations
 from thorvaldc.compiler.source.input_file import LOGS, missing_file_hint

@@ -7,14 +7,17 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from thorvaldc.compiler.scenario.start_checks import check_obstacles
 from thorvaldc.compiler.scenario.variations import (
     read_variations,
     with_changes,
     without_variations,
 )
-from thorvaldc.compiler.scenario.world_reader import read_world, with_friction
-from thorvaldc.compiler.scenario.zone_reader import check_starts
+from thorvaldc.compiler.scenario.world_reader import (
+    check_obstacles,
+    check_starts,
+    read_world,
+    with_friction,
+)
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.compiler.values.document_section import Section, read_document

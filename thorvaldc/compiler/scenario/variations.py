@@ -12,11 +12,13 @@ import random
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
-from thorvaldc.compiler.result.compilation import SETTING
+from thorvaldc.compiler.result import SETTING
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.compiler.source.reader import read_text
+from thorvaldc.compiler.source.reader import read_file, read_text
+from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report, Span
 
@@ -326,3 +328,33 @@ def _with_change(node: Node, keys: Sequence[str], change: Change, report: Report
         hint=hint,
     )
     return node
+
+
+def plan_variations(
+    path: Path | str,
+    settings: Sequence[str] = (),
+    draws: int | None = None,
+    seed: int | None = None,
+    *,
+    from_document: bool = True,
+    report: Report,
+) -> Variations | None:
+    """Returns the variations of a scenario.
+
+    The scenario document and the argument ``settings`` define the variations.  With
+    ``from_document=False`` only ``settings`` defines the variations.  Returns ``None`` if the file
+    is not a scenario.  The function ``read_variations`` describes the arguments ``settings``,
+    ``draws`` and ``seed``.
+    """
+    document_report = Report()  # compile_file reports these problems again, so they are dropped
+    document = read_file(Path(path), str(path), document_report)
+    if document is None:
+        report.extend(document_report)
+        return Variations(())
+    if document.get("scenario") is None:
+        return None
+    check(document, "scenario", document_report)
+    document = without_invalid_values(document, document_report)
+    if not from_document:
+        document = without_variations(document)
+    return read_variations(document, settings, draws, seed, report)

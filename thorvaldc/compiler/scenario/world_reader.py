@@ -1,17 +1,39 @@
-"""Reads the ground, the ground zones and the obstacles of the world in a scenario document."""
+"""Reads the world of a scenario (ground, zones, obstacles), and checks where robots start in it.
+
+A robot and an obstacle overlap if their outlines from above overlap, at a height that both have.
+The outline of the robot consists of the convex outlines of its collision shapes and wheels, so that
+a tall robot may start above a row of plants.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
-from thorvaldc.compiler.scenario.obstacle_reader import ObstacleReader
-from thorvaldc.compiler.scenario.zone_reader import CELLS_PER_WAVE, MAX_CELLS, read_zones
-from thorvaldc.compiler.source.node import insertion, removal
+from thorvaldc.compiler.source.node import Node, insertion, removal
 from thorvaldc.compiler.values.document_section import Section
-from thorvaldc.diagnostics import Report
+from thorvaldc.compiler.values.value_reader import entries, items
+from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.diagnostics.plain_numbers import plain
-from thorvaldc.model import Ground, Robot, World
+from thorvaldc.model import (
+    Block,
+    Box,
+    Cylinder,
+    Fleet,
+    Ground,
+    Placement,
+    Pose,
+    Robot,
+    Shape,
+    Sphere,
+    Vec3,
+    World,
+    Zone,
+)
+from thorvaldc.model.statics.convex_hull import Point, convex_hull, overlap
+from thorvaldc.model.statics.joint_tree import tree_of
 
 _KEYS_OF_SLOPES = ("angle", "direction")
 _KEYS_OF_ROUGH_GROUND = ("amplitude", "wavelength", "seed", "size")
@@ -80,3 +102,391 @@ def _check_size(ground: Section, report: Report) -> None:
         ground.entry("size").where,
         hint="choose longer waves, or less ground",
     )
+
+
+# -- zones of the ground -----------------------------------------------------------------
+
+MAX_CELLS = 1_000_000
+CELLS_PER_WAVE = 10
+"""Number of height field cells per wave of rough ground.
+
+With fewer cells per wave, the edges between cells add rolling resistance.
+"""
+LARGEST_CELL = 0.1  # Largest edge length of a cell of the ground's height field (m).
+
+
+def read_zones(zones: Iterable[Section], report: Report) -> Iterator[Zone]:
+    """Yields each valid zone in the list `zones` of a scenario document."""
+    for zone in zones:
+        node, size = zone.node, zone["size"]
+        amplitude, wavelength = zone["amplitude"], zone["wavelength"]
+        cell = min(LARGEST_CELL, wavelength / CELLS_PER_WAVE) if amplitude else LARGEST_CELL
+        count = math.prod(edge / cell for edge in size)
+        if not (min(size) > 0.0 and count <= MAX_CELLS):
+            report.add(
+                "out-of-range",
+                f"a zone of {plain(size[0])} m x {plain(size[1])} m has {count:.3g} cells; it must "
+                f"have an extent, and at most {MAX_CELLS} cells",
+                zone.entry("size").where,
+            )
+            continue
+        _check_keys(node, report)
+        yield Zone(
+            zone.planar_pose(),
+            size,
+            zone["friction"],
+            zone["rolling_resistance"],
+            zone["height"],
+            zone["slope"],
+            amplitude,
+            wavelength,
+            zone["seed"],
+        )
+
+
+def _check_keys(zone_node: Node, report: Report) -> None:
+    """Reports each key of a ground zone that has no effect because another key is missing.
+
+    For example, `wavelength` has no effect in a zone without `amplitude`.
+    """
+    for key, base in (("wavelength", "amplitude"), ("seed", "amplitude"), ("slope", "height")):
+        entry = zone_node.get(key)
+        if entry is not None and zone_node.get(base) is None:
+            report.add(
+                "conflicting-keys",
+                f"`{key}` has no effect in a zone without `{base}`",
+                entry.where,
+                hint=removal(f"leave it out, or add `{base}`", zone_node, key),
+            )
+
+
+# -- obstacles: kerbs, rails, crop rows, polytunnels, boxes, spheres and cylinders -------
+
+MAX_BLOCKS = 5000
+"""Greatest number of blocks in a world.
+
+MuJoCo needs minutes to load a world with more geoms.
+"""
+_KEYS_OF_SHAPES = {"box": ("size",), "sphere": ("diameter",), "cylinder": ("diameter", "height")}
+
+
+class ObstacleReader:
+    """Reads the obstacles in the section ``world`` of a scenario document."""
+
+    def __init__(self, world: Section, report: Report) -> None:
+        self._report = report
+        self._world = world
+        self._blocks: list[Block] = []
+
+    def blocks(self) -> tuple[Block, ...]:
+        """Returns the shapes of all obstacles in the world.
+
+        Returns an empty tuple and reports an error if the obstacles consist of too many shapes.
+        """
+        for key, add in (
+            ("kerbs", self._add_kerb),
+            ("rails", self._add_rails),
+            ("crop_rows", self._add_crop),
+            ("polytunnels", self._add_tunnel),
+        ):
+            for number, section in enumerate(self._world[key], 1):
+                add(section, str(number))
+        for name, obstacle in self._world["obstacles"].items():
+            self._add_obstacle(obstacle, name)
+        if len(self._blocks) > MAX_BLOCKS:
+            self._report.add(
+                "out-of-range",
+                f"the world has {len(self._blocks)} blocks; it must have at most {MAX_BLOCKS}",
+                self._world.node.where,
+                hint="make the rows of plants or the tunnels shorter",
+            )
+            return ()
+        return tuple(self._blocks)
+
+    def _add(self, kind: str, name: str, shape: Shape, pose: Pose) -> None:
+        """Adds one geometric shape to the world."""
+        self._blocks.append(Block(kind, name, shape, pose.clean()))
+
+    def _line(self, section: Section) -> tuple[Pose, float]:
+        """Returns the pose and the length (m) of the line between the points `from` and `to`.
+
+        The pose of the line has the origin in the middle of the line and the x axis along the line.
+        """
+        (x0, y0), (x1, y1) = section["from"], section["to"]
+        length = math.hypot(x1 - x0, y1 - y0)
+        if length == 0.0:
+            self._report.add(
+                "out-of-range",
+                "`from` and `to` are equal; the line must have a length",
+                section.entry("to").span,
+            )
+            length = 1.0
+        yaw = math.atan2(y1 - y0, x1 - x0)
+        return Pose.from_xyz_rpy(((x0 + x1) / 2, (y0 + y1) / 2, 0.0), (0.0, 0.0, yaw)), length
+
+    def _add_kerb(self, kerb: Section, name: str) -> None:
+        """Adds a kerb, which is a long box on the ground."""
+        center, length = self._line(kerb)
+        height = kerb["height"]
+        box = Box((length, kerb["width"], height))
+        self._add("kerb", name, box, center * _offset(0.0, 0.0, height / 2))
+
+    def _add_rails(self, rails: Section, name: str) -> None:
+        """Adds two pipe rails, on which a greenhouse robot drives.
+
+        If the value of `ramp` is positive, each pipe rail has a ramp at each end.
+        """
+        center, length = self._line(rails)
+        gauge, diameter, ramp = rails["gauge"], rails["diameter"], rails["ramp"]
+        height = rails["height"] or diameter
+        for side, sign in (("left", 1), ("right", -1)):
+            rail_pose = Pose.from_xyz_rpy(
+                (0.0, sign * gauge / 2, height - diameter / 2), (0.0, math.pi / 2, 0.0)
+            )
+            self._add("rail", f"{name}_{side}", Cylinder(diameter / 2, length), center * rail_pose)
+            if ramp <= 0.0:
+                continue
+            # The lower end of a rail's ramp is half buried in the ground.  The axis of the ramp
+            # meets the axis of the pipe rail at the upper end.
+            rise = height - diameter / 2
+            pipe = Cylinder(diameter / 2, math.hypot(ramp, rise))
+            for end, direction in (("begin", -1), ("end", 1)):
+                xyz = (direction * (length + ramp) / 2, sign * gauge / 2, rise / 2)
+                rpy = (0.0, math.pi / 2 + direction * math.atan2(rise, ramp), 0.0)
+                pose = center * Pose.from_xyz_rpy(xyz, rpy)
+                self._add("rail", f"{name}_{side}_{end}", pipe, pose)
+
+    def _add_obstacle(self, obstacle: Section, name: str) -> None:
+        """Adds a box, a sphere or a cylinder that stands on the ground."""
+        shape_type, node = obstacle["shape"], obstacle.node
+        needed_keys = _KEYS_OF_SHAPES[shape_type]
+        for key in needed_keys:
+            if node.get(key) is None:
+                self._report.add("missing-key", f"a {shape_type} has no `{key}`", node.where)
+        for key in ("size", "diameter", "height"):
+            entry = node.get(key)
+            if entry is not None and "shape" in obstacle and key not in needed_keys:
+                self._report.add("conflicting-keys", f"a {shape_type} has no `{key}`", entry.where)
+        if not all(key in obstacle for key in needed_keys):
+            return
+        shape: Shape
+        if shape_type == "box":
+            shape, height = Box(obstacle["size"]), obstacle["size"][2]
+        elif shape_type == "sphere":
+            shape, height = Sphere(obstacle["diameter"] / 2), obstacle["diameter"]
+        else:
+            height = obstacle["height"]
+            shape = Cylinder(obstacle["diameter"] / 2, height)
+        pose = obstacle.planar_pose() * _offset(0.0, 0.0, height / 2)
+        self._add("obstacle", name, shape, pose)
+
+    def _add_crop(self, crop: Section, name: str) -> None:
+        """Adds rows of crop plants to the world.
+
+        The document contains the pose of the first plant.  The rows of plants are parallel to the x
+        axis of the first plant's pose.
+        """
+        first, height = crop.planar_pose(), crop["height"]
+        rows, plants = crop["rows"], crop["plants"]
+        row_spacing, plant_spacing = crop["row_spacing"], crop["plant_spacing"]
+        plant = Cylinder(crop["diameter"] / 2, height)
+        if rows * plants > MAX_BLOCKS:
+            self._report.add(
+                "out-of-range",
+                f"the rows have {rows * plants} plants; they must have at most {MAX_BLOCKS}",
+                crop.node.where,
+            )
+            return
+        for row in range(rows):
+            for i in range(plants):
+                pose = first * _offset(i * plant_spacing, row * row_spacing, height / 2)
+                self._add("crop", f"{name}_{row + 1}_{i + 1}", plant, pose)
+
+    def _add_tunnel(self, tunnel: Section, name: str) -> None:
+        """Adds the two rows of posts of a polytunnel to the world.
+
+        The document contains the pose of the polytunnel, with the origin in the middle of the
+        entrance.  The rows of posts are parallel to the x axis of the polytunnel's pose.
+        """
+        entrance, width = tunnel.planar_pose(), tunnel["width"]
+        spacing, height = tunnel["post_spacing"], tunnel["post_height"]
+        post = Cylinder(tunnel["post_diameter"] / 2, height)
+        posts = math.floor(tunnel["length"] / spacing + 1e-9) + 1
+        if 2 * posts > MAX_BLOCKS:
+            self._report.add(
+                "out-of-range",
+                f"the tunnel has {2 * posts} posts; it must have at most {MAX_BLOCKS}",
+                tunnel.node.where,
+            )
+            return
+        for side, sign in (("left", 1), ("right", -1)):
+            for i in range(posts):
+                pose = entrance * _offset(i * spacing, sign * width / 2, height / 2)
+                self._add("post", f"{name}_{side}_{i + 1}", post, pose)
+
+
+def _offset(x: float, y: float, z: float) -> Pose:
+    return Pose((x, y, z))
+
+
+# -- where robots start ------------------------------------------------------------------
+
+_CORNERS = 16  # of the polygon that stands for a circle
+_TOLERANCE = 0.01  # Overlap (m) that is not reported: the outline of a circle is not exact.
+_CARRYING = ("kerb", "rail")  # kinds of blocks on which wheels may stand
+_SECTIONS = {"crop": "crop_rows", "post": "polytunnels"}
+
+
+class _Solid(NamedTuple):
+    """Points (m) of a convex body in the world, and its lowest and highest point (m)."""
+
+    points: list[Vec3]
+    bottom: float
+    top: float
+
+    def outline(self, height: float = math.inf) -> list[Point]:
+        """Returns the outline from above of the points that are not higher than ``height``."""
+        return convex_hull([(x, y) for x, y, z in self.points if z <= height])
+
+    def misses(self, least_x: float, most_x: float, least_y: float, most_y: float) -> bool:
+        """Returns whether the body is outside of a rectangle on the ground."""
+        xs, ys = [x for x, _, _ in self.points], [y for _, y, _ in self.points]
+        return max(xs) < least_x or min(xs) > most_x or max(ys) < least_y or min(ys) > most_y
+
+
+def check_starts(fleet: Fleet, world: Section, report: Report) -> None:
+    """Checks that no robot starts inside raised ground."""
+    zone_sections = world["zones"]
+    zones = fleet.world.zones if fleet.world is not None else ()
+    if len(zone_sections) != len(zones):
+        return  # A zone of the document is invalid.
+    for section, zone in zip(zone_sections, zones, strict=True):
+        if zone.level:
+            continue
+        for placement in fleet.placements:
+            points = (placement.pose.apply((w.x, w.y, 0.0)) for w in placement.robot.wheels)
+            if placement.pose.xyz[2] <= zone.pose.xyz[2] and any(
+                zone.holds(x, y) for x, y, _ in points
+            ):
+                report.add(
+                    "zone-under-robot",
+                    f"{placement.name} starts inside raised ground",
+                    section.node.where,
+                    hint="start it beside the zone, or at the height of the ground there",
+                )
+
+
+def check_obstacles(fleet: Fleet, world: Section, report: Report) -> None:
+    """Reports each robot that starts inside an obstacle, a plant or a post."""
+    blocks = [
+        (block, _solid(block.shape, block.pose))
+        for block in (fleet.world.blocks if fleet.world is not None else ())
+        if block.kind not in _CARRYING
+    ]
+    if not blocks:
+        return
+    for placement in fleet.placements:
+        parts = list(_parts(placement))
+        if not parts:
+            continue
+        xs, ys = zip(*((x, y) for part in parts for x, y, _ in part.points), strict=True)
+        reach = min(xs), max(xs), min(ys), max(ys)
+        reported: set[int] = set()
+        for block, solid in blocks:
+            node = _node(block, world.node)
+            if node is None or solid is None or id(node) in reported or solid.misses(*reach):
+                continue
+            moves = [
+                move
+                for part in parts
+                if part.bottom < solid.top - _TOLERANCE
+                and solid.bottom < part.top - _TOLERANCE
+                and (move := overlap(part.outline(solid.top), solid.outline())) is not None
+            ]
+            depth, direction = max(moves, default=(0.0, (1.0, 0.0)))
+            if depth > _TOLERANCE:
+                reported.add(id(node))
+                _report(placement, block, node, depth, direction, report)
+
+
+def _report(
+    placement: Placement,
+    block: Block,
+    node: Node,
+    depth: float,
+    direction: Point,
+    report: Report,
+) -> None:
+    what = {"crop": "a plant", "post": "a post"}.get(block.kind, f"the obstacle `{block.name}`")
+    hint = "start the robot beside it"
+    position = node.get("xyz")
+    if block.kind == "obstacle" and position is not None:
+        x, y, z = block.pose.xyz[0], block.pose.xyz[1], 0.0
+        distance = depth + 0.5
+        moved = ", ".join(
+            f"{plain(round(value, 2))} m"
+            for value in (x + distance * direction[0], y + distance * direction[1], z)
+        )
+        hint = Proposal(
+            f"move one of them, for example the obstacle to `[{moved}]`",
+            f"[{moved}]",
+            span=position.span,
+            is_example=True,
+        )
+    report.add(
+        "start-in-obstacle",
+        f"`{placement.name}` starts {depth:.2f} m inside {what}",
+        node.where,
+        hint=hint,
+    )
+
+
+def _node(block: Block, world: Node) -> Node | None:
+    """Returns the YAML node of a block."""
+    if block.kind == "obstacle":
+        return entries(world.get("obstacles")).get(block.name)
+    nodes = items(world.get(_SECTIONS.get(block.kind, block.kind)))
+    number = int(block.name.partition("_")[0])
+    return nodes[number - 1] if number <= len(nodes) else None
+
+
+def _parts(placement: Placement) -> Iterator[_Solid]:
+    """Yields the collision shapes of a placed robot in the world, with all joints at zero."""
+    robot = placement.robot
+    poses = tree_of(robot).pose
+    for link in robot.links:
+        for collision in link.collisions:
+            if link.name in poses:
+                solid = _solid(collision.shape, placement.pose * poses[link.name] * collision.pose)
+                if solid is not None:
+                    yield solid
+
+
+def _solid(shape: Shape, pose: Pose) -> _Solid | None:
+    """Returns the points of a shape in the world, or ``None`` for a mesh."""
+    points = [pose.apply(point) for point in _points(shape)]
+    if not points:
+        return None
+    heights = [z for _, _, z in points]
+    return _Solid(points, min(heights), max(heights))
+
+
+def _points(shape: Shape) -> list[Vec3]:
+    """Returns points of a shape, whose convex hull is nearly the shape.
+
+    A sphere is replaced by the largest cylinder in it.
+    """
+    if isinstance(shape, Box):
+        x, y, z = (edge / 2 for edge in shape.size)
+        return [(a * x, b * y, c * z) for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)]
+    circle = [
+        (math.cos(2 * math.pi * i / _CORNERS), math.sin(2 * math.pi * i / _CORNERS))
+        for i in range(_CORNERS)
+    ]
+    if isinstance(shape, Cylinder):
+        r, half = shape.radius, shape.length / 2
+    elif isinstance(shape, Sphere):
+        r = half = shape.radius / math.sqrt(2)
+    else:
+        return []
+    return [(r * c, r * s, end * half) for c, s in circle for end in (-1, 1)]

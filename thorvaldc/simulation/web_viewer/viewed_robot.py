@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from thorvaldc.compiler.modules.mounting_ports import MountingPort
+from thorvaldc.compiler.modules.mounting import MountingPort
 from thorvaldc.model import Joint, MeshShape, Pose, Robot, Shape
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.simulation.pictures.surfaces import is_closed, surface

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from thorvaldc.compiler.modules.mounting_ports import MountingPort
+from thorvaldc.compiler.modules.mounting import MountingPort
 from thorvaldc.model import Fleet, Pose, Robot
 from thorvaldc.simulation.web_viewer.viewed_robot import MeshCache, Shapes, pose_values, robot_data
 from thorvaldc.simulation.web_viewer.viewed_world import world_data

@@ -14,7 +14,7 @@ from typing import Any
 
 from thorvaldc.backends.mjcf import simulation_files
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.compiler.result.compilation import Compilation
+from thorvaldc.compiler.result import Compilation
 from thorvaldc.compiler.scenario.variations import (
     Change,
     Variations,

@@ -14,7 +14,7 @@ from thorvaldc.comparison.module_outline import Outline, outline_of_file
 from thorvaldc.comparison.robot_comparison import compare_fleets, compare_robots
 from thorvaldc.comparison.robot_difference import Difference
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.compiler.result.compilation import Compilation
+from thorvaldc.compiler.result import Compilation
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.bounded_file import read_bounded
 from thorvaldc.diagnostics.error import DiagnosticError

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from thorvaldc.compiler.catalogue.library_check import check_module
+from thorvaldc.compiler.catalogue import check_module
 from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY, Library
 from thorvaldc.compiler.pipeline import compile_file, library_folders_of
 from thorvaldc.compiler.source.input_file import unsaved_texts

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from thorvaldc.compiler.catalogue.module_text import module_facts
+from thorvaldc.compiler.catalogue import module_facts
 from thorvaldc.compiler.source.node import yaml_text
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any, parse_quantity

@@ -9,9 +9,8 @@ from pathlib import Path
 
 from thorvaldc.compiler.modules.library import Library, ModuleType
 from thorvaldc.compiler.modules.module_parameters import Scope
-from thorvaldc.compiler.modules.module_tree import Instance, Mount
+from thorvaldc.compiler.modules.module_tree import Instance, Mount, References
 from thorvaldc.compiler.modules.mounting import mount_kinds
-from thorvaldc.compiler.modules.port_references import References
 from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.pipeline import library_folders_of
 from thorvaldc.compiler.source.node import Node

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 
-from thorvaldc.compiler.catalogue.module_text import first_sentence
-from thorvaldc.compiler.scaffolding.new_robot import presets, robot_text
+from thorvaldc.compiler.catalogue import first_sentence
+from thorvaldc.compiler.scaffolding import presets, robot_text
 from thorvaldc.compiler.source.node import yaml_text
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_quantity

@@ -11,7 +11,7 @@ from thorvaldc.cli.diagnostic_output import message, print_json, report_of, show
 from thorvaldc.cli.run_pictures import RunPictures
 from thorvaldc.cli.run_records import Robots, open_recorders, record_summary, write_errors
 from thorvaldc.compiler.pipeline import emit
-from thorvaldc.compiler.result.compilation import Compilation
+from thorvaldc.compiler.result import Compilation
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Fleet, Robot

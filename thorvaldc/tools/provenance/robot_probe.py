@@ -15,10 +15,9 @@ from thorvaldc.compiler.extras.xacro_expand import remembered_expansions
 from thorvaldc.compiler.modules.library import Library, ModuleType
 from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.modules.resolve import Resolver
-from thorvaldc.compiler.pipeline import library_folders_of
-from thorvaldc.compiler.result.compilation import Compilation, SourceFile
-from thorvaldc.compiler.result.lock_update import read_robot_lock
-from thorvaldc.compiler.robot_settings.design_requirements import read_design
+from thorvaldc.compiler.pipeline import library_folders_of, read_robot_lock
+from thorvaldc.compiler.result import Compilation, SourceFile
+from thorvaldc.compiler.robot_settings.robot_sections import read_design
 from thorvaldc.compiler.shapes.meshes import shared_mesh_workers
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.backends.mjcf import simulation_files
-from thorvaldc.compiler.bus.wiring import remembered_buses
+from thorvaldc.compiler.bus.assemble_buses import remembered_buses
 from thorvaldc.compiler.extras.xacro_expand import remembered_expansions
 from thorvaldc.compiler.pipeline import compile_robot
-from thorvaldc.compiler.result.compilation import Compilation, SourceFile
+from thorvaldc.compiler.result import Compilation, SourceFile
 from thorvaldc.compiler.scenario.scenario_compilation import compile_scenario
 from thorvaldc.compiler.shapes.meshes import shared_mesh_workers
 from thorvaldc.compiler.source.input_file import unsaved_texts

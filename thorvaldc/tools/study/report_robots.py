@@ -11,7 +11,7 @@ from thorvaldc.comparison.difference_rows import Section, sections_of
 from thorvaldc.comparison.module_outline import Outline, outline_of_file
 from thorvaldc.comparison.robot_comparison import compare_robots
 from thorvaldc.compiler.pipeline import compile_robot, emit_without_model
-from thorvaldc.compiler.result.compilation import SourceFile
+from thorvaldc.compiler.result import SourceFile
 from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError

@@ -18,7 +18,7 @@ from typing import Any
 from thorvaldc.compiler.hardware.purchase_reader import MoneyError, parse_money
 from thorvaldc.compiler.modules.library import Library
 from thorvaldc.compiler.pipeline import library_folders_of
-from thorvaldc.compiler.result.compilation import Compilation, Compile, SourceFile
+from thorvaldc.compiler.result import Compilation, Compile, SourceFile
 from thorvaldc.compiler.scenario.fleet_compilation import open_named_file
 from thorvaldc.compiler.scenario.scenario_compilation import compile_scenario
 from thorvaldc.compiler.scenario.scenario_reader import metric_units

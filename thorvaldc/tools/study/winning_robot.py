@@ -9,7 +9,7 @@ from typing import Any
 
 from thorvaldc import __version__
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.compiler.result.compilation import Compilation
+from thorvaldc.compiler.result import Compilation
 from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.tools.study.design_evaluation import robot_text

@@ -7,7 +7,7 @@ from functools import cache
 import pytest
 
 from tests.examples import example_robot
-from thorvaldc.compiler.catalogue.module_description import ModuleDescription, describe_module
+from thorvaldc.compiler.catalogue import ModuleDescription, describe_module
 from thorvaldc.compiler.modules.library import Library
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.workshop import CART, Workshop, format_report
-from thorvaldc.compiler.modules.mounting_ports import MountingPort
+from thorvaldc.compiler.modules.mounting import MountingPort
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Fleet, Robot
 

@@ -9,7 +9,7 @@ import pytest
 
 import thorvaldc
 from tests.cli.conftest import GOOD, SHAKY
-from thorvaldc.compiler.catalogue.library_check import check_library
+from thorvaldc.compiler.catalogue import check_library
 from thorvaldc.diagnostics import CODES
 from thorvaldc.diagnostics.renderers import render, render_accepted
 
