@@ -26,9 +26,8 @@ from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.diagnostics import Span
 from thorvaldc.model.bus import Bus, FrameDefinition
 from thorvaldc.model.bus_timing import MASTER, bus_load, frame_response_times
-from thorvaldc.simulation.bus.can_controller import CanController
 from thorvaldc.simulation.bus.timeline import Timeline
-from thorvaldc.simulation.bus.wire import Wire
+from thorvaldc.simulation.bus.wire import CanController, Wire
 
 _SPAN = Span("traffic", 1, 1)
 _PATTERNS = (0x0F, 0x1E, 0x3C, 0x78, 0x87, 0xC3, 0xE1, 0xF0)

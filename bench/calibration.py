@@ -161,8 +161,8 @@ def _drive(
     """Returns the log of the run and the true end pose."""
     from thorvaldc.diagnostics import Report
     from thorvaldc.runtime.se2 import Twist
-    from thorvaldc.simulation.manoeuvre import Segment
-    from thorvaldc.simulation.physics.wheel_errors import WheelErrors
+    from thorvaldc.simulation.control_loop import Segment
+    from thorvaldc.simulation.physics.sim_base import WheelErrors
     from thorvaldc.simulation.records.joint_csv import JointLogWriter, read_log
     from thorvaldc.simulation.simulation_run import Simulation
 

@@ -27,8 +27,7 @@ from thorvaldc.runtime.calculators.base_geometry import FixedWheels, WheelGeomet
 from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.odometry import Odometry
 from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
-from thorvaldc.simulation.vectorised.calculator_batch import CalculatorBatch
-from thorvaldc.simulation.vectorised.odometry_batch import OdometryBatch
+from thorvaldc.simulation.vectorised.calculator_batch import CalculatorBatch, OdometryBatch
 
 RUNS = 200
 STRIDE = 2

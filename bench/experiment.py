@@ -21,8 +21,7 @@ from thorvaldc.runtime import driver
 from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.runtime.twist_ramp import Ramp
-from thorvaldc.simulation.control_loop import ControlLoop, Sample
-from thorvaldc.simulation.manoeuvre import Manoeuvre, Segment
+from thorvaldc.simulation.control_loop import ControlLoop, Manoeuvre, Sample, Segment
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
 from thorvaldc.simulation.simulation_run import Simulation

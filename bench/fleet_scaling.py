@@ -15,10 +15,9 @@ from thorvaldc.backends import DEFAULT_TARGETS
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Fleet
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.control_loop import ControlLoop
-from thorvaldc.simulation.manoeuvre import Segment
+from thorvaldc.simulation import simulation_run
+from thorvaldc.simulation.control_loop import ControlLoop, Segment
 from thorvaldc.simulation.simulation_run import Simulation
-from thorvaldc.simulation.vectorised import robot_groups
 
 GRIDS = {1: (1, 1), 10: (2, 5), 25: (5, 5), 50: (5, 10), 100: (10, 10)}
 """Rows and columns of the grid by the number of robots."""
@@ -110,14 +109,14 @@ class _Loops:
         self.simulation.run(SECONDS, PLAN)
 
     def one_by_one(self) -> None:
-        least, robot_groups.MIN_GROUP_SIZE = (
-            robot_groups.MIN_GROUP_SIZE,
+        least, simulation_run.MIN_GROUP_SIZE = (
+            simulation_run.MIN_GROUP_SIZE,
             1 + len(self.simulation.robots),
         )
         try:
             self.whole()
         finally:
-            robot_groups.MIN_GROUP_SIZE = least
+            simulation_run.MIN_GROUP_SIZE = least
 
     def bare(self) -> None:
         self.scene.reset()

@@ -12,8 +12,7 @@ from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.simulation.control_loop import Sample
-from thorvaldc.simulation.scenario_expectations import ScenarioResult
-from thorvaldc.simulation.scenario_run import ScenarioSimulation
+from thorvaldc.simulation.scenario_run import ScenarioResult, ScenarioSimulation
 
 SLIM = ROOT / "examples" / "4wd4ws_slim" / "robot.yaml"
 CART = ROOT / "examples" / "2wd0ws_greenhouse" / "robot.yaml"

@@ -14,8 +14,7 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet
 from thorvaldc.model.scenario import Scenario
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.control_loop import ControlLoop
-from thorvaldc.simulation.manoeuvre import Segment
+from thorvaldc.simulation.control_loop import ControlLoop, Segment
 from thorvaldc.simulation.physics.drive_servos import DriveServos
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
 from thorvaldc.simulation.simulation_run import Simulation

@@ -15,7 +15,7 @@ from bench.figure import Figure
 from bench.robots import built, example
 from thorvaldc.model import Robot
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.manoeuvre import Segment
+from thorvaldc.simulation.control_loop import Segment
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.simulation_run import Simulation

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 
 from thorvaldc.model import Robot
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.manoeuvre import Segment
-from thorvaldc.simulation.physics.wheel_errors import WheelErrors
+from thorvaldc.simulation.control_loop import Segment
+from thorvaldc.simulation.physics.sim_base import WheelErrors
 from thorvaldc.simulation.records.joint_csv import JointLogWriter
 from thorvaldc.simulation.simulation_run import Simulation
 

@@ -55,8 +55,8 @@ if TYPE_CHECKING:
     from thorvaldc.model import Fleet, Robot
     from thorvaldc.runtime.driver import BaseDriver, DriverState
     from thorvaldc.runtime.se2 import Pose2, Twist
+    from thorvaldc.simulation.control_loop import RobotResult, SimulationResult
     from thorvaldc.simulation.physics.sim_base import SimBase
-    from thorvaldc.simulation.run_result import RobotResult, SimulationResult
     from thorvaldc.simulation.simulation_run import Simulation
 else:
     # Type checkers do not see ``__getattr__``: they would accept every name, with the type Any.
@@ -71,11 +71,11 @@ else:
         "Pose2": "runtime.se2",
         "Report": "diagnostics",
         "Robot": "model",
-        "RobotResult": "simulation.run_result",
+        "RobotResult": "simulation.control_loop",
         "Severity": "diagnostics",
         "SimBase": "simulation.physics.sim_base",
         "Simulation": "simulation.simulation_run",
-        "SimulationResult": "simulation.run_result",
+        "SimulationResult": "simulation.control_loop",
         "Span": "diagnostics",
         "Twist": "runtime.se2",
         "compile": "compiler.pipeline:compile_file",

@@ -14,8 +14,7 @@ from typing import NamedTuple
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.simulation.pictures.opengl_backend import choose_opengl_backend
-from thorvaldc.simulation.pictures.render import View, render
+from thorvaldc.simulation.pictures.render import View, choose_opengl_backend, render
 
 ROOT = Path(__file__).resolve().parent.parent
 SPIN = 0.35  # rad between the angles of successive wheels, so that they do not look alike

@@ -20,8 +20,7 @@ from tests.conformance.test_modules import NAMES, PARTS, on_four, small_robot
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
-from thorvaldc.simulation.pictures.opengl_backend import choose_opengl_backend
-from thorvaldc.simulation.pictures.render import View, render
+from thorvaldc.simulation.pictures.render import View, choose_opengl_backend, render
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "docs" / "assets" / "modules"

@@ -20,9 +20,8 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.runtime.calculators import BaseGeometry
 from thorvaldc.runtime.odometry import Odometry
-from thorvaldc.simulation.control_loop import ControlLoop, Sample
-from thorvaldc.simulation.manoeuvre import Segment
-from thorvaldc.simulation.physics.wheel_errors import WheelErrors
+from thorvaldc.simulation.control_loop import ControlLoop, Sample, Segment
+from thorvaldc.simulation.physics.sim_base import WheelErrors
 from thorvaldc.simulation.records.joint_csv import JointLogWriter, read_log
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
 from thorvaldc.simulation.simulation_run import Simulation

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.nanoseconds import to_ns
-from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
+from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 
 if TYPE_CHECKING:
     from tests.chaos.chaos_world import ChaosWorld

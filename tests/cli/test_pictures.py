@@ -65,11 +65,11 @@ def test_wrong_options(
 
 
 def test_without_graphics(thorvaldc: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    from thorvaldc.simulation.pictures import opengl_backend
+    from thorvaldc.simulation.pictures import render
 
     monkeypatch.delitem(sys.modules, "mujoco", raising=False)
     monkeypatch.delenv("MUJOCO_GL", raising=False)
-    monkeypatch.setattr(opengl_backend, "_works", lambda name: False)
+    monkeypatch.setattr(render, "_works", lambda name: False)
     for arguments in (["render", "good.yaml"], ["sim", "good.yaml", "--video", "a.gif"]):
         result = thorvaldc(*arguments)
         assert result.status == 3

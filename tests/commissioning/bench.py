@@ -9,20 +9,18 @@ from typing import Any
 
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.frame import CanFrame, ReceivedFrame
-from thorvaldc.commissioning.bus_configuration import BusConfiguration, configuration_of
+from thorvaldc.commissioning.bus_configuration import BusConfiguration, Plan, configuration_of
 from thorvaldc.commissioning.bus_master import BusMaster, Timing
 from thorvaldc.commissioning.flash import Flash, Operator
 from thorvaldc.commissioning.journal import Journal
-from thorvaldc.commissioning.plan import Plan
 from thorvaldc.commissioning.planner import make_plan
 from thorvaldc.commissioning.scan_result import ScanResult
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_quirks import Quirk
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
-from thorvaldc.simulation.bus.device_description import NODE_ID, PARAMETERS
-from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
-from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
+from thorvaldc.simulation.bus.simulated_device import NODE_ID, PARAMETERS
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot, VirtualTimeInterface
 
 QUICK = Timing(absent=0.01, probe_gap=0.001, probe_tail=0.02, boot=1.0)
 """Shorter time-outs, because simulated devices answer quickly."""

@@ -11,8 +11,8 @@ from thorvaldc.can.canopen import NmtCommand
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.bus_master import BusMaster
 from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 from thorvaldc.simulation.bus.timeline import Timeline
-from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
 
 

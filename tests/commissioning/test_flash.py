@@ -26,15 +26,13 @@ from tests.examples import example_robot
 from tests.full_disk import full_disk
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.commissioning.bus_configuration import from_json, to_json
+from thorvaldc.commissioning.bus_configuration import AddressStep, AttachStep, from_json, to_json
 from thorvaldc.commissioning.flash import Flash
 from thorvaldc.commissioning.journal import Journal, JournalFile
-from thorvaldc.commissioning.plan import AddressStep, AttachStep
 from thorvaldc.commissioning.planner import make_plan
 from thorvaldc.commissioning.verify import verify
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.simulation.bus.virtual_operator import VirtualOperator
-from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
+from thorvaldc.simulation.bus.simulated_robot import VirtualOperator, VirtualTimeInterface
 
 
 def code_of(work: Callable[[], object]) -> str:

@@ -11,8 +11,8 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.lss import Identity
 from thorvaldc.commissioning.bus_master import BusMaster, Timing
 from thorvaldc.commissioning.lss_master import MAXIMUM_SLAVES, LssError, LssMaster
+from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 from thorvaldc.simulation.bus.timeline import Timeline
-from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
 
 

@@ -8,10 +8,9 @@ import pytest
 
 from tests.commissioning.bench import four_drives
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.commissioning.bus_master import BusMaster, Timing
-from thorvaldc.commissioning.sdo_client import SdoAborted, SdoClient, SdoTimeout
+from thorvaldc.commissioning.bus_master import BusMaster, SdoAborted, SdoClient, SdoTimeout, Timing
+from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 from thorvaldc.simulation.bus.timeline import Timeline
-from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
 
 NODE = 5

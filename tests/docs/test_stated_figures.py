@@ -11,7 +11,7 @@ from tests.examples import example_robot
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model import Brake, Robot
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.manoeuvre import Segment
+from thorvaldc.simulation.control_loop import Segment
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.simulation_run import Simulation

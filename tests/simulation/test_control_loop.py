@@ -12,8 +12,7 @@ from tests.runtime.test_lasting_difference import HalfAsFast
 from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.runtime.calculators import BaseGeometry
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.control_loop import ControlLoop, Sample
-from thorvaldc.simulation.manoeuvre import Segment
+from thorvaldc.simulation.control_loop import ControlLoop, Sample, Segment
 from thorvaldc.simulation.physics.sim_base import SimBase
 from thorvaldc.simulation.simulation_run import Simulation
 

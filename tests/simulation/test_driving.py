@@ -17,8 +17,7 @@ from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.simulation.control_loop import ControlLoop, RobotResult
-from thorvaldc.simulation.manoeuvre import Segment
+from thorvaldc.simulation.control_loop import ControlLoop, RobotResult, Segment
 from thorvaldc.simulation.simulation_run import Simulation
 
 pytest.importorskip("mujoco")

@@ -11,7 +11,7 @@ from tests.examples import example_robot
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.model import Robot
 from thorvaldc.runtime.se2 import ZERO_TWIST, Pose2, Twist
-from thorvaldc.simulation.manoeuvre import (
+from thorvaldc.simulation.control_loop import (
     Segment,
     default_manoeuvre,
     fleet_manoeuvres,

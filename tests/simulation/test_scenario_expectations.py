@@ -7,7 +7,7 @@ import math
 import pytest
 
 from tests.robots import SPAN
-from thorvaldc.simulation.scenario_expectations import Check
+from thorvaldc.simulation.scenario_run import Check
 
 
 @pytest.mark.parametrize(

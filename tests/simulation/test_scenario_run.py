@@ -17,8 +17,7 @@ from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Ground, Pose
 from thorvaldc.simulation.records.csv_record import CsvRecorder
-from thorvaldc.simulation.scenario_expectations import ScenarioResult
-from thorvaldc.simulation.scenario_run import ScenarioSimulation
+from thorvaldc.simulation.scenario_run import ScenarioResult, ScenarioSimulation
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAD = f"""thorvaldc: 1

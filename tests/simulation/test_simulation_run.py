@@ -18,8 +18,13 @@ from thorvaldc.model import Robot
 from thorvaldc.model.model_json import to_json
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Pose2, Twist
 from thorvaldc.runtime.twist_text import parse_twist
-from thorvaldc.simulation.manoeuvre import Segment, default_manoeuvre, fleet_manoeuvres, twist_at
-from thorvaldc.simulation.run_result import result_table
+from thorvaldc.simulation.control_loop import (
+    Segment,
+    default_manoeuvre,
+    fleet_manoeuvres,
+    result_table,
+    twist_at,
+)
 from thorvaldc.simulation.simulation_run import Simulation, drive_build
 
 pytest.importorskip("mujoco")

@@ -22,9 +22,13 @@ from thorvaldc.cli.options import refuse_options
 from thorvaldc.cli.progress import Progress
 from thorvaldc.cli.robot_file import load_robot
 from thorvaldc.cli.selected_bus import select_bus
-from thorvaldc.commissioning.bus_configuration import BusConfiguration, configuration_of
+from thorvaldc.commissioning.bus_configuration import (
+    BusConfiguration,
+    Plan,
+    PlanStep,
+    configuration_of,
+)
 from thorvaldc.commissioning.bus_master import BusMaster, other_master_error
-from thorvaldc.commissioning.plan import Plan, PlanStep
 from thorvaldc.commissioning.planner import make_plan
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.commissioning.step_executor import Operator
@@ -147,9 +151,11 @@ def _open_virtual_bus(robot: Robot, bus: Bus, name: str, store: str) -> Iterator
     # The simulation is imported only when it is used, because the runtime package does not contain
     # the simulation.
     from thorvaldc.cli.virtual_robot import read_store
-    from thorvaldc.simulation.bus.device_memory import write_memory
-    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
-    from thorvaldc.simulation.bus.virtual_operator import VirtualOperator
+    from thorvaldc.simulation.bus.simulated_robot import (
+        SimulatedRobot,
+        VirtualOperator,
+        write_memory,
+    )
 
     memory = read_store(store)
     simulated = SimulatedRobot(robot, delivered=variant == "delivered", nonvolatile=memory)

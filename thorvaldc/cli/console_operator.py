@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from thorvaldc.commissioning.plan import AttachStep
+from thorvaldc.commissioning.bus_configuration import AttachStep
 
 
 class ConsoleOperator:

@@ -17,9 +17,8 @@ from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.scenario import GROUPS
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.control_loop import TickCallback
+from thorvaldc.simulation.control_loop import TickCallback, result_table
 from thorvaldc.simulation.records.recorder import record_ticks
-from thorvaldc.simulation.run_result import result_table
 from thorvaldc.simulation.simulation_run import Simulation
 
 TWIST_DURATION = 5.0

@@ -17,11 +17,15 @@ from thorvaldc.model import Fleet, Robot
 from thorvaldc.simulation.control_loop import ControlLoop, Sample
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.pictures import PictureError, check_pillow
-from thorvaldc.simulation.pictures.opengl_backend import choose_opengl_backend
 from thorvaldc.simulation.pictures.plot import FORMATS as PLOT_FORMATS
 from thorvaldc.simulation.pictures.plot import check_plotting, plot
-from thorvaldc.simulation.pictures.video import FORMATS as VIDEO_FORMATS
-from thorvaldc.simulation.pictures.video import RATES, VideoRecorder, encoder
+from thorvaldc.simulation.pictures.render import FORMATS as VIDEO_FORMATS
+from thorvaldc.simulation.pictures.render import (
+    RATES,
+    VideoRecorder,
+    choose_opengl_backend,
+    encoder,
+)
 
 
 @contextmanager

@@ -22,8 +22,7 @@ from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.scenario import Scenario
 from thorvaldc.simulation.control_loop import TickCallback
-from thorvaldc.simulation.scenario_report import junit_report, scenario_text
-from thorvaldc.simulation.scenario_run import ScenarioSimulation
+from thorvaldc.simulation.scenario_run import ScenarioSimulation, junit_report, scenario_text
 
 
 def run_scenario(

@@ -16,9 +16,8 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault
 from thorvaldc.model.model_json import is_model_file
-from thorvaldc.simulation.bus.device_memory import Memory, read_memory
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
-from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+from thorvaldc.simulation.bus.simulated_robot import Memory, SimulatedRobot, read_memory
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from thorvaldc.can.lss import UNCONFIGURED
-from thorvaldc.commissioning.plan import Plan, step_to_json
+from thorvaldc.commissioning.bus_configuration import Plan, step_to_json
 from thorvaldc.commissioning.scan_result import ScanEntry, ScanResult, identity_text
 from thorvaldc.commissioning.verify import Verification
 from thorvaldc.diagnostics.text_layout import text_table

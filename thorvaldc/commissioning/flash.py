@@ -31,16 +31,26 @@ from collections import Counter
 from collections.abc import Callable
 
 from thorvaldc.can.lss import UNCONFIGURED
-from thorvaldc.commissioning.bus_configuration import BusConfiguration, ParameterValue
-from thorvaldc.commissioning.bus_master import BusMaster, other_master_error
+from thorvaldc.commissioning.bus_configuration import (
+    AttachStep,
+    BusConfiguration,
+    ParameterValue,
+    Plan,
+    PlanStep,
+)
+from thorvaldc.commissioning.bus_master import (
+    BusMaster,
+    SdoAborted,
+    SdoMultipleResponses,
+    SdoTimeout,
+    other_master_error,
+)
 from thorvaldc.commissioning.journal import APPLY, RESUME, ROLLBACK, Journal
 from thorvaldc.commissioning.lss_master import LssError
-from thorvaldc.commissioning.plan import AttachStep, Plan, PlanStep
 from thorvaldc.commissioning.planner import make_plan
 from thorvaldc.commissioning.scan_result import ScanResult
 from thorvaldc.commissioning.scanner import Progress as ScanProgress
 from thorvaldc.commissioning.scanner import Scanner
-from thorvaldc.commissioning.sdo_client import SdoAborted, SdoMultipleResponses, SdoTimeout
 from thorvaldc.commissioning.step_executor import Operator, StepExecutor, StepFailed
 from thorvaldc.diagnostics.error import DiagnosticError
 

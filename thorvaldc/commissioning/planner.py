@@ -23,13 +23,15 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from thorvaldc.can.lss import UNCONFIGURED, Identity
-from thorvaldc.commissioning.bus_configuration import PARKING, BusConfiguration, NodeConfiguration
-from thorvaldc.commissioning.plan import (
+from thorvaldc.commissioning.bus_configuration import (
     LSS_FASTSCAN,
     LSS_SERIAL,
+    PARKING,
     AddressStep,
     AttachStep,
+    BusConfiguration,
     ConfigureStep,
+    NodeConfiguration,
     Plan,
     PlanStep,
 )

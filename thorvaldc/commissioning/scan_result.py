@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from thorvaldc.can.canopen import HEARTBEAT, HIGHEST_NODE_ID
 from thorvaldc.can.lss import UNCONFIGURED, Identity
+from thorvaldc.commissioning.bus_configuration import BusConfiguration, NodeConfiguration
 
 OK, MISSING, UNEXPECTED = "ok", "missing", "unexpected"
 DUPLICATE, WRONG_IDENTITY, WITHOUT_ID = "duplicate-suspected", "wrong-identity", "unconfigured"
@@ -121,3 +124,212 @@ def identity_text(identity: Identity | None) -> str:
     vendor, product, revision, serial = identity
     text = f"vendor {vendor:#x}, product {product:#x}, revision {revision:#x}"
     return f"{text}, serial {serial:#x}" if serial else text
+
+
+# -- evaluation ------------------------------------------------------------------------------------
+
+
+@dataclass
+class Findings:
+    """Devices and duplicate node ids that a scan has found on the CAN bus.
+
+    - ``evidence``: reason to suspect two devices with one node id, by node id;
+    - ``by_id``: devices that have responded to SDO requests, by node id;
+    - ``by_name``: devices that LSS has found by identity, by name of the node;
+    - ``without_id``: devices without node id that an LSS fastscan has found.
+    """
+
+    evidence: dict[int, str] = field(default_factory=dict)
+    by_id: dict[int, FoundDevice] = field(default_factory=dict)
+    by_name: dict[str, FoundDevice] = field(default_factory=dict)
+    without_id: list[FoundDevice] = field(default_factory=list)
+
+
+class ScanEvaluation:
+    """Compares the findings of a scan with the required configuration.
+
+    ``received``: reception times (s) of the CAN frames by identifier.  ``known``: CAN identifiers
+    in the CAN map of the robot.
+    """
+
+    def __init__(
+        self,
+        configuration: BusConfiguration,
+        findings: Findings,
+        received: Mapping[int, list[float]],
+        known: set[int],
+    ) -> None:
+        self.configuration = configuration
+        self.findings = findings
+        self._received = received
+        self._known = known
+
+    def passive_entries(self) -> list[ScanEntry]:
+        """Returns the verdict on each node after a passive scan, which only receives CAN frames."""
+        entries = []
+        for node in self.configuration.nodes:
+            evidence = self.findings.evidence.get(node.id) if node.canopen else None
+            if evidence:
+                device = FoundDevice(node.id)
+                entries.append(ScanEntry(node.name, DUPLICATE, node.id, device, evidence))
+            elif self._sends(node):
+                detail = "it sends; its identity was not read" if node.sdo else "it sends"
+                entries.append(ScanEntry(node.name, OK, node.id, FoundDevice(node.id), detail))
+            else:
+                detail = "no frame received; the node may be there without sending"
+                entries.append(ScanEntry(node.name, MISSING, node.id, None, detail))
+        return entries + self._unknown_heartbeats()
+
+    def active_entries(self) -> list[ScanEntry]:
+        """Returns the verdict on each node after an active scan.
+
+        The scan entries of the nodes come first, in the order of the robot file.  The scan entries
+        of devices that are not in the robot file come last.
+        """
+        devices = self._assign_devices()
+        entries = [self._verdict(node, devices.get(node.name)) for node in self.configuration.nodes]
+        for device in (*self.findings.by_id.values(), *self.findings.without_id):
+            if not self._is_listed(device, entries, devices.values()):
+                entries.append(self._unknown_device(device))
+        return entries + self._unknown_heartbeats()
+
+    def _is_listed(
+        self,
+        device: FoundDevice,
+        entries: Sequence[ScanEntry],
+        assigned: Collection[FoundDevice],
+    ) -> bool:
+        """Returns ``True`` if the scan entries already contain the device."""
+        if any(device is other for other in assigned):
+            return True
+        # If several devices have the same node id, one scan entry reports all of these devices.
+        is_duplicate = device.id in self.findings.evidence and device.id != UNCONFIGURED
+        same_id = (entry.device is not None and entry.device.id == device.id for entry in entries)
+        if is_duplicate and any(same_id):
+            return True
+        # LSS and SDO can find the same device, so devices are compared by identity and node id.
+        return device.identity is not None and any(
+            other.identity == device.identity and other.id == device.id for other in assigned
+        )
+
+    def _unknown_device(self, device: FoundDevice) -> ScanEntry:
+        evidence = None if device.id is None else self.findings.evidence.get(device.id)
+        if evidence is not None:
+            return ScanEntry("", DUPLICATE, None, device, evidence)
+        id_text = "no id" if device.id == UNCONFIGURED else f"id {device.id}"
+        detail = f"a device with {id_text} that the robot file does not name"
+        if device.identity is None:
+            detail = f"the device with {id_text} does not report its identity"
+        return ScanEntry("", UNEXPECTED, None, device, detail)
+
+    # -- which device is which node ---------------------------------------------------------------
+
+    def _assign_devices(self) -> dict[str, FoundDevice]:
+        """Returns the scanned device for each node, by name of the node."""
+        devices: dict[str, FoundDevice] = {}
+        for node in self.configuration.nodes:
+            device = self._device_of(node)
+            if device is not None:
+                devices[node.name] = device
+        for node in self.configuration.nodes:
+            # A node without serial number in the robot file is assigned to a matching device, if
+            # exactly one device matches and this device matches no other node.
+            if node.name in devices or not node.lss or node.serial is not None:
+                continue
+            free = [
+                device
+                for device in (*self.findings.without_id, *self.findings.by_id.values())
+                if _can_be(node, device)
+                and not any(device is assigned for assigned in devices.values())
+            ]
+            if len(free) != 1:
+                continue
+            rivals = [
+                other
+                for other in self.configuration.nodes
+                if other.name not in devices
+                and other.lss
+                and other.serial is None
+                and _can_be(other, free[0])
+            ]
+            if len(rivals) == 1:
+                devices[node.name] = free[0]
+        return devices
+
+    def _device_of(self, node: NodeConfiguration) -> FoundDevice | None:
+        """Returns the scanned device that is assigned to a node, or ``None`` if the node was not
+        found.
+
+        The scanned device of a node is found by the serial number, by the node id, or by the
+        periodic CAN frames.
+        """
+        by_id = self.findings.by_id
+        selected = self.findings.by_name.get(node.name)
+        at_id = by_id.get(node.id) if node.canopen else None
+        if selected is not None:
+            answering = None if selected.id is None else by_id.get(selected.id)
+            same = answering is not None and answering.identity == selected.identity
+            return answering if same else selected
+        if at_id is not None and _can_be(node, at_id):
+            return at_id
+        if node.serial is not None:
+            # A device may report its serial number over SDO without responding to LSS.
+            elsewhere = next((device for device in by_id.values() if _can_be(node, device)), None)
+            if elsewhere is not None:
+                return elsewhere
+        if not node.sdo and self._sends(node):
+            return FoundDevice(node.id if node.canopen else None)
+        return None
+
+    # -- verdicts ---------------------------------------------------------------------------------
+
+    def _verdict(self, node: NodeConfiguration, device: FoundDevice | None) -> ScanEntry:
+        evidence = self.findings.evidence
+        node_id = node.id if node.canopen else None
+        if device is not None and device.id in evidence and device.id is not None:
+            return ScanEntry(node.name, DUPLICATE, node_id, device, evidence[device.id])
+        if node_id in evidence and node_id is not None:
+            return ScanEntry(node.name, DUPLICATE, node_id, device, evidence[node_id])
+        if device is not None and not node.has_type_of(device.device_type, device.id):
+            actual = "none" if device.device_type is None else f"{device.device_type:#x}"
+            detail = f"its device type is {actual}, not {node.device_type:#x}"
+            return ScanEntry(node.name, WRONG_IDENTITY, node_id, device, detail)
+        if device is not None and device.id == node_id:
+            return ScanEntry(node.name, OK, node_id, device)
+        other = self.findings.by_id.get(node.id) if node.canopen and node.sdo else None
+        if other is not None:
+            detail = f"the device at id {node.id} is {identity_text(other.identity)}"
+            if device is not None:
+                actual = "no id" if device.id == UNCONFIGURED else f"the id {device.id}"
+                detail += f", and {node.name} has {actual}"
+            return ScanEntry(node.name, WRONG_IDENTITY, node_id, device, detail)
+        if device is not None:
+            without = device.id == UNCONFIGURED
+            detail = "it has no id yet" if without else f"it has the id {device.id}"
+            return ScanEntry(node.name, WITHOUT_ID, node_id, device, detail)
+        return ScanEntry(node.name, MISSING, node_id, None, "no device answers for it")
+
+    def _sends(self, node: NodeConfiguration) -> bool:
+        return any(identifier in self._received for identifier, _ in node.seen_by)
+
+    def _unknown_heartbeats(self) -> list[ScanEntry]:
+        """Returns scan entries for unknown node ids from which only heartbeats were received."""
+        entries = []
+        for identifier in sorted(self._received):
+            node = identifier - HEARTBEAT
+            if identifier in self._known or not 0 < node < HIGHEST_NODE_ID:
+                continue
+            selected = self.findings.by_name.values()
+            if node not in self.findings.by_id and all(device.id != node for device in selected):
+                detail = f"a node with the id {node} sends heartbeats; it is not in the robot file"
+                entries.append(ScanEntry("", UNEXPECTED, None, FoundDevice(node), detail))
+        return entries
+
+
+def _can_be(node: NodeConfiguration, device: FoundDevice) -> bool:
+    """Returns ``True`` if the identity and the type of a device match the node in the robot
+    file."""
+    if device.identity is None or not node.is_like(device.identity):
+        return False
+    required = node.device_type
+    return required is None or device.device_type is None or required == device.device_type

@@ -23,23 +23,25 @@ from thorvaldc.can.cia402 import DriveState
 from thorvaldc.can.lss import UNCONFIGURED, Identity
 from thorvaldc.can.sdo import upload_request
 from thorvaldc.commissioning.bus_configuration import BusConfiguration, NodeConfiguration
-from thorvaldc.commissioning.bus_master import BusMaster, other_master_error
-from thorvaldc.commissioning.lss_master import LssError, LssMaster
-from thorvaldc.commissioning.scan_evaluation import Findings, ScanEvaluation
-from thorvaldc.commissioning.scan_result import (
-    OK,
-    WITHOUT_ID,
-    WRONG_IDENTITY,
-    FoundDevice,
-    ScanEntry,
-    ScanResult,
-    identity_text,
-)
-from thorvaldc.commissioning.sdo_client import (
+from thorvaldc.commissioning.bus_master import (
+    BusMaster,
     SdoAborted,
     SdoClient,
     SdoMultipleResponses,
     SdoTimeout,
+    other_master_error,
+)
+from thorvaldc.commissioning.lss_master import LssError, LssMaster
+from thorvaldc.commissioning.scan_result import (
+    OK,
+    WITHOUT_ID,
+    WRONG_IDENTITY,
+    Findings,
+    FoundDevice,
+    ScanEntry,
+    ScanEvaluation,
+    ScanResult,
+    identity_text,
 )
 from thorvaldc.diagnostics.error import DiagnosticError
 

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from thorvaldc.compiler.scenario.scenario_reader import metric_units
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, WheelGeometry
-from thorvaldc.simulation.control_loop import ControlLoop
-from thorvaldc.simulation.physics.rolling_radii import RollingRadii
+from thorvaldc.simulation.control_loop import ControlLoop, RobotResult
+from thorvaldc.simulation.physics.mujoco_scene import RollingRadii
 from thorvaldc.simulation.physics.scenario_base import ScenarioBase
-from thorvaldc.simulation.run_result import RobotResult
-from thorvaldc.simulation.vectorised.exact_functions import exact
+from thorvaldc.simulation.vectorised.fit_batch import exact
 
 Array = NDArray[np.float64]
 

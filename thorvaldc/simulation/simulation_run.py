@@ -5,30 +5,213 @@ from __future__ import annotations
 import heapq
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.plain_numbers import millimetres
-from thorvaldc.model import Fleet, Robot
+from thorvaldc.model import Fleet, Robot, Wheel
 from thorvaldc.model.model_json import load_model
+from thorvaldc.model.statics.mobility import roll_speeds
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import BaseHandle, JointStates
+from thorvaldc.runtime.calculators import BaseCalculator
+from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.runtime.lasting_difference import is_axle_swing
 from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import Pose2, Twist
-from thorvaldc.simulation.control_loop import ControlLoop, TickCallback
-from thorvaldc.simulation.manoeuvre import Manoeuvre, Segment, default_manoeuvre, fleet_manoeuvres
-from thorvaldc.simulation.physics.collision_counter import CollisionCounter
+from thorvaldc.runtime.twist_text import twist_text
+from thorvaldc.simulation.control_loop import (
+    NEGLIGIBLE_TWIST,
+    ControlLoop,
+    Manoeuvre,
+    Segment,
+    SimulationResult,
+    TickCallback,
+    default_manoeuvre,
+    fleet_manoeuvres,
+    largest_component,
+)
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
-from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
-from thorvaldc.simulation.physics.rolling_base import RollingBase
-from thorvaldc.simulation.physics.sim_base import SimBase
-from thorvaldc.simulation.physics.wheel_errors import WheelErrors
-from thorvaldc.simulation.run_diagnostics import report_run
-from thorvaldc.simulation.run_result import SimulationResult
-from thorvaldc.simulation.vectorised.robot_groups import MIN_GROUP_SIZE, RobotGroups
+from thorvaldc.simulation.physics.mujoco_scene import CollisionCounter, MujocoScene
+from thorvaldc.simulation.physics.sim_base import GroundTruthBase, RollingBase, SimBase, WheelErrors
+
+if TYPE_CHECKING:
+    from thorvaldc.simulation.vectorised.calculator_batch import OdometryBatch
+
+
+# -- diagnostics of a run --------------------------------------------------------------------------
+
+_START_DURATION = 0.5
+"""Time (s) before which the cause of a fall is the start position and not the motion."""
+
+
+def report_run(
+    loops: Sequence[ControlLoop], result: SimulationResult, report: Report, fastest_joint: str = ""
+) -> None:
+    """Adds the problems of a finished run to ``report``.
+
+    ``fastest_joint`` is a description of the fastest joint, for a simulation that diverged.
+    """
+    if result.diverged:
+        cause = f": {fastest_joint}" if fastest_joint else ""
+        report.add(
+            "simulation-diverged",
+            f"the simulation diverged after {result.simulated:.2f} s{cause}",
+            next((m for m in loops if f"`{m.robot.namespace}/" in cause), loops[0]).robot.span,
+            hint="look for masses or inertias that are very small compared with the forces on them",
+        )
+        return
+    for loop, robot_result in zip(loops, result.robots, strict=True):
+        if robot_result.collisions:
+            count = robot_result.collisions
+            report.add(
+                "simulation-collision",
+                f"{loop.name} had {count} collision{'s' if count > 1 else ''} with other robots,"
+                " the world or its own parts",
+                loop.robot.span,
+                hint="start the robots farther apart, or give them other motions",
+            )
+        if loop.tipped:
+            in_motion = result.simulated >= _START_DURATION
+            report.add(
+                "simulation-tipped",
+                f"{loop.name} fell over{_direction(loop)} after {result.simulated:.2f} s; "
+                f"the commanded twist was {twist_text(loop.driver.state.commanded_twist)}",
+                loop.robot.span,
+                hint="lower its speed, accelerations or centre of mass, or widen its track"
+                if in_motion
+                else "check that it does not start inside an obstacle or another robot",
+            )
+        if loop.unreachable:
+            wheels = ", ".join(loop.robot.wheels[i].name for i in loop.unreachable)
+            reachable = loop.driver.calculator.feasible(loop.unreachable_twist)
+            stands = largest_component(reachable) <= NEGLIGIBLE_TWIST
+            motion = "stands" if stands else f"moves with {twist_text(reachable)} instead"
+            report.add(
+                "steering-unreachable",
+                f"{loop.name} cannot steer {wheels} for the twist "
+                f"{twist_text(loop.unreachable_twist)} within the joint limits; "
+                f"it {motion}",
+                loop.robot.span,
+                hint="command another twist, or widen the steering limits",
+            )
+        if loop.limit:
+            report.add(
+                "twist-limited",
+                f"the commanded twist of {loop.name} is {twist_text(loop.limited_twist)}; it is"
+                f" limited to {twist_text(loop.limited_to)} by {loop.limit}",
+                loop.robot.span,
+                hint="command a slower twist, or change the limit in `driver` of the robot file",
+            )
+        if loop.not_followed:
+            report.add(
+                "twist-not-followed",
+                f"{loop.name} does not follow its command: {loop.not_followed}",
+                loop.robot.span,
+                hint="command a slower twist, or free the steering joint that the message names",
+            )
+        limited = loop.driver.calculator.limiting_wheels(loop.infeasible_twist)
+        if (
+            largest_component(loop.infeasible) > NEGLIGIBLE_TWIST
+            and not limited
+            and not is_axle_swing(loop.infeasible_twist, loop.infeasible)
+        ):
+            turned = _turned_wheel(loop.robot, loop.infeasible_twist)
+            report.add(
+                "twist-infeasible",
+                f"the commanded twist of {loop.name} is {twist_text(loop.infeasible_twist)}; "
+                f"its fixed wheels do not allow the part {twist_text(loop.infeasible)}",
+                loop.robot.span if turned is None else turned.span,
+                hint="a robot with fixed wheels cannot move across them"
+                if turned is None
+                else f"other fixed wheels allow it; turn the mount of `{turned.module}`",
+            )
+
+
+def _turned_wheel(robot: Robot, twist: Twist) -> Wheel | None:
+    """Returns the first fixed wheel that blocks a straight motion which other ones allow."""
+    if twist.wz:
+        return None
+    fixed = [w for w in robot.wheels if w.steering_joint is None and w.swivel_joint is None]
+    blocking = [w for w in fixed if roll_speeds(replace(robot, wheels=(w,)), twist) is None]
+    return blocking[0] if 0 < len(blocking) < len(fixed) else None
+
+
+def _direction(loop: ControlLoop) -> str:
+    direction = loop.base.leaning() if isinstance(loop.base, GroundTruthBase) else ""
+    return f" {direction}" if direction else ""
+
+
+# -- groups of identical robots --------------------------------------------------------------------
+
+MIN_GROUP_SIZE = 32
+"""Smallest group of robots for which array operations are faster than a loop over the robots."""
+
+
+class RobotGroups:
+    """Groups of identical robots, whose odometry is updated with array operations.
+
+    Each robot keeps its own driver.  The odometry of a robot is updated before the tick of its
+    driver.  The attribute ``groups`` contains, for each group, the indices of the robots and their
+    ``OdometryBatch``.
+    """
+
+    def __init__(self, drivers: Sequence[BaseDriver]) -> None:
+        robots_by_key: dict[Hashable, list[int]] = {}
+        for index, driver in enumerate(drivers):
+            key = _group_key(driver.calculator)
+            if key is not None:
+                robots_by_key.setdefault(key, []).append(index)
+        self._drivers = drivers
+        self._calculators = [driver.calculator for driver in drivers]
+        self.groups: list[tuple[list[int], OdometryBatch]] = []
+        for indices in robots_by_key.values():
+            if len(indices) >= MIN_GROUP_SIZE:
+                # The module odometry_batch imports numpy, which a scene with few robots does not
+                # need.
+                from thorvaldc.simulation.vectorised.calculator_batch import OdometryBatch
+
+                odometries = [drivers[i].odometry for i in indices]
+                batch = OdometryBatch(self._calculators[indices[0]], odometries)
+                self.groups.append((indices, batch))
+
+    def update_odometry(self, now: float, due: Sequence[int]) -> dict[int, JointStates]:
+        """Reads the joints of the robots in each group and updates their odometry.
+
+        ``due`` contains the indices of the robots whose drivers run a tick at ``now`` (s).  A group
+        is left out if a robot of the group is not in ``due``.  Returns the joint states by the
+        index of the robot, for the ticks of the drivers.  The batch leaves out robots with unusual
+        joint states, and the drivers of these robots update the odometry.
+        """
+        joints_by_robot: dict[int, JointStates] = {}
+        for indices, batch in self.groups:
+            # A parameter change replaces the base calculator of a robot, so the robots of a group
+            # may no longer be identical.
+            if not set(indices) <= set(due) or any(
+                self._drivers[i].calculator is not self._calculators[i] for i in indices
+            ):
+                continue
+            joints = [self._drivers[i].base.read(now) for i in indices]
+            batch.update(joints, now)
+            joints_by_robot.update(zip(indices, joints, strict=True))
+        return joints_by_robot
+
+
+def _group_key(calculator: BaseCalculator) -> Hashable | None:
+    """Returns a key that is equal for robots of the same group, or ``None`` without a batch.
+
+    A batch of robots is possible only if the calculator uses the method ``BaseCalculator.odometry``
+    without changes, and if the wheels determine the whole twist at any steering angles.
+    """
+    estimator = calculator.estimator
+    overrides_odometry = type(calculator).odometry is not BaseCalculator.odometry
+    if overrides_odometry or estimator.inverse is None or estimator.inverse[1] < 3:
+        return None
+    return calculator.geometry, estimator.noise, estimator.options
 
 
 class Simulation:

@@ -1,6 +1,6 @@
 // The 3D viewer of `thorvaldc view --html` and `thorvaldc preview`: robots as links and joints, drawn by three.js.
 //
-// The data are those of thorvaldc/simulation/web_viewer/viewer_data.py: lengths in m, angles in rad, poses
+// The data are those of thorvaldc/simulation/web_viewer.py: lengths in m, angles in rad, poses
 // [x, y, z, qw, qx, qy, qz], z up.
 
 import {

@@ -28,7 +28,7 @@ from thorvaldc_odrive.protocol import (
 if TYPE_CHECKING:
     from typing import Self
 
-    from thorvaldc.simulation.bus.device_specification import DeviceSpecification
+    from thorvaldc.simulation.bus.simulated_device import DeviceSpecification
 
 LOOP_PERIOD = 0.005
 """Period (s) in which the watchdog is checked; that of an ODrive is shorter."""

@@ -14,7 +14,7 @@ from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.manoeuvre import Segment, twist_at
+from thorvaldc.simulation.control_loop import Segment, twist_at
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 

@@ -9,7 +9,7 @@ from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.frame import ReceivedFrame
 from thorvaldc.runtime.can_base.base_state import BaseState
-from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
+from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 
 PERIOD = 0.02
 

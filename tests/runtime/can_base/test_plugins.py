@@ -15,7 +15,7 @@ from thorvaldc.runtime.can_base import battery_and_io_drivers as devices
 from thorvaldc.runtime.can_base import motor_controller as controller
 from thorvaldc.runtime.can_base.battery_and_io_drivers import KcBatteryDriver
 from thorvaldc.runtime.can_base.roboteq_driver import RoboteqScriptController
-from thorvaldc.simulation.bus.device_table import SIMULATED_DEVICES
+from thorvaldc.simulation.bus.simulated_robot import SIMULATED_DEVICES
 
 
 class Mine(RoboteqScriptController):

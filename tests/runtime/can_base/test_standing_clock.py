@@ -15,7 +15,7 @@ from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
+from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 
 
 class StandingClock:

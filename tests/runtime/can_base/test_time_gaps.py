@@ -15,7 +15,7 @@ from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.errors import RequestRefused
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.runtime.time_gap import Gap, TimeGapRule
-from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
+from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 
 SPEED = 0.8
 FAST = Twist(SPEED, 0.0, 0.0)

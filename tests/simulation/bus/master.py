@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
+from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 
 
 class Refused(Exception):

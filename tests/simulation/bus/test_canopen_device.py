@@ -10,9 +10,9 @@ import pytest
 from tests.simulation.bus.master import Master, Refused
 from thorvaldc.can.canopen import NmtState
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
-from thorvaldc.simulation.bus.device_description import DeviceDescription
+from thorvaldc.simulation.bus.simulated_device import DeviceDescription
+from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 from thorvaldc.simulation.bus.timeline import Timeline
-from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
 
 RATE = 500_000

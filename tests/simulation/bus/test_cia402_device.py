@@ -10,13 +10,12 @@ from typing import Any
 import pytest
 
 from tests.simulation.bus.master import Master, Refused
-from thorvaldc.simulation.bus.cia402_axis import AxisSettings
-from thorvaldc.simulation.bus.cia402_device import Cia402Drive
-from thorvaldc.simulation.bus.device_description import DeviceDescription
-from thorvaldc.simulation.bus.pdo import Pdo
+from thorvaldc.simulation.bus.cia402_device import AxisSettings, Cia402Drive
+from thorvaldc.simulation.bus.object_dictionary import Pdo
+from thorvaldc.simulation.bus.simulated_device import DeviceDescription
 from thorvaldc.simulation.bus.simulated_motors import IdealMotor
+from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 from thorvaldc.simulation.bus.timeline import Timeline
-from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
 
 NODE = 10
@@ -44,19 +43,21 @@ class Drive:
         self.master = Master(VirtualTimeInterface(self.wire, "master"))
         self.motor = IdealMotor(TOP, ACCELERATION, 100.0, -STOP, STOP, position=position)
         given = {"lower": -LIMIT, "upper": LIMIT, **more}
-        settings = AxisSettings(42.0, 1024, COUNT, COUNT, TOP, ACCELERATION, 100.0, **given)
+        settings = AxisSettings(42.0, 1024, TOP, ACCELERATION, 100.0, **given)
         self.device = Cia402Drive(
             "drive",
             self.wire,
             500_000,
             NODE,
             DeviceDescription(heartbeat_period=0.0),
+        )
+        self.device.equip(
             [(settings, self.motor)],
-            received=[
+            [
                 Pdo(1, 0x200, 1, ((0x6040, 0, 16), (0x607A, 0, 32))),
                 Pdo(2, 0x300, 255, ((0x6040, 0, 16), (0x60FF, 0, 32))),
             ],
-            sent=[Pdo(1, 0x180, 1, ((0x6041, 0, 16), (0x6064, 0, 32)))],
+            [Pdo(1, 0x180, 1, ((0x6041, 0, 16), (0x6064, 0, 32)))],
         )
         self.axis = self.device.axes[0]
         self.device.power_on()

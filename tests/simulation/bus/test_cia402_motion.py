@@ -8,8 +8,7 @@ from itertools import pairwise
 import pytest
 
 from thorvaldc.can.cia402 import Mode
-from thorvaldc.simulation.bus.cia402_motion import Bounds, Homing, Motion
-from thorvaldc.simulation.bus.setpoint_trajectory import Move, ramp
+from thorvaldc.simulation.bus.cia402_motion import Bounds, Homing, Motion, Move, ramp
 
 DT = 1 / 64
 BOUNDS = Bounds(-2.0, 3.0, 1.0, 2.0, 4.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from thorvaldc.can.cia402 import DriveState
-from thorvaldc.simulation.bus.cia402_state_machine import Reaction, StateMachine
+from thorvaldc.simulation.bus.cia402_motion import Reaction, StateMachine
 
 NOT_READY, DISABLED, READY = (
     DriveState.NOT_READY,

@@ -17,8 +17,7 @@ from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.simulation.bus.battery_and_io_devices import ForeignDevice
-from thorvaldc.simulation.bus.device_table import SIMULATED_DEVICES
-from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+from thorvaldc.simulation.bus.simulated_robot import SIMULATED_DEVICES, SimulatedRobot
 
 PAGE = Path(__file__).parents[3] / "docs" / "simulated-bus.md"
 

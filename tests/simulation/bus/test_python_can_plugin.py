@@ -23,9 +23,8 @@ from thorvaldc.can.simulated_bus_client import SimulatedBusClient
 from thorvaldc.model.bus_quirks import Quirk
 from thorvaldc.simulation.bus import python_can_plugin as interface
 from thorvaldc.simulation.bus.bus_server import BusServer, serving
-from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot, VirtualTimeInterface
 from thorvaldc.simulation.bus.timeline import Timeline
-from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
 
 

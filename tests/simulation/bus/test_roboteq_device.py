@@ -8,11 +8,10 @@ import struct
 import pytest
 
 from tests.simulation.bus.master import Master, Refused
-from thorvaldc.simulation.bus.roboteq_channel import ChannelSettings
-from thorvaldc.simulation.bus.roboteq_device import RoboteqController
+from thorvaldc.simulation.bus.roboteq_device import ChannelSettings, RoboteqController
 from thorvaldc.simulation.bus.simulated_motors import IdealMotor
+from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 from thorvaldc.simulation.bus.timeline import Timeline
-from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
 
 N = 3
@@ -36,11 +35,9 @@ class Controller:
             500_000,
             N,
             (
-                (ChannelSettings(GEAR, PPR, MAX_RPM, 113.0), self.propulsion),
+                (ChannelSettings(GEAR, PPR, MAX_RPM), self.propulsion),
                 (
-                    ChannelSettings(
-                        STEERING_GEAR, STEERING_PPR, MAX_RPM, 50.0, LIMIT, steering=True
-                    ),
+                    ChannelSettings(STEERING_GEAR, STEERING_PPR, MAX_RPM, LIMIT, steering=True),
                     self.steering,
                 ),
             ),

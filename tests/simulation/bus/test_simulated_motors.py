@@ -15,7 +15,7 @@ from thorvaldc.simulation.bus.simulated_motors import (
     MotorState,
     ideal_motor,
 )
-from thorvaldc.simulation.physics.coasting import Coasting
+from thorvaldc.simulation.physics.sim_base import Coasting
 
 
 def motor(**stops: float) -> IdealMotor:

@@ -7,10 +7,9 @@ import pytest
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.frame_bits import frame_bits
-from thorvaldc.simulation.bus.can_controller import CanController
+from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 from thorvaldc.simulation.bus.timeline import Timeline
-from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
-from thorvaldc.simulation.bus.wire import Wire
+from thorvaldc.simulation.bus.wire import CanController, Wire
 
 RATE = 500_000
 BIT = 2000  # ns

@@ -16,8 +16,7 @@ from thorvaldc.runtime.base_interface import JointCommands
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
-from thorvaldc.simulation.physics.rolling_base import RollingBase
-from thorvaldc.simulation.physics.sim_base import SimBase
+from thorvaldc.simulation.physics.sim_base import RollingBase, SimBase
 
 ROBOT = example_robot("4wd4ws_wide")
 FILES = emit(ROBOT, ["mjcf"])

@@ -12,8 +12,8 @@ from thorvaldc.model import Robot
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointCommands
 from thorvaldc.runtime.se2 import ORIGIN, Twist
-from thorvaldc.simulation.manoeuvre import Segment
-from thorvaldc.simulation.physics.rolling_base import RollingBase
+from thorvaldc.simulation.control_loop import Segment
+from thorvaldc.simulation.physics.sim_base import RollingBase
 from thorvaldc.simulation.simulation_run import Simulation
 
 DT = 0.02

@@ -11,8 +11,7 @@ import pytest
 
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
-from thorvaldc.simulation.scenario_expectations import ScenarioResult
-from thorvaldc.simulation.scenario_run import ScenarioSimulation
+from thorvaldc.simulation.scenario_run import ScenarioResult, ScenarioSimulation
 
 ROBOT = """thorvaldc: 1
 name: cart

@@ -14,10 +14,8 @@ from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import BaseHandle, JointCommands
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.manoeuvre import Segment
-from thorvaldc.simulation.physics.rolling_base import RollingBase
-from thorvaldc.simulation.physics.sim_base import SimBase
-from thorvaldc.simulation.physics.wheel_errors import WheelErrors
+from thorvaldc.simulation.control_loop import Segment
+from thorvaldc.simulation.physics.sim_base import RollingBase, SimBase, WheelErrors
 from thorvaldc.simulation.simulation_run import Simulation
 
 ROBOT = make_robot(FOUR_STEERED)

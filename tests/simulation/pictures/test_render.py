@@ -13,17 +13,18 @@ import pytest
 
 from tests.outside_tools import without
 from thorvaldc.simulation.physics.mujoco_scene import SCENE, MujocoScene
-from thorvaldc.simulation.pictures import PictureError, opengl_backend
+from thorvaldc.simulation.pictures import PictureError, render
 from thorvaldc.simulation.pictures.render import (
     FIELD_OF_VIEW,
     VIEWS,
+    VideoRecorder,
     View,
+    encoder,
     fit_camera,
     parse_size,
     parse_view,
     visible_points,
 )
-from thorvaldc.simulation.pictures.video import VideoRecorder, encoder
 
 
 @pytest.mark.parametrize("view", [*VIEWS.values(), View(10.0, -45.0), View(77.0, 30.0)])
@@ -122,7 +123,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
     MuJoCo chooses what it draws by when it is imported, which the tests did long ago.
     """
     try:
-        if "MUJOCO_GL" not in os.environ and not any(map(opengl_backend._works, ("egl", "osmesa"))):
+        if "MUJOCO_GL" not in os.environ and not any(map(render._works, ("egl", "osmesa"))):
             raise PictureError("neither EGL nor OSMesa works here")
         encoder()
     except PictureError as error:
@@ -158,16 +159,16 @@ def test_egl_is_tried_first_then_osmesa_then_there_is_an_error(
         tried.append(name)
         return name == "osmesa"
 
-    monkeypatch.setattr(opengl_backend, "_works", works)
-    opengl_backend.choose_opengl_backend()
+    monkeypatch.setattr(render, "_works", works)
+    render.choose_opengl_backend()
     assert tried == ["egl", "osmesa"]
     assert os.environ["MUJOCO_GL"] == "osmesa"
-    monkeypatch.setattr(opengl_backend, "_works", lambda name: False)
+    monkeypatch.setattr(render, "_works", lambda name: False)
     with pytest.raises(PictureError, match="cannot draw with MUJOCO_GL=osmesa"):
-        opengl_backend.choose_opengl_backend()
+        render.choose_opengl_backend()
     monkeypatch.setenv("MUJOCO_GL", "")
     with pytest.raises(PictureError, match="neither EGL nor OSMesa works"):
-        opengl_backend.choose_opengl_backend()
+        render.choose_opengl_backend()
 
 
 def test_without_an_encoder(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,8 +19,7 @@ from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.scenario import GROUPS
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.control_loop import ControlLoop, Sample
-from thorvaldc.simulation.manoeuvre import Segment
+from thorvaldc.simulation.control_loop import ControlLoop, Sample, Segment
 from thorvaldc.simulation.records.mcap_writer import McapRecorder
 from thorvaldc.simulation.records.recorder import record_ticks
 from thorvaldc.simulation.simulation_run import Simulation

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from thorvaldc.simulation.records.ros_messages import (
+from thorvaldc.simulation.records.mcap_writer import (
     joints_template,
     odometry_template,
     transforms_template,

@@ -18,11 +18,11 @@ from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.odometry import Odometry
 from thorvaldc.runtime.se2 import Pose2, Twist
-from thorvaldc.simulation.manoeuvre import Segment
+from thorvaldc.simulation import simulation_run
+from thorvaldc.simulation.control_loop import Segment
 from thorvaldc.simulation.physics.sim_base import SimBase
 from thorvaldc.simulation.simulation_run import Simulation, SimulationResult
-from thorvaldc.simulation.vectorised import robot_groups
-from thorvaldc.simulation.vectorised.odometry_batch import OdometryBatch
+from thorvaldc.simulation.vectorised.calculator_batch import OdometryBatch
 
 POSITIONS = [(0.6, 0.45), (0.5, -0.45), (0.1, 0.45), (0.0, -0.45), (-0.55, 0.45), (-0.55, -0.45)]
 WHEELS = [wheel(f"w{i}", x, y, "steered") for i, (x, y) in enumerate(POSITIONS)]
@@ -135,7 +135,7 @@ ROBOT = make_robot(FOUR_STEERED)
 
 
 def drive(robots: int, min_group: int, monkeypatch: pytest.MonkeyPatch) -> SimulationResult:
-    monkeypatch.setattr(robot_groups, "MIN_GROUP_SIZE", min_group)
+    monkeypatch.setattr(simulation_run, "MIN_GROUP_SIZE", min_group)
     placements = tuple(
         Placement(f"r{k}", Pose((3.0 * k, 0.0, 0.0)), replace(ROBOT, namespace=f"r{k}"))
         for k in range(robots)
@@ -162,8 +162,8 @@ def test_fleet_drives_the_same_with_and_without_batch(monkeypatch: pytest.Monkey
 
 
 def test_parameter_change_ends_the_group() -> None:
-    drivers = [BaseDriver(ROBOT, SimBase(ROBOT)) for _ in range(robot_groups.MIN_GROUP_SIZE)]
-    groups = robot_groups.RobotGroups(drivers)
+    drivers = [BaseDriver(ROBOT, SimBase(ROBOT)) for _ in range(simulation_run.MIN_GROUP_SIZE)]
+    groups = simulation_run.RobotGroups(drivers)
     robots = range(len(drivers))
     for driver in drivers:
         driver.tick(0.0)
@@ -179,6 +179,6 @@ def test_calculator_with_its_own_odometry_has_no_group(monkeypatch: pytest.Monke
     own = "bench.random_pairs.random_pairs_calculator:RandomPairs"
     monkeypatch.setitem(PLUGINS.builtin, "random_pairs", own)
     robot = make_robot(FOUR_STEERED, calculator="random_pairs")
-    drivers = [BaseDriver(robot, SimBase(robot)) for _ in range(robot_groups.MIN_GROUP_SIZE)]
-    groups = robot_groups.RobotGroups(drivers)
+    drivers = [BaseDriver(robot, SimBase(robot)) for _ in range(simulation_run.MIN_GROUP_SIZE)]
+    groups = simulation_run.RobotGroups(drivers)
     assert groups.update_odometry(0.0, range(len(drivers))) == {}

@@ -326,8 +326,8 @@ def test_distance_determines_the_scale(tmp_path: Path) -> None:
     radii = {w.name: 1.02 * RADII.get(w.name, 1.0) for w in ROBOT.wheels}
     twists = [(0.0, 0.8, 0.0, 0.0), (12.0, 0.8, 0.1, 0.1), (16.0, 0.0, 0.0, 0.0)]
     from thorvaldc.runtime.se2 import Twist
-    from thorvaldc.simulation.manoeuvre import Segment
-    from thorvaldc.simulation.physics.wheel_errors import WheelErrors
+    from thorvaldc.simulation.control_loop import Segment
+    from thorvaldc.simulation.physics.sim_base import WheelErrors
     from thorvaldc.simulation.simulation_run import Simulation
 
     wheel_errors = {ROBOT.name: WheelErrors.by_name(ROBOT, radii)}

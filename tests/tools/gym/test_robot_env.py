@@ -14,7 +14,7 @@ import pytest
 
 from tests.outside_tools import without
 from thorvaldc.compiler.pipeline import compile_file, emit
-from thorvaldc.simulation.pictures import PictureError, opengl_backend
+from thorvaldc.simulation.pictures import PictureError, render
 from thorvaldc.tools.gym import environments
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -36,7 +36,7 @@ def draws(monkeypatch: pytest.MonkeyPatch) -> None:
     """Chooses an OpenGL backend for the test; skips the test if there is none."""
     monkeypatch.setenv("MUJOCO_GL", os.environ.get("MUJOCO_GL", ""))
     try:
-        opengl_backend.choose_opengl_backend()
+        render.choose_opengl_backend()
     except PictureError as error:
         without(str(error))
 

@@ -13,8 +13,7 @@ from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.frame import CanFrame, ReceivedFrame
 from thorvaldc.model import Robot
-from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
-from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot, VirtualTimeInterface
 from thorvaldc.tools.monitor.bus_monitor import MOST_UNKNOWN, BusMonitor, watch
 from thorvaldc.tools.monitor.monitor_text import monitor_lines, page
 

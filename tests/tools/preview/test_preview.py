@@ -26,7 +26,7 @@ from tests.examples import example_robot
 from tests.outside_tools import path_of
 from thorvaldc.comparison.robot_comparison import compare_robots
 from thorvaldc.compiler.pipeline import emit
-from thorvaldc.simulation.web_viewer.view_page import view_page
+from thorvaldc.simulation.web_viewer import view_page
 from thorvaldc.tools.comparison.difference_page import difference_page
 
 ROOT = Path(__file__).parents[3]

@@ -20,7 +20,7 @@ from tests.accessibility import axe_script, violations
 from tests.cli.conftest import UNPOWERED, Command
 from tests.cli.conftest import thorvaldc as thorvaldc_command
 from tests.outside_tools import path_of
-from tests.simulation.web_viewer.test_view_page import OPTIONS
+from tests.simulation.test_web_viewer import OPTIONS
 from thorvaldc.tools.study.report_content import ReportContent, fact_unit, thinned
 from thorvaldc.tools.study.report_robots import ReportRobot
 from thorvaldc.tools.study.study_report import Sensitivity, study_report

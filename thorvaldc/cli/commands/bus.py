@@ -116,7 +116,7 @@ def _serve(
     file ``store``.
     """
     from thorvaldc.simulation.bus.bus_server import BusServer
-    from thorvaldc.simulation.bus.device_memory import write_memory
+    from thorvaldc.simulation.bus.simulated_robot import write_memory
 
     server = BusServer(
         simulated.timeline,

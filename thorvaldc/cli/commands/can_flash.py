@@ -14,8 +14,8 @@ from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 
 if TYPE_CHECKING:
     from thorvaldc.cli.bus_access import BusAccess
+    from thorvaldc.commissioning.bus_configuration import Plan
     from thorvaldc.commissioning.journal import JournalFile
-    from thorvaldc.commissioning.plan import Plan
 
 
 def flash(

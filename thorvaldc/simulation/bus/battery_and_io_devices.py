@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 from thorvaldc.can.canopen import RPDO, TPDO, NmtState
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.simulation.bus.simulated_device import SimulatedDevice
+from thorvaldc.simulation.bus.simulated_device import DeviceSpecification, SimulatedDevice
 from thorvaldc.simulation.bus.wire import Wire
-
-if TYPE_CHECKING:
-    from typing import Self
-
-    from thorvaldc.simulation.bus.device_specification import DeviceSpecification
 
 BATTERY_FRAMES = (0x3C0, 0x3D0, 0x3E0)
 """Bases of the identifiers; the battery id is added."""

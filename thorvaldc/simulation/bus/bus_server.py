@@ -26,9 +26,8 @@ from thorvaldc.can.frame import SEND_LIMIT, CanFrame
 from thorvaldc.can.local_socket import Unpacker, listen, pack, pack_json, socket_path
 from thorvaldc.can.nanoseconds import NEVER
 from thorvaldc.diagnostics.foreign_json import read_json
-from thorvaldc.simulation.bus.can_controller import CanController
 from thorvaldc.simulation.bus.timeline import Timeline
-from thorvaldc.simulation.bus.wire import Wire
+from thorvaldc.simulation.bus.wire import CanController, Wire
 
 LONGEST_WAIT = 0.5
 """Longest time (s) to wait for a client, so that ``stop`` takes effect."""

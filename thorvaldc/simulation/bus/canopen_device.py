@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any, Self
 
 from thorvaldc.can import canopen, lss
 from thorvaldc.can.canopen import Emergency, NmtCommand, NmtState
@@ -21,28 +21,24 @@ from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.sdo import AbortCode
 from thorvaldc.model.bus_quirks import Quirk
-from thorvaldc.simulation.bus.device_description import (
-    NODE_ID,
-    PARAMETERS,
-    DeviceDescription,
-    commissioned_memory,
-)
-from thorvaldc.simulation.bus.lss_slave import LssSlave
 from thorvaldc.simulation.bus.object_dictionary import (
     DelayedWrite,
     Entry,
     ObjectDictionary,
+    PdoSet,
     SdoAbort,
 )
-from thorvaldc.simulation.bus.pdo import PdoSet
-from thorvaldc.simulation.bus.sdo_server import SdoServer
-from thorvaldc.simulation.bus.simulated_device import BITRATE, SimulatedDevice
+from thorvaldc.simulation.bus.sdo_server import LssSlave, SdoServer
+from thorvaldc.simulation.bus.simulated_device import (
+    BITRATE,
+    NODE_ID,
+    PARAMETERS,
+    DeviceDescription,
+    DeviceSpecification,
+    SimulatedDevice,
+    commissioned_memory,
+)
 from thorvaldc.simulation.bus.wire import Wire
-
-if TYPE_CHECKING:
-    from typing import Self
-
-    from thorvaldc.simulation.bus.device_specification import DeviceSpecification
 
 BOOT_TIME = 0.1
 """Time (s) from power-on to the boot-up message.  A random time of up to 10 % is added."""
@@ -67,7 +63,11 @@ class CanopenDevice(SimulatedDevice):
     configuration" writes the pending node id and the pending bitrate to non-volatile memory.  The
     device loads the node id, the bitrate and the parameters from non-volatile memory at power-on
     and at an NMT reset of the node.
+
+    ``device_name`` and ``device_type`` are those of nodes without a device type of their own.
     """
+
+    device_name, device_type = "", 0
 
     def __init__(
         self,
@@ -114,7 +114,9 @@ class CanopenDevice(SimulatedDevice):
             specification.wire,
             specification.bus.bitrate,
             specification.node.id,
-            DeviceDescription.from_specification(specification, cls.__name__),
+            DeviceDescription.from_specification(
+                specification, cls.device_name or cls.__name__, cls.device_type
+            ),
             seed=specification.seed,
             nonvolatile=commissioned_memory(specification),
         )
@@ -245,8 +247,6 @@ class CanopenDevice(SimulatedDevice):
         self.every(lambda: 0.02, self._check_heartbeats)
         self.state = NmtState.PRE_OPERATIONAL
         self.initialised()
-        if self.description.operational_at_start:
-            self.enter(NmtState.OPERATIONAL)
 
     def _start_lss(self, serial: int) -> None:
         description = self.description
@@ -281,8 +281,8 @@ class CanopenDevice(SimulatedDevice):
         cob_access = "ro" if Quirk.FIXED_COB_IDS in self._quirks else "rw"
         objects.add(0x1005, 0, Entry("u32", sync, cob_access, lower=sync, upper=sync))
         objects.add(0x1008, 0, Entry("text", description.name, "const"))
-        objects.add(0x1009, 0, Entry("text", description.hardware, "const"))
-        objects.add(0x100A, 0, Entry("text", description.software, "const"))
+        for index in (0x1009, 0x100A):  # versions of hardware and software
+            objects.add(index, 0, Entry("text", "1.0", "const"))
         objects.add_record(0x1010, Entry("u32", 1, "rw", read=lambda: 1, write=self._save))
         objects.add_record(0x1011, Entry("u32", 1, "rw", read=lambda: 1, write=self._load_defaults))
         emcy = canopen.EMCY + self.node_id

@@ -9,12 +9,12 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.frame_bits import frame_bits
 from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.model.bus_faults import BusFault, BusFaults
-from thorvaldc.simulation.bus.can_controller import CanController
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.simulated_device import SimulatedDevice
 from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.bus.timeline import Action
+from thorvaldc.simulation.bus.wire import CanController
 
 _CANOPEN_FLAGS = ("commands_ignored", "sync_ignored", "nmt_ignored", "frozen_reports")
 """Kinds of faults that are switched on and off by a flag of a ``CanopenDevice``."""

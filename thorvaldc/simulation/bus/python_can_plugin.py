@@ -24,8 +24,8 @@ from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import CanFrame, ReceivedFrame
 from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.can.simulated_bus_client import SimulatedBusClient
+from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 from thorvaldc.simulation.bus.timeline import Event
-from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
 from thorvaldc.simulation.bus.wire import Wire
 
 NAME = "thorvaldc_sim"

@@ -27,23 +27,123 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any, Self
 
 from thorvaldc.can.canopen import RPDO, TPDO, NmtState
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
-from thorvaldc.simulation.bus.device_description import DeviceDescription
-from thorvaldc.simulation.bus.object_dictionary import DelayedWrite, Entry, ObjectDictionary
-from thorvaldc.simulation.bus.pdo import EVENT_DRIVEN, Pdo, PdoSet
-from thorvaldc.simulation.bus.roboteq_channel import DRIVE, STALL_RPM, Channel, ChannelSettings
+from thorvaldc.simulation.bus.object_dictionary import (
+    EVENT_DRIVEN,
+    DelayedWrite,
+    Entry,
+    ObjectDictionary,
+    Pdo,
+    PdoSet,
+)
+from thorvaldc.simulation.bus.simulated_device import DeviceDescription, DeviceSpecification
 from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel, MotorState
 from thorvaldc.simulation.bus.wire import Wire
 
-if TYPE_CHECKING:
-    from typing import Self
+# -- motor channels --------------------------------------------------------------------------------
 
-    from thorvaldc.simulation.bus.device_specification import DeviceSpecification
+# The controller measures and commands the speed of the motor in rpm.
+
+STALL_TIME = 0.5
+"""Time (s) at rest with a commanded speed after which the channel reports a stall."""
+STALL_RPM = 30.0
+"""Commanded speed (rpm) below which a motor at rest does not count as stalled."""
+DRIVE = 0
+"""Mode of a channel after power-on."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelSettings:
+    """Hardware settings of a motor channel of the Roboteq controller.
+
+    ``steering`` is true for a steering motor, and false for a propulsion motor.  ``limit`` is the
+    largest steering angle (rad) in both directions.
+    """
+
+    gear_ratio: float
+    encoder_pulses: int
+    max_rpm: float
+    limit: float = math.pi
+    steering: bool = False
+
+
+class Channel:
+    """A channel of the Roboteq controller with a motor and an encoder.
+
+    ``position`` is the joint position (rad), and ``rpm`` is the speed of the motor (rpm).
+    """
+
+    def __init__(self, settings: ChannelSettings, motor: MotorModel) -> None:
+        self.settings = settings
+        self.motor = motor
+        self.encoder = Encoder(settings.gear_ratio, settings.encoder_pulses)
+        self.mode = DRIVE
+        self.max_rpm = settings.max_rpm
+        self.rpm = 0.0
+        self.position = 0.0
+        self.state = MotorState(0.0, 0.0, 0.0)
+        self.encoder_error = False
+        self._still_since: float | None = None
+        self.setpoint = 0.0
+        """Commanded motor speed (rpm)."""
+        self.acceleration = 0.0
+        """Acceleration limit (rpm per s), or 0 for the largest acceleration of the motor."""
+
+    @property
+    def radians_per_rpm(self) -> float:
+        """Speed of the joint (rad/s) at a motor speed of 1 rpm."""
+        return math.pi / 30.0 / self.settings.gear_ratio
+
+    def start(self, now: float) -> None:
+        """Starts the motor channel after power-on.
+
+        The encoder count is 0 at the present position of the joint.
+        """
+        self.mode = DRIVE
+        self.max_rpm, self.acceleration = self.settings.max_rpm, 0.0
+        self.encoder_error, self._still_since, self.setpoint = False, None, 0.0
+        self.encoder.set_zero(self.motor.read(now))
+        self.measure(now)
+
+    def measure(self, now: float) -> None:
+        self.state = self.motor.read(now)
+        self.position, velocity = self.encoder.measure(self.state)
+        self.rpm = velocity / self.radians_per_rpm
+
+    def turn(self, rpm: float, now: float, dt: float) -> None:
+        """Commands a motor speed (rpm), limited by the speed limit of the motor channel.
+
+        The motor model limits the acceleration of the motor.
+        """
+        setpoint = min(max(rpm, -self.max_rpm), self.max_rpm)
+        if self.acceleration > 0.0:
+            step = self.acceleration * dt
+            setpoint = min(max(setpoint, self.setpoint - step), self.setpoint + step)
+        self.setpoint = setpoint
+        self.motor.turn(setpoint * self.radians_per_rpm, now)
+
+    def stalled(self, now: float) -> bool:
+        """Returns true if the measured motor speed is too low for longer than ``STALL_TIME``.
+
+        The measured speed is too low if the motor does not follow the commanded speed, or if the
+        encoder failed.
+        """
+        if abs(self.setpoint) < STALL_RPM or abs(self.rpm) > STALL_RPM / 2.0:
+            self._still_since = None
+        elif self._still_since is None:
+            self._still_since = now
+        return self._still_since is not None and now - self._still_since > STALL_TIME
+
+    def release(self, now: float) -> None:
+        self.setpoint = 0.0
+        self.motor.release(now)
+
 
 LOOP_PERIOD = 0.005
 """Period (s) of the loop of the script."""
@@ -83,6 +183,7 @@ class RoboteqController(CanopenDevice):
     A master cannot change the node id over the bus.  The method ``change_node_id`` sets the node
     id, as the configuration tool of the manufacturer does.
 
+    * ``cycles``: periods (s) of the four TPDOs.
     * ``home_angle``: true steering angle (rad) at the edge of the home switch.
     * ``home_count``: setting with the encoder count at the home switch.  If the home angle is set
       correctly, the encoder count is 0 when the wheel points straight ahead.
@@ -101,9 +202,7 @@ class RoboteqController(CanopenDevice):
         channels: tuple[tuple[ChannelSettings, MotorModel], tuple[ChannelSettings, MotorModel]],
         *,
         description: DeviceDescription | None = None,
-        status_period: float = 0.1,
-        identity_period: float = 1.0,
-        cycle: float = 0.02,
+        cycles: tuple[float, float, float, float] = (0.02, 0.1, 0.1, 1.0),
         home_angle: float = 0.0,
         version: tuple[int, int, int] = (1, 0, 0),
         controller_type: int = 0,
@@ -131,7 +230,7 @@ class RoboteqController(CanopenDevice):
         self.alignment_error = False
         self.home_switch_works = True
         self._running = False
-        self._cycles = (cycle, status_period, status_period, identity_period)
+        self._cycles = cycles
         self._reset_state()
 
     @classmethod
@@ -139,9 +238,7 @@ class RoboteqController(CanopenDevice):
         node = specification.node
         channels = []
         home_angle = 0.0
-        for channel in node.channels[:2]:
-            actuator = specification.actuator(channel.name)
-            motor = specification.motor_of(actuator)
+        for channel, actuator, motor in specification.channels()[:2]:
             if actuator is not None and actuator.encoder_offset:
                 home_angle = actuator.encoder_offset
             if actuator is None:
@@ -153,11 +250,11 @@ class RoboteqController(CanopenDevice):
                     actuator.gear_ratio,
                     actuator.encoder_ppr,
                     actuator.motor_max_speed * 30.0 / math.pi,
-                    actuator.max_torque,
                     max(limits, default=math.pi),
                     actuator.role == "steering",
                 )
             channels.append((settings, motor))
+        status_period = specification.period(TPDO[1] + node.id, 0.1)
         return cls(
             specification.name,
             specification.wire,
@@ -165,9 +262,12 @@ class RoboteqController(CanopenDevice):
             node.id,
             (channels[0], channels[1]),
             description=DeviceDescription.from_specification(specification, "FBL2360"),
-            cycle=specification.period(TPDO[0] + node.id, specification.bus.sync_period),
-            status_period=specification.period(TPDO[1] + node.id, 0.1),
-            identity_period=specification.period(TPDO[3] + node.id, 1.0),
+            cycles=(
+                specification.period(TPDO[0] + node.id, specification.bus.sync_period),
+                status_period,
+                status_period,
+                specification.period(TPDO[3] + node.id, 1.0),
+            ),
             version=_version(specification.property("script_version")),
             controller_type=int(specification.property("script_type") or 0),
             home_angle=home_angle,
@@ -191,7 +291,6 @@ class RoboteqController(CanopenDevice):
         self._home_distance = 0.0
         self._home_reading: bool | None = None
         self._content = 0
-        self._variables = [0] * 8
 
     def initialised(self) -> None:
         if not self._running:
@@ -427,7 +526,8 @@ class RoboteqController(CanopenDevice):
 
     def _counts(self) -> int:
         second = self.channels[1]
-        return second.counts if second.settings.steering else 0
+        counts = round(second.position * second.encoder.counts_per_radian)
+        return counts if second.settings.steering else 0
 
     def _currents(self) -> int:
         return _words(*(10.0 * self._power(c) / self.supply_voltage for c in self.channels))
@@ -492,11 +592,7 @@ def _version(text: Any) -> tuple[int, int, int]:
     return 1, 0, 0
 
 
-def _words(low: float, high: float) -> int:
-    """Packs two numbers as signed 16-bit words into a 32-bit variable of the script."""
-    return _i16(low) & 0xFFFF | _i16(high) << 16
-
-
-def _i16(value: float) -> int:
-    """Rounds a number to a signed 16-bit integer, limited to the largest and smallest value."""
-    return min(max(round(value), -0x8000), 0x7FFF)
+def _words(*numbers: float) -> int:
+    """Packs two numbers as signed 16-bit words, limited to their range, into a 32-bit variable."""
+    low, high = (min(max(round(number), -0x8000), 0x7FFF) for number in numbers)
+    return low & 0xFFFF | high << 16

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import random
+import zlib
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import Any, Self
 
+from thorvaldc.can import lss
+from thorvaldc.can.canopen import HEARTBEAT
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.nanoseconds import NANOSECONDS, to_ns
-from thorvaldc.simulation.bus.can_controller import CanController
-from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel
+from thorvaldc.model import Actuator, Robot
+from thorvaldc.model.bus import Bus, Channel, FrameDefinition, Node
+from thorvaldc.model.bus_quirks import Quirk
+from thorvaldc.simulation.bus.object_dictionary import parameter_name
+from thorvaldc.simulation.bus.simulated_motors import Encoder, IdealMotor, MotorModel
 from thorvaldc.simulation.bus.timeline import Action, Event
-from thorvaldc.simulation.bus.wire import Wire
-
-if TYPE_CHECKING:
-    from typing import Self
-
-    from thorvaldc.simulation.bus.device_specification import DeviceSpecification
+from thorvaldc.simulation.bus.wire import CanController, Wire
 
 LATENCY = 100e-6
 """Shortest reaction time (s) of a device to a frame.  A random time of up to 50 % is added."""
@@ -260,3 +262,175 @@ class SimulatedDevice:
                 on_stored()
 
         self.after(self.write_time, finish)
+
+
+# -- data of a node --------------------------------------------------------------------------------
+
+MASTER = "master"
+
+
+@dataclass
+class DeviceSpecification:
+    """The data of a CAN node from which ``SimulatedDevice.from_specification`` creates a device.
+
+    * ``robot``: robot of the node.
+    * ``bus``: bus of the node.
+    * ``node``: node in the model.
+    * ``wire``: simulated bus line.
+    * ``motor``: function that returns the motor model of an actuator.
+    * ``name``: name of the device, which differs from the name of the node only for a clone.
+    * ``seed``: seed of the random numbers of the device.
+    * ``delivered``: true for a device in the factory state.  A device in the factory state has no
+      node id and no parameters if a master can write the node id and the parameters over the CAN
+      bus.
+    * ``nonvolatile``: values that replace values in the non-volatile memory of the device, such as
+      ``node_id`` or ``bitrate``.
+    * ``quirks``: quirks of the device, if it is a CANopen device.
+    """
+
+    robot: Robot
+    bus: Bus
+    node: Node
+    wire: Wire
+    motor: Callable[[Actuator], MotorModel]
+    name: str = ""
+    seed: int = 0
+    delivered: bool = False
+    nonvolatile: Mapping[str, Any] = field(default_factory=dict)
+    quirks: frozenset[Quirk] = frozenset()
+
+    @property
+    def sent(self) -> list[FrameDefinition]:
+        """Definitions of the CAN frames that the node sends."""
+        return [frame for frame in self.bus.frames if frame.producer == self.node.name]
+
+    @property
+    def received(self) -> list[FrameDefinition]:
+        """Definitions of the CAN frames that the master sends only to the node."""
+        return [
+            frame
+            for frame in self.bus.frames
+            if frame.producer == MASTER and frame.consumers == (self.node.name,)
+        ]
+
+    def period(self, cob_id: int, default: float) -> float:
+        """Returns the period (s) of the CAN frame with the identifier ``cob_id`` that the node
+        sends.
+
+        Returns ``default`` if the node does not send the CAN frame periodically.
+        """
+        periods = (frame.period for frame in self.sent if frame.cob_id == cob_id)
+        return next((period for period in periods if period is not None), default)
+
+    @property
+    def heartbeat_period(self) -> float:
+        """Period of the heartbeat (s), or 0 if the node sends no heartbeat."""
+        return self.period(HEARTBEAT + self.node.id, 0.0)
+
+    def property(self, name: str) -> Any:
+        """Returns a property of the robot module with the node, or ``None`` if unknown."""
+        return dict(self.node.properties).get(name)
+
+    def channels(self) -> list[tuple[Channel, Actuator | None, MotorModel]]:
+        """Returns each channel of the motor controller with its actuator and motor."""
+        actuators = [(c, self.actuator(c.name)) for c in self.node.channels]
+        return [(c, actuator, self.motor_of(actuator)) for c, actuator in actuators]
+
+    def actuator(self, channel: str) -> Actuator | None:
+        """Returns the actuator at a channel of the motor controller, or ``None``."""
+        name = next(c.actuator for c in self.node.channels if c.name == channel)
+        return next((actuator for actuator in self.robot.actuators if actuator.name == name), None)
+
+    def motor_of(self, actuator: Actuator | None) -> MotorModel:
+        """Returns the motor model of an actuator.
+
+        If ``actuator`` is ``None``, the function returns a motor without a load.
+        """
+        return IdealMotor(1.0, 1.0) if actuator is None else self.motor(actuator)
+
+    def common(self) -> dict[str, Any]:
+        """Returns the keyword arguments that every subclass of ``SimulatedDevice`` accepts."""
+        return {"seed": self.seed, "nonvolatile": self.nonvolatile}
+
+
+# -- data of a CANopen device ----------------------------------------------------------------------
+
+NODE_ID, PARAMETERS = "node_id", "parameters"
+"""Keys of the values in non-volatile memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceDescription:
+    """Identity and supported services of a simulated CANopen device.
+
+    * ``serial``: serial number, or ``None`` for a device without serial number and without LSS.
+    * ``heartbeat_period``: period of the heartbeat (s).
+    * ``bitrates``: supported bitrates (bit/s).
+    * ``quirks``: deviations from the default behaviour.
+    """
+
+    device_type: int = 0
+    vendor: int = 0
+    product: int = 0
+    revision: int = 0
+    serial: int | None = None
+    name: str = ""
+    heartbeat_period: float = 0.1
+    bitrates: tuple[int, ...] = tuple(lss.BITRATES.values())
+    quirks: frozenset[Quirk] = frozenset()
+
+    @classmethod
+    def from_specification(
+        cls, specification: DeviceSpecification, name: str, device_type: int = 0
+    ) -> DeviceDescription:
+        """Returns the description of a node of a robot.
+
+        ``device_type`` applies if the node does not have a device type.
+        """
+        node = specification.node
+        is_clone = specification.name != node.name
+        serial = None if is_clone else _serial_number(node.serial)
+        if serial is None and node.lss:
+            # The robot file may omit the serial number.  The computed serial number is the same in
+            # every run and different for each device.
+            serial = zlib.crc32(f"{specification.robot.name}/{specification.name}".encode())
+        factory_state = specification.delivered and node.lss
+        return cls(
+            device_type=node.device_type or device_type,
+            vendor=node.vendor_id or 0,
+            product=node.product_code or 0,
+            revision=node.revision_number or 0,
+            serial=serial if node.lss else None,
+            name=name,
+            heartbeat_period=0.0 if factory_state else specification.heartbeat_period,
+            bitrates=node.bitrates or tuple(lss.BITRATES.values()),
+            quirks=specification.quirks,
+        )
+
+
+def _serial_number(text: str | None) -> int | None:
+    try:
+        return None if text is None else int(text, 0) & 0xFFFFFFFF
+    except ValueError:
+        return None
+
+
+def commissioned_memory(specification: DeviceSpecification) -> dict[str, Any]:
+    """Returns the contents of the non-volatile memory of a commissioned node.
+
+    The memory contains the node id and the parameter values of the CAN map.  A device in the
+    factory state has no parameter values.  A device in the factory state with LSS also has no node
+    id.
+    """
+    node = specification.node
+    without_id = specification.delivered and node.lss
+    parameters = {
+        parameter_name(entry.index, entry.subindex): entry.value
+        for entry in node.objects
+        if entry.access == "rw" and entry.value is not None
+    }
+    return {
+        NODE_ID: lss.UNCONFIGURED if without_id else node.id,
+        PARAMETERS: {} if specification.delivered else parameters,
+        **specification.nonvolatile,
+    }

@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 from thorvaldc.model import Actuator, Robot
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
-from thorvaldc.simulation.physics.coasting import Coasting, coasting_of
-from thorvaldc.simulation.physics.simulated_joints import SimulatedJoints
+from thorvaldc.simulation.physics.sim_base import Coasting, SimulatedJoints, coasting_of
 
 POSITION_GAIN = 10.0
 """Speed of a joint divided by the distance from the commanded position (1/s)."""

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import json
+from collections import deque
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
-from thorvaldc.can.nanoseconds import to_ns
+from thorvaldc.can.error_state import ErrorState
+from thorvaldc.can.frame import RECEIVE_LIMIT, SEND_LIMIT, CanFrame, ReceivedFrame
+from thorvaldc.can.nanoseconds import NEVER, to_ns
+from thorvaldc.commissioning.bus_configuration import AttachStep
+from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.atomic_file import write_file
+from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Actuator, Robot
 from thorvaldc.model.bus import Bus, Node
 from thorvaldc.model.bus_quirks import Quirk
+from thorvaldc.model.plugins import PluginFailure, PluginTable
 from thorvaldc.model.require_bus import require_bus
-from thorvaldc.simulation.bus.device_specification import DeviceSpecification
-from thorvaldc.simulation.bus.device_table import create_device
-from thorvaldc.simulation.bus.simulated_device import SimulatedDevice
+from thorvaldc.simulation.bus.battery_and_io_devices import ForeignDevice
+from thorvaldc.simulation.bus.simulated_device import DeviceSpecification, SimulatedDevice
 from thorvaldc.simulation.bus.simulated_motors import (
     BaseMotors,
     DrivenWheels,
@@ -20,9 +29,164 @@ from thorvaldc.simulation.bus.simulated_motors import (
     ideal_motor,
 )
 from thorvaldc.simulation.bus.timeline import Timeline
-from thorvaldc.simulation.bus.virtual_time_interface import VirtualTimeInterface
-from thorvaldc.simulation.bus.wire import Wire
-from thorvaldc.simulation.physics.simulated_joints import SimulatedJoints
+from thorvaldc.simulation.bus.wire import CanController, Wire
+from thorvaldc.simulation.physics.sim_base import SimulatedJoints
+
+# -- devices ---------------------------------------------------------------------------------------
+
+_PACKAGE = "thorvaldc.simulation.bus"
+
+SIMULATED_DEVICES: PluginTable[SimulatedDevice] = PluginTable(
+    "thorvaldc.simulated_devices",
+    SimulatedDevice,
+    {
+        "cia402": f"{_PACKAGE}.cia402_device:Cia402Drive",
+        "thorvald_roboteq": f"{_PACKAGE}.roboteq_device:RoboteqController",
+        "thorvald_roboteq_propulsion": f"{_PACKAGE}.roboteq_device:RoboteqController",
+        "thorvald_kc_battery": f"{_PACKAGE}.battery_and_io_devices:KcBattery",
+        "thorvald_io": f"{_PACKAGE}.battery_and_io_devices:IoBoard",
+    },
+)
+"""By ``Node.protocol``.  docs/simulated-bus.md shows how a package adds a device."""
+
+
+def create_device(specification: DeviceSpecification) -> SimulatedDevice:
+    """Creates the simulated device of a CAN node.
+
+    The protocol of the CAN node selects the class of the simulated device.  A CAN node with an
+    unknown protocol becomes a ``ForeignDevice``.  Raises ``DiagnosticError``
+    (``bus-driver-unknown``) if a class that another package provides is not a valid device class.
+    """
+    node = specification.node
+    device = SIMULATED_DEVICES.load(node.protocol)
+    if not isinstance(device, PluginFailure):
+        return device.from_specification(specification)
+    if device.unknown:
+        return ForeignDevice.from_specification(specification)
+    raise DiagnosticError(
+        "bus-driver-unknown",
+        f"the simulated device for `{node.protocol}` {device.reason}",
+        node.span,
+    )
+
+
+# -- CAN interface in virtual time -----------------------------------------------------------------
+
+
+class VirtualTimeInterface:
+    """A ``CanInterface`` to a simulated bus in virtual time.
+
+    Virtual time advances only while the program waits.  The receive queue has space for
+    ``receive_limit`` CAN frames.  If the receive queue is full, a received CAN frame is dropped and
+    ``overruns`` is increased by 1.  Real CAN controllers and operating systems drop frames in the
+    same way.  ``bitrate`` is the bitrate of the CAN controller (bit/s), by default the bitrate of
+    the simulated bus.
+    """
+
+    receives_by_itself = True
+    epoch = 0.0
+    """Offset (s) between timestamps and the times of the CAN interface."""
+
+    def __init__(
+        self,
+        wire: Wire,
+        name: str = "client",
+        bitrate: int | None = None,
+        *,
+        send_limit: int = SEND_LIMIT,
+        receive_limit: int = RECEIVE_LIMIT,
+        receive_own: bool = False,
+        listen_only: bool = False,
+        fifo: bool = False,
+    ) -> None:
+        self.wire = wire
+        self.timeline = wire.timeline
+        self.name = name
+        self.receive_limit = receive_limit
+        self.overruns = 0
+        self.received: deque[ReceivedFrame] = deque()
+        self.controller = CanController(
+            wire,
+            name,
+            bitrate or wire.bitrate,
+            queue_limit=send_limit,
+            fifo=fifo,
+            listen_only=listen_only,
+            auto_recovery=False,
+        )
+        self.controller.on_frame = self._queue_received
+        if receive_own:
+            self.controller.on_sent = lambda frame: self._queue_received(frame, own=True)
+        wire.attach(self.controller)
+        self.controller.switch_on()
+
+    @property
+    def state(self) -> ErrorState:
+        return self.controller.state
+
+    @property
+    def now(self) -> float:
+        """Virtual time (s)."""
+        return self.timeline.seconds
+
+    @property
+    def received_until(self) -> float:
+        return self.timeline.seconds
+
+    def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
+        """Adds a CAN frame to the send queue.
+
+        The method waits at most ``timeout`` s for space in the send queue.  Returns ``False`` if
+        the send queue is still full, or if the CAN controller is in bus-off.
+        """
+        controller = self.controller
+        if controller.pending >= controller.queue_limit and timeout > 0.0:
+            limit = self.timeline.now + to_ns(timeout)
+            self.timeline.run_until(limit, lambda: controller.pending < controller.queue_limit)
+        return controller.send(frame)
+
+    def receive(self, timeout: float | None = None) -> ReceivedFrame | None:
+        """Returns the oldest CAN frame in the receive queue.
+
+        Virtual time advances until a CAN frame is received.  Returns ``None`` if no CAN frame is
+        received within ``timeout`` s.  If ``timeout`` is ``None``, the method returns ``None`` when
+        the simulation has no further events.
+        """
+        if not self.received and (timeout is None or timeout > 0.0):
+            limit = NEVER - 1 if timeout is None else self.timeline.now + to_ns(timeout)
+            if timeout is None:
+                while not self.received and self.timeline.next_time < limit:
+                    self.timeline.run_until(self.timeline.next_time)
+            else:
+                self.timeline.run_until(limit, lambda: bool(self.received))
+        return self.received.popleft() if self.received else None
+
+    def sleep(self, seconds: float) -> None:
+        """Advances the virtual time by ``seconds`` s.
+
+        CAN frames that are received during the wait are added to the receive queue.
+        """
+        self.timeline.run_until(self.timeline.now + to_ns(seconds))
+
+    def sleep_until(self, time: float) -> None:
+        """Advances the virtual time to ``time`` (s).
+
+        The method returns immediately if ``time`` is in the past.
+        """
+        self.timeline.run_until(to_ns(time))
+
+    def restart(self) -> None:
+        """Restarts the CAN controller after bus-off."""
+        self.controller.restart()
+
+    def close(self) -> None:
+        self.wire.detach(self.controller)
+
+    def _queue_received(self, frame: CanFrame, own: bool = False) -> None:
+        if len(self.received) >= self.receive_limit:
+            self.overruns += 1
+        else:
+            self.received.append(ReceivedFrame(self.timeline.now, frame, own))
 
 
 class SimulatedRobot:
@@ -152,3 +316,66 @@ class SimulatedRobot:
         )
         self.devices[name] = device
         return device
+
+
+# -- operator --------------------------------------------------------------------------------------
+
+SETTLING_TIME = 0.3
+"""Simulated time (s) that devices require to boot or to store the node id."""
+
+
+class VirtualOperator:
+    """Carries out the manual steps of commissioning on a simulated robot."""
+
+    def __init__(self, simulated: SimulatedRobot) -> None:
+        self.simulated = simulated
+
+    def attach(self, step: AttachStep, words: str) -> bool:
+        """Switches the power of only one device on and sets the node id of the device.
+
+        On a real robot, a person sets the node id with a tool of the manufacturer.
+        """
+        for device in self.simulated.devices.values():
+            device.power_off()
+        device = self.simulated.devices[step.node]
+        device.power_on()
+        self.simulated.run(SETTLING_TIME)
+        device.change_node_id(step.after)
+        self.simulated.run(SETTLING_TIME)
+        return True
+
+    def power_all(self, words: str) -> bool:
+        """Switches the power of all devices on."""
+        self.simulated.power_on()
+        self.simulated.run(SETTLING_TIME)
+        return True
+
+
+# -- non-volatile memory in a file -----------------------------------------------------------------
+
+Memory = dict[str, dict[str, Any]]
+"""Stored values by device name and key."""
+
+
+def read_memory(path: Path, report: Report) -> Memory | None:
+    """Returns the stored values of the simulated devices.
+
+    If the file does not exist, the function returns an empty mapping.  Returns ``None`` and reports
+    errors if the content of the file is invalid.
+    """
+    from thorvaldc.compiler.source.reader import read_file
+    from thorvaldc.compiler.validation.document_check import check
+
+    if not path.exists():
+        return {}
+    document = read_file(path, str(path), report)
+    if document is None or not check(document, "device_memory", report):
+        return None
+    memory: Memory = document.plain()
+    return memory
+
+
+def write_memory(path: Path, simulated: SimulatedRobot) -> None:
+    """Writes the non-volatile memory of all simulated devices to the JSON file."""
+    memory = {name: device.nonvolatile for name, device in simulated.devices.items()}
+    write_file(path, json.dumps(memory, indent=1, ensure_ascii=False) + "\n")

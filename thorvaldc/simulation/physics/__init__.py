@@ -1,7 +1,6 @@
 """Simulated bases, which take joint commands and return joint states, as the base on a bus does.
 
-``mujoco_base`` has wheels on the ground (``rolling_radii``, ``ground_zones``), motors
-(``drive_servos``, ``motors_without_power``) and the errors of wheels and encoders
-(``wheel_errors``); ``rolling_base`` rolls without slip.  Begin with ``sim_base`` and
-``scenario_base``.
+``sim_base`` has the bases without MuJoCo: ideal joints, and wheels that roll without slip.
+``mujoco_base`` drives in a ``mujoco_scene``, with the motors of ``drive_servos``; ``scenario_base``
+adds faults, noise, ground zones and ice.  Begin with ``sim_base`` and ``mujoco_base``.
 """

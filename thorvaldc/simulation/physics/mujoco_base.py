@@ -8,11 +8,9 @@ from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import Pose2, Twist
-from thorvaldc.simulation.physics.drive_servos import DriveServos
-from thorvaldc.simulation.physics.ground_truth_base import GroundTruthBase
-from thorvaldc.simulation.physics.motors_without_power import MotorsWithoutPower
+from thorvaldc.simulation.physics.drive_servos import DriveServos, MotorsWithoutPower
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
-from thorvaldc.simulation.physics.wheel_errors import WheelErrors
+from thorvaldc.simulation.physics.sim_base import GroundTruthBase, WheelErrors
 
 LONGEST_STEP = 0.2
 """Largest time (s) between two commands for which ``write`` adds the feed-forward term."""

@@ -1,7 +1,7 @@
 """Plots, pictures and videos of robots and runs.
 
 * ``plot`` draws paths and velocities with matplotlib.
-* ``render`` and ``video`` draw the scene with MuJoCo and Pillow, without a display.
+* ``render`` draws the scene with MuJoCo and Pillow, without a display, also as a video.
 * ``surfaces`` computes the triangles of shapes, also for ``web_viewer``.
 
 Optional packages are imported on first use.  The message of a ``PictureError`` names the missing

@@ -1,4 +1,4 @@
-"""Triangle meshes of the visual shapes of a robot."""
+"""Triangle meshes of the visual shapes of a robot, and the text on a zone."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from thorvaldc.model import Box, Cylinder, MeshShape, Pose, Robot, Shape, Sphere, Vec3
+from thorvaldc.model import Box, Cylinder, MeshShape, Pose, Robot, Shape, Sphere, Vec3, Zone
 
 Points = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
@@ -116,3 +116,13 @@ def convex(points: Points) -> Points:
     furthest = np.argmax(points @ np.array([np.cos(angles), np.sin(angles)]), axis=0)
     outline: Points = points[furthest]
     return outline
+
+
+def zone_text(zone: Zone, separator: str = "\n") -> str:
+    """Returns what differs in a zone from the ground around it."""
+    parts = [f"friction {zone.friction:.3g}"] if zone.friction is not None else []
+    if zone.rolling_resistance is not None:
+        parts.append(f"rolling resistance {zone.rolling_resistance:.3g}")
+    if zone.height:
+        parts.append(f"height {zone.height:.3g} m")
+    return separator.join(parts)

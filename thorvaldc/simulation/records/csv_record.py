@@ -28,8 +28,7 @@ from thorvaldc.model.scenario import GROUPS
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.simulation.control_loop import Sample
-from thorvaldc.simulation.records.recorded_run import RecordedRun, report_missing_robot
-from thorvaldc.simulation.records.recorder import SampleInterval
+from thorvaldc.simulation.records.recorder import RecordedRun, SampleInterval, report_missing_robot
 
 _TWIST = ("vx", "vy", "wz")
 _POSE = ("x", "y", "yaw")

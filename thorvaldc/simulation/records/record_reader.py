@@ -1,16 +1,34 @@
-"""Reads recorded runs from the CSV and MCAP files that ``sim --record`` writes."""
+"""Reads recorded runs: MCAP files, ROS bags with the same topics, and CSV files."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from thorvaldc.compiler.recordings.ros_bag import is_bag
+from thorvaldc.compiler.recordings.ros_bag import (
+    COMMANDED_TWIST,
+    COMMANDS,
+    JOINTS,
+    LIMITED_TWIST,
+    ODOM,
+    TRUE_ODOM,
+    TYPES,
+    Bag,
+    is_bag,
+    read_bag,
+)
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Robot
+from thorvaldc.model.scenario import GROUPS
+from thorvaldc.model.spatial import matrix_to_rpy, quat_to_matrix
+from thorvaldc.runtime.base_interface import JointCommands, JointStates
+from thorvaldc.runtime.ros_numbers import recorded_joints
+from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
+from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.records.csv_record import read_csv_record
-from thorvaldc.simulation.records.mcap_reader import read_mcap_record
-from thorvaldc.simulation.records.recorded_run import RecordedRun
+from thorvaldc.simulation.records.recorder import RecordedRun, report_missing_robot
 
 
 def read_record(
@@ -36,3 +54,229 @@ def read_record(
             report.add("record-unreadable", f"`{display}` has no samples of {name}", Span(display))
             return None
     return runs
+
+
+# -- MCAP files and bags ------------------------------------------------------------------------
+
+_NO_POSE = Pose2(math.nan, math.nan, math.nan)
+_NO_TWIST = Twist(math.nan, math.nan, math.nan)
+
+
+def read_mcap_record(
+    path: Path, robots: Sequence[tuple[str, Robot]], report: Report
+) -> dict[str, RecordedRun] | None:
+    """Returns the recorded runs by robot name.
+
+    If the bag is invalid, the function adds the problems to ``report`` and returns ``None``.
+    Raises ``MissingPackageError`` if rosbags is not installed.
+    """
+    display = str(path)
+    bag = read_bag(path, display, Span(display), _record_topics, report)
+    if bag is None:
+        return None
+    topics_of: dict[str, dict[str, str]] = {}  # by name space: the topics by their last part
+    for topic in bag.messages:
+        for kind in TYPES:
+            if topic.endswith(f"/{kind}") and not (
+                kind == ODOM and topic.endswith(f"/{TRUE_ODOM}")
+            ):
+                namespace = topic.removesuffix(f"/{kind}").strip("/")
+                topics_of.setdefault(namespace, {})[kind] = topic
+    topics_of = {
+        namespace: topics
+        for namespace, topics in topics_of.items()
+        if {ODOM, TRUE_ODOM} & set(topics)
+    }
+    if not topics_of:
+        names = ", ".join(sorted(bag.topics)[:6]) or "none"
+        report.add(
+            "record-unreadable",
+            f"`{display}` is not a record of a run: it has no topic `{TRUE_ODOM}` or `{ODOM}`",
+            Span(display),
+            hint=f"its topics: {names}",
+        )
+        return None
+    runs: dict[str, RecordedRun] = {}
+    for name, robot in robots:
+        namespace = robot.namespace
+        if namespace not in topics_of and len(robots) == len(topics_of) == 1:
+            namespace = next(iter(topics_of))
+        if namespace not in topics_of:
+            report_missing_robot(name, topics_of, display, report)
+            continue
+        run = _BagRun(bag, topics_of[namespace], namespace, robot, display).read(report)
+        if run is not None:
+            runs[name] = run
+    return runs if len(runs) == len(robots) else None
+
+
+def _record_topics(topics: Mapping[str, str]) -> set[str]:
+    """Returns the topics of a bag that belong to a record.
+
+    ``topics`` has the message type of each topic of the bag.
+    """
+    of_robots = {
+        topic
+        for topic, type_ in topics.items()
+        if any(topic.endswith(f"/{kind}") and type_ == TYPES[kind] for kind in TYPES)
+    }
+    return of_robots | ({"/tf_static"} & set(topics))
+
+
+class _BagRun:
+    """The messages of one robot in a bag, grouped by time.
+
+    A sample of a record consists of messages on several topics.  All ROS messages of a sample have
+    the same time.
+    """
+
+    def __init__(
+        self, bag: Bag, topics: Mapping[str, str], namespace: str, robot: Robot, display: str
+    ) -> None:
+        self._by_time: dict[str, dict[float, Any]] = {
+            kind: dict(bag.messages[topic]) for kind, topic in topics.items()
+        }
+        self._robot = robot
+        self._display = display
+        self._start = ORIGIN
+        odom = f"{namespace}/odom" if namespace else "odom"
+        for _, message in bag.messages.get("/tf_static", ()):
+            for transform in message.transforms:
+                if transform.child_frame_id == odom:
+                    pose = transform.transform
+                    self._start = _pose(pose.translation, pose.rotation, 0.0)[0]
+
+    def read(self, report: Report) -> RecordedRun | None:
+        """Returns the recorded run of the robot.
+
+        Returns ``None`` if ROS messages are missing or belong to another robot.
+        """
+        topic_of = {
+            "odometry": ODOM,
+            "truth": TRUE_ODOM,
+            "twist": COMMANDED_TWIST,
+            "joints": JOINTS,
+        }
+        groups = tuple(group for group in GROUPS if topic_of[group] in self._by_time)
+        if not self._joints_match(report):
+            return None
+        run = RecordedRun(groups, [], [])
+        topics = [topic_of[group] for group in groups]
+        last_time = next(reversed(self._by_time[topics[0]]), None)
+        last_yaws = [0.0, 0.0]
+        for time in self._by_time[topics[0]]:
+            if not all(time in self._by_time[topic] for topic in topics):
+                if time == last_time:
+                    continue  # Ctrl-C ended the run between two messages of a sample
+                report.add(
+                    "record-unreadable",
+                    f"`{self._display}` is not a record of a run: at {time:.9g} s a message is "
+                    f"missing on one of the topics {', '.join(topics)}",
+                    Span(self._display),
+                )
+                return None
+            run.samples.append(self._sample(time, last_yaws))
+            run.commands.append(self._commands(time))
+        return run
+
+    def _joints_match(self, report: Report) -> bool:
+        """Checks that the recorded joint names are the joint names of the robot."""
+        first = next(iter(self._by_time.get(JOINTS, {}).values()), None)
+        if first is None:
+            return True
+        drives, steering = recorded_joints(self._robot)
+        expected = (*drives, *steering)
+        recorded = list(first.name)
+        unknown = next((name for name in recorded if name not in expected), None)
+        missing = next((name for name in expected if name not in recorded), None)
+        if unknown is not None or missing is not None:
+            report.add(
+                "record-robot",
+                f"`{self._display}` has a joint `{unknown}`, and {self._robot.name} has not"
+                if unknown is not None
+                else f"`{self._display}` has no joint `{missing}` of {self._robot.name}",
+                Span(self._display),
+                hint="is it the record of another robot?",
+            )
+            return False
+        return True
+
+    def _sample(self, time: float, last_yaws: list[float]) -> Sample:
+        """Returns the recorded sample at the time ``time``.
+
+        ``last_yaws`` are the estimated and the true yaw (rad) of the previous sample.  The function
+        replaces the yaw angles in ``last_yaws`` by the yaw angles of the returned sample.
+        """
+        estimated, pose, true, pose_true = _NO_TWIST, _NO_POSE, _NO_TWIST, _NO_POSE
+        posture = (math.nan, math.nan, math.nan)
+        message = self._message(ODOM, time)
+        if message is not None:
+            pose_message = message.pose.pose
+            local, _ = _pose(pose_message.position, pose_message.orientation, last_yaws[0])
+            last_yaws[0] = local.yaw
+            pose, estimated = self._start.moved(local), _twist(message.twist.twist)
+        message = self._message(TRUE_ODOM, time)
+        if message is not None:
+            pose_message = message.pose.pose
+            pose_true, posture = _pose(
+                pose_message.position, pose_message.orientation, last_yaws[1]
+            )
+            last_yaws[1] = pose_true.yaw
+            true = _twist(message.twist.twist)
+        commanded, limited = (
+            _twist(message.twist) if message is not None else _NO_TWIST
+            for message in (
+                self._message(COMMANDED_TWIST, time),
+                self._message(LIMITED_TWIST, time),
+            )
+        )
+        joints = self._joints(time)
+        return Sample(time, commanded, limited, estimated, true, pose, pose_true, joints, posture)
+
+    def _joints(self, time: float) -> JointStates | None:
+        message = self._message(JOINTS, time)
+        if message is None:
+            return None
+        positions = dict(zip(message.name, message.position.tolist(), strict=False))
+        speeds = dict(zip(message.name, message.velocity.tolist(), strict=False))
+        drives = [w.spin_joint if w.driven else "" for w in self._robot.wheels]
+        steering = [w.steering_joint or "" for w in self._robot.wheels]
+        return JointStates(
+            time,
+            [speeds.get(name, 0.0) for name in drives],
+            [positions.get(name, 0.0) for name in steering],
+            [speeds.get(name, 0.0) for name in steering],
+            [positions.get(name, 0.0) for name in drives],
+        )
+
+    def _commands(self, time: float) -> JointCommands | None:
+        message = self._message(COMMANDS, time)
+        if message is None:
+            return None
+        positions = dict(zip(message.name, message.position.tolist(), strict=False))
+        speeds = dict(zip(message.name, message.velocity.tolist(), strict=False))
+        return JointCommands(
+            [speeds.get(w.spin_joint, 0.0) if w.driven else 0.0 for w in self._robot.wheels],
+            [positions.get(w.steering_joint or "", 0.0) for w in self._robot.wheels],
+        )
+
+    def _message(self, topic: str, time: float) -> Any:
+        return self._by_time[topic].get(time) if topic in self._by_time else None
+
+
+def _twist(message: Any) -> Twist:
+    return Twist(message.linear.x, message.linear.y, message.angular.z)
+
+
+def _pose(
+    position: Any, orientation: Any, last_yaw: float
+) -> tuple[Pose2, tuple[float, float, float]]:
+    """Returns the planar pose, and the height (m), roll (rad) and pitch (rad), of a message.
+
+    A quaternion determines the yaw angle only up to full turns.  The function returns the yaw
+    angle that differs from ``last_yaw`` by at most half a turn.
+    """
+    q = orientation
+    roll, pitch, yaw = matrix_to_rpy(quat_to_matrix((q.w, q.x, q.y, q.z)))
+    yaw = last_yaw + math.remainder(yaw - last_yaw, math.tau)
+    return Pose2(position.x, position.y, yaw), (position.z, roll, pitch)

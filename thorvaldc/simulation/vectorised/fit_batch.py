@@ -7,7 +7,7 @@ same order of operations as there.  With the same cosines and sines they are equ
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,10 +24,20 @@ from thorvaldc.runtime.calculators.twist_fit import (
     USE_SIDE,
     WheelConstants,
 )
-from thorvaldc.simulation.vectorised.exact_functions import exact
 
 Array = NDArray[np.float64]
 Value = Array | float
+
+
+def exact(function: Callable[[float], float], values: Array) -> Array:
+    """Returns ``function`` of each value, with the shape of ``values``.
+
+    ``function`` is a function of the module ``math``.  The functions of numpy differ from it in the
+    last bit, depending on the processor and on the version of numpy.
+    """
+    flat = values.ravel().tolist()
+    return np.fromiter(map(function, flat), np.float64, len(flat)).reshape(values.shape)
+
 
 _SINGULAR = 1e-250
 """Determinants of matrices with a smaller absolute value count as 0."""

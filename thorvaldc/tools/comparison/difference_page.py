@@ -9,7 +9,7 @@ from thorvaldc.comparison.difference_rows import headline, sections_of
 from thorvaldc.comparison.difference_text import EQUAL, summaries_of
 from thorvaldc.comparison.robot_difference import Difference
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.simulation.web_viewer.view_page import view_page
+from thorvaldc.simulation.web_viewer import view_page
 
 
 def difference_page(difference: Difference, before: Robot | Fleet, after: Robot | Fleet) -> str:

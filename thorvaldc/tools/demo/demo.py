@@ -13,7 +13,7 @@ from thorvaldc.compiler.output.writer import write_build
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet
-from thorvaldc.simulation.run_result import SimulationResult
+from thorvaldc.simulation.control_loop import SimulationResult
 from thorvaldc.simulation.simulation_run import drive_build
 from thorvaldc.simulation.worker_processes import ignored_interrupts, worker_pool
 

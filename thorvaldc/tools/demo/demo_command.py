@@ -23,7 +23,7 @@ def demo(
 ) -> int:
     from thorvaldc.cli.diagnostic_output import count, message, show_report, table_width
     from thorvaldc.compiler.output.writer import WriteError
-    from thorvaldc.simulation.run_result import result_table
+    from thorvaldc.simulation.control_loop import result_table
     from thorvaldc.tools.demo.demo import DemoJob, run_demo
 
     started = time.monotonic()

@@ -23,11 +23,9 @@ from thorvaldc.model.scenario import Scenario
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
-from thorvaldc.simulation.control_loop import ControlLoop, Sample
-from thorvaldc.simulation.manoeuvre import Manoeuvre, Segment
-from thorvaldc.simulation.physics.collision_counter import CollisionCounter
+from thorvaldc.simulation.control_loop import ControlLoop, Manoeuvre, Sample, Segment
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
-from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
+from thorvaldc.simulation.physics.mujoco_scene import CollisionCounter, MujocoScene
 from thorvaldc.simulation.physics.scenario_base import ScenarioBase
 from thorvaldc.tools.gym.joint_actions import DirectCommands, JointActions
 from thorvaldc.tools.gym.observation_bounds import observation_bounds
@@ -40,7 +38,7 @@ except ImportError:
     ) from None
 
 if TYPE_CHECKING:
-    from thorvaldc.simulation.pictures.video import BoundingBoxes
+    from thorvaldc.simulation.pictures.render import BoundingBoxes
 
 ACTIONS = ("twist", "joints")
 DURATION = 20.0
@@ -155,7 +153,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         if render_mode is not None:
             # The OpenGL backend must be chosen before MuJoCo is imported, because MuJoCo reads the
             # name of the backend only during the import.
-            from thorvaldc.simulation.pictures.opengl_backend import choose_opengl_backend
+            from thorvaldc.simulation.pictures.render import choose_opengl_backend
 
             choose_opengl_backend()
         self.scenario = model if isinstance(model, Scenario) else None
@@ -376,8 +374,12 @@ class _Drawing:
     """
 
     def __init__(self, files: Path | str | Mapping[str, bytes], size: tuple[int, int]) -> None:
-        from thorvaldc.simulation.pictures.render import View, picture_scene, renderer
-        from thorvaldc.simulation.pictures.video import BoundingBoxes
+        from thorvaldc.simulation.pictures.render import (
+            BoundingBoxes,
+            View,
+            picture_scene,
+            renderer,
+        )
 
         self._view = View()
         self._scene = picture_scene(files, size, self._view, quick=True)

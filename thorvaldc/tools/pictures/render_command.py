@@ -53,8 +53,7 @@ def render(
     from thorvaldc.diagnostics.atomic_file import write_file
     from thorvaldc.diagnostics.error import DiagnosticError
     from thorvaldc.simulation.pictures import check_pillow
-    from thorvaldc.simulation.pictures.opengl_backend import choose_opengl_backend
-    from thorvaldc.simulation.pictures.render import parse_size, parse_view
+    from thorvaldc.simulation.pictures.render import choose_opengl_backend, parse_size, parse_view
     from thorvaldc.simulation.pictures.render import render as draw
     from thorvaldc.tools.pictures.replays import arrangement
 

@@ -12,10 +12,9 @@ from thorvaldc.model.spatial import quat_from_rpy
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.se2 import ZERO_TWIST, Pose2
-from thorvaldc.simulation.control_loop import TIPPED, Sample
+from thorvaldc.simulation.control_loop import TIPPED, RobotResult, Sample, SimulationResult
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
-from thorvaldc.simulation.records.recorded_run import RecordedRun
-from thorvaldc.simulation.run_result import RobotResult, SimulationResult
+from thorvaldc.simulation.records.recorder import RecordedRun
 
 
 def summary(

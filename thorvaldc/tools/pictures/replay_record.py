@@ -8,7 +8,7 @@ from pathlib import Path
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Robot
 from thorvaldc.simulation.records.record_reader import read_record
-from thorvaldc.simulation.records.recorded_run import RecordedRun
+from thorvaldc.simulation.records.recorder import RecordedRun
 
 PLOTTED_GROUPS = ("odometry", "truth")
 

@@ -16,10 +16,9 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.runtime.base_interface import JointCommands
-from thorvaldc.simulation.control_loop import Sample
+from thorvaldc.simulation.control_loop import Sample, result_table
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
-from thorvaldc.simulation.records.recorded_run import RecordedRun
-from thorvaldc.simulation.run_result import result_table
+from thorvaldc.simulation.records.recorder import RecordedRun
 from thorvaldc.tools.pictures.replay import Replay, summary
 from thorvaldc.tools.pictures.replay_record import read_replay_record, text_sources
 

@@ -43,7 +43,7 @@ def view(
         return INPUT
     if html or output or not has_display():
         # The web viewer is imported only when it is used, because it imports numpy.
-        from thorvaldc.simulation.web_viewer.view_page import view_page
+        from thorvaldc.simulation.web_viewer import view_page
 
         path = output or f"{model.name}.html"
         check_output(path, ["html", "htm"], "--output")

@@ -18,8 +18,7 @@ from thorvaldc.diagnostics.renderers import render_text
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.facts.fact_tables import fact_tables
 from thorvaldc.model.facts.robot_facts import robot_facts
-from thorvaldc.simulation.web_viewer.viewed_robot import MeshCache, MeshData
-from thorvaldc.simulation.web_viewer.viewer_data import page_data
+from thorvaldc.simulation.web_viewer import MeshCache, MeshData, page_data
 
 MESHES = "meshes"
 """Folder of the meshes of a module, beside its file."""

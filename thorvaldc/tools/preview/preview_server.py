@@ -16,7 +16,7 @@ from watchfiles import awatch
 
 from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.model.data_folder import data_folder
-from thorvaldc.simulation.web_viewer.view_page import VIEWER, viewer_script
+from thorvaldc.simulation.web_viewer import VIEWER, viewer_script
 from thorvaldc.tools.preview.compiled_robot import CompiledRobot
 from thorvaldc.tools.preview.page_drive import PageDrive
 

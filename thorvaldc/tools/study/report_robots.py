@@ -19,7 +19,7 @@ from thorvaldc.model import Robot
 from thorvaldc.model.facts.fact_tables import FactTable, fact_tables
 from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.simulation.pictures import PictureError, check_pillow
-from thorvaldc.simulation.pictures.opengl_backend import choose_opengl_backend
+from thorvaldc.simulation.pictures.render import choose_opengl_backend
 from thorvaldc.tools.study.design_evaluation import StudyInputs, robot_text
 from thorvaldc.tools.study.replaced_values import PathError
 from thorvaldc.tools.study.sample_points import Design

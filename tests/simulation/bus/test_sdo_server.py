@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from thorvaldc.can.lss import Identity
-from thorvaldc.simulation.bus.lss_slave import LssSlave
+from thorvaldc.simulation.bus.sdo_server import LssSlave
 
 IDENTITY = Identity(0x11, 0x22, 0x33, 0x80000001)
 

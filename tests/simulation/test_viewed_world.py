@@ -16,8 +16,7 @@ from thorvaldc.backends.mjcf_terrain import heights
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Fleet, Ground, Pose, World, Zone
 from thorvaldc.model.spatial import rotate
-from thorvaldc.simulation.web_viewer.viewed_world import MAX_CELLS
-from thorvaldc.simulation.web_viewer.viewer_data import page_data
+from thorvaldc.simulation.web_viewer import MAX_CELLS, page_data
 
 
 def grid(relief: dict[str, Any]) -> Any:

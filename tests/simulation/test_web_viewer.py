@@ -22,10 +22,10 @@ from tests.outside_tools import path_of
 from thorvaldc.model import Fleet, Pose, Robot, Sphere
 from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.simulation.pictures.surfaces import is_closed, surface
-from thorvaldc.simulation.web_viewer.view_page import view_page
+from thorvaldc.simulation.web_viewer import view_page
 
 NAME = "4wd4ws_wide"
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 VIEWER = ROOT / "templates" / "view" / "viewer.js"
 OPTIONS = (
     "--headless",

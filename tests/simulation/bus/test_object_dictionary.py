@@ -8,8 +8,13 @@ import pytest
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.sdo import AbortCode
-from thorvaldc.simulation.bus.object_dictionary import Entry, ObjectDictionary, SdoAbort
-from thorvaldc.simulation.bus.pdo import Pdo, PdoSet
+from thorvaldc.simulation.bus.object_dictionary import (
+    Entry,
+    ObjectDictionary,
+    Pdo,
+    PdoSet,
+    SdoAbort,
+)
 
 WORD, BYTE = (0x2000, 1, 16), (0x2000, 2, 8)
 OFF = 1 << 31

@@ -14,10 +14,9 @@ from thorvaldc.compiler.pipeline import emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import ParameterSet, Robot
 from thorvaldc.runtime.se2 import ORIGIN, Twist
-from thorvaldc.simulation.control_loop import ControlLoop
-from thorvaldc.simulation.manoeuvre import Segment
+from thorvaldc.simulation.control_loop import ControlLoop, Segment
 from thorvaldc.simulation.simulation_run import Simulation, SimulationResult
-from thorvaldc.simulation.vectorised import deferred_odometry
+from thorvaldc.simulation.vectorised import calculator_batch
 
 PLAN = (
     Segment(0.0, Twist(0.5, 0.0, 0.0)),
@@ -89,7 +88,7 @@ def test_diverged_runs(speed: float) -> None:
 
 
 def test_long_runs_need_no_more_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(deferred_odometry, "_MOST_INTERVALS", 7)
+    monkeypatch.setattr(calculator_batch, "_MOST_INTERVALS", 7)
     run_both(example_robot("4wd4ws_slim"))
 
 
