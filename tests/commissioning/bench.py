@@ -9,11 +9,11 @@ from typing import Any
 
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.frame import CanFrame, ReceivedFrame
-from thorvaldc.commissioning.bus_configuration import BusConfiguration, Plan, configuration_of
+from thorvaldc.commissioning.bus_configuration import BusConfiguration, configuration_of
 from thorvaldc.commissioning.bus_master import BusMaster, Timing
 from thorvaldc.commissioning.flash import Flash, Operator
 from thorvaldc.commissioning.journal import Journal
-from thorvaldc.commissioning.planner import make_plan
+from thorvaldc.commissioning.planner import Plan, make_plan
 from thorvaldc.commissioning.scan_result import ScanResult
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.model import Robot

@@ -26,10 +26,10 @@ from tests.examples import example_robot
 from tests.full_disk import full_disk
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.commissioning.bus_configuration import AddressStep, AttachStep, from_json, to_json
+from thorvaldc.commissioning.bus_configuration import from_json, to_json
 from thorvaldc.commissioning.flash import Flash
 from thorvaldc.commissioning.journal import Journal, JournalFile
-from thorvaldc.commissioning.planner import make_plan
+from thorvaldc.commissioning.planner import AddressStep, AttachStep, make_plan
 from thorvaldc.commissioning.verify import verify
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.simulation.bus.simulated_robot import VirtualOperator, VirtualTimeInterface

@@ -22,14 +22,9 @@ from thorvaldc.cli.options import refuse_options
 from thorvaldc.cli.progress import Progress
 from thorvaldc.cli.robot_file import load_robot
 from thorvaldc.cli.selected_bus import select_bus
-from thorvaldc.commissioning.bus_configuration import (
-    BusConfiguration,
-    Plan,
-    PlanStep,
-    configuration_of,
-)
+from thorvaldc.commissioning.bus_configuration import BusConfiguration, configuration_of
 from thorvaldc.commissioning.bus_master import BusMaster, other_master_error
-from thorvaldc.commissioning.planner import make_plan
+from thorvaldc.commissioning.planner import Plan, PlanStep, make_plan
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.commissioning.step_executor import Operator
 from thorvaldc.diagnostics.error import DiagnosticError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from thorvaldc.commissioning.bus_configuration import AttachStep
+from thorvaldc.commissioning.planner import AttachStep
 
 
 class ConsoleOperator:

@@ -294,7 +294,11 @@ LONGEST_VALUE = 256
 """Length (bytes) after which the client stops reading a value."""
 
 
-class SdoAborted(Exception):
+class SdoError(Exception):
+    """Error of an SDO transfer, which one of the derived classes names."""
+
+
+class SdoAborted(SdoError):
     """Error: the node has aborted the SDO transfer."""
 
     def __init__(self, code: int) -> None:
@@ -302,14 +306,14 @@ class SdoAborted(Exception):
         self.code = code
 
 
-class SdoTimeout(Exception):
+class SdoTimeout(SdoError):
     """Error: the node has not responded to an SDO request within the time-out."""
 
     def __init__(self) -> None:
         super().__init__("it does not answer")
 
 
-class SdoMultipleResponses(Exception):
+class SdoMultipleResponses(SdoError):
     """Error: more than one node has responded to an SDO request."""
 
     def __init__(self, count: int) -> None:

@@ -31,23 +31,11 @@ from collections import Counter
 from collections.abc import Callable
 
 from thorvaldc.can.lss import UNCONFIGURED
-from thorvaldc.commissioning.bus_configuration import (
-    AttachStep,
-    BusConfiguration,
-    ParameterValue,
-    Plan,
-    PlanStep,
-)
-from thorvaldc.commissioning.bus_master import (
-    BusMaster,
-    SdoAborted,
-    SdoMultipleResponses,
-    SdoTimeout,
-    other_master_error,
-)
+from thorvaldc.commissioning.bus_configuration import BusConfiguration, ParameterValue
+from thorvaldc.commissioning.bus_master import BusMaster, SdoError, other_master_error
 from thorvaldc.commissioning.journal import APPLY, RESUME, ROLLBACK, Journal
 from thorvaldc.commissioning.lss_master import LssError
-from thorvaldc.commissioning.planner import make_plan
+from thorvaldc.commissioning.planner import AttachStep, Plan, PlanStep, make_plan
 from thorvaldc.commissioning.scan_result import ScanResult
 from thorvaldc.commissioning.scanner import Progress as ScanProgress
 from thorvaldc.commissioning.scanner import Scanner
@@ -186,13 +174,9 @@ class Flash:
         self.master.exclusive = True
         ids = sorted(
             {
-                entry.device.id
-                for entry in first.entries
-                if entry.node
-                and entry.device is not None
-                and entry.device.id is not None
-                and entry.device.id != UNCONFIGURED
-                and configuration.node(entry.node).sdo
+                node_id
+                for name, node_id in first.ids().items()
+                if node_id != UNCONFIGURED and configuration.node(name).sdo
             }
         )
         self.executor.nodes_at = Counter(first.ids().values())
@@ -258,8 +242,9 @@ class Flash:
             if name in allowed and node_id not in allowed[name]:
                 lost = node_id == UNCONFIGURED and name in started
                 if not lost:
-                    id_text = "no id" if node_id == UNCONFIGURED else f"the id {node_id}"
-                    raise ambiguous(f"{name} has {id_text}, which no step of the journal sets")
+                    raise ambiguous(
+                        f"{name} has {entry.device.id_text}, which no step of the journal sets"
+                    )
 
     # -- steps ---------------------------------------------------------------------------------
 
@@ -282,7 +267,7 @@ class Flash:
         except KeyboardInterrupt:
             self.journal.stop("interrupted")
             raise
-        except (StepFailed, SdoTimeout, SdoAborted, SdoMultipleResponses, LssError) as error:
+        except (StepFailed, SdoError, LssError) as error:
             step = plan.steps[number]
             self.journal.stop(f"{step.description}: {error}")
             raise DiagnosticError(

@@ -34,12 +34,10 @@ from typing import Any, Protocol
 
 from thorvaldc.commissioning.bus_configuration import (
     ParameterValue,
-    Plan,
-    plan_from_json,
-    plan_to_json,
     values_from_json,
     values_to_json,
 )
+from thorvaldc.commissioning.planner import Plan, plan_from_json, plan_to_json
 from thorvaldc.diagnostics.atomic_file import append_whole
 from thorvaldc.diagnostics.bounded_file import check_regular
 from thorvaldc.diagnostics.error import DiagnosticError

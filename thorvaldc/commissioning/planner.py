@@ -1,4 +1,4 @@
-"""Plans the steps of a flash from the scanned bus to the required configuration.
+"""The plan of a flash: its steps from the scanned bus to the required configuration.
 
 Two nodes must never share a node id, because SDO cannot address two nodes with the same id.  Each
 step of the commissioning plan changes the id of one node to an id that no other node has at that
@@ -21,29 +21,259 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 from thorvaldc.can.lss import UNCONFIGURED, Identity
+from thorvaldc.commissioning import scan_result
 from thorvaldc.commissioning.bus_configuration import (
-    LSS_FASTSCAN,
-    LSS_SERIAL,
     PARKING,
-    AddressStep,
-    AttachStep,
     BusConfiguration,
-    ConfigureStep,
     NodeConfiguration,
-    Plan,
-    PlanStep,
+    ParameterValue,
+    check_node_id,
+    digest,
+    from_json,
+    to_json,
+    values_from_json,
+    values_to_json,
 )
-from thorvaldc.commissioning.scan_result import (
-    DUPLICATE,
-    MISSING,
-    OK,
-    UNEXPECTED,
-    FoundDevice,
-    ScanEntry,
-    ScanResult,
+from thorvaldc.commissioning.scan_result import FoundDevice, ScanEntry, ScanResult
+from thorvaldc.diagnostics.text_layout import text_table
+from thorvaldc.model.model_json import typed_value
+
+LSS_SERIAL, LSS_FASTSCAN, ATTACH_ONE, DOWNLOAD = (
+    "lss-serial",
+    "lss-fastscan",
+    "attach-one",
+    "parameters",
 )
+"""Names of the methods by which a step is executed."""
+
+
+@dataclass(frozen=True, slots=True)
+class AddressStep:
+    """Step that changes the node id of a device by LSS; the node id 255 means no node id.
+
+    Before an ``AddressStep`` the device must have the node id ``before``, and no device may have
+    the node id ``after``.  After an ``AddressStep`` and a reset, exactly one device must respond at
+    the node id ``after``, and the identity of the device must match ``identity``.  An
+    ``AddressStep`` is undone by an ``AddressStep`` with ``before`` and ``after`` exchanged.
+    """
+
+    kind: ClassVar[str] = "address"
+    node: str
+    identity: Identity
+    before: int
+    after: int
+    back_end: str = LSS_SERIAL
+
+    @property
+    def description(self) -> str:
+        if self.before == UNCONFIGURED:
+            return f"give {self.node} the id {self.after}"
+        if self.after == UNCONFIGURED:
+            return f"remove the id {self.before} of {self.node}"
+        parked = " (parked)" if self.after in PARKING else ""
+        return f"move {self.node} from {self.before} to {self.after}{parked}"
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigureStep:
+    """Step that writes the object values of a node.
+
+    A ``ConfigureStep`` writes each object value that differs, and reads the written value back.
+    Then a ``ConfigureStep`` stores the object values in the node, resets the node, and reads all
+    values again.  Before a ``ConfigureStep`` exactly one node must respond at the node id ``id``,
+    and no motor of the node may be enabled.  A ``ConfigureStep`` is undone by a ``ConfigureStep``
+    with the previous values in the journal.  ``differing``: number of object values that differ, or
+    ``None`` if the number is not known yet.
+    """
+
+    kind: ClassVar[str] = "configure"
+    node: str
+    id: int
+    identity: Identity | None
+    values: tuple[ParameterValue, ...]
+    differing: int | None
+    back_end: str = DOWNLOAD
+
+    @property
+    def description(self) -> str:
+        count = len(self.values) if self.differing is None else self.differing
+        unknown = "up to " if self.differing is None else ""
+        return f"write {unknown}{count} value{'s' * (count != 1)} of {self.node} (id {self.id})"
+
+
+@dataclass(frozen=True, slots=True)
+class AttachStep:
+    """Step in which the operator sets a node id with the tool of the manufacturer.
+
+    For an ``AttachStep`` the operator powers only the module that contains the node.  The program
+    writes no values in an ``AttachStep``.  After an ``AttachStep`` exactly one device must respond,
+    with the node id ``after`` and the required device type.  Only the operator can undo an
+    ``AttachStep``.
+    """
+
+    kind: ClassVar[str] = "attach"
+    node: str
+    after: int
+    back_end: str = ATTACH_ONE
+
+    @property
+    def description(self) -> str:
+        return f"have the operator set the id {self.after} of {self.node} with its maker's tool"
+
+
+PlanStep = AddressStep | ConfigureStep | AttachStep
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Commissioning plan: the steps that change the nodes on a CAN bus to the required
+    configuration.
+
+    - ``configuration``: required configuration of the bus;
+    - ``start``: node ids on the bus before the first step, by name of the node;
+    - ``identities``: known identities of the devices, by name of the node;
+    - ``steps``: steps in the order of their execution;
+    - ``strangers``: devices that do not belong to the robot; a plan with strangers is not executed;
+    - ``problems``: reasons that prevent the execution of the plan;
+    - ``notes``: messages that do not prevent the execution of the plan.
+    """
+
+    configuration: BusConfiguration
+    start: tuple[tuple[str, int], ...]
+    identities: tuple[tuple[str, Identity], ...]
+    steps: tuple[PlanStep, ...]
+    strangers: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 hash of the required configuration, the node ids, the identities and the steps of
+        the plan."""
+        return digest(plan_to_json(self))
+
+    @property
+    def ids(self) -> dict[str, set[int]]:
+        """All node ids that each node has during the execution of the plan, by name of the node."""
+        ids: dict[str, set[int]] = {name: {node} for name, node in self.start}
+        for step in self.steps:
+            if isinstance(step, AddressStep):
+                ids.setdefault(step.node, set()).update((step.before, step.after))
+            elif isinstance(step, AttachStep) and step.node in ids:
+                ids[step.node].add(step.after)
+        return ids
+
+
+# -- as JSON ------------------------------------------------------------------------------------
+
+
+def step_to_json(step: PlanStep) -> dict[str, Any]:
+    entry = {"kind": step.kind, **{name: getattr(step, name) for name in step.__slots__}}
+    if isinstance(step, ConfigureStep):
+        entry["values"] = values_to_json(step.values)
+    return entry
+
+
+def step_from_json(value: Mapping[str, Any]) -> PlanStep:
+    node = typed_value(str, value["node"])
+    if value["kind"] == "address":
+        return AddressStep(
+            node,
+            _identity_from_json(value["identity"]),
+            _node_id_from_json(value["before"]),
+            _node_id_from_json(value["after"]),
+            typed_value(str, value["back_end"]),
+        )
+    if value["kind"] == "configure":
+        identity = value["identity"]
+        return ConfigureStep(
+            node,
+            _node_id_from_json(value["id"]),
+            None if identity is None else _identity_from_json(identity),
+            values_from_json(value["values"]),
+            typed_value(int | None, value["differing"]),
+        )
+    return AttachStep(node, _node_id_from_json(value["after"]))
+
+
+def _node_id_from_json(value: Any) -> int:
+    number: int = typed_value(int, value)
+    check_node_id(number)
+    return number
+
+
+def _identity_from_json(value: Any) -> Identity:
+    identity = Identity(*typed_value(tuple[int, int, int, int], value))
+    if not all(0 <= number < 1 << 32 for number in identity):
+        raise ValueError(f"{identity} is no identity")
+    return identity
+
+
+def plan_to_json(plan: Plan) -> dict[str, Any]:
+    return {
+        "target": to_json(plan.configuration),
+        "start": [list(pair) for pair in plan.start],
+        "identities": [[name, list(identity)] for name, identity in plan.identities],
+        "steps": [step_to_json(step) for step in plan.steps],
+    }
+
+
+def plan_from_json(value: Mapping[str, Any]) -> Plan:
+    """Converts the JSON form of a commissioning plan into a ``Plan``.
+
+    Raises ``KeyError``, ``TypeError`` or ``ValueError`` if the JSON value is not a commissioning
+    plan.
+    """
+    return Plan(
+        from_json(value["target"]),
+        tuple((typed_value(str, n), _node_id_from_json(i)) for n, i in value["start"]),
+        tuple((typed_value(str, n), _identity_from_json(i)) for n, i in value["identities"]),
+        tuple(step_from_json(step) for step in value["steps"]),
+    )
+
+
+# -- as text ---------------------------------------------------------------------------------------
+
+
+def plan_table(plan: Plan, width: int | None = None) -> str:
+    """Returns the steps, problems, notes and hash of a commissioning plan as text.
+
+    ``width``: number of columns of the terminal, or ``None`` for one line per step.
+    """
+    lines = []
+    if plan.steps:
+        rows = [("step", "how", "what")]
+        rows += [
+            (str(number), step.back_end, step.description)
+            for number, step in enumerate(plan.steps, 1)
+        ]
+        lines.append(text_table(rows, width))
+    lines += [f"problem: {problem}" for problem in (*plan.strangers, *plan.problems)]
+    lines += [f"note: {note}" for note in plan.notes]
+    if not plan.steps and not plan.problems and not plan.strangers:
+        lines.append("the bus matches the robot file")
+    lines.append(f"plan {plan.hash}")
+    return "\n".join(lines)
+
+
+def plan_as_json(plan: Plan) -> dict[str, Any]:
+    """Returns a commissioning plan as JSON values."""
+    return {
+        "hash": plan.hash,
+        "robot": plan.configuration.robot,
+        "bus": plan.configuration.bus,
+        "steps": [{**step_to_json(step), "words": step.description} for step in plan.steps],
+        "strangers": list(plan.strangers),
+        "problems": list(plan.problems),
+        "notes": list(plan.notes),
+    }
+
+
+# -- planning --------------------------------------------------------------------------------------
 
 
 def make_plan(configuration: BusConfiguration, scan: ScanResult) -> Plan:
@@ -54,9 +284,9 @@ def make_plan(configuration: BusConfiguration, scan: ScanResult) -> Plan:
     strangers, problems, notes = _find_obstacles(configuration, scan)
     ids = scan.ids()
     identities = {
-        entry.node: entry.device.identity
+        entry.node: entry.identity
         for entry in scan.entries
-        if entry.node and entry.device is not None and entry.device.identity is not None
+        if entry.node and entry.identity is not None
     }
     moving = [
         node
@@ -69,13 +299,9 @@ def make_plan(configuration: BusConfiguration, scan: ScanResult) -> Plan:
         if not node.states_product
     ]
     occupied = Counter(
-        entry.device.id
+        entry.device_id
         for entry in scan.entries
-        if entry.device is not None
-        and entry.device.id is not None
-        and entry.device.id != UNCONFIGURED
-        and entry.device.id is not None
-        and entry.device.id != UNCONFIGURED
+        if entry.device_id is not None and entry.device_id != UNCONFIGURED
     )
     by_hand = _nodes_set_by_hand(configuration, scan)
     moves, blocked = _address_steps(moving, ids, identities, occupied, by_hand)
@@ -120,7 +346,7 @@ def _nodes_set_by_hand(
     return [
         node
         for node in configuration.nodes
-        if node.by_hand and node.sdo and scan.entry(node.name).verdict != OK
+        if node.by_hand and node.sdo and scan.entry(node.name).verdict != scan_result.OK
     ]
 
 
@@ -144,22 +370,20 @@ def _find_obstacles(
         node = configuration.node(entry.node)
         if node.drive and not node.canopen:
             notes.append(f"{node.name} is no CANopen node; its id and settings are not written")
-        if entry.verdict == OK:
+        if entry.verdict == scan_result.OK:
             evidence = dict(scan.duplicates).get(node.id) if node.canopen else None
             if evidence:
                 problems.append(f"{node.name} (id {node.id}): a duplicate is suspected, {evidence}")
             continue
         if node.by_hand and node.sdo:
             continue
-        if entry.verdict == DUPLICATE:
+        if entry.verdict == scan_result.DUPLICATE:
             problems += _duplicate_problem(node, entry, scan)
         elif entry.device is None and node.lss:
             problems.append(f"{node.name} is missing: {entry.detail}")
-        elif entry.device is not None and not node.has_type_of(
-            entry.device.device_type, entry.device.id
-        ):
+        elif entry.device is not None and not entry.device.has_type_of(node):
             problems.append(f"{node.name}: {entry.detail}")
-        elif entry.verdict == MISSING:
+        elif entry.verdict == scan_result.MISSING:
             notes.append(f"no frame of {node.name} was received; nothing is written to it")
     return strangers, problems, notes
 
@@ -185,7 +409,11 @@ def _unknown_device(
         and _candidates(configuration, scan, device)
     ):
         return [], [text]
-    if entry.verdict == UNEXPECTED and device is not None and device.identity is not None:
+    if (
+        entry.verdict == scan_result.UNEXPECTED
+        and device is not None
+        and device.identity is not None
+    ):
         return [text], []
     return [], [entry.detail]
 
@@ -193,12 +421,12 @@ def _unknown_device(
 def _duplicate_problem(node: NodeConfiguration, entry: ScanEntry, scan: ScanResult) -> list[str]:
     device = entry.device
     at = Counter(scan.ids().values())
-    known = node.lss and device is not None and device.identity is not None
+    known = node.lss and entry.identity is not None
     ids = {node.id} if device is None else {node.id, device.id}
     # A shared node id is not a problem if LSS has found all devices with this node id.
     if known and not any(i in ids and at[i] < 2 for i, _ in scan.duplicates):
         return []
-    shared = device.id if device is not None and device.id is not None else node.id
+    shared = node.id if entry.device_id is None else entry.device_id
     return [f"{node.name} (id {shared}): a duplicate is suspected, {entry.detail}"]
 
 

@@ -9,6 +9,7 @@ from typing import Any
 from thorvaldc.can.canopen import HEARTBEAT, HIGHEST_NODE_ID
 from thorvaldc.can.lss import UNCONFIGURED, Identity
 from thorvaldc.commissioning.bus_configuration import BusConfiguration, NodeConfiguration
+from thorvaldc.diagnostics.text_layout import text_table
 
 OK, MISSING, UNEXPECTED = "ok", "missing", "unexpected"
 DUPLICATE, WRONG_IDENTITY, WITHOUT_ID = "duplicate-suspected", "wrong-identity", "unconfigured"
@@ -29,6 +30,20 @@ class FoundDevice:
     device_type: int | None = None
     texts: tuple[str, ...] = ()
 
+    @property
+    def id_text(self) -> str:
+        return "no id" if self.id == UNCONFIGURED else f"the id {self.id}"
+
+    def has_type_of(self, node: NodeConfiguration) -> bool:
+        """Returns ``True`` if the device type (object 0x1000) matches the robot file.
+
+        The type may be unknown for a device at another id than its own, and for one without an id,
+        which cannot be asked.
+        """
+        if node.device_type is None or not node.sdo or self.device_type == node.device_type:
+            return True
+        return self.device_type is None and (self.id != node.id or self.id == UNCONFIGURED)
+
 
 @dataclass(frozen=True, slots=True)
 class ScanEntry:
@@ -46,6 +61,16 @@ class ScanEntry:
     wanted_id: int | None
     device: FoundDevice | None
     detail: str = ""
+
+    @property
+    def device_id(self) -> int | None:
+        """Node id of the device; ``None`` without a device."""
+        return None if self.device is None else self.device.id
+
+    @property
+    def identity(self) -> Identity | None:
+        """Identity of the device; ``None`` without a device."""
+        return None if self.device is None else self.device.identity
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,9 +110,9 @@ class ScanResult:
         A node without node id has the number 255.
         """
         return {
-            entry.node: entry.device.id
+            entry.node: entry.device_id
             for entry in self.entries
-            if entry.node and entry.device is not None and entry.device.id is not None
+            if entry.node and entry.device_id is not None
         }
 
     def as_json(self) -> dict[str, Any]:
@@ -124,6 +149,47 @@ def identity_text(identity: Identity | None) -> str:
     vendor, product, revision, serial = identity
     text = f"vendor {vendor:#x}, product {product:#x}, revision {revision:#x}"
     return f"{text}, serial {serial:#x}" if serial else text
+
+
+def scan_table(scan: ScanResult, width: int | None = None) -> str:
+    """Returns a text table with one row for each node and each unknown device.
+
+    The columns of the scan table are the verdict, the name of the node, the node id in the robot
+    file, the node id on the bus, and the description of the device.
+    ``width``: number of columns of the terminal, or ``None`` for one line per row.
+    """
+    header = ("verdict", "node", "id", "found", "device")
+    return text_table([header, *(_scan_row(entry) for entry in scan.entries)], width)
+
+
+def _scan_row(entry: ScanEntry) -> tuple[str, ...]:
+    device = entry.device
+    found_id, description = "", ""
+    if device is not None:
+        if device.id is not None:
+            found_id = "none" if device.id == UNCONFIGURED else str(device.id)
+        if device.identity is not None:
+            description = identity_text(device.identity)
+        if any(device.texts):
+            description += f" ({', '.join(text for text in device.texts if text)})"
+    details = "; ".join(part for part in (description, entry.detail) if part)
+    wanted_id = "" if entry.wanted_id is None else str(entry.wanted_id)
+    return (entry.verdict, entry.node or "-", wanted_id, found_id, details)
+
+
+def scan_notes(scan: ScanResult) -> list[str]:
+    """Returns notes for the user about duplicate node ids, other CANopen masters and enabled
+    drives."""
+    notes = [
+        f"two devices may have the id {node_id}: {evidence}"
+        for node_id, evidence in scan.duplicates
+    ]
+    if scan.masters:
+        notes.append(f"another master is on the bus: {', '.join(scan.masters)}")
+    notes += [f"{name} may move: {reason}" for name, reason in scan.enabled]
+    if not scan.active:
+        notes.append("the scan only listened; --active sends a request to every node")
+    return notes
 
 
 # -- evaluation ------------------------------------------------------------------------------------
@@ -204,8 +270,7 @@ class ScanEvaluation:
             return True
         # If several devices have the same node id, one scan entry reports all of these devices.
         is_duplicate = device.id in self.findings.evidence and device.id != UNCONFIGURED
-        same_id = (entry.device is not None and entry.device.id == device.id for entry in entries)
-        if is_duplicate and any(same_id):
+        if is_duplicate and any(entry.device_id == device.id for entry in entries):
             return True
         # LSS and SDO can find the same device, so devices are compared by identity and node id.
         return device.identity is not None and any(
@@ -290,7 +355,7 @@ class ScanEvaluation:
             return ScanEntry(node.name, DUPLICATE, node_id, device, evidence[device.id])
         if node_id in evidence and node_id is not None:
             return ScanEntry(node.name, DUPLICATE, node_id, device, evidence[node_id])
-        if device is not None and not node.has_type_of(device.device_type, device.id):
+        if device is not None and not device.has_type_of(node):
             actual = "none" if device.device_type is None else f"{device.device_type:#x}"
             detail = f"its device type is {actual}, not {node.device_type:#x}"
             return ScanEntry(node.name, WRONG_IDENTITY, node_id, device, detail)
@@ -300,8 +365,7 @@ class ScanEvaluation:
         if other is not None:
             detail = f"the device at id {node.id} is {identity_text(other.identity)}"
             if device is not None:
-                actual = "no id" if device.id == UNCONFIGURED else f"the id {device.id}"
-                detail += f", and {node.name} has {actual}"
+                detail += f", and {node.name} has {device.id_text}"
             return ScanEntry(node.name, WRONG_IDENTITY, node_id, device, detail)
         if device is not None:
             without = device.id == UNCONFIGURED

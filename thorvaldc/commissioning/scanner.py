@@ -25,10 +25,9 @@ from thorvaldc.can.sdo import upload_request
 from thorvaldc.commissioning.bus_configuration import BusConfiguration, NodeConfiguration
 from thorvaldc.commissioning.bus_master import (
     BusMaster,
-    SdoAborted,
     SdoClient,
+    SdoError,
     SdoMultipleResponses,
-    SdoTimeout,
     other_master_error,
 )
 from thorvaldc.commissioning.lss_master import LssError, LssMaster
@@ -132,11 +131,9 @@ class Scanner:
         findings.evidence = dict(previous.duplicates)
         lss_nodes = {node.name for node in self.configuration.nodes if node.lss}
         identities = [
-            (entry.node, entry.device.identity)
+            (entry.node, entry.identity)
             for entry in previous.entries
-            if entry.node in lss_nodes
-            and entry.device is not None
-            and entry.device.identity is not None
+            if entry.node in lss_nodes and entry.identity is not None
         ]
         self._select(identities)
         ids = {device.id for device in findings.by_name.values()}
@@ -257,11 +254,11 @@ class Scanner:
     def _read_text(self, node: int, index: int) -> str:
         try:
             return self.sdo.read_text(node, index)
-        except (SdoAborted, SdoTimeout):
-            return ""
         except SdoMultipleResponses as error:
             self._findings.evidence[node] = str(error)
-            return ""
+        except SdoError:
+            pass
+        return ""
 
     def _select(self, identities: Sequence[tuple[str, Identity]]) -> None:
         """Reads the node ids of the devices with the given identities by LSS."""
@@ -333,7 +330,7 @@ class Scanner:
         for value in node.values:
             try:
                 numbers[value.key] = self.sdo.read_number(node.id, *value.key, value.type)
-            except (SdoAborted, SdoTimeout, SdoMultipleResponses):
+            except SdoError:
                 numbers[value.key] = None
         return numbers
 
@@ -346,7 +343,7 @@ class Scanner:
         enabled: list[tuple[str, str]] = []
         for entry in entries:
             node = self.configuration.node(entry.node) if entry.node else None
-            node_id = entry.device.id if entry.device is not None else None
+            node_id = entry.device_id
             if node is None or not node.drive or node_id is None or node_id == UNCONFIGURED:
                 continue
             if self.master.states.get(node_id) == NmtState.OPERATIONAL:
@@ -372,7 +369,7 @@ class Scanner:
         for index in node.statuswords:
             try:
                 word = self.sdo.read_number(node_id, index, 0, "unsigned16")
-            except (SdoAborted, SdoTimeout, SdoMultipleResponses):
+            except SdoError:
                 continue
             state = DriveState.of(word)
             if state in (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE):

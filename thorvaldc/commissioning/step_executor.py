@@ -30,18 +30,14 @@ from typing import Protocol
 from thorvaldc.can.canopen import NmtCommand
 from thorvaldc.can.lss import UNCONFIGURED, Identity
 from thorvaldc.commissioning.bus_configuration import (
-    AddressStep,
-    AttachStep,
     BusConfiguration,
-    ConfigureStep,
     NodeConfiguration,
     ParameterValue,
-    Plan,
-    PlanStep,
 )
 from thorvaldc.commissioning.bus_master import BusMaster, SdoAborted, SdoClient
 from thorvaldc.commissioning.journal import Journal
 from thorvaldc.commissioning.lss_master import LssMaster
+from thorvaldc.commissioning.planner import AddressStep, AttachStep, ConfigureStep, Plan, PlanStep
 from thorvaldc.commissioning.scan_result import DUPLICATE, MISSING, OK, identity_text
 from thorvaldc.commissioning.scanner import DEVICE_TYPE, IDENTITY, Scanner
 
@@ -411,9 +407,8 @@ class StepExecutor:
             raise StepFailed(f"{devices}; {node.module} alone should")
         entry = answering[0]
         if entry.verdict in (MISSING, DUPLICATE) or entry.node != node.name:
-            node_id = None if entry.device is None else entry.device.id
             raise StepFailed(
-                f"a device answers at id {node_id}, not at {step.after} as {node.name}"
+                f"a device answers at id {entry.device_id}, not at {step.after} as {node.name}"
             )
         texts = [] if entry.device is None else list(entry.device.texts)
         read = {"id": step.after, "set_by": "the operator", "says": texts}

@@ -16,6 +16,7 @@ from thorvaldc.commissioning.bus_configuration import BusConfiguration
 from thorvaldc.commissioning.bus_master import BusMaster
 from thorvaldc.commissioning.scan_result import OK, ScanResult
 from thorvaldc.commissioning.scanner import Scanner
+from thorvaldc.diagnostics.text_layout import text_table
 from thorvaldc.model.bus import Bus
 from thorvaldc.model.float_sum import float_sum
 
@@ -183,3 +184,24 @@ def _check_frames(
 
 def _ms(seconds: float) -> str:
     return f"{1000 * seconds:.4g} ms"
+
+
+def verification_table(verification: Verification, width: int | None = None) -> str:
+    """Returns a text table with one row for each check of a verification.
+
+    The columns of the verification table are the result, the node, the checked quantity, the
+    expected value, and the value on the bus.
+    ``width``: number of columns of the terminal, or ``None`` for one line per check.
+    """
+    rows = [("", "node", "what", "wanted", "found")]
+    rows += [
+        (
+            "ok" if check.passed else "DIFFERS",
+            check.node or "bus",
+            check.what,
+            check.expected,
+            check.actual,
+        )
+        for check in verification.checks
+    ]
+    return text_table(rows, width)

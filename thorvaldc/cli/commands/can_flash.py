@@ -14,8 +14,8 @@ from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 
 if TYPE_CHECKING:
     from thorvaldc.cli.bus_access import BusAccess
-    from thorvaldc.commissioning.bus_configuration import Plan
     from thorvaldc.commissioning.journal import JournalFile
+    from thorvaldc.commissioning.planner import Plan
 
 
 def flash(
@@ -74,7 +74,7 @@ def flash(
 
 def _dry_run(access: BusAccess, json: bool) -> int:
     from thorvaldc.cli.diagnostic_output import message, print_json, table_width
-    from thorvaldc.commissioning.commissioning_text import plan_as_json, plan_table
+    from thorvaldc.commissioning.planner import plan_as_json, plan_table
 
     plan = access.make_plan()
     if json:
@@ -107,9 +107,9 @@ def _write(
 ) -> int:
     from thorvaldc.cli.console_operator import agrees
     from thorvaldc.cli.diagnostic_output import message
-    from thorvaldc.commissioning.commissioning_text import plan_table
     from thorvaldc.commissioning.flash import Flash
     from thorvaldc.commissioning.journal import Journal
+    from thorvaldc.commissioning.planner import plan_table
     from thorvaldc.diagnostics.error import DiagnosticError
 
     if mode != "--apply" and not path.exists():
@@ -174,7 +174,7 @@ def _opened(path: Path) -> JournalFile:
 
 def _show_result(json: bool, plan: Plan, result: str) -> int:
     from thorvaldc.cli.diagnostic_output import count, print_json
-    from thorvaldc.commissioning.commissioning_text import plan_as_json
+    from thorvaldc.commissioning.planner import plan_as_json
 
     if json:
         print_json({**plan_as_json(plan), "applied": True, "result": result})

@@ -21,7 +21,7 @@ def plan(
 ) -> int:
     from thorvaldc.cli.bus_access import with_bus
     from thorvaldc.cli.diagnostic_output import print_json, table_width
-    from thorvaldc.commissioning.commissioning_text import plan_as_json, plan_table
+    from thorvaldc.commissioning.planner import plan_as_json, plan_table
 
     def work(access: BusAccess) -> int:
         plan = access.make_plan()

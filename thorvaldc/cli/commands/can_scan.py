@@ -27,7 +27,7 @@ def scan(
 ) -> int:
     from thorvaldc.cli.bus_access import with_bus
     from thorvaldc.cli.diagnostic_output import message, print_json, table_width
-    from thorvaldc.commissioning.commissioning_text import scan_notes, scan_table
+    from thorvaldc.commissioning.scan_result import scan_notes, scan_table
 
     def work(access: BusAccess) -> int:
         scanner = access.scanner()

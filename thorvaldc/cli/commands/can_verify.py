@@ -22,7 +22,7 @@ def verify(
 ) -> int:
     from thorvaldc.cli.bus_access import with_bus
     from thorvaldc.cli.diagnostic_output import count, message, print_json, table_width
-    from thorvaldc.commissioning.commissioning_text import verification_table
+    from thorvaldc.commissioning.verify import verification_table
     from thorvaldc.commissioning.verify import verify as verify_bus
 
     def work(access: BusAccess) -> int:

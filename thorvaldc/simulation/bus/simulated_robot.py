@@ -11,7 +11,7 @@ from typing import Any
 from thorvaldc.can.error_state import ErrorState
 from thorvaldc.can.frame import RECEIVE_LIMIT, SEND_LIMIT, CanFrame, ReceivedFrame
 from thorvaldc.can.nanoseconds import NEVER, to_ns
-from thorvaldc.commissioning.bus_configuration import AttachStep
+from thorvaldc.commissioning.planner import AttachStep
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.diagnostics.error import DiagnosticError
