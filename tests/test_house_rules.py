@@ -174,7 +174,7 @@ def test_json_of_others_is_read_in_one_place(trees: dict[Path, ast.Module]) -> N
         "diagnostics/foreign_json.py",
         "schema/documents.py",
         "comparison/leaf_differences.py",
-        "tools/provenance/model_paths.py",
+        "tools/provenance/value_paths.py",
     }
 
 
@@ -184,8 +184,8 @@ def test_files_are_written_in_one_place(trees: dict[Path, ast.Module]) -> None:
         "cli/hardware_warning.py",  # a mark whose content does not count
         "compiler/output/writer.py",
         "simulation/physics/mujoco_scene.py",
-        "tools/audit/expanded_descriptions.py",
-        "tools/provenance/robot_probe.py",
+        "tools/audit/audit_run.py",
+        "tools/provenance/influence_search.py",
         "tools/study/study_table.py",
     }
 

@@ -9,7 +9,7 @@ from tests.tools.language_server.conftest import ROOT, Editor
 from tests.tools.language_server.texts import ROBOT, edited
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model.model_json import to_json
-from thorvaldc.tools.language_server.formatting import formatted
+from thorvaldc.tools.language_server.features import formatted
 
 pytestmark = pytest.mark.asyncio(loop_scope="package")
 
@@ -106,7 +106,7 @@ async def test_formatting(editor: Editor) -> None:
     ],
 )
 async def test_formatting_leaves_values_as_they_are(text: str) -> None:
-    from thorvaldc.tools.language_server.formatting import _values
+    from thorvaldc.tools.language_server.features import _values
 
     result = formatted(text)
     assert _values(result) == _values(text)

@@ -12,7 +12,7 @@ from tests.examples import example_robot
 from thorvaldc.comparison.field_names import field_unit
 from thorvaldc.model.facts.facts_document import facts_document
 from thorvaldc.tools.provenance.explanation import FACTS
-from thorvaldc.tools.provenance.model_paths import all_paths, value_at
+from thorvaldc.tools.provenance.value_paths import all_paths, value_at
 
 CALIBRATION = """\
 thorvaldc: 1

@@ -6,7 +6,7 @@ All values are in SI units.  The readers of URDF, SDF and MJCF return the same `
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +15,14 @@ from thorvaldc.compiler.extras.ros_packages import find_in_sources
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Span
 from thorvaldc.model import Pose, Vec3
+
+
+class UnreadableFileError(Exception):
+    """Raised if a file cannot be read; ``span`` is the place of the error, if it is known."""
+
+    def __init__(self, reason: str, span: Span | None = None) -> None:
+        super().__init__(reason)
+        self.span = span
 
 
 class Fact(NamedTuple):
@@ -177,13 +185,12 @@ class ParameterSection:
         node = self.values.get(name)
         return node.value if node is not None and isinstance(node.value, str) else None
 
-    def texts(self, name: str) -> tuple[str, ...]:
-        """Returns a text or a list of texts as a tuple."""
+    def items(self, name: str) -> tuple[Node, ...]:
+        """Returns the values in a list; a value that is no list is a list of one value."""
         node = self.values.get(name)
         if node is None:
             return ()
-        items = node.value if isinstance(node.value, tuple) else (node,)
-        return tuple(item.value for item in items if isinstance(item.value, str))
+        return node.value if isinstance(node.value, tuple) else (node,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +234,6 @@ class Evidence:
     - ``incomplete``, ``unread_launches``: names of the descriptions and launch files that could
       not be read.
     - ``packages``: folder of each ROS package, by its name.
-    - ``paths``: place of each file that a description names, once it was looked up.
     """
 
     descriptions: list[Description] = field(default_factory=list)
@@ -235,9 +241,16 @@ class Evidence:
     launches: list[LaunchFile] = field(default_factory=list)
     facts: list[Fact] = field(default_factory=list)
     packages: dict[str, Path] = field(default_factory=dict)
-    paths: dict[str, Path | None] = field(default_factory=dict)
     incomplete: list[str] = field(default_factory=list)
     unread_launches: list[str] = field(default_factory=list)
+
+    def stated(self, *kinds: str) -> list[Fact]:
+        """Returns the statements of parameter files and launch files of some kinds."""
+        return [fact for fact in self.facts if fact.kind in kinds]
+
+    def described(self, *kinds: str) -> list[tuple[Description, Fact]]:
+        """Returns the statements in descriptions of some kinds, with their descriptions."""
+        return [(d, fact) for d in self.descriptions for fact in d.facts if fact.kind in kinds]
 
     def file_in_package(self, name: str) -> Path | None:
         """Returns the path of ``package/path``, or ``None`` if the package is not audited."""
@@ -291,3 +304,24 @@ _GENERAL_WORDS = frozenset(
 def path_words(file: str) -> set[str]:
     """Returns the words of a path that can name a robot."""
     return set(re.findall(r"[a-z0-9]+", file.lower())) - _GENERAL_WORDS
+
+
+_DISTRIBUTIONS = frozenset(
+    ["foxy", "galactic", "humble", "iron", "jazzy", "kilted", "lyrical", "rolling"]
+)
+
+
+def closest(facts: Sequence[Fact], file: str) -> list[Fact]:
+    """Returns the statements whose files have most words in common with the path of a file.
+
+    Files for another distribution of ROS, as in `param/humble/nav2.yaml`, are alternatives.
+    """
+    words = path_words(file)
+    distributions = words & _DISTRIBUTIONS
+    candidates = [
+        (len(words & path_words(fact.span.file)), fact)
+        for fact in facts
+        if path_words(fact.span.file) & _DISTRIBUTIONS == distributions
+    ]
+    best = max((affinity for affinity, _ in candidates), default=0)
+    return [fact for affinity, fact in candidates if affinity == best]

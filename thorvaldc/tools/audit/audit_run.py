@@ -2,58 +2,45 @@
 
 from __future__ import annotations
 
+import itertools
 import os
+import re
+import tempfile
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
-from thorvaldc.compiler.extras.xacro_expand import Element
+from thorvaldc.compiler.extras import xacro_expand
+from thorvaldc.compiler.extras.xacro_expand import Element, ExpandedFile
 from thorvaldc.diagnostics import Report
 from thorvaldc.tools.audit import (
     body_rules,
-    footprint_rules,
-    limit_rules,
+    descriptions,
+    drive_rules,
+    launch_files,
     name_rules,
-    transform_rules,
-    twist_rules,
-    wheel_rules,
+    parameter_files,
 )
-from thorvaldc.tools.audit.audit_facts import Evidence
-from thorvaldc.tools.audit.drive_facts import controller_facts
-from thorvaldc.tools.audit.expanded_descriptions import read_urdf_files
+from thorvaldc.tools.audit.audit_facts import Evidence, UnreadableFileError
 from thorvaldc.tools.audit.folder_survey import SUFFIXES, RobotFile, Survey, skip, survey
-from thorvaldc.tools.audit.launch_files import (
-    is_python_launch,
-    read_python_launch,
-    read_xml_launch,
-    read_yaml_launch,
-)
 from thorvaldc.tools.audit.mjcf_description import read_mjcf_description
-from thorvaldc.tools.audit.node_facts import launched_facts, node_facts
-from thorvaldc.tools.audit.parameter_files import (
-    UnreadableYaml,
-    bus_facts,
-    parameter_sections,
-    read_yaml,
-)
-from thorvaldc.tools.audit.sdf_description import read_sdf_descriptions
-from thorvaldc.tools.audit.xml_document import XmlError, read_xml, walk
 
 # A rule compares what the readers have found.
 RULES: tuple[Callable[[Evidence, Report], None], ...] = (
-    wheel_rules.check_wheel_radii,
-    wheel_rules.check_wheel_separations,
+    drive_rules.check_wheels,
     name_rules.check_joint_names,
-    transform_rules.check_frames,
-    transform_rules.check_transform_owners,
-    transform_rules.check_state_publishers,
-    twist_rules.check_stamps,
-    twist_rules.check_speeds,
-    twist_rules.check_wheel_speeds,
-    limit_rules.check_command_limits,
-    limit_rules.check_descriptions_agree,
-    footprint_rules.check_footprints_agree,
-    footprint_rules.check_footprints_cover,
+    name_rules.check_frames,
+    name_rules.check_transform_owners,
+    name_rules.check_state_publishers,
+    drive_rules.check_stamps,
+    drive_rules.check_speeds,
+    drive_rules.check_wheel_speeds,
+    drive_rules.check_command_limits,
+    drive_rules.check_descriptions_agree,
+    body_rules.check_footprints_agree,
+    body_rules.check_footprints_cover,
     body_rules.check_masses,
     body_rules.check_inertias,
     body_rules.check_densities,
@@ -89,14 +76,15 @@ def audit(names: Sequence[str], *, trust: bool = False) -> Audit:
     reader = _Reader(robot_files, result)
     for file in robot_files.files:
         result.sources[file.display] = file.path
-        reader.read(file)
+        if file.path.name != "package.xml":
+            reader.read(file)
     reader.read_mjcf_files()
-    expanded = read_urdf_files(reader.urdf_files, robot_files.packages, evidence, report, trust)
-    result.sources.update(expanded)
+    _Expansion(result, trust).read_files(reader.urdf_files)
     known = {name for description in evidence.descriptions for name in description.joints}
     for section in evidence.sections:
-        evidence.facts += controller_facts(section, known) + node_facts(section)
-    evidence.facts += launched_facts(evidence)
+        evidence.facts += parameter_files.controller_facts(section, known)
+        evidence.facts += parameter_files.node_facts(section)
+    evidence.facts += parameter_files.launched_facts(evidence)
     read = (evidence.descriptions, evidence.sections, evidence.launches, evidence.facts)
     if not any(read) and not len(report):
         shown = ", ".join(f"`{name}`" for name in names)
@@ -117,63 +105,53 @@ class _Reader:
         self.mjcf_files: dict[str, tuple[RobotFile, Element]] = {}
 
     def read(self, file: RobotFile) -> None:
-        if file.path.name == "package.xml":
-            return
         data = self.robot_files.content(file, self.report)
         if data is None:
             return
         suffix = file.path.suffix.lower()
-        if suffix in (".urdf", ".xacro"):
-            self.urdf_files.append((file, data))
-        elif suffix in (".yaml", ".yml"):
-            self.read_yaml_file(file, data)
-        elif suffix == ".py":
-            if is_python_launch(data):
-                try:
-                    launch = read_python_launch(data, file.display, file.path)
-                except ValueError as error:
-                    skip(file.display, str(error), self.report)
-                    self.evidence.unread_launches.append(file.display)
-                else:
+        try:
+            if suffix in (".urdf", ".xacro"):
+                self.urdf_files.append((file, data))
+            elif suffix in (".yaml", ".yml"):
+                self.read_yaml_file(file, data)
+            elif suffix == ".py":
+                if launch_files.is_python_launch(data):
+                    launch = launch_files.read_python(data, file.display, file.path)
                     self.evidence.launches.append(launch)
-        elif suffix in SUFFIXES:
-            self.read_xml_file(file, data)
-        else:
-            skip(file.display, f"files with the suffix `{suffix}` are not read", self.report)
+            elif suffix in SUFFIXES:
+                self.read_xml_file(file, data)
+            else:
+                text = f"files with the suffix `{suffix}` are not read"
+                skip(file.display, text, self.report)
+        except UnreadableFileError as error:
+            skip(file.display, str(error), self.report, error.span)
+            if suffix == ".py":
+                self.evidence.unread_launches.append(file.display)
 
     def read_yaml_file(self, file: RobotFile, data: bytes) -> None:
         is_parameters = b"ros__parameters" in data
         is_launch = b"launch:" in data and ".launch" in file.path.name
         if not is_parameters and not is_launch and b"node_id" not in data:
             return
-        try:
-            document = read_yaml(data, file.display, self.report)
-        except UnreadableYaml as error:
-            diagnostic = error.diagnostic
-            skip(file.display, diagnostic.message, self.report, diagnostic.span)
-            return
+        document = parameter_files.read_yaml(data, file.display, self.report)
         if document is None:
             return
         if is_parameters:
-            self.evidence.sections += parameter_sections(document, file.display, file.path)
+            self.evidence.sections += parameter_files.sections(document, file.display, file.path)
         elif is_launch:
-            self.evidence.launches.append(read_yaml_launch(document, file.display, file.path))
+            self.evidence.launches.append(launch_files.read_yaml(document, file.display, file.path))
         else:
-            self.evidence.facts += bus_facts(document)
+            self.evidence.facts += parameter_files.bus_facts(document)
 
     def read_xml_file(self, file: RobotFile, data: bytes) -> None:
-        try:
-            root = read_xml(data, file.display, file.path)
-        except XmlError as error:
-            skip(file.display, str(error), self.report, error.span)
-            return
+        root = descriptions.read_xml(data, file.display, file.path)
         if root.tag == "sdf":
-            models = read_sdf_descriptions(root, file.display, file.path, self.report)
+            models = descriptions.read_sdf(root, file.display, file.path, self.report)
             self.evidence.descriptions += models
         elif root.tag in ("mujoco", "mujocoinclude"):
             self.mjcf_files[os.path.realpath(file.path)] = file, root
         elif root.tag == "launch":
-            self.evidence.launches.append(read_xml_launch(root, file.display, file.path))
+            self.evidence.launches.append(launch_files.read_xml(root, file.display, file.path))
         elif root.tag == "robot":
             self.urdf_files.append((file, data))
 
@@ -183,7 +161,7 @@ class _Reader:
         included = {
             Path(element.attributes.get("file", "")).name
             for _, root in self.mjcf_files.values()
-            for element in walk(root)
+            for element in descriptions.walk(root)
             if element.tag in ("include", "model")
         }
         for path, (file, root) in self.mjcf_files.items():
@@ -214,3 +192,157 @@ class _Reader:
 
 def _beside(path: str, name: str) -> str:
     return os.path.realpath(os.path.join(os.path.dirname(path), name)) if "\0" not in name else ""
+
+
+# -- xacro files, in a contained process and in bounded time ----------------------------
+
+# Time in s after which no further xacro files are expanded.  An endless file takes 20 s.
+EXPANSION_SECONDS = 60.0
+FILES_PER_WORKER = 16
+MAX_VARIANTS = 8
+MAX_MISSING_ARGUMENTS = 4
+
+_ROBOT = re.compile(rb"<robot\b([^>]*)>")
+_INCLUDE = re.compile(rb"<xacro:include\b[^>]*\bfilename\s*=\s*[\"']([^\"']+)[\"']")
+_FLAG = re.compile(
+    rb"<xacro:arg\b(?=[^>]*\bname\s*=\s*[\"']([\w-]+)[\"'])"
+    rb"(?=[^>]*\bdefault\s*=\s*[\"']((?i:true|false))[\"'])"
+)
+
+
+class _Expansion:
+    """Adds the descriptions in URDF and xacro files to the result of an audit."""
+
+    def __init__(self, result: Audit, trust: bool) -> None:
+        self.packages = {name: str(folder) for name, folder in result.evidence.packages.items()}
+        self.evidence, self.report, self.sources = result.evidence, result.report, result.sources
+        self.trust = trust
+        self.end = time.monotonic() + EXPANSION_SECONDS
+
+    def read_files(self, files: Sequence[tuple[RobotFile, bytes]]) -> None:
+        """Expands the files that describe a robot: those with a name of the robot, and those that
+        no other file includes.
+        """
+        included = {
+            Path(name.decode("utf-8", "replace")).name
+            for _, data in files
+            for name in _INCLUDE.findall(data)
+        }
+        tops = [
+            (file, data)
+            for file, data in files
+            if (robot := _ROBOT.search(data)) is not None
+            and (re.search(rb"\bname\s*=", robot[1]) or file.path.name not in included)
+        ]
+        for start in range(0, len(tops), FILES_PER_WORKER):
+            self.read(tops[start : start + FILES_PER_WORKER])
+
+    def expand(
+        self, file: RobotFile, paths: Sequence[Path], variants: Sequence[dict[str, str]]
+    ) -> list[ExpandedFile]:
+        """Expands files below the root of ``file`` with the arguments ``variants``."""
+        display = "" if file.root_display == "." else file.root_display
+        requests = [
+            xacro_expand.ExpansionRequest(path, args, self.packages, source_layout=True)
+            for path, args in zip(paths, variants, strict=True)
+        ]
+        shown = xacro_expand.DisplayPaths(file.root, display, {})
+        expanded = xacro_expand.expand(requests, shown, trust=self.trust)
+        for result in expanded:
+            self.sources.update(result.files)
+        return expanded
+
+    @property
+    def is_over(self) -> bool:
+        return time.monotonic() > self.end
+
+    def read(self, files: Sequence[tuple[RobotFile, bytes]]) -> None:
+        for _, group in itertools.groupby(files, lambda entry: entry[0].root):
+            entries = list(group)
+            if self.is_over:
+                for file, _ in entries:
+                    text = "the expansion of the other files took too long"
+                    skip(file.display, text, self.report)
+                    self.evidence.incomplete.append(file.display)
+                continue
+            paths = [file.path for file, _ in entries]
+            results = self.expand(entries[0][0], paths, [{}] * len(paths))
+            for (file, data), result in zip(entries, results, strict=True):
+                self.read_result(file, data, result)
+
+    def read_result(self, file: RobotFile, data: bytes, result: ExpandedFile) -> None:
+        """Adds the description with the default arguments, and those with other flags.
+
+        A flag, such as the choice between a simulated and a real robot, decides on parts of a file;
+        each part is read in one of the descriptions.
+        """
+        arguments: dict[str, str] = {}
+        while (
+            result.failure is not None
+            and result.failure.kind == "argument"
+            and len(arguments) < MAX_MISSING_ARGUMENTS
+            and not self.is_over
+        ):
+            name = result.failure.text.split()[-1].strip("`'\"")
+            if name in arguments or not re.fullmatch(r"[\w-]+", name):
+                break
+            arguments[name] = "true"
+            (result,) = self.expand(file, [file.path], [arguments])
+        if result.failure is not None:
+            failure = result.failure
+            reason = _REASONS.get(failure.kind, "{}").format(failure.text)
+            skip(file.display, reason, self.report, failure.span)
+            self.evidence.incomplete.append(file.display)
+            return
+        if self.add_description(file, result, self.report):
+            self.read_variants(file, data, arguments, result)
+        else:
+            self.read_macros(file, result)
+
+    def read_variants(
+        self, file: RobotFile, data: bytes, arguments: dict[str, str], result: ExpandedFile
+    ) -> None:
+        flags = {name.decode(): value.lower() == b"true" for name, value in _FLAG.findall(data)}
+        flags |= dict.fromkeys(arguments, True)
+        known = [(name, value) for name, value in flags.items() if name in result.known_arguments]
+        variants = [
+            {**arguments, name: "false" if value else "true"}
+            for name, value in itertools.islice(known, MAX_VARIANTS)
+        ]
+        if not variants or self.is_over:
+            return
+        for other in self.expand(file, [file.path] * len(variants), variants):
+            if other.failure is None and other.elements != result.elements:
+                self.add_description(file, other, Report())
+
+    def read_macros(self, file: RobotFile, result: ExpandedFile) -> None:
+        """Adds the robot that a file defines as a macro of its own name without parameters."""
+        stem = file.path.name.partition(".")[0]
+        macros = [m for m in result.macros if m.name == stem and not m.required]
+        if not macros or self.is_over:
+            return
+        with tempfile.TemporaryDirectory() as folder:
+            caller = Path(folder, "caller.urdf.xacro")
+            caller.write_text(
+                f'<robot name="{stem}" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+                f"<xacro:include filename={quoteattr(str(file.path))}/><xacro:{stem}/></robot>",
+                encoding="utf-8",
+            )
+            (expanded,) = self.expand(file, [caller], [{}])
+        if expanded.failure is None:
+            self.add_description(file, expanded, self.report)
+
+    def add_description(self, file: RobotFile, result: ExpandedFile, report: Report) -> bool:
+        """Adds the robot in the elements of a file, and returns whether there is one."""
+        robot = descriptions.read_urdf(result.elements, file.display, file.path, report)
+        self.evidence.descriptions += [robot] if robot is not None else []
+        return robot is not None
+
+
+_REASONS = {
+    "argument": "the xacro argument `{}` has no default",
+    "environment": "it reads the environment variable `{}`",
+    "package": "the package `{}` is not in the audited folders",
+    "xml": "it is not XML: {}",
+    "root": "its root element is {}",
+}

@@ -1,16 +1,31 @@
-"""Rules about masses, inertias, sizes and units of bodies and joints."""
+"""Rules about bodies: masses, inertias, sizes, units, mesh files, and the footprint of Nav2."""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from urllib.parse import unquote
 
-from thorvaldc.diagnostics import Report
+from thorvaldc.compiler.shapes.meshes import load_mesh, shared_mesh_workers
+from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.diagnostics.plain_numbers import plain
-from thorvaldc.model import Inertial
+from thorvaldc.model import Inertial, Mesh, Pose
 from thorvaldc.model.float_sum import float_sum
-from thorvaldc.tools.audit.audit_facts import Body, Description, Evidence, SolidShape
-from thorvaldc.tools.audit.mesh_sizes import MeshSizes, mesh_path, mesh_shapes
+from thorvaldc.model.statics.convex_hull import convex_hull
+from thorvaldc.model.stl import RECORD, stl_triangles
+from thorvaldc.tools.audit.audit_facts import (
+    Body,
+    BodyJoint,
+    Description,
+    Evidence,
+    Fact,
+    ParameterSection,
+    SolidShape,
+)
 
 # Rounded inertias of thin bodies may break the triangle inequality a little.
 TOLERANCE = 0.01
@@ -178,12 +193,10 @@ def check_lengths(evidence: Evidence, report: Report) -> None:
                     shape.span,
                     hint="lengths are in m; is this one in mm?",
                 )
-    sizes = MeshSizes(evidence)
-    for description, body, shape in mesh_shapes(evidence):
-        path = mesh_path(shape.mesh, description, evidence)
-        if path is None:
-            continue
-        box = sizes.boxes.get(path)
+    meshes = _meshes(evidence)
+    boxes = _mesh_boxes(dict.fromkeys(path for _, _, path in meshes))
+    for body, shape, path in meshes:
+        box = boxes.get(path)
         if box is None:
             if not path.exists():
                 report.add(
@@ -197,21 +210,20 @@ def check_lengths(evidence: Evidence, report: Report) -> None:
             abs(scale) * (high - low)
             for scale, low, high in zip(shape.size, box[0], box[1], strict=True)
         ]
-        other = _size_of_others(body, shape)
-        if max(edges) > MAX_LENGTH or (other is not None and max(edges) > 100.0 * other):
-            scale = " with a scale of 0.001" if max(map(abs, shape.size)) > 0.1 else ""
-            report.add(
-                "audit-length-unit",
-                f"the mesh `{shape.mesh}` of body `{body.name}` measures {plain(max(edges), 3)} m",
-                shape.span,
-                hint=f"is it in mm? use it{scale}" if scale else "is its scale right?",
+        largest, other, hint = max(edges), _size_of_others(body, shape), ""
+        if largest > MAX_LENGTH or (other is not None and largest > 100.0 * other):
+            is_scaled = max(map(abs, shape.size)) <= 0.1
+            hint = (
+                "is its scale right?" if is_scaled else "is it in mm? use it with a scale of 0.001"
             )
-        elif max(edges) < 1e-4 and max(edges) > 0.0:
+        elif 0.0 < largest < 1e-4:
+            hint = "is it in m already, so that the scale 0.001 is too much?"
+        if hint:
             report.add(
                 "audit-length-unit",
-                f"the mesh `{shape.mesh}` of body `{body.name}` measures {plain(max(edges), 3)} m",
+                f"the mesh `{shape.mesh}` of body `{body.name}` measures {plain(largest, 3)} m",
                 shape.span,
-                hint="is it in m already, so that the scale 0.001 is too much?",
+                hint=hint,
             )
 
 
@@ -220,6 +232,73 @@ def _size_of_others(body: Body, mesh: SolidShape) -> float | None:
     halves = [_half_diagonal(shape) for shape in body.shapes if shape is not mesh]
     known = [half for half in halves if half is not None and half > 0.0]
     return max(known) if known else None
+
+
+Box = tuple[Sequence[float], Sequence[float]]
+MESH_SECONDS = 30.0
+MAX_MESHES = 300
+_VERTICES = 30_000  # of a mesh with more, a part is read
+
+
+def _meshes(evidence: Evidence) -> list[tuple[Body, SolidShape, Path]]:
+    """Returns the meshes of URDF and SDF with their files, if their package is audited."""
+    paths: dict[tuple[Path, str], Path | None] = {}
+    meshes: list[tuple[Body, SolidShape, Path]] = []
+    for description, body in _bodies(evidence):
+        for shape in body.shapes if description.format != "MJCF" else ():
+            if shape.kind == "mesh":
+                key = description.path.parent, shape.mesh
+                if key not in paths:
+                    paths[key] = _mesh_path(shape.mesh, description, evidence)
+                path = paths[key]
+                meshes += [(body, shape, path)] if path is not None else []
+    return meshes
+
+
+def _mesh_path(name: str, description: Description, evidence: Evidence) -> Path | None:
+    for scheme in ("package://", "model://", "$(find "):
+        if name.startswith(scheme):
+            return evidence.file_in_package(
+                unquote(name.removeprefix(scheme)).replace(")/", "/", 1)
+            )
+    if name.startswith("file://"):
+        path = Path(unquote(name.removeprefix("file://")))
+        return path if path.is_absolute() and str(path) != "/" else None
+    return description.path.parent / name if name and "://" not in name else None
+
+
+def _mesh_boxes(paths: Iterable[Path]) -> dict[Path, Box]:
+    """Returns the corners (m) of the bounding boxes of meshes that can be read, with scale 1.
+
+    The time and the number of meshes are limited.
+    """
+    boxes: dict[Path, Box] = {}
+    end = time.monotonic() + MESH_SECONDS
+    with shared_mesh_workers():
+        for path in itertools.islice(filter(_is_file, paths), MAX_MESHES):
+            if time.monotonic() > end:
+                break
+            mesh = load_mesh(path, Span(path.name), Report(), display=path.name)
+            points = _points(mesh) if mesh is not None else []
+            if points:
+                axes = list(zip(*points, strict=True))
+                boxes[path] = [min(axis) for axis in axes], [max(axis) for axis in axes]
+    return boxes
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def _points(mesh: Mesh) -> list[tuple[float, ...]]:
+    if mesh.name.endswith(".obj"):
+        lines = (line for line in mesh.data.splitlines() if line.startswith(b"v "))
+        return [tuple(float(word) for word in line.split()[1:4]) for line in lines]
+    step = max(1, len(mesh.data) // RECORD * 3 // _VERTICES)
+    return list(itertools.chain.from_iterable(stl_triangles(mesh.data, step)))
 
 
 def check_angles(evidence: Evidence, report: Report) -> None:
@@ -242,3 +321,164 @@ def check_angles(evidence: Evidence, report: Report) -> None:
                     hint=f"is it in degrees? {limit.value:g} degrees are"
                     f" {math.radians(limit.value):.6g} rad",
                 )
+
+
+# -- footprints of Nav2 -----------------------------------------------------------------
+
+# A footprint may leave out screws and round corners.
+FOOTPRINT_TOLERANCE = 0.02  # m
+
+Point = tuple[float, float]
+
+
+def footprint_of(section: ParameterSection) -> Fact | None:
+    """Returns the polygon (m) or the radius (m) of a costmap, or ``None``."""
+    subject = f"`{section.node}`"
+    node = section.values.get("footprint")
+    if node is not None and isinstance(node.value, str) and len(node.value) < 10_000:
+        polygon = _polygon(node.value)
+        if polygon is not None:
+            return Fact("footprint", subject, polygon, node.span, "m")
+    radius = section.number("robot_radius")
+    if radius is not None and radius > 0.0:
+        return Fact("footprint", subject, radius, section.values["robot_radius"].span, "m")
+    return None
+
+
+def _polygon(text: str) -> tuple[Point, ...] | None:
+    try:
+        points = read_json(text)
+    except ValueError:
+        return None
+    if not isinstance(points, list) or len(points) < 3:
+        return None
+    for point in points:
+        if not isinstance(point, list) or len(point) != 2:
+            return None
+        if not all(isinstance(v, int | float) and abs(v) < 1e6 for v in point):
+            return None
+    return tuple((float(x), float(y)) for x, y in points)
+
+
+def check_footprints_agree(evidence: Evidence, report: Report) -> None:
+    """Reports costmaps of one file with different footprints."""
+    by_file: dict[str, Fact] = {}
+    for section in evidence.sections:
+        fact = footprint_of(section)
+        if fact is None or not section.short_name.endswith("costmap"):
+            continue
+        first = by_file.setdefault(fact.span.file, fact)
+        if _shown(first) != _shown(fact):
+            report.add(
+                "audit-footprints-differ",
+                f"{fact.subject} has the footprint {_shown(fact)}, but {first.subject} has"
+                f" {_shown(first)}",
+                fact.span,
+                hint="the robot is the same in both; margins belong in inflation_radius or"
+                " footprint_padding",
+                labels=[Label(first.span, "the other footprint")],
+            )
+
+
+def _shown(fact: Fact) -> str:
+    if isinstance(fact.value, tuple):
+        points = ", ".join(f"[{x:g}, {y:g}]" for x, y in fact.value[:8])
+        return f"[{points}{', ...' if len(fact.value) > 8 else ''}]"
+    return f"of radius {plain(fact.value)} m"
+
+
+def check_footprints_cover(evidence: Evidence, report: Report) -> None:
+    """Reports footprints that leave out a part of the collision shapes."""
+    for section in evidence.sections:
+        fact = footprint_of(section)
+        if fact is None:
+            continue
+        padding = section.number("footprint_padding")
+        margin = FOOTPRINT_TOLERANCE + (padding if padding is not None else 0.01)
+        base = (section.text("robot_base_frame") or "base_link").strip("/")
+        outside = [farthest_outside(d, base, fact) for d in evidence.related(fact.span.file)]
+        known = [part for part in outside if part is not None]
+        if not known or len(known) < len(outside):
+            continue
+        distance, body, shape = min(known, key=lambda part: part[0])
+        if distance > margin:
+            report.add(
+                "audit-footprint",
+                f"the footprint of {fact.subject} leaves out {plain(distance, 3)} m of body "
+                f"`{body}`",
+                fact.span,
+                hint="the planner steers this part into obstacles; enlarge the footprint",
+                labels=[Label(shape.span, "this shape")],
+            )
+
+
+def farthest_outside(
+    description: Description, base: str, fact: Fact
+) -> tuple[float, str, SolidShape] | None:
+    """Returns how far a body stands out of a footprint (m; negative: inside), and its shape.
+
+    Only bodies on fixed joints and wheels count: an arm moves.  Meshes are left out.
+    """
+    poses = description.root_poses()
+    if base not in poses:
+        return None
+    parents = {joint.child: joint for joint in description.joints.values()}
+    X_BW = poses[base].inverse()
+    best: tuple[float, str, SolidShape] | None = None
+    for name, body in description.bodies.items():
+        if not _is_rigid(name, parents):
+            continue
+        for shape in body.shapes:
+            if not shape.collides or name not in poses:
+                continue
+            for x, y in _outline(shape, X_BW * poses[name]):
+                distance = _distance(fact, x, y)
+                if best is None or distance > best[0]:
+                    best = distance, name, shape
+    return best
+
+
+def _is_rigid(name: str, parents: Mapping[str, BodyJoint]) -> bool:
+    for _ in range(100):
+        joint = parents.get(name)
+        if joint is None:
+            return True
+        if joint.kind not in ("fixed", "continuous", "free"):
+            return False
+        name = joint.parent
+    return False
+
+
+def _outline(shape: SolidShape, X_BL: Pose) -> list[Point]:
+    """Returns points of a shape that stand out farthest, in the frame of the robot."""
+    pose = X_BL * shape.pose
+    size = shape.size
+    if shape.kind == "box":
+        corners = itertools.product(*((-edge / 2, edge / 2) for edge in size))
+        return [pose.apply((x, y, z))[:2] for x, y, z in corners]
+    if shape.kind == "sphere":
+        x, y, _ = pose.xyz
+        return [(x + size[0] * c, y + size[0] * s) for c, s in _CIRCLE]
+    if shape.kind in ("cylinder", "tyre"):
+        ends = [(size[0] * c, size[0] * s, z * size[1] / 2) for c, s in _CIRCLE for z in (-1, 1)]
+        return [pose.apply(end)[:2] for end in ends]
+    return []
+
+
+_CIRCLE = [(math.cos(i * math.pi / 12), math.sin(i * math.pi / 12)) for i in range(24)]
+
+
+def _distance(fact: Fact, x: float, y: float) -> float:
+    """Returns the distance of a point from a footprint in m, negative inside."""
+    if not isinstance(fact.value, tuple):
+        return math.hypot(x, y) - float(fact.value)
+    hull = convex_hull(fact.value)  # counter-clockwise
+    if len(hull) < 3:
+        return math.inf
+    outside = -math.inf
+    for (ax, ay), (bx, by) in zip(hull, (*hull[1:], hull[0]), strict=True):
+        length = math.hypot(bx - ax, by - ay)
+        if length > 0.0:
+            cross = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / length
+            outside = max(outside, -cross)
+    return outside

@@ -6,20 +6,154 @@ import ast
 import os
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Span
-from thorvaldc.tools.audit.audit_facts import Evidence, Fact, LaunchedNode, LaunchFile
-from thorvaldc.tools.audit.launch_values import (
-    LaunchValues,
-    call_name,
-    keyword,
-    plain_parameters,
+from thorvaldc.tools.audit.audit_facts import (
+    Evidence,
+    Fact,
+    LaunchedNode,
+    LaunchFile,
+    UnreadableFileError,
 )
+from thorvaldc.tools.audit.descriptions import walk
+
+# -- plain values in the syntax tree of a Python launch file ----------------------------
+
+_PACKAGE_FOLDER = (
+    *("get_package_share_directory", "get_package_share_path", "FindPackageShare"),
+    "FindPackagePrefix",
+)
+_WRAPPERS = (
+    *("ParameterFile", "RewrittenYaml", "ReplaceString", "Path", "str", "ParameterValue"),
+    *("PythonLaunchDescriptionSource", "AnyLaunchDescriptionSource", "XMLLaunchDescriptionSource"),
+    *("FrontendLaunchDescriptionSource", "YAMLLaunchDescriptionSource", "TextSubstitution"),
+)
+MAX_DEPTH = 60
+
+
+class LaunchValues:
+    """Values of the names in a launch file: constants, and the defaults of launch arguments.
+
+    A value that is computed in another way, or has several values, is unknown (``None``).
+    """
+
+    def __init__(self, tree: ast.Module) -> None:
+        self.arguments: dict[str, ast.expr] = {}
+        self.names: dict[str, ast.expr | None] = {}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and call_name(node) == "DeclareLaunchArgument":
+                name = node.args[0] if node.args else keyword(node, "name")
+                default = keyword(node, "default_value")
+                if isinstance(name, ast.Constant) and default is not None:
+                    self.arguments[str(name.value)] = default
+            elif isinstance(node, ast.Assign) and len(node.targets) == 1:
+                target = node.targets[0]
+                if isinstance(target, ast.Name):
+                    is_new = target.id not in self.names
+                    self.names[target.id] = node.value if is_new else None
+            elif isinstance(node, ast.AugAssign) and isinstance(node.target, ast.Name):
+                self.names[node.target.id] = None
+
+    def value(self, node: ast.expr | None, depth: int = 0) -> Any:
+        """Returns a text, number, flag, list or dict; ``None`` stands for an unknown value."""
+        if node is None or depth > MAX_DEPTH:
+            return None
+        inner = depth + 1
+        if isinstance(node, ast.Constant):
+            return node.value
+        if isinstance(node, ast.Name):
+            return self.value(self.names.get(node.id), inner)
+        if isinstance(node, ast.List | ast.Tuple):
+            return [self.value(item, inner) for item in node.elts]
+        if isinstance(node, ast.Dict):
+            keys = [self.value(key, inner) for key in node.keys]
+            values = [self.value(value, inner) for value in node.values]
+            return {k: v for k, v in zip(keys, values, strict=True) if isinstance(k, str)}
+        if isinstance(node, ast.JoinedStr):
+            return self.joined(node, inner)
+        if isinstance(node, ast.BinOp):
+            left, right = self.value(node.left, inner), self.value(node.right, inner)
+            if isinstance(left, str) and isinstance(right, str):
+                return left + right if isinstance(node.op, ast.Add) else f"{left}/{right}"
+            return None
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+            number = self.value(node.operand, inner)
+            return -number if isinstance(number, int | float) else None
+        if isinstance(node, ast.Call):
+            return self.call(node, inner)
+        return None
+
+    def joined(self, node: ast.JoinedStr, depth: int) -> str | None:
+        parts = [
+            self.value(part.value if isinstance(part, ast.FormattedValue) else part, depth)
+            for part in node.values
+        ]
+        return "".join(map(str, parts)) if all(part is not None for part in parts) else None
+
+    def call(self, node: ast.Call, depth: int) -> Any:
+        name = call_name(node)
+        first = node.args[0] if node.args else None
+        if name in _PACKAGE_FOLDER:
+            package = self.value(first or keyword(node, "package"), depth)
+            package = package[0] if isinstance(package, list) and len(package) == 1 else package
+            return f"package://{package}" if isinstance(package, str) else None
+        if name in ("join", "joinpath"):
+            parts = [self.value(argument, depth) for argument in node.args]
+            return _joined_path(parts)
+        if name == "PathJoinSubstitution":
+            parts = self.value(first, depth)
+            return _joined_path(parts) if isinstance(parts, list) else None
+        if name == "LaunchConfiguration":
+            argument = self.value(first or keyword(node, "variable_name"), depth)
+            default = self.arguments.get(argument) if isinstance(argument, str) else None
+            return self.value(default or keyword(node, "default"), depth)
+        if name in _WRAPPERS:
+            wrapped = first or keyword(node, "source_file") or keyword(node, "param_file")
+            value = self.value(wrapped or keyword(node, "launch_file_path"), depth)
+            if isinstance(value, list):  # a list of substitutions is joined without separator
+                known = all(isinstance(part, str) for part in value)
+                return "".join(value) if known else None
+            return value
+        return None
+
+
+def _joined_path(parts: list[Any]) -> str | None:
+    flat = [p[0] if isinstance(p, list) and len(p) == 1 else p for p in parts]
+    if not flat or not all(isinstance(part, str) for part in flat):
+        return None
+    return "/".join(part.rstrip("/") for part in flat)
+
+
+def call_name(node: ast.Call) -> str:
+    """Returns the last part of the name of the called function, such as ``join``."""
+    function = node.func
+    if isinstance(function, ast.Attribute):
+        return function.attr
+    return function.id if isinstance(function, ast.Name) else ""
+
+
+def keyword(node: ast.Call, name: str) -> ast.expr | None:
+    """Returns the value of a keyword argument of a call, or ``None``."""
+    return next((k.value for k in node.keywords if k.arg == name), None)
+
+
+def plain_parameters(value: Any) -> Mapping[str, Any]:
+    """Returns the entries of a dict of parameters, with dotted names."""
+    entries: dict[str, Any] = {}
+    if isinstance(value, dict):
+        for name, item in value.items():
+            if isinstance(item, dict):
+                inner = plain_parameters(item)
+                entries.update({f"{name}.{key}": entry for key, entry in inner.items()})
+            else:
+                entries[name] = item
+    return entries
+
 
 _NODES = ("Node", "LifecycleNode", "ComposableNodeContainer", "ComposableNode")
 MAX_NESTING = 150
@@ -29,15 +163,15 @@ def is_python_launch(data: bytes) -> bool:
     return b"generate_launch_description" in data
 
 
-def read_python_launch(data: bytes, file: str, path: Path) -> LaunchFile:
-    """Reads a Python launch file.  Raises ``ValueError`` if the text is not Python."""
+def read_python(data: bytes, file: str, path: Path) -> LaunchFile:
+    """Reads a Python launch file.  Raises ``UnreadableFileError``."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # such as invalid escapes in the file of others
             tree = ast.parse(data)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         line = f" (line {error.lineno})" if isinstance(error, SyntaxError) else ""
-        raise ValueError(f"it is not Python{line}") from None
+        raise UnreadableFileError(f"it is not Python{line}") from None
     values = LaunchValues(tree)
     launch = LaunchFile(file, path)
     for call, conditional in _calls(tree):
@@ -143,13 +277,13 @@ def _texts(value: Any) -> list[str]:
 _SUBSTITUTION = re.compile(r"\$\(([\w-]+)\s*([^()]*)\)")
 
 
-def read_xml_launch(root: Element, file: str, path: Path) -> LaunchFile:
+def read_xml(root: Element, file: str, path: Path) -> LaunchFile:
     """Reads the element ``<launch>`` of an XML launch file."""
     launch = LaunchFile(file, path)
     defaults = {
-        child.attributes.get("name", ""): child.attributes["default"]
-        for child in root.children
-        if child.tag == "arg" and "default" in child.attributes
+        element.attributes.get("name", ""): element.attributes["default"]
+        for element in walk(root)
+        if element.tag == "arg" and "default" in element.attributes
     }
 
     def collect(element: Element, conditional: bool, namespace: str) -> None:
@@ -166,7 +300,7 @@ def read_xml_launch(root: Element, file: str, path: Path) -> LaunchFile:
                 if name is not None:
                     launch.includes.append(Fact(kind, "launch file", name, child.span))
             elif child.tag in ("node", "composable_node"):
-                launch.nodes.append(_xml_node(child, defaults, decided, namespace))
+                launch.nodes.append(_node_of(child, defaults, decided, namespace))
             else:
                 collect(child, decided, namespace)
 
@@ -174,7 +308,34 @@ def read_xml_launch(root: Element, file: str, path: Path) -> LaunchFile:
     return launch
 
 
-def _xml_node(
+def read_yaml(document: Node, file: str, path: Path) -> LaunchFile:
+    """Reads the list ``launch`` of a YAML launch file, whose entries are elements as in XML."""
+    return read_xml(_element("launch", document, path), file, path)
+
+
+def _element(tag: str, node: Node, path: Path) -> Element:
+    """Returns an entry of a YAML launch file as the XML element that means the same.
+
+    Scalars become attributes.  The items of a list such as ``param`` become elements with this
+    name.  An item of ``launch`` or a group has the name of its element as key: ``- node: {...}``.
+    """
+    mapping = node.value if isinstance(node.value, dict) else {"children": node}
+    attributes: dict[str, str] = {}
+    children: list[Element] = []
+    for key, value in mapping.items():
+        if not isinstance(value.value, tuple | dict):
+            attributes[key] = str(value.value)
+        for item in value.value if isinstance(value.value, tuple) else ():
+            if key not in ("launch", "children"):
+                children.append(_element(key, item, path))
+            elif isinstance(item.value, dict) and len(item.value) == 1:
+                children += [_element(kind, body, path) for kind, body in item.value.items()]
+    stated = mapping.get("from") or mapping.get("value")
+    span = stated.span if stated is not None else node.where
+    return Element(tag, attributes, tuple(children), "", span, (), path)
+
+
+def _node_of(
     element: Element, defaults: dict[str, str], conditional: bool, namespace: str
 ) -> LaunchedNode:
     attributes = element.attributes
@@ -189,12 +350,10 @@ def _xml_node(
         source = child.attributes.get("from") or child.attributes.get("file")
         name = child.attributes.get("name", "")
         text = substituted(source or child.attributes.get("value", ""), defaults)
-        if text is None:
-            continue
-        if source:
-            files.append(Fact("parameter file", name, text, child.span))
-        else:
+        if not source:
             parameters[name] = Fact("parameter", name, _scalar(text), child.span)
+        elif text is not None:
+            files.append(Fact("parameter file", name, text, child.span))
     own = attributes.get("namespace", attributes.get("ns", ""))
     return LaunchedNode(
         package=attributes.get("pkg", ""),
@@ -230,72 +389,15 @@ def substituted(text: str, defaults: dict[str, str], depth: int = 0) -> str | No
     return None if unknown or "$(" in result else result
 
 
-def _scalar(text: str) -> Any:
+def _scalar(text: str | None) -> Any:
+    if text is None:
+        return None
     if text.lower() in ("true", "false"):
         return text.lower() == "true"
     try:
         return float(text)
     except ValueError:
         return text
-
-
-def read_yaml_launch(document: Node, file: str, path: Path) -> LaunchFile:
-    """Reads the list ``launch`` of a YAML launch file."""
-    launch = LaunchFile(file, path)
-    defaults: dict[str, str] = {}
-
-    def items(node: Node | None) -> tuple[Node, ...]:
-        return node.value if node is not None and isinstance(node.value, tuple) else ()
-
-    def text(node: Node | None) -> str:
-        return str(node.value) if node is not None and not isinstance(node.value, tuple) else ""
-
-    def collect(entries: tuple[Node, ...], conditional: bool, namespace: str) -> None:
-        for entry in entries:
-            if not isinstance(entry.value, dict) or len(entry.value) != 1:
-                continue
-            ((kind, body),) = entry.value.items()
-            decided = conditional or body.get("if") is not None or body.get("unless") is not None
-            if kind == "arg" and body.get("default") is not None:
-                defaults[text(body.get("name"))] = text(body.get("default"))
-            elif kind == "group":
-                collect(items(body) or items(body.get("children")), decided, namespace)
-            elif kind == "include":
-                name = substituted(text(body.get("file")), defaults)
-                if name is not None:
-                    fact = "conditional include" if decided else "include"
-                    launch.includes.append(Fact(fact, "launch file", name, body.where))
-            elif kind == "node":
-                launch.nodes.append(node_of(body, decided, namespace))
-
-    def node_of(body: Node, conditional: bool, namespace: str) -> LaunchedNode:
-        parameters: dict[str, Fact] = {}
-        files: list[Fact] = []
-        for entry in items(body.get("param")):
-            source, name = entry.get("from"), text(entry.get("name"))
-            value = entry.get("value")
-            if source is not None:
-                shown = substituted(text(source), defaults)
-                if shown is not None:
-                    files.append(Fact("parameter file", name, shown, source.span))
-            elif value is not None and not isinstance(value.value, tuple | dict):
-                parameters[name] = Fact("parameter", name, value.value, value.span)
-        pairs = [(text(e.get("from")), text(e.get("to"))) for e in items(body.get("remap"))]
-        return LaunchedNode(
-            package=text(body.get("pkg")),
-            executable=text(body.get("exec")),
-            name=text(body.get("name")),
-            namespace=text(body.get("namespace")) or namespace,
-            span=body.where,
-            parameters=parameters,
-            parameter_files=tuple(files),
-            remappings=tuple(pairs),
-            arguments=tuple(text(body.get("args")).split()),
-            conditional=conditional,
-        )
-
-    collect(items(document.get("launch")), False, "")
-    return launch
 
 
 # -- the tree of launch files ---------------------------------------------------------------

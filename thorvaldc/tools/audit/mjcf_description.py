@@ -25,7 +25,7 @@ from thorvaldc.model.spatial import (
     sub,
 )
 from thorvaldc.tools.audit.audit_facts import Body, BodyJoint, Description, Fact, SolidShape
-from thorvaldc.tools.audit.xml_document import numbers, vector
+from thorvaldc.tools.audit.descriptions import numbers, vector
 
 Include = Callable[[str, Element], Element | None]
 MAX_INCLUDES = 50

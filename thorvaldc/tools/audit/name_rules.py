@@ -1,24 +1,32 @@
-"""Rules about names: the joints, files, controllers and CAN nodes that files name must exist."""
+"""Rules about names: joints, files, controllers, CAN nodes and frames that files name must exist.
+
+Each transform has one owner.
+"""
 
 from __future__ import annotations
 
 from thorvaldc.diagnostics import Label, Report
-from thorvaldc.diagnostics.suggest import did_you_mean, nearest
-from thorvaldc.tools.audit.audit_facts import Description, Evidence, Fact, is_nearer
-from thorvaldc.tools.audit.launch_files import resolved
-from thorvaldc.tools.audit.node_facts import is_drive_controller
+from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.tools.audit.audit_facts import (
+    Description,
+    Evidence,
+    Fact,
+    LaunchedNode,
+    closest,
+    is_nearer,
+)
+from thorvaldc.tools.audit.launch_files import launched_nodes, resolved
+from thorvaldc.tools.audit.parameter_files import is_drive_controller, published_frames
 
 
 def check_joint_names(evidence: Evidence, report: Report) -> None:
     """Reports joints in parameter files, plug-ins and ``<ros2_control>`` that do not exist."""
-    for description in evidence.descriptions:
-        for fact in description.facts:
-            if fact.kind == "joint" and fact.value not in description.joints:
-                _report_joint(fact, description, report)
+    for description, fact in evidence.described("joint"):
+        if fact.value not in description.joints:
+            _report_joint(fact, description, report)
     by_subject: dict[tuple[str, str], list[Fact]] = {}
-    for fact in evidence.facts:
-        if fact.kind == "joint":
-            by_subject.setdefault((fact.span.file, fact.subject), []).append(fact)
+    for fact in evidence.stated("joint"):
+        by_subject.setdefault((fact.span.file, fact.subject), []).append(fact)
     for (file, _), facts in by_subject.items():
         names = tuple(fact.value for fact in facts)
         related = evidence.related(file, names)
@@ -87,15 +95,13 @@ def check_controller_sections(evidence: Evidence, report: Report) -> None:
             if name.endswith(".type")
         ]
         if declared and section.short_name not in declared:
-            near = nearest(section.short_name, declared)
+            loaded = f"it loads {', '.join(f'`{name}`' for name in declared[:6])}"
             report.add(
                 "audit-section-unused",
                 f"the controller manager of this file loads no controller `{section.short_name}`,"
                 " so nobody reads these parameters",
                 section.span,
-                hint=f"it loads {', '.join(f'`{name}`' for name in declared[:6])}"
-                if near is None
-                else f"did you mean `{near}`?",
+                hint=did_you_mean(section.short_name, declared, loaded, fixable=False),
                 labels=[Label(managers[0].span, "the controller manager")],
             )
 
@@ -103,9 +109,7 @@ def check_controller_sections(evidence: Evidence, report: Report) -> None:
 def check_node_ids(evidence: Evidence, report: Report) -> None:
     """Reports CANopen node ids that occur twice on a bus, or differ from ``<ros2_control>``."""
     by_file: dict[str, dict[int, Fact]] = {}
-    for fact in evidence.facts:
-        if fact.kind != "bus node id":
-            continue
+    for fact in evidence.stated("bus node id"):
         first = by_file.setdefault(fact.span.file, {}).setdefault(fact.value, fact)
         if first is not fact:
             report.add(
@@ -116,20 +120,95 @@ def check_node_ids(evidence: Evidence, report: Report) -> None:
                 labels=[Label(first.span, "the other device")],
             )
     known = {node_id for ids in by_file.values() for node_id in ids}
-    for description in evidence.descriptions:
-        for fact in description.facts:
-            if fact.kind != "node id" or not known:
+    for _, fact in evidence.described("node id"):
+        try:
+            node_id = int(str(fact.value).strip(), 0)
+        except ValueError:
+            continue
+        if known and node_id not in known:
+            files = ", ".join(f"`{file}`" for file in by_file)
+            report.add(
+                "audit-node-id",
+                f"joint `{fact.names[0]}` uses the node id {node_id}, which {files} does not have",
+                fact.span,
+                hint=f"the ids there are {', '.join(map(str, sorted(known)))}",
+            )
+
+
+# -- frames and transforms --------------------------------------------------------------
+
+
+def check_frames(evidence: Evidence, report: Report) -> None:
+    """Reports frames of the robot that no description has and no node publishes."""
+    published = published_frames(evidence)
+    known = published | {
+        name for d in evidence.descriptions for name in (*d.bodies, *d.frames, *d.joints)
+    }
+    for _, fact in evidence.described("gazebo reference"):
+        if fact.value not in known:
+            _report_frame(fact, known, report)
+    # A file that cannot be read may make any frame.
+    if evidence.incomplete or evidence.unread_launches or not evidence.descriptions:
+        return
+    for fact in evidence.stated("base frame", "sensor frame"):
+        if fact.value not in known:
+            _report_frame(fact, known, report)
+
+
+def _report_frame(fact: Fact, known: set[str], report: Report) -> None:
+    report.add(
+        "audit-frame-unknown",
+        f"{fact.subject} uses the frame `{fact.value}`, which no description has",
+        fact.span,
+        hint=did_you_mean(
+            str(fact.value),
+            sorted(known),
+            "add the link, or a static transform to it",
+            fixable=False,
+        ),
+    )
+
+
+def check_transform_owners(evidence: Evidence, report: Report) -> None:
+    """Reports a drive controller and an estimator that both publish the transform of odometry."""
+    controllers = evidence.stated("controller transform")
+    estimators = evidence.stated("estimator transform")
+    for fact in estimators:
+        nearby = closest([c for c in controllers if c.names == fact.names], fact.span.file)
+        if fact.value and nearby and all(controller.value for controller in nearby):
+            _report_owners(fact, nearby[0], "enable_odom_tf of the controller", report)
+    for _, plugin in evidence.described("plug-in transform"):
+        nearby = closest([e for e in estimators if e.names == plugin.names], plugin.span.file)
+        if nearby and all(estimator.value for estimator in nearby):
+            _report_owners(nearby[0], plugin, "publish_odom_tf of the plug-in", report)
+
+
+def _report_owners(estimator: Fact, other: Fact, switch: str, report: Report) -> None:
+    report.add(
+        "audit-transform-owners",
+        f"{estimator.subject} and {other.subject} both publish the transform from"
+        f" `{estimator.names[0]}` to the robot, which then jumps between two poses",
+        estimator.span,
+        hint=f"let the estimator publish it, and set {switch} to false",
+        labels=[Label(other.span, "the other owner")],
+    )
+
+
+def check_state_publishers(evidence: Evidence, report: Report) -> None:
+    """Reports launch files that start two robot_state_publishers in one name space."""
+    for launch in evidence.launches:
+        known: dict[str, LaunchedNode] = {}
+        for node in launched_nodes(launch, evidence):
+            if node.executable != "robot_state_publisher" or node.conditional:
                 continue
-            try:
-                node_id = int(str(fact.value).strip(), 0)
-            except ValueError:
-                continue
-            if node_id not in known:
-                files = ", ".join(f"`{file}`" for file in by_file)
+            first = known.setdefault(node.namespace, node)
+            if first is not node and first.span != node.span:
                 report.add(
-                    "audit-node-id",
-                    f"joint `{fact.names[0]}` uses the node id {node_id}, which {files} does not"
-                    " have",
-                    fact.span,
-                    hint=f"the ids there are {', '.join(map(str, sorted(known)))}",
+                    "audit-state-publishers",
+                    f"`{launch.file}` starts two robot_state_publishers"
+                    f" {f'in the name space `{node.namespace}`' if node.namespace else ''}".strip()
+                    + ": both publish the transforms of the robot",
+                    node.span,
+                    hint="start it in one launch file, or give each robot its name space",
+                    labels=[Label(first.span, "the other one")],
                 )

@@ -9,10 +9,9 @@ from typing import NamedTuple
 from thorvaldc.compiler.source.units import parse_quantity
 from thorvaldc.diagnostics import Label
 from thorvaldc.model import Pose
-from thorvaldc.tools.importer.drives import NODE_IDS, Drive
-from thorvaldc.tools.importer.original_mapping import OriginalMapping
+from thorvaldc.tools.importer.frame_and_drives import NODE_IDS, Drive, Frame
+from thorvaldc.tools.importer.original_file import OriginalMapping
 from thorvaldc.tools.importer.robot_text import ROOT_MODULE, Module, Names, Value, angle
-from thorvaldc.tools.importer.tube_frame import Frame
 
 # m, height of the bottom of a battery enclosure above the axis of a frame tube
 _BATTERY_HEIGHT = 0.07

@@ -5,8 +5,8 @@ files and writes none: changes are answers to the editor, which applies them.
 
 - ``server``: the protocol.
 - ``open_document``: the documents that are open in the editor, with their unsaved texts.
-- ``analysis``: the diagnostics of one document.
-- ``diagnostic_publisher``: the analyses in a thread of their own, and their publication.
+- ``diagnostic_publisher``: analyses in a thread of their own, and the publication of diagnostics.
+- ``features``: the answers to requests about one document.
 """
 
 from thorvaldc.tool_folders import CommandEntry

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,21 +13,158 @@ from pathlib import Path
 from lsprotocol import types
 
 from thorvaldc.compiler.source.input_file import unsaved_texts
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.compiler.values.value_reader import entries
-from thorvaldc.diagnostics import Span
+from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.schema.documents import Kind
 from thorvaldc.tools.language_server import module_references
-from thorvaldc.tools.language_server.cursor import cursor_at
-from thorvaldc.tools.language_server.definition import definition_at
-from thorvaldc.tools.language_server.document_tree import tree_around
-from thorvaldc.tools.language_server.formatting import formatted
+from thorvaldc.tools.language_server.code_completion import (
+    Proposed,
+    cursor_at,
+    proposals_at,
+    tree_around,
+)
 from thorvaldc.tools.language_server.hover import hover_at
+from thorvaldc.tools.language_server.module_references import definition_at
 from thorvaldc.tools.language_server.module_view import ModuleView
-from thorvaldc.tools.language_server.open_document import OpenDocument, uri_of, workspace_documents
-from thorvaldc.tools.language_server.outline import Entry, outline_of
-from thorvaldc.tools.language_server.proposals import Proposed, proposals_at
-from thorvaldc.tools.language_server.source_text import SourceText
+from thorvaldc.tools.language_server.open_document import (
+    OpenDocument,
+    SourceText,
+    uri_of,
+    workspace_documents,
+)
+
+# -- the outline: sections and modules --------------------------------------------------
+
+MAX_ENTRIES = 2000
+
+_NAMED = frozenset(["modules", "robots", "params", "links", "joints", "ports", "motors", "wheels"])
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An entry of the outline.
+
+    - ``name``: key of the entry.
+    - ``detail``: type of the module and the port on which it is mounted, or a short value.
+    - ``kind``: ``module``, ``section`` or ``value``.
+    - ``span``: span from the key to the end of the value.
+    - ``name_span``: span of the key.
+    """
+
+    name: str
+    detail: str
+    kind: str
+    span: Span
+    name_span: Span
+    children: tuple[Entry, ...]
+
+
+def outline_of(tree: Node) -> list[Entry]:
+    """Returns the top-level entries of a document, with the modules inside."""
+    items = tree.value.items() if isinstance(tree.value, dict) else ()
+    return [_entry(key, node, 0, "") for key, node in list(items)[:MAX_ENTRIES]]
+
+
+def _entry(key: str, node: Node, depth: int, section: str) -> Entry:
+    children: tuple[Entry, ...] = ()
+    kind, detail = "section", ""
+    if isinstance(node.value, dict) and depth == 0 and key in _NAMED:
+        items = list(node.value.items())[:MAX_ENTRIES]
+        children = tuple(_entry(name, child, 1, key) for name, child in items)
+    elif not isinstance(node.value, dict | tuple):
+        kind, detail = "value", str(node.value)[:80]
+    if depth == 1 and section in ("modules", "robots"):
+        kind, detail = "module", _module_detail(node)
+    elif depth == 1:
+        kind = "value"
+    start, end = node.where, node.span
+    span = Span(start.file, start.line, start.column, *max(start[3:5], end[3:5]))
+    return Entry(key, detail, kind, span, start, children)
+
+
+def _module_detail(node: Node) -> str:
+    kind, mount = node.get("type") or node.get("robot"), node.get("mount")
+    if mount is not None and isinstance(mount.value, dict):
+        mount = mount.get("port") or mount.get("parent")
+    words = [str(kind.value)] if kind is not None else []
+    words += [f"on {mount.value}"] if mount is not None else []
+    return " ".join(words)
+
+
+# -- the formatter ----------------------------------------------------------------------
+#
+# It removes spaces at the end of lines and empty lines at the end of the document, and it adds a
+# missing space after a comma in brackets and the missing line break at the end.  It keeps
+# comments, quotes, order, indentation and aligned columns.
+
+_LINE = re.compile(r"([^\r\n]*)(\r\n|\r|\n|\Z)")
+_BLOCK_SCALAR = re.compile(r"(?:^|[:\-])[ \t]+[|>][-+0-9]*[ \t]*(?:#.*)?$|^[|>]")
+_FLOW = re.compile(r"(?:^|: |- )[ \t]*(?=[{\[])")
+_COMMA = re.compile(r",(?=[^\s,}\]])")
+MAX_EMPTY_LINES = 2
+
+
+def formatted(text: str) -> str:
+    """Returns the formatted text, or the same text if it has YAML errors."""
+    before = _values(text)
+    if before is None:
+        return text
+    result = _formatted_lines(text)
+    return result if _values(result) == before else text
+
+
+def _values(text: str) -> object:
+    report = Report()
+    node = read_text(text.encode("utf-8", "surrogatepass"), "", report)
+    return None if node is None or report.has_errors else (node.plain(), _quotes(node))
+
+
+def _quotes(node: object) -> object:
+    value = getattr(node, "value", None)
+    if isinstance(value, dict):
+        return [_quotes(child) for child in value.values()]
+    if isinstance(value, tuple):
+        return [_quotes(child) for child in value]
+    return getattr(node, "quoted", False)
+
+
+def _formatted_lines(text: str) -> str:
+    line_break = "\r\n" if "\r\n" in text else "\n"
+    lines: list[tuple[str, str]] = []
+    scalar_indent: int | None = None
+    empty = 0
+    for match in _LINE.finditer(text):
+        line, ending = match[1], match[2]
+        content = line.strip(" \t")
+        indent = len(line) - len(line.lstrip(" "))
+        if scalar_indent is not None and content and indent <= scalar_indent:
+            scalar_indent = None
+        if scalar_indent is None:
+            line = _formatted_line(line)
+            empty = 0 if content else empty + 1
+            if empty > MAX_EMPTY_LINES:
+                continue
+            if content and not content.startswith("#") and _BLOCK_SCALAR.search(content):
+                scalar_indent = indent
+        lines.append((line, ending))
+    while lines and not lines[-1][0].strip():
+        lines.pop()
+    if not lines:
+        return text
+    last, ending = lines[-1]
+    return "".join(line + end for line, end in lines[:-1]) + last + (ending or line_break)
+
+
+def _formatted_line(line: str) -> str:
+    stripped = line.rstrip(" \t")
+    flow = _FLOW.search(stripped)
+    if flow is None or {"#", "'", '"'} & set(stripped):
+        return stripped  # a comma in a comment or in quotes has no space of its own
+    return stripped[: flow.end()] + _COMMA.sub(", ", stripped[flow.end() :])
+
 
 MAX_VIEWS = 16
 """Number of documents whose modules stay in memory."""

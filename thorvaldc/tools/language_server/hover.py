@@ -17,9 +17,9 @@ from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.schema.documents import bounds_in_words
 from thorvaldc.tools.language_server import schema_lookup
-from thorvaldc.tools.language_server.document_tree import Place, place_at
+from thorvaldc.tools.language_server.module_references import Reference, reference_at
 from thorvaldc.tools.language_server.module_view import ModuleView, Parameter, Port
-from thorvaldc.tools.language_server.places import Reference, reference_at
+from thorvaldc.tools.language_server.open_document import Place, place_at
 
 Hover = tuple[str, Span]
 """Text in Markdown, and the span that it describes."""

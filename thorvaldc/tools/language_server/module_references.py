@@ -12,16 +12,134 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from thorvaldc.compiler.bus.lock_file import ADDRESSES, lock_path
+from thorvaldc.compiler.modules.library import FILE, ModuleType
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Span
-from thorvaldc.tools.language_server.cursor import Path as KeyPath
-from thorvaldc.tools.language_server.document_tree import place_at
 from thorvaldc.tools.language_server.module_view import ModuleView
-from thorvaldc.tools.language_server.open_document import OpenDocument
-from thorvaldc.tools.language_server.places import reference_at, references_of
+from thorvaldc.tools.language_server.open_document import (
+    KeyPath,
+    OpenDocument,
+    Place,
+    node_at,
+    place_at,
+)
+
+# -- references in a document -----------------------------------------------------------
+
+_DOTTED = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*")
+_NAME = re.compile(r"[A-Za-z_]\w*")
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A name in a document that refers to something.
+
+    - ``kind``: ``module`` of the document; ``port`` or ``motor`` of such a module; ``type`` of a
+      module; ``file``; ``name`` of a parameter or `let` value in an expression.
+    - ``name``: the name, such as ``front_left``, or the path of a file.
+    - ``whole``: the dotted reference up to the name, such as ``frame.front_left``.
+    - ``span``: span of the name.
+    """
+
+    kind: Literal["module", "port", "motor", "type", "file", "name"]
+    name: str
+    whole: str
+    span: Span
+
+
+def reference_at(view: ModuleView, place: Place, column: int) -> Reference | None:
+    """Returns the reference at a column of a value, or ``None``."""
+    if place.part == "key" or not isinstance(place.node.value, str):
+        return None
+    references = list(references_of(view, place.path, place.node))
+    for reference in references:
+        if reference.span.column <= column <= reference.span.end_column:
+            return reference
+    return references[0] if len(references) == 1 and references[0].kind == "type" else None
+
+
+def references_of(view: ModuleView, path: tuple[str | int, ...], node: Node) -> Iterator[Reference]:
+    """Yields the references in a scalar at a path of the document."""
+    text = node.value
+    if not isinstance(text, str) or node.span.line != node.span.end_line:
+        return
+    if "${" in text:
+        yield from _names(node, text)
+    elif path[-1:] == ("type",) and view.load(text) is not None:
+        yield Reference("type", text, text, node.span)
+    elif kind := _dotted_kind(path):
+        yield from _dotted(view, node, text, kind)
+    elif view.load(text) is not None and path[:1] != ("library",):
+        yield Reference("type", text, text, node.span)
+    elif _is_file(view, path, text):
+        yield Reference("file", text, text, node.span)
+
+
+def _dotted_kind(path: tuple[str | int, ...]) -> Literal["module", "port", "motor"] | None:
+    """Returns what the last name of a dotted reference at a path names."""
+    inside = path[2:] if path[:1] == ("modules",) and len(path) > 2 else ()
+    if inside in (("mount",), ("mount", "port")):
+        return "port"
+    if inside == ("mount", "parent"):
+        return "module"
+    if len(inside) == 2 and inside[0] == "channels":
+        return "motor"
+    if len(path) == 3 and path[0] == "extras" and path[2] == "parent":
+        return "port"
+    if len(path) == 2 and path[0] in ("ports", "motors"):
+        return "port" if path[0] == "ports" else "motor"
+    return "module" if path == ("can",) else None
+
+
+def _dotted(
+    view: ModuleView, node: Node, text: str, kind: Literal["module", "port", "motor"]
+) -> Iterator[Reference]:
+    if _DOTTED.fullmatch(text) is None:
+        return
+    names = text.split(".")
+    column = node.span.column + (1 if node.quoted else 0)
+    for index, name in enumerate(names):
+        is_last = index == len(names) - 1
+        own = kind if is_last and index > 0 else "module"
+        span = Span(node.span.file, node.span.line, column, node.span.line, column + len(name))
+        yield Reference(own, name, ".".join(names[: index + 1]), span)
+        column += len(name) + 1
+
+
+def _names(node: Node, text: str) -> Iterator[Reference]:
+    """Yields the names in an expression; the second name of ``wheel.radius`` is a part."""
+    start = node.span.column + (1 if node.quoted else 0)
+    for match in _DOTTED.finditer(text):
+        column = start + match.start()
+        whole = ""
+        for name in _NAME.finditer(match[0]):
+            whole = f"{whole}.{name[0]}".lstrip(".")
+            yield Reference(
+                "name",
+                name[0],
+                whole,
+                Span(
+                    node.span.file,
+                    node.span.line,
+                    column + name.start(),
+                    node.span.line,
+                    column + name.end(),
+                ),
+            )
+
+
+def _is_file(view: ModuleView, path: tuple[str | int, ...], text: str) -> bool:
+    if path[-1:] in (("description",), ("source",), ("name",)) or len(text) > 300 or "\0" in text:
+        return False
+    try:
+        return (view.path.parent / text).is_file()
+    except (OSError, ValueError):
+        return False
+
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 
@@ -165,3 +283,76 @@ def _scalars(node: Node, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Node]]:
             yield from _scalars(child, (*path, index))
     else:
         yield path, node
+
+
+# -- definitions ------------------------------------------------------------------------
+
+Target = tuple[Path, Span]
+"""A file, and a span in it."""
+
+TOP = Span("", 1, 1, 1, 1)
+
+
+def definition_at(view: ModuleView, line: int, column: int) -> Target | None:
+    """Returns where the name at a line and column, which start at 1, is defined."""
+    place = place_at(view.tree, line, column)
+    if place is None:
+        return None
+    if place.part == "key":
+        parameter = view.parameter_at(place.path)
+        if parameter is not None:
+            return _file_of(parameter.module), parameter.declaration.where
+        module = view.type_of(place.path) if place.path[:1] == ("modules",) else None
+        return (_file_of(module), TOP) if module is not None and len(place.path) == 2 else None
+    reference = reference_at(view, place, column)
+    return _target(view, reference) if reference is not None else None
+
+
+def _target(view: ModuleView, reference: Reference) -> Target | None:
+    if reference.kind == "type":
+        module = view.load(reference.name)
+        return (_file_of(module), TOP) if module is not None else None
+    if reference.kind == "file":
+        return view.path.parent / reference.name, TOP
+    if reference.kind == "name":
+        return _name_target(view, reference)
+    owner = reference.whole.rpartition(".")[0]
+    section = {"module": "modules", "port": "ports", "motor": "motors"}[reference.kind]
+    if not owner:
+        node = node_at(view.tree, ("modules", reference.name))
+        return (view.path, node.where) if node is not None else None
+    return _in_module(_type_at(view, owner), section, reference.name) or _in_module(
+        _type_at(view, owner), "modules", reference.name
+    )
+
+
+def _name_target(view: ModuleView, reference: Reference) -> Target | None:
+    first, _, rest = reference.whole.partition(".")
+    for section in ("params", "let"):
+        node = node_at(view.tree, (section, first))
+        if node is None:
+            continue
+        if not rest:
+            return view.path, node.where
+        default = node.get("default")
+        module = view.load(default.value) if default is not None else None
+        return _in_module(module, "params", rest) or _in_module(module, "wheel", rest)
+    return None
+
+
+def _type_at(view: ModuleView, path: str) -> ModuleType | None:
+    instance = view.root
+    for name in path.split("."):
+        if name not in instance.children:
+            return None
+        instance = instance.children[name]
+    return instance.type
+
+
+def _in_module(module: ModuleType | None, section: str, name: str) -> Target | None:
+    node = module.section(section).get(name) if module is not None else None
+    return (_file_of(module), node.where) if node is not None and module is not None else None
+
+
+def _file_of(module: ModuleType) -> Path:
+    return module.folder / FILE

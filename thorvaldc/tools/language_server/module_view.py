@@ -19,9 +19,7 @@ from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Pose
 from thorvaldc.schema.documents import Kind
-from thorvaldc.tools.language_server.analysis import module_library
-from thorvaldc.tools.language_server.cursor import Path as KeyPath
-from thorvaldc.tools.language_server.document_tree import node_at
+from thorvaldc.tools.language_server.open_document import KeyPath, node_at
 
 CANOPEN_IDS = (1, 127)
 CANOPEN = "canopen"
@@ -239,6 +237,20 @@ class ModuleView:
         ids = bounds.plain() if bounds is not None else CANOPEN_IDS
         low, high = (i if isinstance(i, int) else CANOPEN_IDS[k] for k, i in enumerate(ids[:2]))
         return [number for number in range(low, min(high, low + 1000) + 1) if number not in taken]
+
+
+def module_library(path: Path, folders: tuple[Path, ...]) -> tuple[str, Library]:
+    """Returns the name of the module type in a module file, and a library with its folder.
+
+    The folder is the one of ``folders`` that contains the file.  Without such a folder, the name of
+    the type has two parts, such as ``drive/standard``.
+    """
+    own = next(
+        (folder for folder in folders if path.is_relative_to(folder)), path.parent.parent.parent
+    )
+    others = [folder for folder in folders if folder != own]
+    name = path.parent.relative_to(own).as_posix()
+    return name, Library([(folder, str(folder)) for folder in (own, *others)])
 
 
 def _id(address: Node | None) -> object:

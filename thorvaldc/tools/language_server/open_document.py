@@ -2,21 +2,209 @@
 
 from __future__ import annotations
 
+import bisect
+import itertools
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 from urllib.parse import quote, unquote, urlsplit
+
+from lsprotocol.types import Position, Range
 
 from thorvaldc.compiler.modules.library import FILE as MODULE_FILE
 from thorvaldc.compiler.source.input_file import read_bytes, unsaved_texts
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Report
+from thorvaldc.compiler.source.reader import read_text
+from thorvaldc.diagnostics import Report, Span
 from thorvaldc.schema.documents import Kind
-from thorvaldc.tools.language_server.document_tree import tree_of
-from thorvaldc.tools.language_server.source_text import SourceText
+
+# -- positions in a text ----------------------------------------------------------------
+#
+# A source span counts lines and Unicode characters from 1. The protocol counts lines from 0, and
+# columns in UTF-16 code units from 0: a character above U+FFFF has two code units.
+
+_LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n|\Z)")
+
+
+class SourceText:
+    """The text of a document, with conversions between positions, spans and offsets.
+
+    Line breaks are those of YAML and of the protocol: ``\\n``, ``\\r\\n`` and ``\\r``.
+    """
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.starts = [0]
+        for line in _LINE.finditer(text):
+            if line[0].endswith(("\r", "\n")):
+                self.starts.append(line.end())
+
+    def line(self, index: int) -> str:
+        """Returns the line with the index from 0, without its line break."""
+        if not 0 <= index < len(self.starts):
+            return ""
+        end = self.starts[index + 1] if index + 1 < len(self.starts) else len(self.text)
+        return self.text[self.starts[index] : end].rstrip("\r\n")
+
+    def offset(self, position: Position) -> int:
+        """Returns the offset of the character at a position; positions outside are moved inside."""
+        if position.line >= len(self.starts):
+            return len(self.text)
+        line, column = self.line(position.line), position.character
+        if not line.isascii():
+            units, count = 0, 0
+            for character in line:
+                if units >= column:
+                    break
+                units += 2 if ord(character) > 0xFFFF else 1
+                count += 1
+            column = count
+        return self.starts[position.line] + min(column, len(line))
+
+    def position(self, offset: int) -> Position:
+        """Returns the position of the character at an offset."""
+        offset = max(0, min(offset, len(self.text)))
+        index = bisect.bisect_right(self.starts, offset) - 1
+        return Position(index, _units(self.text[self.starts[index] : offset]))
+
+    def offset_of(self, line: int, column: int) -> int:
+        """Returns the offset of a line and column of a source span, which start at 1."""
+        if line > len(self.starts):
+            return len(self.text)
+        return self.starts[line - 1] + min(column - 1, len(self.line(line - 1)))
+
+    def range(self, span: Span) -> Range:
+        """Returns the range of a source span."""
+        return Range(
+            self.position(self.offset_of(span.line, span.column)),
+            self.position(self.offset_of(span.end_line, span.end_column)),
+        )
+
+    def span_text(self, span: Span) -> str:
+        """Returns the text in a source span."""
+        start = self.offset_of(span.line, span.column)
+        return self.text[start : self.offset_of(span.end_line, span.end_column)]
+
+
+def _units(text: str) -> int:
+    """Returns the number of UTF-16 code units of a text."""
+    return len(text) if text.isascii() else len(text) + len([c for c in text if ord(c) > 0xFFFF])
+
+
+# -- the YAML tree, and the node at a position ------------------------------------------
+
+KeyPath = tuple[str | int, ...]
+"""Keys of mappings and indices of lists, from the top of a document."""
+MAX_REPAIRS = 12
+"""Greatest number of lines that are left out to make a document readable."""
+MAX_REPAIRED = 200_000
+"""Greatest length of a text that is repaired, in characters."""
+
+
+def tree_of(source: SourceText, file: str) -> Node | None:
+    """Returns the YAML tree of a document without the lines that have YAML errors.
+
+    Returns ``None`` if the document is not readable.
+    """
+    text = source.text
+    repaired: set[int] = set()
+    for _ in range(MAX_REPAIRS):
+        report = Report()
+        node = read_text(text.encode("utf-8", "surrogatepass"), file, report)
+        if node is not None or len(text) > MAX_REPAIRED:
+            return node
+        span = next((d.span for d in report.errors if d.span is not None), None)
+        if span is None:
+            return None
+        index = min(span.line, len(source.starts)) - 1
+        while index >= 0 and (index in repaired or not source.line(index).strip()):
+            index -= 1
+        if index < 0:
+            return None
+        repaired.add(index)
+        text = _without_lines(source, repaired)
+    return None
+
+
+def _without_lines(source: SourceText, indices: set[int]) -> str:
+    """Returns a text with empty lines in place of some lines; the other spans do not change."""
+    bounds = [*source.starts, len(source.text)]
+    lines = [source.text[start:end] for start, end in itertools.pairwise(bounds)]
+    for index in indices:
+        line = lines[index]
+        lines[index] = line[len(line.rstrip("\r\n")) :]
+    return "".join(lines)
+
+
+@dataclass(frozen=True)
+class Place:
+    """The node at a position of a document.
+
+    Attributes
+    ----------
+    path : path of the node.
+    node : the node.
+    part : whether the position is on the key or on the value.
+    """
+
+    path: KeyPath
+    node: Node
+    part: Literal["key", "value"]
+
+    @property
+    def span(self) -> Span:
+        """Span of the key or value at the position."""
+        return self.node.where if self.part == "key" else self.node.span
+
+
+def place_at(root: Node, line: int, column: int) -> Place | None:
+    """Returns the innermost node at a line and column, which start at 1.
+
+    Returns ``None`` if the position is in no key and in no scalar.
+    """
+    path: list[str | int] = []
+    node = root
+    while True:
+        children: list[tuple[str | int, Node]] = []
+        if isinstance(node.value, dict):
+            children = list(node.value.items())
+        elif isinstance(node.value, tuple):
+            children = list(enumerate(node.value))
+        elif path:
+            return Place(tuple(path), node, "value")
+        for key, child in children:
+            if child.key_span is not None and _contains(child.key_span, line, column):
+                return Place((*path, key), child, "key")
+            if _contains(child.span, line, column):
+                path.append(key)
+                node = child
+                break
+        else:
+            return None
+
+
+def node_at(root: Node | None, path: KeyPath) -> Node | None:
+    """Returns the node at a path, or ``None``."""
+    node = root
+    for key in path:
+        if node is None:
+            return None
+        if isinstance(key, int):
+            items = node.value
+            node = items[key] if isinstance(items, tuple) and key < len(items) else None
+        else:
+            node = node.get(key)
+    return node
+
+
+def _contains(span: Span, line: int, column: int) -> bool:
+    start, end = (span.line, span.column), (span.end_line, span.end_column)
+    return start <= (line, column) <= end
+
 
 _TOP_LEVEL_KEY = re.compile(r"^(?:\{\s*)?[\"']?([A-Za-z_]\w*)[\"']?[ \t]*:(?=\s|$)", re.MULTILINE)
 _NO_KIND = frozenset(["thorvaldc_lock", "motor_drives"])

@@ -7,12 +7,12 @@ from typing import Any
 
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.schema.documents import Kind, inlined
-from thorvaldc.tools.language_server.cursor import Path
+from thorvaldc.tools.language_server.open_document import KeyPath
 
 Schema = dict[str, Any]
 
 
-def schemas_at(kind: Kind, path: Path) -> list[Schema]:
+def schemas_at(kind: Kind, path: KeyPath) -> list[Schema]:
     """Returns the schemas of the value at a path, the most specific ones first."""
     schemas = [inlined(kind)]
     for key in path:

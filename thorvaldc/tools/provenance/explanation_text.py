@@ -14,10 +14,8 @@ from thorvaldc.compiler.values.value_reader import items
 from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.excerpt import Excerpts
 from thorvaldc.diagnostics.text_layout import paragraph, text_list
-from thorvaldc.tools.provenance.explanation import Explanation, OutputUse
-from thorvaldc.tools.provenance.influence_search import Influence
-from thorvaldc.tools.provenance.parameter_chain import Step
-from thorvaldc.tools.provenance.source_values import SourceValue, key_path
+from thorvaldc.tools.provenance.explanation import Explanation, OutputUse, Step
+from thorvaldc.tools.provenance.influence_search import Influence, SourceValue, key_path
 
 MOST_WITH_EXCERPTS = 4
 MOST_ROWS = 12

@@ -10,15 +10,298 @@ An influence is local: the branch of ``max`` or ``if`` that is not taken has non
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+import re
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
 from typing import Any
 
-from thorvaldc.compiler.source.units import parse_any
-from thorvaldc.diagnostics import Diagnostic, Span
+from thorvaldc.compiler.elaborate import elaborate
+from thorvaldc.compiler.extras.xacro_expand import remembered_expansions
+from thorvaldc.compiler.modules.library import Library, ModuleType
+from thorvaldc.compiler.modules.module_tree import Instance
+from thorvaldc.compiler.modules.resolve import Resolver
+from thorvaldc.compiler.pipeline import library_folders_of, read_robot_lock
+from thorvaldc.compiler.result import Compilation, SourceFile
+from thorvaldc.compiler.robot_settings.robot_sections import read_design
+from thorvaldc.compiler.shapes.meshes import shared_mesh_workers
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.reader import read_file
+from thorvaldc.compiler.source.units import UnitError, parse_any
+from thorvaldc.diagnostics import Diagnostic, Report, Span
 from thorvaldc.model import Robot
-from thorvaldc.tools.provenance.robot_probe import RobotProbe
-from thorvaldc.tools.provenance.source_values import SourceValue, incremented, scaled
+
+# -- numbers and expressions in the documents of a robot --------------------------------
+
+Key = str | int
+_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)")
+# Keys whose values are text for readers, or the version of the language.
+_TEXT_KEYS = ("description", "source", "thorvaldc", "name", "color")
+
+
+@dataclass(frozen=True)
+class SourceValue:
+    """A number or an expression in a document of the robot.
+
+    Attributes
+    ----------
+    keys : keys and list indices from the root of the document to the value.
+    node : the YAML node with the span of the value.
+    sections : spans of the keys of the sections that contain the value, the innermost first.
+    """
+
+    keys: tuple[Key, ...]
+    node: Node
+    sections: tuple[Span, ...] = ()
+
+    @property
+    def span(self) -> Span:
+        return self.node.span
+
+    @property
+    def is_expression(self) -> bool:
+        return isinstance(self.node.value, str) and "${" in self.node.value
+
+    @property
+    def is_integer(self) -> bool:
+        return isinstance(self.node.value, int)
+
+    @property
+    def key_path(self) -> str:
+        """Text of the position, such as ``links.body.parts[0].mass``."""
+        return key_path(self.keys)
+
+
+def key_path(keys: Iterable[Key]) -> str:
+    """Returns keys and indices as text, such as ``links.body.parts[0].mass``."""
+    text = ""
+    for key in keys:
+        text += f"[{key}]" if isinstance(key, int) else f".{key}" if text else key
+    return text
+
+
+def source_values(
+    node: Node, keys: tuple[Key, ...] = (), sections: tuple[Span, ...] = ()
+) -> Iterator[SourceValue]:
+    """Yields the numbers, quantities and expressions of a document."""
+    if isinstance(node.value, dict | tuple):
+        inner = (node.where, *sections)
+        is_mapping = isinstance(node.value, dict)
+        items = node.value.items() if is_mapping else enumerate(node.value)  # type: ignore[union-attr]
+        for key, item in items:
+            if key not in _TEXT_KEYS:
+                yield from source_values(item, (*keys, key), inner)
+    elif _is_numeric(node):
+        yield SourceValue(keys, node, sections)
+
+
+def _is_numeric(node: Node) -> bool:
+    value = node.value
+    if isinstance(value, bool) or value is None:
+        return False
+    if isinstance(value, int | float):
+        return not node.quoted
+    if not isinstance(value, str):
+        return False
+    if value.startswith("${") and value.endswith("}"):
+        return True
+    if not _NUMBER.match(value):
+        return False
+    try:
+        parse_any(value)
+    except UnitError:
+        return False
+    return True
+
+
+def incremented(value: Any, step: int) -> Any:
+    """Returns an integer value of a node, changed by ``step``."""
+    return value + step
+
+
+def scaled(value: Any, change: float) -> Any:
+    """Returns the value of a node, changed by the relative amount ``change``.
+
+    A value of 0 becomes ``change`` in its own unit.
+    """
+    if isinstance(value, int | float):
+        return value * (1.0 + change) if value else change
+    if value.startswith("${"):
+        return f"${{({value[2:-1]}) * {1.0 + change!r}}}"
+    match = _NUMBER.match(value)
+    number = float(match[1]) if match else 0.0
+    new = number * (1.0 + change) if number else change
+    return f"{new!r}{value[match.end() :] if match else ''}"
+
+
+def with_values(document: Node, values: Iterable[tuple[tuple[Key, ...], Any]]) -> Node:
+    """Returns a copy of a document in which the values at some keys are replaced."""
+    tree: dict[Any, Any] = {}
+    for keys, value in values:
+        branch = tree
+        for key in keys[:-1]:
+            branch = branch.setdefault(key, {})
+        branch[keys[-1]] = _Leaf(value)
+    return _rebuilt(document, tree) if tree else document
+
+
+@dataclass(frozen=True)
+class _Leaf:
+    value: Any
+
+
+def _rebuilt(node: Node, tree: Any) -> Node:
+    if isinstance(tree, _Leaf):
+        return node._replace(value=tree.value)
+    if isinstance(node.value, dict):
+        changed = {key: _rebuilt(node.value[key], branch) for key, branch in tree.items()}
+        return node._replace(value={**node.value, **changed})
+    items = list(node.value) if isinstance(node.value, tuple) else []
+    for index, branch in tree.items():
+        items[index] = _rebuilt(items[index], branch)
+    return node._replace(value=tuple(items))
+
+
+# -- the robot with other values in its documents ---------------------------------------
+
+Changes = Mapping[SourceValue, Any]
+"""New values of nodes."""
+
+
+class _ChangedLibrary(Library):
+    """A library in which documents of module types have changed values."""
+
+    def __init__(
+        self,
+        folders: Sequence[tuple[Path, str]],
+        changes: Mapping[str, list[tuple[tuple[Key, ...], Any]]],
+    ) -> None:
+        super().__init__(folders)
+        self._changes = changes
+        self._changed: dict[str, ModuleType] = {}
+
+    def load(self, name: str, node: Node, report: Report) -> ModuleType | None:
+        if name in self._changed:
+            return self._changed[name]
+        module = super().load(name, node, report)
+        if module is None or module.display not in self._changes:
+            return module
+        document = with_values(module.document, self._changes[module.display])
+        # The cache of the module type belongs to the values of the file.
+        self._changed[name] = replace(module, document=document, elaborated={})
+        return self._changed[name]
+
+
+class RobotProbe:
+    """One robot file, compiled with changed values.
+
+    The stages after the reading of the files are those of ``compile_robot``; the checks of the
+    finished model are left out, because they change nothing in it.
+
+    Parameters
+    ----------
+    path : path of the robot file, which has no errors.
+    library : additional folders with modules.
+    trust : whether xacro files are expanded without restrictions.
+    on_compilation : called with the number of compilations, for a display of the progress.
+    stack : temporary files and worker processes end when the stack is closed.
+    """
+
+    def __init__(self, path: Path, library: Sequence[Path], trust: bool, stack: ExitStack) -> None:
+        stack.enter_context(shared_mesh_workers())
+        stack.enter_context(remembered_expansions())
+        self.path = path
+        self.trust = trust
+        self.count = 0
+        self.on_compilation: Callable[[int], None] = lambda count: None
+        self.source = SourceFile(path, path.name, path.parent)
+        document = self.source.document
+        assert document is not None, "the file was compiled before"
+        self.document = self.source.check_shape(document)
+        report = Report()
+        self.folders = library_folders_of(self.document, path.parent, library, report)
+        self._lock = read_robot_lock(self.source, Compilation.of(self.source), report)
+        self._temporary = stack.enter_context(tempfile.TemporaryDirectory(prefix="thorvaldc-why-"))
+
+    @cached_property
+    def instances(self) -> Instance:
+        """The tree of module instances without changes."""
+        return Resolver(Library(self.folders), Report()).resolve(self.document)
+
+    @cached_property
+    def documents(self) -> dict[str, Node]:
+        """The documents of the robot by their name in spans: robot file, calibration, modules."""
+        library = Library(self.folders)
+        used: dict[str, Node] = {self.source.name: self.document}
+        calibration = self._calibration()
+        if calibration is not None:
+            used[str(self._calibration_name())] = calibration
+        Resolver(library, Report()).resolve(self.document)
+        for name in library.names():
+            module = library._types.get(name)
+            if module is not None:
+                used[module.display] = module.document
+        return used
+
+    def values(self) -> list[SourceValue]:
+        """Returns the numbers and expressions of all documents, in the order of the documents."""
+        return [value for document in self.documents.values() for value in source_values(document)]
+
+    def compile(self, changes: Changes) -> tuple[Robot | None, list[Diagnostic]]:
+        """Compiles the robot with changed values.
+
+        Returns the model, or ``None`` and the errors.
+        """
+        self.count += 1
+        self.on_compilation(self.count)
+        by_file: dict[str, list[tuple[tuple[Key, ...], Any]]] = {}
+        for value, new in changes.items():
+            by_file.setdefault(value.span.file, []).append((value.keys, new))
+        document = with_values(self.document, by_file.get(self.source.name, ()))
+        calibration = self._calibration_name()
+        if calibration in by_file:
+            document = self._with_calibration(document, by_file[str(calibration)])
+        report = Report()
+        resolver = Resolver(_ChangedLibrary(self.folders, by_file), report)
+        robot = elaborate(
+            document,
+            resolver.resolve(document),
+            resolver,
+            self.path.parent,
+            report,
+            {},
+            lock=self._lock,
+            trust=self.trust,
+        )
+        design = read_design(document, report)
+        if report.has_errors or robot is None:
+            return None, report.errors
+        return replace(robot, design_slope=design.slope), []
+
+    def _calibration_name(self) -> str | None:
+        node = self.document.get("calibration")
+        return str(node.value) if node is not None else None
+
+    def _calibration(self) -> Node | None:
+        name = self._calibration_name()
+        return read_file(self.path.parent / name, name, Report()) if name is not None else None
+
+    def _with_calibration(
+        self, document: Node, values: Iterable[tuple[tuple[Key, ...], Any]]
+    ) -> Node:
+        """Writes the calibration with changed values, and returns the robot document with it."""
+        root = self._calibration()
+        assert root is not None
+        import yaml
+
+        path = Path(self._temporary) / "calibration.yaml"
+        text = yaml.safe_dump(with_values(root, values).plain(), sort_keys=False)
+        path.write_text(text, encoding="utf-8")
+        return with_values(document, [(("calibration",), str(path))])
+
 
 SMALL_CHANGE = 1e-4
 """Relative change of a value for a number that follows continuously."""

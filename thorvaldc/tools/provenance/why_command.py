@@ -20,8 +20,8 @@ def value_paths(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes the names of the numbers of the robot in the argument ROBOT, part by part."""
     from thorvaldc.compiler.pipeline import compile_file
     from thorvaldc.model import Robot
-    from thorvaldc.tools.provenance.explanation import Explainer
-    from thorvaldc.tools.provenance.known_paths import known_paths, next_names
+    from thorvaldc.tools.provenance.explanation import Explainer, known_paths
+    from thorvaldc.tools.provenance.value_paths import next_names
 
     file = Path(ctx.params["file"])
     library = [Path(name) for name in ctx.params.get("library") or ()]

@@ -11,9 +11,8 @@ from tests.examples import FOLDER, ROBOTS, example_robot
 from thorvaldc.comparison.leaf_differences import leaf_differences, model_document
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
-from thorvaldc.tools.provenance.model_paths import all_paths, observed_value, value_at, with_values
-from thorvaldc.tools.provenance.robot_probe import RobotProbe
-from thorvaldc.tools.provenance.source_values import scaled
+from thorvaldc.tools.provenance.influence_search import RobotProbe, scaled
+from thorvaldc.tools.provenance.value_paths import all_paths, observed_value, value_at, with_values
 
 
 @pytest.mark.parametrize("name", ROBOTS)

@@ -1,19 +1,20 @@
-"""Names of the values of a model, such as ``wheels.fl.radius``, and models with a changed value."""
+"""Names of values: of the model, such as ``wheels.fl.radius``, and of the text files of a build.
+
+A file of a build is YAML, JSON, XML, or any other text, whose values are the numbers of its lines.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
+from xml.parsers import expat
 
-from thorvaldc.comparison.leaf_differences import (
-    ORDER,
-    ValuePath,
-    element_names,
-)
+from thorvaldc.comparison.leaf_differences import ORDER, ValuePath, element_names
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.diagnostics.suggest import nearest
+from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import from_json, to_json
 
@@ -28,7 +29,7 @@ _ALIASES: dict[str, ValuePath] = {
 _BUS_PARTS = ("nodes", "frames", "load", "bitrate")
 _OTHER_PARTS = (*_BUS_PARTS, "size", "stability", "driving", "slopes", "energy")
 _AXES = {"x": "0", "y": "1", "z": "2"}
-MOST_SHOWN = 12
+MOST_SHOWN_NAMES = 12
 
 
 def resolve_path(document: dict[str, Any], text: str) -> ValuePath:
@@ -88,6 +89,19 @@ def all_paths(document: Any, path: ValuePath = ()) -> Iterator[ValuePath]:
                 yield from all_paths(document[key], (*path, key))
     else:
         yield path
+
+
+def next_names(paths: Iterable[str], start: str) -> list[str]:
+    """Returns what can follow ``start`` in the paths, up to the next point that is a choice."""
+    fitting = [path for path in paths if path.startswith(start)]
+    names: list[str] = []
+    while not names or (len(names) == 1 and names[0].endswith(".")):
+        ends = [path.find(".", len(start)) + 1 or len(path) for path in fitting]
+        names = sorted({path[:end] for path, end in zip(fitting, ends, strict=True)})
+        if not names:
+            return []
+        start = names[0]
+    return names
 
 
 def observed_value(robot: Robot, path: ValuePath) -> Any:
@@ -215,8 +229,177 @@ def key_is_section(key: str) -> bool:
 
 def _unknown(text: str, path: str, keys: list[str], part: str = "") -> DiagnosticError:
     place = f"`{path}`" if path else "the model of the robot"
-    known = nearest(part, keys) if part else None
-    shown = ", ".join(keys[:MOST_SHOWN]) + (", ..." if len(keys) > MOST_SHOWN else "")
-    hint = f"did you mean `{known}`?" if known is not None else f"known: {shown}" if shown else None
+    shown = ", ".join(keys[:MOST_SHOWN_NAMES]) + (", ..." if len(keys) > MOST_SHOWN_NAMES else "")
+    known = f"known: {shown}" if shown else None
+    hint = did_you_mean(part, keys, known, fixable=False) if part else known
     message = f"{place} has no value `{part}`" if part else f"`{text}` is not a single value"
     return DiagnosticError("why-path-unknown", message, hint=hint)
+
+
+# -- values in the text files of a build ------------------------------------------------
+
+YAML_SUFFIXES = ("yaml", "yml", "json")
+XML_SUFFIXES = ("xml", "urdf", "sdf", "xacro")
+MOST_SHOWN_VALUES = 6
+_NUMBER = re.compile(r"(?<![\w.])[-+]?(?:0x[0-9a-fA-F]+|\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+)")
+
+
+class OutputValue(NamedTuple):
+    """A value in a file of a build.
+
+    - ``path``: names of the elements and keys around the value, and of the value.
+    - ``text``: the value as it stands in the file.
+    - ``line``: line of the value, from 1.
+    """
+
+    path: tuple[str, ...]
+    text: str
+    line: int
+
+    @property
+    def value(self) -> Any:
+        """The value as a number if it is one."""
+        try:
+            return int(self.text, 0)
+        except ValueError:
+            pass
+        try:
+            return float(self.text)
+        except ValueError:
+            return self.text
+
+    @property
+    def name(self) -> str:
+        return ".".join(self.path)
+
+
+def output_values(name: str, text: str) -> list[OutputValue]:
+    """Returns the values of a file of a build, in the order of the file."""
+    suffix = name.rpartition(".")[2]
+    if suffix in YAML_SUFFIXES:
+        return list(_yaml_values(text))
+    if suffix in XML_SUFFIXES:
+        return _xml_values(text)
+    return list(_line_values(text))
+
+
+def find_value(name: str, values: list[OutputValue], query: str) -> OutputValue:
+    """Returns the one value that a query names.
+
+    The query is a number of a line, or names of the path in their order, such as
+    ``fl_wheel_tyre.mass``; names may be left out.  Raises ``DiagnosticError``
+    (``why-path-unknown``) if there is no such value or more than one.
+    """
+    line, _, rest = query.partition(".")
+    candidates = values
+    if line.isdigit():
+        candidates = [value for value in values if value.line == int(line)]
+        query = rest
+    parts = [part for part in query.split(".") if part]
+    matching = [value for value in candidates if _matches(value.path, parts)]
+    exact = (
+        [value for value in matching if value.path[-len(parts) :] == tuple(parts)] if parts else []
+    )
+    if len(matching) != 1 and len(exact) == 1:
+        matching = exact
+    if len(matching) == 1:
+        return matching[0]
+    if matching:
+        shown = ", ".join(
+            f"`{value.name}` (line {value.line})" for value in matching[:MOST_SHOWN_VALUES]
+        )
+        more = ", ..." if len(matching) > MOST_SHOWN_VALUES else ""
+        raise DiagnosticError(
+            "why-path-unknown",
+            f"{len(matching)} values of {name} match `{line if not parts else query}`",
+            hint=f"{shown}{more}",
+        )
+    inner = [value for value in candidates if parts and _matches(value.path[:-1], parts)]
+    if inner:
+        names = ", ".join(value.path[-1] for value in inner[:MOST_SHOWN_VALUES])
+        raise DiagnosticError(
+            "why-path-unknown", f"`{query}` of {name} is not a single value", hint=f"known: {names}"
+        )
+    words = {word: None for value in values for word in value.path}
+    missing = next((part for part in parts if part not in words), query or line)
+    raise DiagnosticError(
+        "why-path-unknown",
+        f"{name} has no value `{query or line}`",
+        hint=did_you_mean(missing, words, fixable=False),
+    )
+
+
+def _matches(path: tuple[str, ...], parts: list[str]) -> bool:
+    """Returns whether the parts are names of the path in the same order, with the last one last."""
+    if not parts:
+        return True
+    if not path or path[-1] != parts[-1]:
+        return False
+    names = iter(path[:-1])
+    return all(part in names for part in parts[:-1])
+
+
+def _yaml_values(text: str) -> Iterator[OutputValue]:
+    import yaml
+
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    for root in yaml.compose_all(text, Loader=loader):
+        if root is not None:
+            yield from _yaml_node_values(root, ())
+
+
+def _yaml_node_values(node: Any, path: tuple[str, ...]) -> Iterator[OutputValue]:
+    if isinstance(node.value, str):
+        yield OutputValue(path, node.value, node.start_mark.line + 1)
+        return
+    for number, item in enumerate(node.value):
+        if isinstance(item, tuple):
+            key, child = item
+            yield from _yaml_node_values(child, (*path, str(key.value)))
+        else:
+            yield from _yaml_node_values(item, (*path, _item_name(item, number)))
+
+
+def _item_name(node: Any, number: int) -> str:
+    """Returns the name of an item of a list, or its number."""
+    for item in node.value if isinstance(node.value, list) else ():
+        if isinstance(item, tuple) and item[0].value == "name" and isinstance(item[1].value, str):
+            return str(item[1].value)
+    return str(number)
+
+
+def _xml_values(text: str) -> list[OutputValue]:
+    values: list[OutputValue] = []
+    path: list[str] = []
+    texts: list[str] = []
+    parser = expat.ParserCreate()
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        path.append(attributes.get("name", tag))
+        texts.append("")
+        for name, value in attributes.items():
+            if name != "name":
+                values.append(OutputValue((*path, name), value, parser.CurrentLineNumber))
+
+    def end(tag: str) -> None:
+        content = texts.pop().strip()
+        if content:
+            values.append(OutputValue((*path,), content, parser.CurrentLineNumber))
+        path.pop()
+
+    def characters(data: str) -> None:
+        if texts:
+            texts[-1] += data
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.CharacterDataHandler = characters
+    parser.Parse(text, True)
+    return values
+
+
+def _line_values(text: str) -> Iterator[OutputValue]:
+    """Yields the numbers of each line; the name of a number is its position in the line."""
+    for number, line in enumerate(text.splitlines(), start=1):
+        for position, match in enumerate(_NUMBER.finditer(line), start=1):
+            yield OutputValue((str(number), str(position)), match[0], number)

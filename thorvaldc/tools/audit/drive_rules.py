@@ -1,0 +1,367 @@
+"""Rules about driving: wheels, limits of joints, speeds and stamps of twists."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+
+from thorvaldc.diagnostics import Label, Report
+from thorvaldc.diagnostics.plain_numbers import plain
+from thorvaldc.model import Pose, Vec3
+from thorvaldc.model.spatial import dot, norm, sub
+from thorvaldc.tools.audit.audit_facts import (
+    BodyJoint,
+    Description,
+    Evidence,
+    Fact,
+    SolidShape,
+    closest,
+    path_words,
+)
+from thorvaldc.tools.audit.parameter_files import stamped_arguments
+
+# An effective radius or separation under load may differ a little on purpose.
+TOLERANCE = 0.01
+
+
+def check_wheels(evidence: Evidence, report: Report) -> None:
+    """Compares each stated wheel radius and wheel separation with the description."""
+    for kind, measure, motion, hint in (
+        (
+            "wheel radius",
+            _true_radius,
+            "drives",
+            "write the measured radius in all files, or keep the geometry and set the"
+            " controller's radius multiplier",
+        ),
+        (
+            "wheel separation",
+            _true_separation,
+            "turns",
+            "write the true separation; corrections for slip belong in the controller's"
+            " separation multiplier",
+        ),
+    ):
+        for fact, true in _differing(kind, measure, evidence):
+            # The distance grows with the radius; the angle is inverse to the separation.
+            further = true.value / fact.value if motion == "drives" else fact.value / true.value
+            percent = 100.0 * (further - 1.0)
+            report.add(
+                f"audit-{kind.replace(' ', '-')}",
+                f"{fact.subject} computes with a {kind} of {plain(fact.value)} m, but"
+                f" {true.subject} has {plain(true.value)} m: the robot {motion}"
+                f" {abs(percent):.2g} % {'further' if percent > 0 else 'less far'} than its"
+                " odometry says",
+                fact.span,
+                hint=hint,
+                labels=[Label(true.span, f"{plain(true.value)} m here")],
+            )
+
+
+def _differing(
+    kind: str, measure: Callable[[Description, Fact], Fact | None], evidence: Evidence
+) -> list[tuple[Fact, Fact]]:
+    """Returns pairs of a statement and the geometry that it contradicts.
+
+    A statement that agrees with one of the descriptions to which it can belong is left out.
+    """
+    places = [(fact, [description]) for description, fact in evidence.described(kind)]
+    for fact in evidence.stated(kind):
+        joints = tuple(name for name in fact.names if name)
+        places.append((fact, evidence.related(fact.span.file, joints)))
+    pairs: list[tuple[Fact, Fact]] = []
+    for fact, descriptions in places:
+        if fact.value > 0.0:
+            values = [true for d in descriptions if (true := measure(d, fact)) is not None]
+            if values and all(_differs(fact, true) for true in values):
+                pairs.append((fact, min(values, key=lambda true: abs(true.value - fact.value))))
+    return pairs
+
+
+def _differs(fact: Fact, true: Fact) -> bool:
+    ratio = float(fact.value) / float(true.value)
+    return abs(ratio - 1.0) > TOLERANCE + 1e-9
+
+
+def _true_radius(description: Description, fact: Fact) -> Fact | None:
+    """Returns the wheel whose radius is next to a stated radius."""
+    radii = [
+        radius
+        for name in fact.names
+        if name in description.joints
+        and (radius := wheel_radius(description, description.joints[name])) is not None
+    ]
+    return min(radii, key=lambda radius: abs(radius.value - fact.value), default=None)
+
+
+def _true_separation(description: Description, fact: Fact) -> Fact | None:
+    """Returns the lateral distance between the left and the right wheels of a statement."""
+    poses = description.root_poses()
+    middle = fact.names.index("")
+    sides: list[float] = []
+    for names in (fact.names[:middle], fact.names[middle + 1 :]):
+        centers = [
+            center
+            for name in names
+            if name in description.joints
+            and (center := wheel_center(description, description.joints[name], poses)) is not None
+        ]
+        if len(centers) < len(names) or not centers:
+            return None
+        lateral = sorted(center[1] for center in centers)
+        sides.append(lateral[len(lateral) // 2])
+    first = description.joints[fact.names[0]]
+    distance = abs(sides[0] - sides[1])
+    if distance < 1e-6:
+        return None
+    return Fact("wheel separation", f"the description `{description.name}`", distance, first.span)
+
+
+def wheel_radius(description: Description, joint: BodyJoint) -> Fact | None:
+    """Returns the radius of the wheel that a joint turns, from its shapes, or ``None``.
+
+    A wheel is a sphere, or a cylinder whose axis is that of the joint, with its centre on the axis.
+    Collision shapes count before shapes for the eye.  The largest wheel of the link counts.
+    """
+    best: dict[bool, Fact] = {}
+    for body, shape in _round_shapes(description, joint):
+        radius = shape.size[0]
+        fact = best.get(shape.collides)
+        if fact is None or radius > fact.value:
+            subject = f"joint `{joint.name}`"
+            best[shape.collides] = Fact("wheel radius", subject, radius, shape.span, "m", (body,))
+    return best.get(True) or best.get(False)
+
+
+def wheel_center(description: Description, joint: BodyJoint, poses: dict[str, Pose]) -> Vec3 | None:
+    """Returns the centre of the wheel that a joint turns in the frame of the root, or ``None``.
+
+    A wheel without shapes is at the joint.  The centre of a wheel that is only a mesh is unknown,
+    because the mesh can lie beside the joint.
+    """
+    link = poses.get(joint.child)
+    if link is None:
+        return None
+    for collides in (True, False):
+        for _, shape in _round_shapes(description, joint):
+            if shape.collides is collides:
+                return link.apply(shape.pose.xyz)
+    has_shapes = any(body.shapes for body, _ in description.rigid_part(joint.child))
+    return None if has_shapes else link.xyz
+
+
+def _round_shapes(description: Description, joint: BodyJoint) -> list[tuple[str, SolidShape]]:
+    """Returns the wheel shapes of a joint, with poses in the frame of the joint."""
+    axis_length = norm(joint.axis)
+    if not joint.turns or axis_length == 0.0:
+        return []
+    axis = tuple(a / axis_length for a in joint.axis)
+    shapes: list[tuple[str, SolidShape]] = []
+    for body, pose in description.rigid_part(joint.child):
+        for shape in body.shapes:
+            placed = pose * shape.pose
+            direction = placed.rotate((0.0, 0.0, 1.0))
+            along = abs(dot(direction, (axis[0], axis[1], axis[2])))
+            position = sub(placed.xyz, joint.anchor)
+            on_axis = dot(position, (axis[0], axis[1], axis[2]))
+            offset = math.sqrt(max(0.0, dot(position, position) - on_axis * on_axis))
+            flat = shape.kind in ("cylinder", "tyre", "capsule")
+            is_wheel = shape.kind == "sphere" or (flat and along > 0.99)
+            if is_wheel and shape.size[0] > 0.0 and offset < 0.1 * shape.size[0]:
+                shapes.append((body.name, shape._replace(pose=placed)))
+    return shapes
+
+
+# -- limits of joints, and one robot in several descriptions ----------------------------
+
+# A wheel that sinks into the soft contact of a simulator may be a little larger there.
+RADIUS_TOLERANCE = 0.02
+
+
+def check_command_limits(evidence: Evidence, report: Report) -> None:
+    """Reports commands of ``<ros2_control>`` that go beyond the limits of the joint."""
+    for description in evidence.descriptions:
+        worst: dict[tuple[str, str], tuple[float, Fact, Fact]] = {}
+        for fact in description.facts:
+            interface, _, end = fact.kind.partition(" ")
+            joint = description.joints.get(fact.names[0]) if fact.names else None
+            if joint is None or end not in ("min", "max"):
+                continue
+            limit = None
+            if interface == "velocity":
+                limit = joint.limits.get("velocity")
+            elif interface == "position":
+                limit = joint.limits.get("upper" if end == "max" else "lower")
+            if limit is None or (interface == "velocity" and limit.value <= 0.0):
+                continue
+            bound = -limit.value if interface == "velocity" and end == "min" else limit.value
+            excess = fact.value - bound if end == "max" else bound - fact.value
+            known = worst.get((joint.name, interface))
+            if excess > TOLERANCE * max(abs(bound), 1e-3) and (known is None or excess > known[0]):
+                worst[joint.name, interface] = excess, fact, limit._replace(value=bound)
+        for (name, interface), (_, fact, limit) in worst.items():
+            report.add(
+                "audit-joint-limit",
+                f"{fact.subject} allows a {interface} of {fact.value:g} {limit.unit} for joint"
+                f" `{name}`, whose limit is {limit.value:g} {limit.unit}",
+                fact.span,
+                hint="write the limit of the motor in both places",
+                labels=[Label(limit.span, "limit here")],
+            )
+
+
+def _pairs(evidence: Evidence) -> Iterator[tuple[Description, Description]]:
+    """Yields descriptions of one robot in two formats: most of the joints have equal names."""
+    for a, b in itertools.combinations(evidence.descriptions[:200], 2):
+        if a.format == b.format:
+            continue
+        names_a = {n for n, j in a.joints.items() if j.kind not in ("fixed", "free")}
+        names_b = {n for n, j in b.joints.items() if j.kind not in ("fixed", "free")}
+        common = names_a & names_b
+        if len(common) >= 2 and 2 * len(common) >= min(len(names_a), len(names_b)):
+            words = path_words(a.file) & path_words(b.file)
+            best = max(
+                len(path_words(a.file) & path_words(other.file))
+                for other in evidence.descriptions
+                if other.format == b.format
+            )
+            if len(words) == best:
+                yield a, b
+
+
+def check_descriptions_agree(evidence: Evidence, report: Report) -> None:
+    """Reports limits, wheel radii and wheel positions that differ between formats of one robot."""
+    for a, b in _pairs(evidence):
+        wheels: list[str] = []
+        for name, joint in a.joints.items():
+            other = b.joints.get(name)
+            if other is None:
+                continue
+            for quantity in ("lower", "upper", "velocity", "effort"):
+                first, second = joint.limits.get(quantity), other.limits.get(quantity)
+                if first is None or second is None or first.unit != second.unit:
+                    continue
+                width = max(abs(first.value), abs(second.value), 1e-3)
+                if abs(first.value - second.value) > TOLERANCE * width:
+                    _report(f"the {quantity} limit of joint `{name}`", first, second, a, b, report)
+            radius, other_radius = wheel_radius(a, joint), wheel_radius(b, other)
+            if radius is None or other_radius is None:
+                continue
+            wheels.append(name)
+            if not math.isclose(radius.value, other_radius.value, rel_tol=RADIUS_TOLERANCE):
+                what = f"the wheel radius at joint `{name}`"
+                _report(what, radius, other_radius, a, b, report)
+        _check_distances(wheels, a, b, report)
+
+
+def _check_distances(wheels: list[str], a: Description, b: Description, report: Report) -> None:
+    """Reports wheels whose distance from the first wheel differs between two descriptions."""
+    placed = [(description, description.root_poses()) for description in (a, b)]
+    for name in wheels[1:]:
+        facts: list[Fact] = []
+        for description, poses in placed:
+            joints = (description.joints[wheels[0]], description.joints[name])
+            start, end = (wheel_center(description, joint, poses) for joint in joints)
+            if start is not None and end is not None:
+                facts.append(Fact("distance", name, norm(sub(end, start)), joints[1].span, "m"))
+        lengths = [fact.value for fact in facts]
+        if len(lengths) == 2 and not math.isclose(*lengths, rel_tol=TOLERANCE, abs_tol=0.002):
+            what = f"the distance of the wheels at joints `{wheels[0]}` and `{name}`"
+            _report(what, facts[0], facts[1], a, b, report)
+
+
+def _report(
+    what: str, first: Fact, second: Fact, a: Description, b: Description, report: Report
+) -> None:
+    report.add(
+        "audit-descriptions-differ",
+        f"{what} is {second.value:.6g} {second.unit} in {b.format}, but {first.value:.6g}"
+        f" {first.unit} in {a.format}",
+        second.span,
+        hint="make both files from one source",
+        labels=[Label(first.span, f"{first.value:.6g} {first.unit} here")],
+    )
+
+
+# -- twists: stamped against unstamped, and speeds beyond the limits --------------------
+
+
+def check_stamps(evidence: Evidence, report: Report) -> None:
+    """Reports nodes that exchange Twist with nodes that exchange TwistStamped."""
+    if any(node.package == "twist_stamper" for f in evidence.launches for node in f.nodes):
+        return  # it converts one type to the other
+    decided = {f"({name})" for name in stamped_arguments(evidence)}
+    facts = [
+        fact for fact in evidence.stated("stamped") if fact.subject.partition(" ")[2] not in decided
+    ]
+    stamped = sum(1 for fact in facts if fact.value)
+    rare = 2 * stamped <= len(facts)  # the type of fewer nodes is reported
+    for fact in (fact for fact in facts if bool(fact.value) is rare):
+        nearby = closest([f for f in facts if _name(f) != _name(fact)], fact.span.file)
+        others = [other for other in nearby if other.value is not fact.value]
+        if others:
+            types = ("TwistStamped", "Twist") if rare else ("Twist", "TwistStamped")
+            report.add(
+                "audit-stamped",
+                f"{fact.subject} uses {types[0]}, but {others[0].subject} uses {types[1]}: a node"
+                " does not receive messages of the other type",
+                fact.span,
+                hint="use one type in all files; TwistStamped is the default since ROS 2 Kilted",
+                labels=[Label(others[0].span, f"{types[1]} here")],
+            )
+
+
+def _name(fact: Fact) -> str:
+    """Returns the node of a statement; its files for other distributions are alternatives."""
+    return fact.subject.partition(" ")[0]
+
+
+def check_speeds(evidence: Evidence, report: Report) -> None:
+    """Reports speeds that a planner demands and a controller or smoother does not let through."""
+    for kind in ("linear", "angular"):
+        limits = evidence.stated(f"{kind} limit")
+        for plan in evidence.stated(f"{kind} plan"):
+            others = [f for f in limits if _name(f) != _name(plan)]
+            nearby = closest(others, plan.span.file)
+            if not nearby:
+                continue
+            limit = max(nearby, key=lambda fact: float(fact.value))
+            if plan.value > limit.value * (1.0 + TOLERANCE):
+                report.add(
+                    "audit-speed",
+                    f"{plan.subject} plans with {plan.value:g} {plan.unit}, but {limit.subject}"
+                    f" lets only {limit.value:g} {plan.unit} through",
+                    plan.span,
+                    hint="the robot falls behind its plan; plan with the lower value",
+                    labels=[Label(limit.span, f"{limit.value:g} {plan.unit} here")],
+                )
+
+
+def check_wheel_speeds(evidence: Evidence, report: Report) -> None:
+    """Reports limits of controllers that need faster wheels than the description allows."""
+    wheels = {fact.span.file: fact for fact in evidence.stated("wheel radius")}
+    for fact in evidence.stated("linear limit"):
+        radius = wheels.get(fact.span.file)
+        if radius is None or "linear.x.max_velocity" not in fact.subject:
+            continue
+        joints = [
+            (description, description.joints[name])
+            for description in evidence.related(fact.span.file, radius.names)
+            for name in radius.names
+            if name in description.joints and "velocity" in description.joints[name].limits
+        ]
+        for description, joint in joints:
+            true = wheel_radius(description, joint) or radius
+            needed, limit = fact.value / true.value, joint.limits["velocity"]
+            if limit.value > 0.0 and needed > limit.value * (1.0 + TOLERANCE):
+                report.add(
+                    "audit-speed",
+                    f"{fact.subject} allows {fact.value:g} m/s, for which the wheels turn with"
+                    f" {needed:.4g} rad/s, but joint `{joint.name}` is limited to"
+                    f" {limit.value:g} rad/s",
+                    fact.span,
+                    hint=f"that limit is {limit.value * true.value:.3g} m/s",
+                    labels=[Label(limit.span, f"{limit.value:g} rad/s here")],
+                )
+                break
