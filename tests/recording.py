@@ -5,12 +5,16 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
+from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.control_loop import Segment
 from thorvaldc.simulation.physics.sim_base import WheelErrors
-from thorvaldc.simulation.records.joint_csv import JointLogWriter
+from thorvaldc.simulation.records.joint_csv import JointLogWriter, read_log
 from thorvaldc.simulation.simulation_run import Simulation
 
 # Start (s), vx, vy (m/s), wz (rad/s): forwards, sideways and turns about near points.
@@ -46,3 +50,15 @@ def record(
     simulation = Simulation(robot, files, wheel_errors=wheel_errors, open_loop=open_loop)
     simulation.run(seconds, plan, None, JointLogWriter(robot, stream).on_tick)
     return stream.getvalue()
+
+
+def logged(robot: Robot, case: dict[str, Any], report: Report) -> Any:
+    """Returns the joints.csv of a case, which is recorded first if it has a ``record``."""
+    path = Path("joints.csv")
+    if "record" in case:
+        try:
+            path.write_text(record(robot, **case["record"]), encoding="utf-8")
+        except DiagnosticError as error:
+            report.put(error.diagnostic)
+            return None
+    return read_log(path, path.name, robot, report)

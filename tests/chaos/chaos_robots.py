@@ -6,7 +6,7 @@ import functools
 from collections.abc import Callable
 from dataclasses import replace
 
-from tests.runtime.can_base.fault_matrix import cia402 as steered_cia402
+from tests.simulation.bus.robots import cia402 as steered_cia402
 from tests.simulation.bus.robots import compiled
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import Node, ObjectValue

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
 import tomllib
 from importlib.metadata import packages_distributions
@@ -84,9 +83,3 @@ def test_a_missing_package_is_one_line_with_the_extra_that_installs_it(
     if package in packages_distributions():  # evdev exists on Linux alone
         installs = {requirement.name.lower() for requirement in extras("pyproject.toml")[extra]}
         assert {name.lower() for name in packages_distributions()[package]} & installs
-
-
-def test_a_missing_gymnasium() -> None:
-    script = "import sys; sys.modules['gymnasium'] = None; import thorvaldc.tools.gym.environments"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
-    assert "pip install 'thorvaldc[gym]'" in done.stderr

@@ -13,7 +13,6 @@ import pytest
 
 from tests.child_process import ChildProcess
 from tests.cli.conftest import BAD, GOOD
-from thorvaldc.tools.pictures.view_command import has_display
 
 
 def on_terminal(folder: Path, *arguments: str, **environment: str) -> tuple[int, str]:
@@ -106,24 +105,3 @@ def test_a_run_erases_its_status_line_once_before_other_lines(folder: Path) -> N
     assert status == 0
     assert "init    \x1b[K\r\x1b[K" in output
     assert "\n\r\x1b[K" not in output
-
-
-@pytest.mark.parametrize(
-    ("system", "variables", "expected"),
-    [
-        ("linux", {}, False),
-        ("linux", {"DISPLAY": ":0"}, True),
-        ("linux", {"WAYLAND_DISPLAY": "wayland-0"}, True),
-        ("darwin", {}, True),
-        ("win32", {}, True),
-    ],
-)
-def test_a_window_needs_a_display(
-    monkeypatch: pytest.MonkeyPatch, system: str, variables: dict[str, str], expected: bool
-) -> None:
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    for name, value in variables.items():
-        monkeypatch.setenv(name, value)
-    monkeypatch.setattr("sys.platform", system)
-    assert has_display() == expected

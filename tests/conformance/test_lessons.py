@@ -32,7 +32,6 @@ from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import Wire
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
-from thorvaldc.tools.importer.original_import import import_file
 
 COMMAND, STATE = 0x240, 0x1C0
 """Command and report of the sprayer, a foreign device."""
@@ -84,22 +83,6 @@ modules:
 """
     errors = compiled(tmp_path, text)[1]
     assert any(name.startswith("can-") for name in errors) == refused, errors
-
-
-def test_the_old_form_of_a_battery_id_is_imported(tmp_path: Path) -> None:
-    """345 is battery 1, and -1 is an enclosure without a battery."""
-    original = Path(__file__).parents[1] / "tools" / "importer" / "originals" / "standard.yaml"
-    imported = import_file(original, Report())
-    assert imported is not None
-    path = tmp_path / "robot.yaml"
-    path.write_text(imported.text, encoding="utf-8")
-    robot = compile_file(path).model
-    assert isinstance(robot, Robot)
-    ids = sorted(n.id for b in robot.buses for n in b.nodes if n.id_space == "kc_battery")
-    assert ids == [1, 3]
-    assert sum(battery.node is None for battery in robot.batteries) == 1
-    pulses = {a.encoder_ppr for a in robot.actuators if a.role == "propulsion"}
-    assert pulses == {1024, 4096}, "one drive of a real robot has another encoder"
 
 
 # -- the original: receiving and sending ------------------------------------------------------

@@ -19,16 +19,10 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
   - ``interface``: open the CAN interface ``bus`` for the first bus of the robot;
   - ``drive``: run the base driver on simulated buses, whose devices are those of the robot or
     of the file ``devices``, with the injected faults of faults.yaml;
-  - ``scenario``; ``import``;
-  - ``audit`` of the folder or file ``entry``;
-  - ``diff``: read ``entry`` as an input of `diff`; the files are committed to git
-    (``git: committed``, the default), or are in no repository (``none``), or are lost
-    in a ``damaged`` repository;
-  - ``why``: explain the value ``path``;
+  - ``scenario``;
   - ``demo``: run the demo of the build folder ``entry``;
   - ``log``: read joints.csv, or record it first with the arguments ``record``;
-  - ``calibrate``: as ``log``, then calibrate, with the measured ``distance``;
-  - ``replay``: read record.csv, with the command-line ``options``;
+  - a command of a tool, which ``tests/tools/<tool>/diagnostic_cases.py`` runs;
 
 - ``neighbour_<key>``: value of a key for the neighbour, such as ``neighbour_twist``.
 """
@@ -40,7 +34,8 @@ import itertools
 import os
 import re
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +55,17 @@ KEYS = {
 NEIGHBOUR = "neighbour_"
 
 
+Runner = Callable[[dict[str, Any], str], Iterable[Diagnostic]]
+TOOL_COMMANDS: dict[str, Runner] = {}
+for _file in sorted(HERE.parent.glob("tools/*/diagnostic_cases.py")):
+    TOOL_COMMANDS |= import_module(f"tests.tools.{_file.parent.name}.diagnostic_cases").COMMANDS
+# In a copy of the core without its tools, the cases of their commands cannot run.
+CORE_COMMANDS = {
+    *("compile", "emit", "fresh", "pin", "sim", "bus", "can", "interface", "drive"),
+    *("scenario", "demo", "log"),
+}
+
+
 def case_files() -> list[Path]:
     return sorted(HERE.glob("*.yaml"))
 
@@ -67,7 +73,8 @@ def case_files() -> list[Path]:
 def cases() -> Iterator[Any]:
     for path in case_files():
         for number, case in enumerate(yaml.safe_load(path.read_text(encoding="utf-8"))):
-            yield pytest.param(case, id=f"{path.stem}[{number}]")
+            if TOOL_COMMANDS or case.get("run", "compile") in CORE_COMMANDS:
+                yield pytest.param(case, id=f"{path.stem}[{number}]")
 
 
 def write(files: dict[str, Any], folder: Path) -> None:
@@ -95,16 +102,8 @@ def check_build(compilation: Any, case: dict[str, Any]) -> None:
 def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
     """Runs the command of a case in the working folder; returns the diagnostics."""
     command = case.get("run", "compile")
-    if command == "import":
-        from thorvaldc.tools.importer.original_import import import_original
-
-        return list(import_original(Path(entry))[1])
-    if command == "audit":
-        from thorvaldc.tools.audit.audit_run import audit
-
-        return list(audit([entry]).report)
-    if command == "diff":
-        return read_for_diff(entry, case.get("git", "committed"))
+    if command in TOOL_COMMANDS:
+        return list(TOOL_COMMANDS[command](case, entry))
     if command == "demo":
         from thorvaldc.simulation.simulation_run import drive_build
 
@@ -166,47 +165,11 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
             open_interface(case["bus"], compilation.model.buses[0]).close()
         except DiagnosticError as error:
             compilation.report.put(error.diagnostic)
-    if command == "why" and isinstance(compilation.model, Robot):
-        explain(entry, compilation.model, case["path"], compilation.report)
-    if command == "replay" and isinstance(compilation.model, Robot):
-        from thorvaldc.tools.pictures.replay_record import read_replay_record
+    if command == "log" and isinstance(compilation.model, Robot):
+        from tests.recording import logged
 
-        read_replay_record(
-            Path("record.csv"),
-            [(compilation.model.name, compilation.model)],
-            compilation.report,
-            for_plot="options" in case,
-        )
-    if command in ("log", "calibrate") and isinstance(compilation.model, Robot):
-        calibrate(compilation.model, case, compilation.report)
+        logged(compilation.model, case, compilation.report)
     return list(compilation.report)
-
-
-def read_for_diff(entry: str, git: str) -> list[Diagnostic]:
-    from contextlib import ExitStack
-
-    from tests.repository import commit_all, lose_files
-    from thorvaldc.tools.comparison.compared_inputs import read_input
-
-    if git != "none":
-        commit_all(Path())
-    if git == "damaged":
-        lose_files(Path())
-    with ExitStack() as temporary:
-        return list(read_input(entry, temporary).report)
-
-
-def explain(entry: str, robot: Robot, path: str, report: Report) -> None:
-    from contextlib import ExitStack
-
-    from thorvaldc.diagnostics.error import DiagnosticError
-    from thorvaldc.tools.provenance.explanation import Explainer
-
-    with ExitStack() as stack:
-        try:
-            Explainer(Path(entry), robot, [], False, stack).explain(path)
-        except DiagnosticError as error:
-            report.put(error.diagnostic)
 
 
 def run_on_a_bus(robot: Robot, report: Report) -> None:
@@ -253,24 +216,6 @@ def drive_by_its_buses(robot: Robot, devices: str | None, report: Report) -> Non
     diagnostic = session.run()
     if diagnostic is not None:
         report.put(diagnostic)
-
-
-def calibrate(robot: Robot, case: dict[str, Any], report: Report) -> None:
-    from tests.recording import record
-    from thorvaldc.diagnostics.error import DiagnosticError
-    from thorvaldc.simulation.records.joint_csv import read_log
-    from thorvaldc.tools.calibration import self_calibration as calibration
-
-    path = Path("joints.csv")
-    if "record" in case:
-        try:
-            path.write_text(record(robot, **case["record"]), encoding="utf-8")
-        except DiagnosticError as error:
-            report.put(error.diagnostic)
-            return
-    log = read_log(path, path.name, robot, report)
-    if log is not None and case["run"] == "calibrate":
-        calibration.calibrate(robot, log, report, case.get("distance"), path.name)
 
 
 @pytest.mark.parametrize("case", list(cases()))

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from tests.robots import FOUR_STEERED, make_robot
-from tests.runtime.can_base.fault_matrix import ROBOTS
 from tests.runtime.can_base.simulated_rig import FORWARD, Rig
+from tests.simulation.bus.robots import ROBOTS
 from thorvaldc.model import Robot
 from thorvaldc.model.stopping import COMMAND_TIMEOUT, stop_bound
 from thorvaldc.runtime.can_base.base_state import BaseState

@@ -26,25 +26,15 @@ if __name__ == "__main__":
             futures = [pool.submit(work, number) for number in range(4)]
         futures[0].result()
 """
-FORK = """
-import os, time
-from thorvaldc.tools.fault_matrix.forked_work import run_forked
-
-def work():
-    os.write(1, b"working\\n")  # one call, so that the lines of two workers stay apart
-    time.sleep(600)
-
-list(run_forked([work] * 4, 2))
-"""
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL, signal.SIGINT])
-@pytest.mark.parametrize("program", [POOL, FORK], ids=["pool", "fork"])
-def test_the_end_of_the_parent_ends_its_workers(
-    tmp_path: Path, program: str, number: signal.Signals
-) -> None:
-    if program == FORK and not hasattr(os, "fork"):
-        pytest.skip("no fork on this system")
+def test_the_end_of_the_parent_ends_its_workers(tmp_path: Path, number: signal.Signals) -> None:
+    end_the_parent(tmp_path, POOL, number)
+
+
+def end_the_parent(tmp_path: Path, program: str, number: signal.Signals) -> None:
+    """Runs a program with two workers, ends it by a signal, and waits for the end of its output."""
     script = tmp_path / "program.py"
     script.write_text(program)
     process = ChildProcess(

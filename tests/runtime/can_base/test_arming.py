@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from tests.runtime.can_base.fault_matrix import ROBOTS, roboteq
 from tests.runtime.can_base.simulated_rig import FORWARD, Rig
+from tests.simulation.bus.robots import ROBOTS, roboteq
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.errors import RequestRefused
 from thorvaldc.runtime.se2 import ZERO_TWIST

@@ -9,8 +9,8 @@ from dataclasses import replace
 import pytest
 
 from tests.robots import SPAN
-from tests.runtime.can_base.fault_matrix import cia402
 from tests.runtime.can_base.simulated_rig import Rig
+from tests.simulation.bus.robots import cia402
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault, BusFaults
 from thorvaldc.model.robot import AUTOMATIC, BatterySettings

@@ -9,8 +9,8 @@ import pytest
 
 from tests.chaos.chaos_robots import steered_script as two_buses
 from tests.robots import SPAN
-from tests.runtime.can_base.fault_matrix import ROBOTS, cia402, roboteq
 from tests.runtime.can_base.simulated_rig import Rig
+from tests.simulation.bus.robots import ROBOTS, cia402, roboteq
 from thorvaldc.can.canopen import HEARTBEAT, NMT, SYNC, NmtCommand
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault, BusFaults

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import pytest
 
 from tests.robots import SPAN
-from tests.runtime.can_base.fault_matrix import ROBOTS
 from tests.runtime.can_base.simulated_rig import FORWARD, Rig
+from tests.simulation.bus.robots import ROBOTS
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault, BusFaults
 from thorvaldc.runtime.can_base.base_state import BaseState

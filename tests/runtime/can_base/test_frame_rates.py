@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from tests.runtime.can_base.fault_matrix import roboteq
+from tests.simulation.bus.robots import roboteq
 from thorvaldc.runtime.can_base.frame_rates import LONGEST_BURST, FrameRates
 from thorvaldc.runtime.can_base.frame_receiver import LatestFrame
 

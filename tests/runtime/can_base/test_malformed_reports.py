@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.runtime.can_base.fault_matrix import ROBOTS
 from tests.runtime.can_base.simulated_rig import Rig
+from tests.simulation.bus.robots import ROBOTS
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.base_state import BaseState

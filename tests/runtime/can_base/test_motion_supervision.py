@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.runtime.can_base.fault_matrix import cia402
+from tests.simulation.bus.robots import cia402
 from thorvaldc.runtime.can_base.motion_supervision import (
     REST_TRAVEL,
     STOP_SHARE,

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.runtime.can_base.fault_matrix import cia402
+from tests.simulation.bus.robots import cia402
 from thorvaldc.can.canopen import NmtState
 from thorvaldc.runtime.can_base.frame_receiver import LatestFrame
 from thorvaldc.runtime.can_base.node_watchdog import NodeWatchdog

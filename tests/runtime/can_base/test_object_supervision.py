@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 from tests.examples import ROBOTS as EXAMPLES
 from tests.examples import example_robot
 from tests.robots import SPAN
-from tests.runtime.can_base.fault_matrix import PAGE, ROBOTS, cia402, roboteq
 from tests.runtime.can_base.simulated_rig import Rig
+from tests.simulation.bus.robots import ROBOTS, cia402, roboteq
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault, BusFaults
 from thorvaldc.model.required_objects import (
@@ -165,7 +166,7 @@ def test_the_groups_of_objects_are_in_order() -> None:
 
 
 def test_the_page_shows_the_table() -> None:
-    page = PAGE.read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs/faults.md").read_text(encoding="utf-8")
     lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines()]
     for group in OBJECT_GROUPS:
         indices = f"{group.first:#06x}"

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import pytest
 
 from tests.robots import SPAN
-from tests.runtime.can_base.fault_matrix import ROBOTS, cia402
 from tests.runtime.can_base.simulated_rig import Rig
+from tests.simulation.bus.robots import ROBOTS, cia402
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault, BusFaults
 from thorvaldc.runtime.can_base.base_state import BaseState

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.runtime.can_base.fault_matrix import ROBOTS, roboteq
 from tests.runtime.can_base.simulated_rig import Rig
+from tests.simulation.bus.robots import ROBOTS, roboteq
 from thorvaldc.can.frame import CanFrame, ReceivedFrame
 from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.model import Robot

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from tests.robots import FOUR_STEERED, make_robot
-from tests.runtime.can_base.fault_matrix import ROBOTS
 from tests.runtime.can_base.simulated_rig import Rig
+from tests.simulation.bus.robots import ROBOTS
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model.stopping import shortest_watchdog
 from thorvaldc.runtime.can_base.base_state import BaseState

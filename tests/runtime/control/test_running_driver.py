@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -12,9 +11,6 @@ from tests.examples import example_robot
 from tests.runtime.can_base.simulated_rig import Rig
 from thorvaldc.runtime.can_base.base_state import BaseState
 from thorvaldc.runtime.service_table import ServiceError
-from thorvaldc.runtime.teleoperation.operator import Limits
-from thorvaldc.runtime.teleoperation.teleop_loop import operate
-from thorvaldc.tools.teleoperation.keyboard import Keyboard
 
 
 class DrivenRobot:
@@ -129,39 +125,3 @@ def test_refusals(
     with pytest.raises(ServiceError) as refusal:
         driven.call(service, **arguments)
     assert reason in str(refusal.value)
-
-
-def test_an_operator_drives_the_robot_on_its_bus() -> None:
-    """The keys follow the virtual time of the bus."""
-    rig = Rig(example_robot("4wd4ws_wide"))
-    rig.driven.feed = None
-    vehicle = rig.driven
-    shown: list[list[str]] = []
-
-    def typed() -> Iterator[list[str]]:
-        while not rig.driven.ready:
-            yield ["i"]  # pressed too early: the robot does not start by itself
-        early = rig.now + 0.5
-        while rig.now < early:
-            yield ["i"]
-        assert rig.speed() == 0.0
-        resting = rig.now + 1.5
-        while rig.now < resting:
-            yield []
-        yield ["g"]
-        ends = rig.now + 3.0
-        while rig.now < ends:
-            yield ["i"]
-        yield ["q"]
-
-    keys = typed()
-    keyboard = Keyboard(Limits.of(vehicle.call("description")), lambda: next(keys), 0.5)
-    operate(vehicle, keyboard, "teleop_joy", shown.append, clock=lambda: rig.now)
-    assert rig.driven.driver.state.pose.x > 1.0
-    assert rig.speed() < 0.1
-    assert any("homing  drives: teleop_joy" in " ".join(lines) for lines in shown)
-    hold_line = "ready  drives: teleop_joy  disarmed: press g"
-    assert any(hold_line in " ".join(lines) for lines in shown)
-    assert any("active  drives: teleop_joy" in " ".join(lines) for lines in shown)
-    vehicle.shutdown()
-    assert rig.speed() == 0.0

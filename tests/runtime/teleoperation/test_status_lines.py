@@ -8,8 +8,6 @@ import pytest
 
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.runtime.teleoperation.status_lines import status_lines
-from thorvaldc.tools.teleoperation.joystick import HELP as JOYSTICK_HELP
-from thorvaldc.tools.teleoperation.keyboard import HELP as KEYBOARD_HELP
 
 STATE: dict[str, Any] = {
     "mode": "fault",
@@ -58,7 +56,3 @@ def test_a_command_that_is_not_followed_is_shown_unless_a_limit_explains_it() ->
     lines = status_lines(state, None, 1.0, "")
     assert text in " ".join(" ".join(lines).split())
     assert max(map(len, lines)) < 80
-
-
-def test_the_help_fits_80_columns() -> None:
-    assert max(map(len, f"{KEYBOARD_HELP}\n{JOYSTICK_HELP}".splitlines())) < 80

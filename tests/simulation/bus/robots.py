@@ -6,10 +6,13 @@ import functools
 import re
 import shutil
 import tempfile
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
+from thorvaldc.model.bus import ObjectValue
 
 CIA402 = """
 thorvaldc: 1
@@ -103,3 +106,40 @@ def uneven_robot() -> Robot:
         compilation = compile_file(path, library=[folder / "library"])
     assert isinstance(compilation.model, Robot), list(compilation.report)
     return compilation.model
+
+
+TWO_DRIVES = """
+thorvaldc: 1
+name: two_drives
+modules:
+  frame: {{type: frame/tube_rectangular,
+    params: {{length: 1.2 m, width: 800 mm, cross_members: [-100 mm]}}}}
+  fl: {{type: assembly/steered_drive, mount: frame.front_left{controller}, can: 1}}
+  fr: {{type: assembly/steered_drive, mount: frame.front_right{controller}, can: 2}}
+  rl: {{type: caster/swivel, mount: frame.rear_left}}
+  rr: {{type: caster/swivel, mount: frame.rear_right}}
+  battery: {{type: battery/enclosure, mount: {{parent: frame, xyz: [0, 0, 0.07]}}, can: 1}}
+"""
+
+
+def cia402() -> Robot:
+    """A robot with CiA 402 drives that home ten times faster than usual, to save time."""
+    controller = "controller/cia402_propulsion_steering"
+    robot = compiled(TWO_DRIVES.format(controller=f", params: {{controller: {controller}}}"))
+    nodes = tuple(
+        replace(node, objects=tuple(_quicker(entry) for entry in node.objects))
+        for node in robot.buses[0].nodes
+    )
+    return replace(robot, buses=(replace(robot.buses[0], nodes=nodes),))
+
+
+def _quicker(entry: ObjectValue) -> ObjectValue:
+    homes = entry.name.startswith("steering_homing_") and entry.index in (0x6899, 0x689A)
+    return replace(entry, value=10 * (entry.value or 0)) if homes else entry
+
+
+def roboteq() -> Robot:
+    return compiled(TWO_DRIVES.format(controller=""))
+
+
+ROBOTS: dict[str, Callable[[], Robot]] = {"CiA 402": cia402, "Thorvald script": roboteq}

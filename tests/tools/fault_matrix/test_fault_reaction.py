@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import signal
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
-from tests.runtime.can_base.fault_matrix import ROBOTS
 from tests.runtime.can_base.test_even_stop import DRIVES, robot
 from tests.runtime.control.test_runner_services import TWO_BUSES
-from tests.simulation.bus.robots import cia402_robot, compiled
+from tests.simulation.bus.robots import ROBOTS, cia402_robot, compiled
+from tests.simulation.test_worker_processes import end_the_parent
 from thorvaldc.model.swerve import swerve_bounds
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.tools.fault_matrix.fault_cases import (
@@ -104,7 +107,7 @@ def test_a_device_that_cannot_have_the_fault_is_named() -> None:
 
 SAME = """
 import json, sys
-from tests.runtime.can_base.fault_matrix import ROBOTS
+from tests.simulation.bus.robots import ROBOTS
 from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix
 from thorvaldc.tools.fault_matrix.forked_work import can_fork
 
@@ -172,3 +175,21 @@ def test_objects_that_a_service_tool_overwrites() -> None:
     assert "a deceleration of a drive is overwritten (0x6084)" in names
     assert "two drives swap their reports (0x1800)" in names
     assert {f"{form} frames with the id of a command" for form in ("extended", "remote")} <= names
+
+
+FORK = """
+import os, time
+from thorvaldc.tools.fault_matrix.forked_work import run_forked
+
+def work():
+    os.write(1, b"working\\n")  # one call, so that the lines of two workers stay apart
+    time.sleep(600)
+
+list(run_forked([work] * 4, 2))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL, signal.SIGINT])
+def test_the_end_of_the_parent_ends_its_copies(tmp_path: Path, number: signal.Signals) -> None:
+    end_the_parent(tmp_path, FORK, number)

@@ -332,3 +332,9 @@ def test_without_gymnasium_the_error_names_the_extra(module: str) -> None:
     last = process.stderr.strip().splitlines()[-1]
     assert last.startswith("ImportError: an environment needs Gymnasium")
     assert "pip install 'thorvaldc[gym]'" in last
+
+
+def test_a_missing_gymnasium() -> None:
+    script = "import sys; sys.modules['gymnasium'] = None; import thorvaldc.tools.gym.environments"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
+    assert "pip install 'thorvaldc[gym]'" in done.stderr

@@ -18,6 +18,7 @@ from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.records.mcap_writer import McapRecorder
 from thorvaldc.simulation.records.record_reader import read_record
 from thorvaldc.tools.pictures.replay import Replay
+from thorvaldc.tools.pictures.view_command import has_display
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 FLEET = str(EXAMPLES / "fleet_of_four/fleet.yaml")
@@ -182,3 +183,24 @@ def test_files_that_are_no_records_are_errors(thorvaldc: Command, tmp_path: Path
     assert result.status == 1
     assert "error[TV822]" in result.err
     assert "is it the record of another robot?" in result.err
+
+
+@pytest.mark.parametrize(
+    ("system", "variables", "expected"),
+    [
+        ("linux", {}, False),
+        ("linux", {"DISPLAY": ":0"}, True),
+        ("linux", {"WAYLAND_DISPLAY": "wayland-0"}, True),
+        ("darwin", {}, True),
+        ("win32", {}, True),
+    ],
+)
+def test_a_window_needs_a_display(
+    monkeypatch: pytest.MonkeyPatch, system: str, variables: dict[str, str], expected: bool
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr("sys.platform", system)
+    assert has_display() == expected

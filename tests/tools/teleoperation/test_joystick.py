@@ -18,6 +18,7 @@ from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.runtime.teleoperation.operator import Limits
 from thorvaldc.tools.teleoperation import joystick as js
+from thorvaldc.tools.teleoperation import keyboard
 from thorvaldc.tools.teleoperation.joystick import Joystick, Layout, OperatorPair
 from thorvaldc.tools.teleoperation.keyboard import Keyboard
 
@@ -297,3 +298,7 @@ def test_many_events_do_not_delay_the_cycle(hand: Hand) -> None:
         hand.pad.axis(js.ABS_Y, value)
     hand.joystick.poll(0.1)
     assert len(hand.pad.events) == 10_000 - js.MOST_EVENTS
+
+
+def test_the_help_fits_80_columns() -> None:
+    assert max(map(len, f"{keyboard.HELP}\n{js.HELP}".splitlines())) < 80

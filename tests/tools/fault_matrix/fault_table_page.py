@@ -1,6 +1,6 @@
 """The fault matrix of two robots with different drives, as on the page docs/faults.md.
 
-``python -m tests.runtime.can_base.fault_matrix`` writes the table into docs/faults.md.
+``python -m tests.tools.fault_matrix.fault_table_page`` writes the table into docs/faults.md.
 """
 
 from __future__ import annotations
@@ -8,56 +8,19 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tests.simulation.bus.robots import compiled
+from tests.simulation.bus.robots import ROBOTS
 from thorvaldc.diagnostics.text_layout import markdown_table
 from thorvaldc.model import Robot
-from thorvaldc.model.bus import ObjectValue
 from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix, FaultRow
 from thorvaldc.tools.fault_matrix.fault_table import HEADINGS, row_cells, row_json
 
 PAGE = Path(__file__).parents[3] / "docs" / "faults.md"
-BEGIN, END = "<!-- made by tests/runtime/can_base/fault_matrix.py -->\n", "<!-- end -->\n"
-
-_CIA402 = "controller/cia402_propulsion_steering"
-_ROBOT = """
-thorvaldc: 1
-name: two_drives
-modules:
-  frame: {{type: frame/tube_rectangular,
-    params: {{length: 1.2 m, width: 800 mm, cross_members: [-100 mm]}}}}
-  fl: {{type: assembly/steered_drive, mount: frame.front_left{controller}, can: 1}}
-  fr: {{type: assembly/steered_drive, mount: frame.front_right{controller}, can: 2}}
-  rl: {{type: caster/swivel, mount: frame.rear_left}}
-  rr: {{type: caster/swivel, mount: frame.rear_right}}
-  battery: {{type: battery/enclosure, mount: {{parent: frame, xyz: [0, 0, 0.07]}}, can: 1}}
-"""
-
-
-def cia402() -> Robot:
-    """A robot with CiA 402 drives that home ten times faster than usual, to save time."""
-    robot = compiled(_ROBOT.format(controller=", params: {controller: " + _CIA402 + "}"))
-    nodes = tuple(
-        replace(node, objects=tuple(_quicker(entry) for entry in node.objects))
-        for node in robot.buses[0].nodes
-    )
-    return replace(robot, buses=(replace(robot.buses[0], nodes=nodes),))
-
-
-def _quicker(entry: ObjectValue) -> ObjectValue:
-    homes = entry.name.startswith("steering_homing_") and entry.index in (0x6899, 0x689A)
-    return replace(entry, value=10 * (entry.value or 0)) if homes else entry
-
-
-def roboteq() -> Robot:
-    return compiled(_ROBOT.format(controller=""))
-
-
-ROBOTS: dict[str, Callable[[], Robot]] = {"CiA 402": cia402, "Thorvald script": roboteq}
+BEGIN, END = "<!-- made by tests/tools/fault_matrix/fault_table_page.py -->\n", "<!-- end -->\n"
 
 
 def rows(drives: str, jobs: int = 1, *, batteries: bool = True) -> tuple[Robot, list[FaultRow]]:

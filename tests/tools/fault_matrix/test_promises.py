@@ -9,13 +9,14 @@ import sys
 
 import pytest
 
-from tests.runtime.can_base.fault_matrix import BEGIN, END, PAGE, ROBOTS
+from tests.simulation.bus.robots import ROBOTS
+from tests.tools.fault_matrix.fault_table_page import BEGIN, END, PAGE
 
 
 @pytest.mark.parametrize("drives", ROBOTS)
 def test_every_promise_is_kept_and_is_on_the_page(drives: str) -> None:
     """The matrix runs in a process of its own, which copies itself for each fault."""
-    command = [sys.executable, "-m", "tests.runtime.can_base.fault_matrix", drives]
+    command = [sys.executable, "-m", "tests.tools.fault_matrix.fault_table_page", drives]
     output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     fault_rows = json.loads(output)
     broken = [

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import pytest
 
+from tests.examples import example_robot
 from tests.robots import FOUR_STEERED, make_robot
+from tests.runtime.can_base.simulated_rig import Rig
 from thorvaldc.model.robot import AUTOMATIC
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.service_table import ServiceError
@@ -150,3 +152,39 @@ def test_a_stopped_process_voids_the_key_that_was_held() -> None:
     assert max(speed for now, speed in speeds.items() if now < 1.0) > 0.5
     assert max(speed for now, speed in speeds.items() if now > 5.5) == 0.0
     assert any("command zero first" in " ".join(lines) for lines in drive.shown)
+
+
+def test_an_operator_drives_the_robot_on_its_bus() -> None:
+    """The keys follow the virtual time of the bus."""
+    rig = Rig(example_robot("4wd4ws_wide"))
+    rig.driven.feed = None
+    vehicle = rig.driven
+    shown: list[list[str]] = []
+
+    def typed() -> Iterator[list[str]]:
+        while not rig.driven.ready:
+            yield ["i"]  # pressed too early: the robot does not start by itself
+        early = rig.now + 0.5
+        while rig.now < early:
+            yield ["i"]
+        assert rig.speed() == 0.0
+        resting = rig.now + 1.5
+        while rig.now < resting:
+            yield []
+        yield ["g"]
+        ends = rig.now + 3.0
+        while rig.now < ends:
+            yield ["i"]
+        yield ["q"]
+
+    keys = typed()
+    keyboard = Keyboard(Limits.of(vehicle.call("description")), lambda: next(keys), 0.5)
+    operate(vehicle, keyboard, "teleop_joy", shown.append, clock=lambda: rig.now)
+    assert rig.driven.driver.state.pose.x > 1.0
+    assert rig.speed() < 0.1
+    assert any("homing  drives: teleop_joy" in " ".join(lines) for lines in shown)
+    hold_line = "ready  drives: teleop_joy  disarmed: press g"
+    assert any(hold_line in " ".join(lines) for lines in shown)
+    assert any("active  drives: teleop_joy" in " ".join(lines) for lines in shown)
+    vehicle.shutdown()
+    assert rig.speed() == 0.0
