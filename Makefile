@@ -16,12 +16,13 @@ PIP_INSTALL = PIP_CONSTRAINT=locks/dev.txt PIP_BUILD_CONSTRAINT=locks/dev.txt \
 unexport PYTHONDONTWRITEBYTECODE
 
 .DELETE_ON_ERROR:
-.PHONY: help setup lock demo test test-slow test-all test-matrix lint types chaos fuzz mutants bench golden pictures docs docs-serve clean distclean
+.PHONY: help setup lock demo test test-slow test-all test-core test-matrix lint types chaos fuzz mutants bench golden pictures docs docs-serve clean distclean
 
 help:
 	@echo "make demo      compile every example and drive it in simulation"
 	@echo "make test      lint, types, layer rules and tests"
 	@echo "make test-slow   the tests that only CI needs; make test-all: both"
+	@echo "make test-core   the core in a copy without tools: lint, types and tests"
 	@echo "make test-matrix  golden files with the oldest and newest Python and dependencies"
 	@echo "make lock      write the newest versions that pyproject.toml allows to locks/"
 	@echo "make chaos     random missions with faults: make chaos SEEDS=0:1000 JOBS=2 (docs/chaos.md)"
@@ -97,6 +98,17 @@ test-slow: $(READY)
 	$(PYTEST) -n $(JOBS) -m slow $(TESTS)
 
 test-all: test test-slow
+
+# The core without its tools: a copy in which they are deleted, with the pages and figures about them.
+CORE = build/core
+test-core: $(READY)
+	rm -rf $(CORE) && mkdir -p $(CORE)
+	git ls-files -z -- . ':!thorvaldc/tools/*/*' ':!tests/tools' ':!tests/docs' ':!tests/test_bench.py' \
+	  ':!tests/fuzz/test_hostile_files.py' ':!examples/odometry_experiment/run.py' \
+	  $(patsubst %,':!%',$(shell grep -l thorvaldc.tools bench/*.py)) | \
+	  tar --null --files-from - --create | tar --extract --directory $(CORE)
+	cd $(CORE) && export PYTHONPATH=. PATH="$(abspath $(BIN)):$$PATH" && \
+	  ruff check . && lint-imports && mypy && python -m pytest -n $(JOBS) -m "not slow" $(TESTS)
 
 test-matrix: $(READY)
 	@$(BIN)/python -c 'import uv' 2>/dev/null || $(call PIP_INSTALL,$(BIN)) uv

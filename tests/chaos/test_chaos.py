@@ -12,6 +12,7 @@ from tests.chaos.schedule import READY, ChaosEvent, Schedule
 from tests.chaos.seed_runner import Outcome, in_copy, prepared_world, run_here, run_schedule
 from tests.chaos.shrinker import Shrinker
 from tests.chaos.taken_out import TAKEN_OUT
+from tests.slow import mostly_slow
 
 PAGE = Path(__file__).parents[2] / "docs" / "chaos.md"
 FOLDER = Path(__file__).parent / "scripts"
@@ -56,9 +57,7 @@ def test_the_table_names_a_seed_that_finds_the_absence_of_each_protection() -> N
         assert not in_copy(run_without).holds, fix
 
 
-@pytest.mark.parametrize(
-    "group", [0, *(pytest.param(group, marks=pytest.mark.slow) for group in range(1, GROUPS))]
-)
+@pytest.mark.parametrize("group", mostly_slow(range(GROUPS)))
 def test_no_mission_of_the_sample_violates_an_invariant(group: int) -> None:
     violations = {}
     for seed in range(group, GROUPS * SEEDS, GROUPS):

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import pytest
 
 from thorvaldc.cli.main import run_command
+from thorvaldc.tool_folders import tools
 
 GOOD = """\
 thorvaldc: 1
@@ -56,6 +57,8 @@ def thorvaldc(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Command:
         out, err = io.StringIO(), io.StringIO()
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             status = run_command()
+        if "No such command" in err.getvalue() and not any(tools()):
+            pytest.skip("the folders of all tools are deleted")
         return Result(status, out.getvalue(), err.getvalue())
 
     return run

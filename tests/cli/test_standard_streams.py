@@ -13,9 +13,8 @@ from tests.child_process import ChildProcess
 from tests.cli.conftest import GOOD
 
 COMMANDS = (
-    ("info", "good.yaml"),
     ("targets",),
-    ("why", "good.yaml", "mass"),
+    ("modules", "list"),
     ("sim", "good.yaml", "--twist", "0.3,0,0", "--duration", "0.1"),
     ("can", "plan", "good.yaml", "--bus", "virtual"),
     ("--version",),

@@ -14,13 +14,13 @@ import pytest
 
 from tests.commissioning.bench import NODES, QUICK, SWAPPED, Bench, Dead, MemoryStorage, four_drives
 from tests.simulation.bus.robots import cia402_robot
+from tests.slow import mostly_slow
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.journal import Journal
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
 
-CHUNKS = 8
-SLOW = pytest.mark.slow
+CHUNKS = 24
 
 
 def new(robot: Robot | None = None, torn: bool = False) -> Bench:
@@ -96,9 +96,7 @@ def check(bench: Bench, where: object, library: bool = False) -> None:
     assert Journal(bench.storage).unfinished is None, where
 
 
-@pytest.mark.parametrize(
-    "chunk", [0, *(pytest.param(chunk, marks=SLOW) for chunk in range(1, CHUNKS))]
-)
+@pytest.mark.parametrize("chunk", mostly_slow(range(CHUNKS)))
 def test_power_cut_at_every_frame(chunk: int) -> None:
     hash_, first, last, *_ = undisturbed()
     assert last - first > 500
@@ -173,11 +171,12 @@ def is_write(frame: CanFrame) -> bool:
     return lss or (0x600 < frame.id < 0x680 and frame.data[1:4] == bytes([0x10, 0x10, 1]))
 
 
+@pytest.mark.parametrize("start", mostly_slow([0, 23, 46]))
 @pytest.mark.parametrize("cut", [cut_bus, kill_master], ids=["bus", "master"])
-def test_the_bus_alone_or_the_master_alone(cut: Callable[[Bench], None]) -> None:
+def test_the_bus_alone_or_the_master_alone(cut: Callable[[Bench], None], start: int) -> None:
     """The other side goes on: the master stops with a message, or the nodes keep their state."""
     hash_, first, last, *_ = undisturbed()
-    for number in range(first, last, 23):
+    for number in range(first + start, last, 69):
         bench = new()
         bench.wire.at_frame(number, functools.partial(cut, bench))
         how = interrupted(bench, hash_)
@@ -190,9 +189,7 @@ def test_the_bus_alone_or_the_master_alone(cut: Callable[[Bench], None]) -> None
         check(bench, number)
 
 
-@pytest.mark.parametrize(
-    "node", [NODES[0], *(pytest.param(node, marks=SLOW) for node in NODES[1:])]
-)
+@pytest.mark.parametrize("node", mostly_slow(NODES))
 def test_one_node_loses_its_power(node: str) -> None:
     hash_, first, last, *_ = undisturbed()
     for number in range(first, last, 41):
@@ -247,11 +244,12 @@ def test_repeated_power_cuts() -> None:
     assert len(Journal(bench.storage).runs) > 3
 
 
-def test_the_drives_of_the_library() -> None:
-    """All 72 values of each drive; a cut at every 199th frame."""
+@pytest.mark.parametrize("start", mostly_slow([350, 549]))
+def test_the_drives_of_the_library(start: int) -> None:
+    """All 72 values of each drive; a cut at every 398th frame."""
     hash_, first, last, *_ = undisturbed(True)
     assert last - first > 2000
-    for number in range(first + 350, last, 199):
+    for number in range(first + start, last, 398):
         bench = new(cia402_robot())
         bench.wire.at_frame(number, functools.partial(cut_power, bench))
         assert interrupted(bench, hash_) == "dead"

@@ -30,11 +30,12 @@ A case file ``TVnnn-name.yaml`` is a list of cases:
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import os
 import re
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -70,11 +71,24 @@ def case_files() -> list[Path]:
     return sorted(HERE.glob("*.yaml"))
 
 
-def cases() -> Iterator[Any]:
-    for path in case_files():
-        for number, case in enumerate(yaml.safe_load(path.read_text(encoding="utf-8"))):
-            if TOOL_COMMANDS or case.get("run", "compile") in CORE_COMMANDS:
-                yield pytest.param(case, id=f"{path.stem}[{number}]")
+@functools.cache
+def read_cases(path: Path) -> list[dict[str, Any]]:
+    cases: list[dict[str, Any]] = yaml.load(path.read_text(encoding="utf-8"), yaml.CSafeLoader)
+    return cases
+
+
+def cases(left_out: Collection[str] = ()) -> Any:
+    """Runs a test with each case whose command is none of ``left_out``."""
+    return pytest.mark.parametrize(
+        "case",
+        [
+            pytest.param(case, id=f"{path.stem}[{number}]")
+            for path in case_files()
+            for number, case in enumerate(read_cases(path))
+            if (command := case.get("run", "compile")) not in left_out
+            and (TOOL_COMMANDS or command in CORE_COMMANDS)
+        ],
+    )
 
 
 def write(files: dict[str, Any], folder: Path) -> None:
@@ -218,7 +232,7 @@ def drive_by_its_buses(robot: Robot, devices: str | None, report: Report) -> Non
         report.put(diagnostic)
 
 
-@pytest.mark.parametrize("case", list(cases()))
+@cases()
 def test_case(case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert {key.removeprefix(NEIGHBOUR) for key in case} <= KEYS, "unknown key in a case"
     entry = case.get("entry", "robot.yaml")
@@ -234,7 +248,7 @@ def test_case(case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert (case.get("file", ""), case["line"]) in lines, f"raised at another line: {shown}"
 
 
-@pytest.mark.parametrize("case", list(cases()))
+@cases()
 def test_neighbour(case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(case["neighbour"], tmp_path)
     monkeypatch.chdir(tmp_path)
@@ -254,9 +268,8 @@ def test_neighbour(case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.Mon
 def test_every_code_has_cases_and_a_page(code: Any) -> None:
     path = HERE / f"{code.number}-{code.name}.yaml"
     assert path.is_file(), f"there is no case file {path.name}"
-    cases = yaml.safe_load(path.read_text(encoding="utf-8"))
-    assert cases
-    for case in cases:
+    assert read_cases(path)
+    for case in read_cases(path):
         assert case["code"] == code.name
         assert case["neighbour"]
     page = PAGES / f"{code.number}.md"
@@ -298,8 +311,7 @@ def test_the_example_of_a_page_raises_its_code(
         page = (PAGES / f"{code.number}.md").read_text(encoding="utf-8")
         section = page.partition("## An example that raises it\n")[2].partition("\n## ")[0]
         language, _, example = section.partition("```")[2].partition("```")[0].partition("\n")
-        file = HERE / f"{code.number}-{code.name}.yaml"
-        cases = yaml.safe_load(file.read_text(encoding="utf-8"))
+        cases = read_cases(HERE / f"{code.number}-{code.name}.yaml")
         texts = LEFT_OUT.sub("", "".join(str(t) for case in cases for t in case["files"].values()))
         is_of_a_case = all(LEFT_OUT.sub("", line) in texts for line in example.splitlines())
         robots = [*cases, {"neighbour": {"robot.yaml": GOOD}}]

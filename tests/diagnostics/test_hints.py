@@ -79,19 +79,21 @@ def shown(diagnostic: Diagnostic) -> tuple[str, str]:
     return diagnostic.code.name, diagnostic.message
 
 
-@pytest.mark.parametrize("case", [c for c in cases() if c.values[0].get("run") not in SLOW])
+@cases(left_out=SLOW)
 def test_fixes(case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A concrete hint has fixes, which remove the diagnostic and cause no new error."""
     entry = case.get("entry", "robot.yaml")
     write(case["files"], tmp_path)
     monkeypatch.chdir(tmp_path)
     before = run_case(case, entry)
     known = {shown(d) for d in before}
     for diagnostic in before:
+        check_the_hint(diagnostic)
         clean = []
         for fix in diagnostic.fixes:
-            write(case["files"], tmp_path)
             apply(fix)
             after = run_case(case, entry)
+            write(case["files"], tmp_path)
             left = [d for d in after if shown(d) == shown(diagnostic)]
             assert not left, f"{diagnostic.hint} does not remove: {diagnostic.message}"
             new = [d for d in after if d.severity is Severity.ERROR and shown(d) not in known]
@@ -104,28 +106,14 @@ def test_fixes(case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyP
         assert not clean or [] in clean, f"{diagnostic.hint}: {list(map(shown, clean[0]))}"
 
 
-@pytest.mark.parametrize("case", [c for c in cases() if c.values[0].get("run") not in SLOW])
-def test_an_example_replaces_no_number_of_the_user(
-    case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write(case["files"], tmp_path)
-    monkeypatch.chdir(tmp_path)
-    for diagnostic in run_case(case, case.get("entry", "robot.yaml")):
-        for fix in diagnostic.fixes:
-            if fix.is_example and diagnostic.code.name not in COMPUTED:
-                lost = numbers(replaced(fix)) - numbers(fix.text)
-                assert not lost, f"{diagnostic.code.name}: {diagnostic.hint}"
-
-
-@pytest.mark.parametrize("case", [c for c in cases() if c.values[0].get("run") not in SLOW])
-def test_concrete_hints_have_fixes(
-    case: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write(case["files"], tmp_path)
-    monkeypatch.chdir(tmp_path)
-    for diagnostic in run_case(case, case.get("entry", "robot.yaml")):
-        hint, span = diagnostic.hint or "", diagnostic.span
-        if "as in `" in hint and span is not None and numbers(replaced(Fix(span, ""))):
-            continue  # an example would replace a number of the user
-        if CONCRETE.search(hint) and diagnostic.code.name not in ADVICE:
-            assert diagnostic.fixes, f"{diagnostic.code.name}: {diagnostic.hint}"
+def check_the_hint(diagnostic: Diagnostic) -> None:
+    """An example replaces no number of the user, and a concrete hint has fixes."""
+    for fix in diagnostic.fixes:
+        if fix.is_example and diagnostic.code.name not in COMPUTED:
+            lost = numbers(replaced(fix)) - numbers(fix.text)
+            assert not lost, f"{diagnostic.code.name}: {diagnostic.hint}"
+    hint, span = diagnostic.hint or "", diagnostic.span
+    if "as in `" in hint and span is not None and numbers(replaced(Fix(span, ""))):
+        return  # an example would replace a number of the user
+    if CONCRETE.search(hint) and diagnostic.code.name not in ADVICE:
+        assert diagnostic.fixes, f"{diagnostic.code.name}: {diagnostic.hint}"

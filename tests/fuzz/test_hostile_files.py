@@ -8,6 +8,7 @@ import pytest
 
 from tests.fuzz.generator import case_of, kinds
 from tests.fuzz.judge import judge, prepare
+from tests.slow import mostly_slow
 from thorvaldc.cli.command import all_commands
 from thorvaldc.schema.documents import KINDS
 
@@ -41,10 +42,7 @@ def test_cases_are_repeatable() -> None:
         assert case_of(seed) == case_of(seed)
 
 
-@pytest.mark.parametrize(
-    "first",
-    [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(BATCH, SAMPLE, BATCH))],
-)
+@pytest.mark.parametrize("first", mostly_slow(range(0, SAMPLE, BATCH)))
 def test_hostile_files(first: int, tmp_path: Path) -> None:
     prepare()
     for seed in range(first, first + BATCH):

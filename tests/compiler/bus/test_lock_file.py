@@ -9,6 +9,7 @@ import pytest
 
 from tests.devices import BATTERY, DRIVE, Bench, line
 from tests.robots import FOUR_STEERED, make_robot
+from tests.slow import mostly_slow
 from thorvaldc.compiler.bus.assemble_buses import BusSpec
 from thorvaldc.compiler.bus.lock_file import Lock, has_pins, lock_text, read_lock
 from thorvaldc.compiler.source.reader import read_text
@@ -123,7 +124,7 @@ def test_a_foreign_device_with_a_pinned_id_is_a_conflict(bench: Bench) -> None:
     assert "`sprayer`" in diagnostic.message
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", mostly_slow(range(30), 10))
 def test_no_history_of_changes_renumbers_a_device(seed: int) -> None:
     """Devices come and go in any order, by hand or chosen; who stays keeps the id."""
     generator = random.Random(seed)

@@ -141,9 +141,9 @@ def test_aliases_share_a_value_under_their_own_keys() -> None:
 def test_billion_laughs_document_is_an_error() -> None:
     lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]"]
     lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 30)]
-    began = time.perf_counter()
+    began = time.process_time()
     assert only_error("\n".join(lines))[0] == "yaml-too-many-values"
-    assert time.perf_counter() - began < 2
+    assert time.process_time() - began < 2
 
 
 @pytest.mark.parametrize(
@@ -209,10 +209,10 @@ def test_more_than_a_megabyte_is_not_read() -> None:
     ["a: b\n" * 150_000, "- &a" + "\n- *a" * 150_000, "on: on\n" * 100_000, "[a,[" * 200_000],
 )
 def test_large_and_odd_texts_are_refused_quickly(text: str) -> None:
-    began = time.perf_counter()
+    began = time.process_time()
     _, report = read(text)
     assert report.has_errors
-    assert time.perf_counter() - began < 5
+    assert time.process_time() - began < 5
 
 
 def test_a_thousand_joints_are_read_quickly() -> None:

@@ -173,9 +173,9 @@ def test_hostile_documents_end_in_bounded_time(cart: Path) -> None:
     sums = "def generate_launch_description():\n    return Node(name=" + "'a' + " * 3000 + "'a')\n"
     (cart / "launch/sums.launch.py").write_text(sums, "utf-8")
     (cart / "config/alias.yaml").write_text("n: {ros__parameters: &x {y: *x}}\n", "utf-8")
-    start = time.monotonic()
+    start = time.process_time()
     skipped = {Path(file).name for code, file, _ in findings("cart") if "skipped" in code}
-    assert time.monotonic() - start < 60.0
+    assert time.process_time() - start < 60.0
     assert skipped >= {"bomb.yaml", "code.xml", "entity.launch.xml", "deep.xml", "nested.launch.py"}
 
 
