@@ -16,7 +16,6 @@ from thorvaldc.compiler.bus.stopping_distance import (
     longest_watchdog,
     with_command_timeout,
 )
-from thorvaldc.compiler.extras.extras_attachment import add_extras
 from thorvaldc.compiler.hardware.hardware_reader import Hardware, hardware_of
 from thorvaldc.compiler.hardware.purchase_reader import read_purchases
 from thorvaldc.compiler.hardware.robot_parts import RobotParts, couple_joints, modules_of
@@ -45,6 +44,7 @@ from thorvaldc.compiler.robot_settings.wheel_calibration import (
 )
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import read_section
+from thorvaldc.compiler.values.value_reader import items
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Inertial, Link, Robot, Wheel
 from thorvaldc.model.spatial import clean
@@ -126,16 +126,20 @@ class _Elaborator:
             if leaf.is_mechanical:
                 parts.add(leaf, hardware)
         parts.check_names(self.report)
-        urdf_extensions = add_extras(
-            self.document,
-            robot,
-            hardware,
-            parts,
-            self.base_dir,
-            self.files,
-            self.report,
-            self.trust,
-        )
+        urdf_extensions: tuple[str, ...] = ()
+        if items(self.document.get("extras")):
+            from thorvaldc.compiler.extras.load_extras import add_extras  # loads xacro
+
+            urdf_extensions = add_extras(
+                self.document,
+                robot,
+                hardware,
+                parts,
+                self.base_dir,
+                self.files,
+                self.report,
+                self.trust,
+            )
         couple_joints(self.document, robot, parts, self.resolver.references, self.report)
         if self.report.has_errors:
             self._check_buses(robot, parts)

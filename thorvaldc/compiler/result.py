@@ -31,12 +31,13 @@ from thorvaldc.compiler.modules.mounting import MountingPort, mounting_ports
 from thorvaldc.compiler.source.input_file import unsaved_text
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
-from thorvaldc.compiler.validation.document_check import check, without_invalid_values
-from thorvaldc.compiler.validation.document_kinds import (
+from thorvaldc.compiler.validation.document_check import (
+    check,
     is_fleet,
     is_scenario,
     is_study,
     report_wrong_kind,
+    without_invalid_values,
 )
 from thorvaldc.diagnostics import CODES, Accepted, Code, Diagnostic, Label, Report, Severity, Span
 from thorvaldc.diagnostics.bounded_file import MAX_LOG_BYTES

@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from thorvaldc.compiler.extras.load_extras import Attachment, ExtraParts, load_extras
+from thorvaldc.compiler.extras.join_extras import Attachment
+from thorvaldc.compiler.extras.load_extras import ExtraParts, load_extras
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Diagnostic, Report, Span
 from thorvaldc.model import Joint, Link, Pose

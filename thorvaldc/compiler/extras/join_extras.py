@@ -8,6 +8,9 @@ from dataclasses import dataclass, replace
 
 from thorvaldc.compiler.extras.urdf_reader import UrdfParts
 from thorvaldc.compiler.extras.xacro_expand import Element
+from thorvaldc.compiler.hardware.hardware_reader import Hardware
+from thorvaldc.compiler.hardware.robot_parts import RobotParts
+from thorvaldc.compiler.modules.module_tree import Instance, References, name_prefix
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
@@ -30,6 +33,59 @@ class Attachment:
 # `extras`.  The value `None` of `parent` selects the root module of the robot.  A robot without a
 # module, module port or link with the name in `parent` gives `None`.
 FindAttachment = Callable[[str | None], Attachment | None]
+
+
+class Attachments:
+    """Finds the mounting position on the robot that an entry of the section `extras` names."""
+
+    def __init__(
+        self,
+        document: Node,
+        robot: Instance,
+        hardware: Mapping[str, Hardware],
+        parts: RobotParts,
+    ) -> None:
+        self.document = document
+        self.robot = robot
+        self.hardware = hardware
+        # The first link after `base_link` is the first link of the root module.
+        self.root_link = parts.links[1].name
+        self.link_names = {link.name for link in parts.links}
+        self.first_links = {
+            path: f"{name_prefix(path)}_{part.links[0].name}"
+            for path, part in hardware.items()
+            if part.links
+        }
+
+    def find(self, reference: str | None) -> Attachment | None:
+        """Returns the mounting position that the key `parent` names, or ``None``.
+
+        Without a reference, it is the root module of the robot.  A reference in the robot document
+        has the form `link`, `module` or `module.port`.  A reference to an assembly names the first
+        module of the assembly that has links.
+        """
+        if reference is None:
+            return Attachment(self.root_link, Pose())
+        if reference in self.link_names:
+            return Attachment(reference, Pose())
+        if reference in self.first_links:
+            return Attachment(self.first_links[reference], Pose())
+        # References to unknown links or modules are reported when the extras are read.
+        references = References(Report())
+        node = Node(reference, self.document.span)
+        leaf_and_port = references.find_port(self.robot, reference, node)
+        if leaf_and_port is not None:
+            leaf, port_name = leaf_and_port
+            if leaf.type is not None and leaf.path in self.first_links:
+                port = leaf.type.section("ports")[port_name]
+                link = leaf.scope.text(port.get("link")) or self.hardware[leaf.path].links[0].name
+                return Attachment(f"{name_prefix(leaf.path)}_{link}", leaf.scope.pose(port))
+        part_and_rest = references.find(self.robot, reference, node)
+        if part_and_rest is not None and not part_and_rest[1]:
+            for leaf in part_and_rest[0].leaves():
+                if leaf.path in self.first_links:
+                    return Attachment(self.first_links[leaf.path], Pose())
+        return None
 
 
 WORLD = "world"

@@ -13,15 +13,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from thorvaldc.compiler.extras.control_checks import check_controls
 from thorvaldc.compiler.extras.join_extras import (
-    Attachment,
+    Attachments,
     ExtrasJoiner,
     FindAttachment,
     Placement,
 )
-from thorvaldc.compiler.extras.joint_servos import servos_of
-from thorvaldc.compiler.extras.ros_packages import find_package, is_below
+from thorvaldc.compiler.extras.ros2_controls import check_controls, servos_of
 from thorvaldc.compiler.extras.urdf_elements import call_labels
 from thorvaldc.compiler.extras.urdf_reader import UrdfParts, read_urdf
 from thorvaldc.compiler.extras.xacro_expand import (
@@ -35,16 +33,61 @@ from thorvaldc.compiler.extras.xacro_expand import (
     readable_folders,
     search_paths,
 )
+from thorvaldc.compiler.extras.xacro_rules import find_package, is_below
+from thorvaldc.compiler.hardware.hardware_reader import Hardware
+from thorvaldc.compiler.hardware.robot_parts import RobotParts
+from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.shapes.meshes import load_mesh
 from thorvaldc.compiler.source.input_file import FOLDERS, XACRO_FILES, missing_file_hint
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.units import UnitError, parse_quantity
+from thorvaldc.compiler.values.value_reader import items
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.grouping import grouped
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Joint, JointServo, Link, Mesh, Pose, Vec3
 
-__all__ = ["Attachment", "ExtraParts", "load_extras"]
+
+def add_extras(
+    document: Node,
+    robot: Instance,
+    hardware: Mapping[str, Hardware],
+    parts: RobotParts,
+    base_dir: Path,
+    files: dict[str, Path],
+    report: Report,
+    trust: bool,
+) -> tuple[str, ...]:
+    """Adds the links, joints and meshes of the extras to the parts of the robot.
+
+    Returns the other URDF elements of the extras as text.
+
+    Parameters
+    ----------
+    document : the robot document, which names the extras.
+    robot : the tree of module instances.
+    hardware : hardware of the leaf modules, by the path of the leaf.
+    parts : links and joints of the robot.
+    base_dir : folder of the robot file.
+    files : the function adds each file that was read, by the name of the file in spans.
+    trust : whether xacro files are expanded without restrictions.
+    """
+    extra_parts = load_extras(
+        items(document.get("extras")),
+        base_dir,
+        links={link.name: link.span for link in parts.links},
+        joints={joint.name: joint.span for joint in parts.joints},
+        attach=Attachments(document, robot, hardware, parts).find,
+        report=report,
+        trust=trust,
+    )
+    files.update(extra_parts.files)
+    parts.links.extend(extra_parts.links)
+    parts.joints.extend(extra_parts.joints)
+    parts.joint_servos.extend(extra_parts.servos)
+    for mesh in extra_parts.meshes:
+        parts.meshes[mesh.name] = mesh
+    return extra_parts.urdf_extensions
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from thorvaldc.compiler.extras.joint_servos import stated_servos
+from thorvaldc.compiler.extras.ros2_controls import stated_servos
 from thorvaldc.compiler.extras.urdf_elements import ELEMENTS, EXTENSIONS, ElementReader
 from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.compiler.shapes.solids import solid_of_shapes

@@ -1,9 +1,9 @@
 """Expands xacro files in a separate process with limited rights, time and memory.
 
 A xacro file contains Python expressions.  For security, the compiler expands xacro files in a
-separate worker process, which has no environment variables.  The rules of ``expression_rules``
-apply to each expression, the file may read only in the folders of the request, and the process has
-the limits of ``process_limits``.  With the option ``--trust``, only these limits are left.
+separate worker process, which has no environment variables.  The rules of ``xacro_rules`` apply
+to each expression, the file may read only in the folders of the request, and the process has the
+limits of ``worker_protocol``.  With the option ``--trust``, only these limits are left.
 The messages are described in ``worker_protocol``.
 
 The package xacro does not keep the line numbers of XML elements.  The class ``_Builder`` stores the
@@ -24,9 +24,7 @@ from typing import Any
 from xml.dom import expatbuilder
 from xml.parsers.expat import ExpatError
 
-from thorvaldc.compiler.extras import expression_rules
-from thorvaldc.compiler.extras.expression_rules import ForbiddenExpressionError
-from thorvaldc.compiler.extras.ros_packages import find_in_sources, find_package, is_below
+from thorvaldc.compiler.extras import xacro_rules
 
 Position = tuple[int, int, int]  # index of the file, line, column
 
@@ -157,7 +155,7 @@ class Expansion:
     def open(self, filename: str, mode: str = "r") -> Any:
         """Replaces the builtin ``open``, with which xacro reads YAML files."""
         path = os.path.realpath(self.in_sources(filename))
-        if self.folders is not None and not is_below(path, self.folders):
+        if self.folders is not None and not xacro_rules.is_below(path, self.folders):
             text = f"the file `{filename}` is outside of the folders that may be read"
             raise ExpansionError("forbidden", text)
         return open(path, mode)
@@ -167,31 +165,34 @@ class Expansion:
         if self.entry.get("source_layout"):
             for folder in self.packages.values():
                 if filename.startswith(os.path.join(folder, "")):
-                    return find_in_sources(folder, os.path.relpath(filename, folder)) or filename
+                    return (
+                        xacro_rules.find_in_sources(folder, os.path.relpath(filename, folder))
+                        or filename
+                    )
         return filename
 
     def with_rules(self, function: Callable[..., Any], builtins: dict[str, Any]) -> Any:
-        """Returns a replacement of ``eval`` that applies ``expression_rules`` to an expression.
+        """Returns a replacement of ``eval`` that applies ``xacro_rules`` to an expression.
 
         - ``function``: the original function, which evaluates expressions of a trusted file.
         - ``builtins``: builtins of the expression.
         """
         x = self.xacro
-        read_attribute = expression_rules.attribute_reader(
+        read_attribute = xacro_rules.attribute_reader(
             x.YamlDictWrapper, x.YamlListWrapper, (x.NameSpace,)
         )
-        functions = expression_rules.builtins_for(read_attribute, builtins)
+        functions = xacro_rules.builtins_for(read_attribute, builtins)
 
         def call(expression: str, symbols: Any, more: Any = None) -> Any:
             try:
                 if self.folders is None:
                     return function(expression, symbols, more)
-                code = expression_rules.compile_expression(expression)
+                code = xacro_rules.compile_expression(expression)
                 symbols.update(__builtins__=functions)
                 return eval(code, symbols, more)
             except SyntaxError as error:
                 raise ValueError(f"`{expression}` is not an expression: {error.msg}") from error
-            except ForbiddenExpressionError as error:
+            except xacro_rules.ForbiddenExpressionError as error:
                 shown = expression if len(expression) < 100 else f"{expression[:100]}..."
                 raise ExpansionError("forbidden", f"`{shown}` uses {error}") from error
 
@@ -310,7 +311,7 @@ class Expansion:
         installation.
         """
         near = self.xacro.filestack[-1] or self.entry["file"]
-        folder = find_package(name, self.entry["packages"], self.entry["search"], near)
+        folder = xacro_rules.find_package(name, self.entry["packages"], self.entry["search"], near)
         if folder is None:
             raise ExpansionError("package", name)
         self.packages[name] = folder
@@ -354,7 +355,7 @@ class Expansion:
             substitution_args._eval_env = required
             substitution_args._eval_optenv = optional
             substitution_args._eval_dict.update(find=self.find, env=required, optenv=optional)
-            substitution_args.eval = self.with_rules(eval, expression_rules.BUILTINS)
+            substitution_args.eval = self.with_rules(eval, xacro_rules.BUILTINS)
             try:
                 return function(text)
             except self.xacro.XacroException as error:
@@ -437,9 +438,9 @@ class Expansion:
             # Expressions in a xacro file can call functions of xacro, as in `xacro.warning(...)`.
             functions = x._global_symbols
             dict.update(functions["xacro"], warning=self.warn, error=self.warn, message=_ignore)
-            dict.update(functions["python"], sum=expression_rules.add_all)
+            dict.update(functions["python"], sum=xacro_rules.add_all)
             if self.folders is not None:
-                dict.update(functions["python"], type=expression_rules.class_of)
+                dict.update(functions["python"], type=xacro_rules.class_of)
                 dict.pop(functions["python"], "vars", None)  # gives all attributes of an object
             answer = self.run()
         except Exception as error:

@@ -6,17 +6,15 @@ A ROS bag is an MCAP file, a folder written by ``ros2 bag record``, or a ROS 1 b
 from __future__ import annotations
 
 import os
-import signal
-import subprocess
 import sys
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError, WorkerLimits, WorkerProcess
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.bounded_file import MAX_LOG_BYTES, check_regular, read_bounded
-from thorvaldc.diagnostics.foreign_json import read_json
 
 ODOM, TRUE_ODOM = "odom", "ground_truth/odom"
 COMMANDED_TWIST, LIMITED_TWIST = "cmd_vel", "cmd_vel_limited"
@@ -32,8 +30,12 @@ TYPES = {
 """ROS message type of each topic of a robot.  The topic names have no namespace."""
 SUFFIXES = (".mcap", ".db3", ".bag")
 """File name suffixes of ROS bags.  A folder is a bag if it contains ``metadata.yaml``."""
-_WORKER_BYTES = 384 << 20  # the interpreter and its packages need a third of it
-_WORKER_PROCESSOR_SECONDS, _WORKER_SECONDS = 30, 120.0
+_LIMITS = WorkerLimits(
+    wall_seconds=120.0,
+    processor_seconds=30,
+    memory_bytes=384 << 20,  # the interpreter and its packages need a third of it
+    file_bytes=MAX_LOG_BYTES,  # a bag may be unpacked to temporary files
+)
 _MAX_METADATA_BYTES = 1_000_000
 # A message in memory needs some 1.5 kB and its data.  A compressed bag of short messages needs 20
 # times its size.
@@ -97,13 +99,10 @@ def read_bag(
     Raises ``MissingPackageError`` if the package ``rosbags`` is not installed.
     """
     require_rosbags()
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
     try:
         memory = _MEMORY_OF_SMALL_BAG + _EXPANSION * _check_files(path)
         _check_in_worker(path)
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        with _open(path) as reader:
             topics = {c.topic: c.msgtype for c in reader.connections}
             selected = set(choose(topics))
             messages: dict[str, list[tuple[float, Any]]] = {
@@ -136,6 +135,14 @@ def read_bag(
         return None
 
 
+def _open(path: Path) -> Any:
+    """Returns the reader of a bag as a context manager."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    return AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
+
+
 def _check_files(path: Path) -> int:
     """Returns the number of bytes in the files of a ROS bag.
 
@@ -153,35 +160,37 @@ def _check_files(path: Path) -> int:
     return size
 
 
-def _check_in_worker(path: Path) -> None:
-    """Raises ``OSError`` if a process with limits cannot read a bag, see ``bag_worker``."""
-    program = (
-        f"import sys; sys.path[:] = {sys.path!r}; "
-        "from thorvaldc.compiler.recordings.bag_worker import main; main()"
-    )
-    limits = (_WORKER_BYTES, _WORKER_PROCESSOR_SECONDS, MAX_LOG_BYTES)
+def answer(request: dict[str, Any], _: bytes) -> tuple[dict[str, Any], bytes]:
+    """Reads the bag of a request in a limited worker process, see ``worker_protocol``.
+
+    A bag of some kilobytes can expand to gigabytes, or state that it does, by its compressed chunks
+    or its index.  The compiler reads a bag only after the worker process has read it.
+    """
     try:
-        process = subprocess.run(
-            [sys.executable, "-S", "-B", "-c", program, str(path.absolute()), *map(str, limits)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            timeout=_WORKER_SECONDS,
-            # One thread per process: the memory of a thread counts for the limit.
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-            start_new_session=True,  # Ctrl-C ends the compiler, which then ends the process
-        )
-    except subprocess.TimeoutExpired:
-        raise OSError(f"it took longer than {_WORKER_SECONDS:g} s to read") from None
-    if process.returncode == -getattr(signal, "SIGXCPU", 24):
-        raise OSError("it takes too long to read")
-    answer = (
-        read_json(process.stdout)
-        if process.stdout
-        else {"error": "it needs too much memory to read"}
-    )
-    if "error" in answer:
-        raise OSError(answer["error"])
+        with _open(Path(request["bag"])) as reader:
+            for _ in reader.messages():
+                pass
+    except MemoryError:
+        raise
+    except Exception as error:  # rosbags raises many types of exceptions for a damaged bag
+        # lz4 raises RuntimeError if it has no memory.
+        if isinstance(error.__context__, MemoryError) or "resize buffer" in str(error):
+            raise MemoryError from error
+        return {"error": " ".join(str(error).split())[:300] or type(error).__name__}, b""
+    return {}, b""
+
+
+def _check_in_worker(path: Path) -> None:
+    """Raises ``OSError`` if a worker process with limits cannot read a bag."""
+    folders = [os.path.abspath(folder) for folder in sys.path]
+    imports = ["rosbags.highlevel", "rosbags.typesys"]
+    with WorkerProcess(__name__, _LIMITS, path=folders, imports=imports) as worker:
+        try:
+            problem, _ = worker.ask({"bag": str(path.absolute())})
+        except WorkerLimitError as error:
+            raise OSError(f"it {error}") from error
+    if problem:
+        raise OSError(problem["error"])
 
 
 def _is_mcap(path: Path) -> bool:

@@ -1,8 +1,7 @@
 """Starts and limits the processes that read files of others.
 
 Files of others (xacro, meshes) can contain programs, or need any amount of time and memory.  The
-compiler reads them only in limited worker processes, see ``worker_protocol`` and
-``process_limits``.
+compiler reads them only in limited worker processes, see ``worker_protocol``.
 """
 
 from __future__ import annotations
@@ -36,12 +35,14 @@ class WorkerLimits:
 
     - ``wall_seconds``, ``processor_seconds``: time and processor time of one request (s).
     - ``memory_bytes``: address space of the process (bytes).
+    - ``file_bytes``: size of a file that the process may write (bytes).
     - ``answer_bytes``: size of the fields of an answer, and of its data (bytes).
     """
 
     wall_seconds: float
     processor_seconds: int
     memory_bytes: int
+    file_bytes: int = 0
     answer_bytes: int = 64 << 20
 
 
@@ -78,6 +79,7 @@ class WorkerProcess:
             "path": [*path],
             "imports": [*imports],
             "memory_bytes": limits.memory_bytes,
+            "file_bytes": limits.file_bytes,
             "processor_seconds": limits.processor_seconds,
             "parent": os.getpid(),
         }

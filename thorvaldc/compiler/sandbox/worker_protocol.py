@@ -13,6 +13,8 @@ Protocol between the compiler (``worker_process``) and a worker process:
 A message is one line of JSON with the fields and the size of the data (bytes), and then the data.
 A service is a module with a function ``answer(request, data)`` that returns the answer and its
 data.
+
+Worker processes import this module, so it imports only the standard library.
 """
 
 from __future__ import annotations
@@ -20,14 +22,10 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import signal
 import sys
 from typing import IO, Any
 
-from thorvaldc.compiler.sandbox.process_limits import (
-    end_with_parent,
-    limit_processor_time,
-    set_limits,
-)
 from thorvaldc.diagnostics.foreign_json import read_json
 
 Fields = dict[str, Any]
@@ -77,7 +75,8 @@ def main() -> None:
     service = importlib.import_module(start["service"])
     for name in start["imports"]:
         importlib.import_module(name)
-    write_message(answers, {"missing": set_limits(start["memory_bytes"])})
+    missing = set_limits(start["memory_bytes"], start["file_bytes"])
+    write_message(answers, {"missing": missing})
     while True:
         try:
             request, data = read_message(requests)
@@ -94,3 +93,66 @@ def main() -> None:
             write_message(answers, {"exceeded": "depth"})
         except MemoryError:
             write_message(answers, {"exceeded": "memory"})
+
+
+# -- limits of a worker process ----------------------------------------------------
+
+# The rules of the readers decide what a file of others may reach; these limits end one that needs
+# too much.
+
+_PR_SET_PDEATHSIG = 1
+
+
+def end_with_parent(parent: int) -> None:
+    """Ends this process with SIGKILL when its parent process ends, whatever ends the parent.
+
+    Only Linux has this.  On other systems, the process ends when it reads the end of its input, or
+    at its limit of processor time.
+
+    - ``parent``: id of the parent process, which may have ended before this call.
+    """
+    if sys.platform == "linux":
+        import ctypes
+
+        libc = ctypes.CDLL(None, use_errno=True)
+        libc.prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
+        if os.getppid() != parent:
+            os._exit(1)
+
+
+def set_limits(memory_bytes: int, file_bytes: int = 0) -> str:
+    """Limits the memory, files and child processes of this process.
+
+    - ``file_bytes``: size of the files that the process may write.  Devices have no size.
+
+    Returns an empty text, or the reason why a limit is not in force.
+    """
+    try:
+        import resource
+    except ImportError:
+        return "this system has no resource limits"
+    missing = []
+    for name, value in (
+        ("RLIMIT_AS", memory_bytes),
+        ("RLIMIT_FSIZE", file_bytes),
+        ("RLIMIT_CORE", 0),
+        ("RLIMIT_NOFILE", 128),
+        ("RLIMIT_NPROC", 0),
+    ):
+        try:
+            resource.setrlimit(getattr(resource, name), (value, value))
+        except (AttributeError, ValueError, OSError):
+            missing.append(name)
+    return f"not supported: {', '.join(missing)}" if missing else ""
+
+
+def limit_processor_time(seconds: int) -> None:
+    """Ends this process with the signal SIGXCPU after more processor time (s) from now on."""
+    try:
+        import resource
+
+        hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
+        limit = int(os.times().user + os.times().system) + seconds
+        resource.setrlimit(resource.RLIMIT_CPU, (limit, hard))
+    except (ImportError, ValueError, OSError):
+        return

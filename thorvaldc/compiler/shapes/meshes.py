@@ -5,7 +5,7 @@ read both formats.  Text STL files are converted to binary STL, because MuJoCo r
 STL.  Mesh files of all other formats are converted to binary STL, so that no backend needs to
 convert a mesh.
 
-A contained worker process reads the files (``mesh_worker``).  Only the meshes of the built-in
+A contained worker process reads the files (``mesh_formats``).  Only the meshes of the built-in
 library, which are a part of this program, are read without it.
 """
 
@@ -24,8 +24,13 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError, WorkerLimits, WorkerProcess
-from thorvaldc.compiler.shapes.mesh_formats import CheckedMesh, MeshError, check_mesh, too_large
-from thorvaldc.compiler.shapes.mesh_worker import IMPORTS
+from thorvaldc.compiler.shapes.mesh_formats import (
+    IMPORTS,
+    CheckedMesh,
+    MeshError,
+    check_mesh,
+    too_large,
+)
 from thorvaldc.compiler.source.input_file import missing_file_hint, near_path
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span
@@ -213,7 +218,7 @@ def _worker(workers: dict[bool, WorkerProcess], converts: bool) -> WorkerProcess
         path = [os.path.abspath(folder) for folder in sys.path] if converts else []
         imports = [name for name in IMPORTS if converts and find_spec(name) is not None]
         workers[converts] = WorkerProcess(
-            "thorvaldc.compiler.shapes.mesh_worker", LIMITS, path=path, imports=imports
+            "thorvaldc.compiler.shapes.mesh_formats", LIMITS, path=path, imports=imports
         )
     return workers[converts]
 

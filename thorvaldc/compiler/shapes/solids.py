@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
+from thorvaldc.compiler.shapes.mesh_formats import obj_triangles
 from thorvaldc.model import Box, Cylinder, Inertial, Mesh, Pose, Shape, Sphere, Vec3
 from thorvaldc.model.spatial import combine
 from thorvaldc.model.stl import HEADER, NUMPY_RECORD
@@ -91,18 +92,7 @@ def mesh_triangles(mesh: Mesh) -> NDArray[np.float64]:
     if not mesh.name.endswith(".obj"):
         records = np.frombuffer(mesh.data, NUMPY_RECORD, offset=HEADER)
         return np.asarray(records["corners"], np.float64)
-    points: list[list[float]] = []
-    triangles: list[tuple[int, int, int]] = []
-    for line in mesh.data.split(b"\n"):
-        words = line.partition(b"#")[0].split()
-        if words[:1] == [b"v"]:
-            points.append([float(word) for word in words[1:4]])
-        elif words[:1] == [b"f"]:
-            indices = [int(corner.split(b"/", 1)[0]) for corner in words[1:]]
-            # Positive indices count from 1, negative ones from the last point so far.
-            face = [i - 1 if i > 0 else len(points) + i for i in indices]
-            triangles += [(face[0], face[i], face[i + 1]) for i in range(1, len(face) - 1)]
-    return np.asarray(np.array(points)[np.array(triangles)], np.float64)
+    return np.array([*obj_triangles(mesh.data)], np.float64)
 
 
 def _is_closed(triangles: NDArray[np.float64]) -> bool:

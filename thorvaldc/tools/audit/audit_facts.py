@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from thorvaldc.compiler.extras.ros_packages import find_in_sources
+from thorvaldc.compiler.extras.xacro_rules import find_in_sources
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Span
 from thorvaldc.model import Pose, Vec3

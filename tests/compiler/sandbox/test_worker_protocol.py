@@ -10,7 +10,7 @@ import pytest
 
 PROGRAM = """
 import sys
-from thorvaldc.compiler.sandbox.process_limits import set_limits
+from thorvaldc.compiler.sandbox.worker_protocol import set_limits
 assert set_limits(1 << 30) == ""
 try:
     bytearray(2 << 30)
