@@ -12,8 +12,7 @@ import pytest
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.compiler.validation.document_check import _validator
 from thorvaldc.diagnostics import Report
-from thorvaldc.schema import documents
-from thorvaldc.schema.documents import KINDS, Kind, inlined
+from thorvaldc.schema.documents import KINDS, Kind, inlined, passes
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES: dict[Kind, list[Path]] = {
@@ -86,7 +85,7 @@ def mutate(document: Any, chance: random.Random) -> Any:
 @pytest.mark.parametrize("kind", KINDS)
 def test_valid_documents_pass(kind: Kind) -> None:
     for path in FILES[kind]:
-        assert documents.passes(inlined(kind), plain(path)), path
+        assert passes(inlined(kind), plain(path)), path
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -99,14 +98,14 @@ def test_the_gate_agrees_with_jsonschema(kind: Kind) -> None:
         document = mutate(documents[turn % len(documents)], chance)
         valid = validator.is_valid(document)
         invalid += not valid
-        assert documents.passes(inlined(kind), document) == valid, document
+        assert passes(inlined(kind), document) == valid, document
     assert 100 < invalid < 300
 
 
 def test_a_schema_with_an_unsupported_keyword_is_rejected() -> None:
-    assert documents.passes({"type": "object"}, {})
-    assert not documents.passes({"type": "object", "unevaluatedProperties": False}, {})
-    assert not documents.passes({"properties": {"a": {"not": {"contains": {}}}}}, {"a": []})
+    assert passes({"type": "object"}, {})
+    assert not passes({"type": "object", "unevaluatedProperties": False}, {})
+    assert not passes({"properties": {"a": {"not": {"contains": {}}}}}, {"a": []})
 
 
 @pytest.mark.parametrize("value", [True, False, 0, 1, 1.0, "1", None])
@@ -114,4 +113,4 @@ def test_a_schema_with_an_unsupported_keyword_is_rejected() -> None:
 def test_booleans_are_not_numbers(value: Any, schema: dict[str, Any]) -> None:
     from jsonschema import Draft202012Validator
 
-    assert documents.passes(schema, value) == Draft202012Validator(schema).is_valid(value)
+    assert passes(schema, value) == Draft202012Validator(schema).is_valid(value)
