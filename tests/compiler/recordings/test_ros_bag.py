@@ -33,7 +33,9 @@ def test_a_chunk_that_expands_to_gigabytes(tmp_path: Path, compression: str, sta
     (tmp_path / "log.mcap").write_bytes(data)
     message = error_of(tmp_path, "log.mcap")
     # rosbags 0.11.0 reads only the stated size of a chunk, and finds that more follows.
-    assert message.endswith(("it needs more than 0.375 GB of memory", "did not decompress full frame"))
+    assert message.endswith(
+        ("it needs more than 0.375 GB of memory", "did not decompress full frame")
+    )
 
 
 def test_a_small_bag_with_very_many_messages(
