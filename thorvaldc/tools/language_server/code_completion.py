@@ -22,8 +22,8 @@ from thorvaldc.compiler.source.units import UnitError, parse_quantity
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.tools.language_server import hover, schema_lookup
-from thorvaldc.tools.language_server.module_view import ModuleView, Parameter
+from thorvaldc.tools.language_server import hover
+from thorvaldc.tools.language_server.module_view import ModuleView, Parameter, Schemas, is_nested
 from thorvaldc.tools.language_server.open_document import (
     MAX_REPAIRED,
     KeyPath,
@@ -149,8 +149,9 @@ class _Scanner:
             return
         self._close(column)
         name = next(group for group in key.groups() if group is not None)
-        if self.frames and self.frames[-1].indent == column and not self._in_item(column):
-            self.frames[-1].key = name
+        top = self.frames[-1] if self.frames else None
+        if top is not None and top.indent == column and not isinstance(top.key, int):
+            top.key = name
         else:
             self.frames.append(_Frame(column, name))
         rest = line[key.end() :]
@@ -165,9 +166,6 @@ class _Scanner:
             self._flow(value_start, start + len(line))
         elif value[:1] in ("'", '"'):
             self._set_token(value_start + 1, "value", value[0])
-
-    def _in_item(self, column: int) -> bool:
-        return isinstance(self.frames[-1].key, int)
 
     def _close(self, column: int, *, keep_list: bool = False) -> None:
         """Closes the mappings and lists that are indented more than ``column``.
@@ -241,10 +239,8 @@ class _Scanner:
     def _ends_key(self, index: int, end: int) -> bool:
         if self.frames[-1].bracket != "{" or self.frames[-1].key is not None:
             return False
-        return index + 1 >= end or self.text[index + 1] in " \t,{}[]" or self._after_quote(index)
-
-    def _after_quote(self, index: int) -> bool:
-        return self.text[index - 1] in "'\""
+        after_quote = self.text[index - 1] in "'\""
+        return after_quote or index + 1 >= end or self.text[index + 1] in " \t,{}[]"
 
     def _flow_key(self, index: int) -> None:
         name = self.text[self.token_start : index].strip()
@@ -346,15 +342,13 @@ def _keys(view: ModuleView, cursor: Cursor) -> Iterator[Proposed]:
         module = view.type_of(cursor.path[:2])
         for channel in module.section("channels") if module is not None else ():
             yield _entry(channel, "Field", "channel", "", cursor)
-    schemas = schema_lookup.schemas_at(view.kind, cursor.path)
-    required = schema_lookup.required_keys(schemas)
-    keys = schema_lookup.keys_of(schemas)
+    schemas = view.schemas(cursor.path)
+    required, keys = schemas.all("required"), schemas.keys
     for key in sorted(keys, key=lambda key: key not in required):
         if key not in present:
-            text = hover.schema_text((key,), [keys[key]])
+            text = hover.schema_text((key,), Schemas([keys[key]]))
             detail = "required" if key in required else ""
-            nested = schema_lookup.takes_mapping(keys[key]) or schema_lookup.takes_list(keys[key])
-            yield _entry(key, "Property", detail, text, cursor, nested=nested)
+            yield _entry(key, "Property", detail, text, cursor, nested=is_nested(keys[key]))
 
 
 def _entry(
@@ -389,8 +383,8 @@ def _values(
         yield from _names(view, cursor)
         return
     parameter = view.parameter_at(path)
-    schemas = schema_lookup.schemas_at(view.kind, path)
-    quantities = schema_lookup.quantities_of(schemas)
+    schemas = view.schemas(path)
+    quantities = schemas.quantities
     if parameter is not None:
         quantities = [parameter.quantity] if parameter.quantity else []
     units = list(_units(cursor, quantities))
@@ -400,14 +394,12 @@ def _values(
     if parameter is not None:
         yield from _parameter_values(view, parameter)
     yield from _references(view, path, models)
-    for value in schema_lookup.values_of(schemas):
+    for value in schemas.values:
         yield Proposed(yaml_text(value), yaml_text(value), "EnumMember")
     if not parameter:
-        default = next((s["default"] for s in schemas if "default" in s), None)
+        default = schemas.first("default")
         examples = [] if default is None else [default]
-        examples += [
-            e for e in schema_lookup.examples_of(schemas) if not isinstance(e, dict | list)
-        ]
+        examples += [e for e in schemas.all("examples") if not isinstance(e, dict | list)]
         for example in examples if quantities else ():
             detail = "default" if example is default else "example"
             yield Proposed(yaml_text(example), yaml_text(example), "Value", detail)

@@ -1,4 +1,4 @@
-"""Answers the requests of an editor about one document."""
+"""Answers the requests of an editor about one document; its outline and its formatter."""
 
 from __future__ import annotations
 
@@ -6,19 +6,17 @@ import difflib
 import os
 import re
 from collections import OrderedDict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from lsprotocol import types
 
-from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.schema.documents import Kind
 from thorvaldc.tools.language_server import module_references
 from thorvaldc.tools.language_server.code_completion import (
     Proposed,
@@ -27,7 +25,6 @@ from thorvaldc.tools.language_server.code_completion import (
     tree_around,
 )
 from thorvaldc.tools.language_server.hover import hover_at
-from thorvaldc.tools.language_server.module_references import definition_at
 from thorvaldc.tools.language_server.module_view import ModuleView
 from thorvaldc.tools.language_server.open_document import (
     OpenDocument,
@@ -36,6 +33,213 @@ from thorvaldc.tools.language_server.open_document import (
     workspace_documents,
 )
 
+MAX_VIEWS = 16
+"""Number of documents whose modules stay in memory."""
+
+
+class RenameError(Exception):
+    """A new name that a module cannot have, or a place that has no name of a module."""
+
+
+@dataclass(frozen=True)
+class Session:
+    """What a request may read: the open documents at the time of the request.
+
+    - ``texts``: unsaved texts by real path.
+    - ``uris``: URIs of the open documents by real path.
+    - ``models``: models of the documents without errors, by URI.
+    - ``folders``: library folders of the open robots.
+    - ``workspace``: folders of the workspace.
+    - ``has_snippets``: whether the editor supports snippets.
+    """
+
+    texts: Mapping[str, bytes]
+    uris: Mapping[str, str]
+    models: Mapping[str, Robot | Fleet]
+    folders: tuple[Path, ...]
+    workspace: tuple[Path, ...]
+    has_snippets: bool
+
+
+class Features:
+    """Answers requests of an editor about one document, with the unsaved texts of all documents.
+
+    All methods run in one thread, which is not the thread of the protocol.
+    """
+
+    def __init__(self) -> None:
+        self._views: OrderedDict[object, ModuleView] = OrderedDict()
+
+    def _view(self, document: OpenDocument, session: Session) -> ModuleView | None:
+        """Returns the modules of a document, from the cache if no open text has changed.
+
+        Returns ``None`` if the document is not one of thorvaldc.
+        """
+        if document.kind is None:
+            return None
+        key = (document.uri, tuple(session.texts.items()), session.folders)
+        if key not in self._views:
+            view = ModuleView(document.kind, document.path, document.tree, session.folders)
+            self._views[key] = view
+            while len(self._views) > MAX_VIEWS:
+                self._views.popitem(last=False)
+        return self._views[key]
+
+    # -- one document -------------------------------------------------------------------
+
+    def hover(
+        self, document: OpenDocument, params: types.HoverParams, session: Session
+    ) -> types.Hover | None:
+        view = self._view(document, session)
+        if view is None:
+            return None
+        model = session.models.get(document.uri)
+        answer = hover_at(view, model, *document.source.line_and_column(params.position))
+        if answer is None:
+            return None
+        text, span = answer
+        content = types.MarkupContent(types.MarkupKind.Markdown, text)
+        return types.Hover(content, document.source.range(span))
+
+    def completion(
+        self, document: OpenDocument, params: types.CompletionParams, session: Session
+    ) -> types.CompletionList | None:
+        if document.kind is None:
+            return None
+        offset = document.source.offset(params.position)
+        cursor = cursor_at(document.text, offset)
+        tree = tree_around(document.source, cursor, offset, str(document.path))
+        view = ModuleView(document.kind, document.path, tree, session.folders)
+        items = [
+            _completion_item(document.source, cursor.start, offset, number, proposal)
+            for number, proposal in enumerate(proposals_at(view, cursor, session.models))
+            if session.has_snippets or not proposal.is_snippet
+        ]
+        return types.CompletionList(False, items)
+
+    def definition(
+        self, document: OpenDocument, params: types.DefinitionParams, session: Session
+    ) -> types.Location | None:
+        view = self._view(document, session)
+        if view is None:
+            return None
+        line, column = document.source.line_and_column(params.position)
+        target = module_references.definition_at(view, line, column)
+        return _location(*target, document, session) if target is not None else None
+
+    def symbols(
+        self, document: OpenDocument, params: object, session: object
+    ) -> list[types.DocumentSymbol]:
+        if document.kind is None or document.tree is None:
+            return []
+        return _symbols(document.tree, document.source)
+
+    def formatting(
+        self, document: OpenDocument, params: object, session: object
+    ) -> list[types.TextEdit]:
+        if document.kind is None:
+            return []
+        text = formatted(document.text)
+        return [] if text == document.text else list(_line_edits(document.source, text))
+
+    # -- references ---------------------------------------------------------------------
+
+    def _module(
+        self, document: OpenDocument, position: types.Position, session: Session
+    ) -> tuple[ModuleView, str, Span] | None:
+        """Returns the name of the module at a position of a robot or assembly, and its span."""
+        view = self._view(document, session)
+        if view is None or document.kind not in ("robot", "module"):
+            return None
+        line, column = document.source.line_and_column(position)
+        module = module_references.module_at(view, line, column)
+        return (view, *module) if module is not None else None
+
+    def _uses(
+        self, document: OpenDocument, position: types.Position, session: Session
+    ) -> tuple[ModuleView, list[module_references.Use]] | None:
+        module = self._module(document, position, session)
+        if module is None or module[0].tree.get("modules") is None:
+            return None
+        view, name, _ = module
+        others = workspace_documents(session.workspace, session.texts, session.uris)
+        return view, module_references.uses_of(view, document, name, others)
+
+    def references(
+        self, document: OpenDocument, params: types.ReferenceParams, session: Session
+    ) -> list[types.Location]:
+        answer = self._uses(document, params.position, session)
+        return [
+            types.Location(use.document.uri, use.document.source.range(use.span))
+            for use in (answer[1] if answer is not None else [])
+            if params.context.include_declaration or not use.is_definition
+        ]
+
+    def prepare_rename(
+        self, document: OpenDocument, params: types.PrepareRenameParams, session: Session
+    ) -> types.PrepareRenamePlaceholder | None:
+        module = self._module(document, params.position, session)
+        if module is None:
+            return None
+        _, name, span = module
+        return types.PrepareRenamePlaceholder(document.source.range(span), name)
+
+    def rename(
+        self, document: OpenDocument, params: types.RenameParams, session: Session
+    ) -> types.WorkspaceEdit:
+        """Returns the changes of all documents.  Raises ``RenameError``."""
+        answer = self._uses(document, params.position, session)
+        if answer is None:
+            raise RenameError("only modules of a robot or assembly can be renamed")
+        view, uses = answer
+        name = params.new_name
+        if module_references.NAME.fullmatch(name) is None:
+            raise RenameError(f"`{name}` is no name: small letters, digits and `_`, a letter first")
+        if name in entries(view.tree.get("modules")):
+            raise RenameError(f"there is already a module `{name}`")
+        changes: dict[str, list[types.TextEdit]] = {}
+        for use in uses:
+            edit = types.TextEdit(use.document.source.range(use.span), name)
+            changes.setdefault(use.document.uri, []).append(edit)
+        return types.WorkspaceEdit(changes)
+
+
+def _completion_item(
+    source: SourceText, start: int, offset: int, number: int, proposal: Proposed
+) -> types.CompletionItem:
+    place = types.Range(source.position(start + proposal.start), source.position(offset))
+    text = proposal.text
+    if text.endswith(":") and source.text[offset : offset + 1] == ":":
+        text = text[:-1]
+    markup = types.MarkupContent(types.MarkupKind.Markdown, proposal.documentation)
+    typed = source.text[start + proposal.start : offset]
+    return types.CompletionItem(
+        proposal.label,
+        kind=types.CompletionItemKind[proposal.kind],
+        detail=proposal.detail or None,
+        documentation=markup if proposal.documentation else None,
+        sort_text=f"{number:04}",
+        filter_text=proposal.label if typed.strip() else None,
+        text_edit=types.TextEdit(place, text),
+        insert_text_format=types.InsertTextFormat.Snippet if proposal.is_snippet else None,
+    )
+
+
+def _location(path: Path, span: Span, document: OpenDocument, session: Session) -> types.Location:
+    if path == document.path:
+        return types.Location(document.uri, document.source.range(span))
+    real_path = os.path.realpath(path)
+    text = session.texts.get(real_path)
+    if text is None:
+        try:
+            text = path.read_bytes() if span.line > 1 or span.column > 1 else b""
+        except OSError:
+            text = b""
+    source = SourceText(text.decode("utf-8", "replace"))
+    uri = session.uris.get(real_path, uri_of(real_path))
+    return types.Location(uri, source.range(span))
+
+
 # -- the outline: sections and modules --------------------------------------------------
 
 MAX_ENTRIES = 2000
@@ -43,46 +247,33 @@ MAX_ENTRIES = 2000
 _NAMED = frozenset(["modules", "robots", "params", "links", "joints", "ports", "motors", "wheels"])
 
 
-@dataclass(frozen=True)
-class Entry:
-    """An entry of the outline.
-
-    - ``name``: key of the entry.
-    - ``detail``: type of the module and the port on which it is mounted, or a short value.
-    - ``kind``: ``module``, ``section`` or ``value``.
-    - ``span``: span from the key to the end of the value.
-    - ``name_span``: span of the key.
-    """
-
-    name: str
-    detail: str
-    kind: str
-    span: Span
-    name_span: Span
-    children: tuple[Entry, ...]
-
-
-def outline_of(tree: Node) -> list[Entry]:
-    """Returns the top-level entries of a document, with the modules inside."""
-    items = tree.value.items() if isinstance(tree.value, dict) else ()
-    return [_entry(key, node, 0, "") for key, node in list(items)[:MAX_ENTRIES]]
-
-
-def _entry(key: str, node: Node, depth: int, section: str) -> Entry:
-    children: tuple[Entry, ...] = ()
-    kind, detail = "section", ""
-    if isinstance(node.value, dict) and depth == 0 and key in _NAMED:
-        items = list(node.value.items())[:MAX_ENTRIES]
-        children = tuple(_entry(name, child, 1, key) for name, child in items)
-    elif not isinstance(node.value, dict | tuple):
-        kind, detail = "value", str(node.value)[:80]
-    if depth == 1 and section in ("modules", "robots"):
-        kind, detail = "module", _module_detail(node)
-    elif depth == 1:
-        kind = "value"
-    start, end = node.where, node.span
-    span = Span(start.file, start.line, start.column, *max(start[3:5], end[3:5]))
-    return Entry(key, detail, kind, span, start, children)
+def _symbols(node: Node, source: SourceText, section: str = "") -> list[types.DocumentSymbol]:
+    """Returns the entries of a document, or of one of its sections, with the modules inside."""
+    symbols: list[types.DocumentSymbol] = []
+    for key, child in list(entries(node).items())[:MAX_ENTRIES]:
+        kind, detail = types.SymbolKind.Namespace, ""
+        children: list[types.DocumentSymbol] = []
+        if not section and key in _NAMED:
+            children = _symbols(child, source, key)
+        if not isinstance(child.value, dict | tuple):
+            kind, detail = types.SymbolKind.Property, str(child.value)[:80]
+        if section in ("modules", "robots"):
+            kind, detail = types.SymbolKind.Class, _module_detail(child)
+        elif section:
+            kind = types.SymbolKind.Property
+        start, end = child.where, child.span
+        span = Span(start.file, start.line, start.column, *max(start[3:5], end[3:5]))
+        symbols.append(
+            types.DocumentSymbol(
+                key or "?",
+                kind,
+                source.range(span),
+                source.range(start),
+                detail=detail or None,
+                children=children or None,
+            )
+        )
+    return symbols
 
 
 def _module_detail(node: Node) -> str:
@@ -166,255 +357,12 @@ def _formatted_line(line: str) -> str:
     return stripped[: flow.end()] + _COMMA.sub(", ", stripped[flow.end() :])
 
 
-MAX_VIEWS = 16
-"""Number of documents whose modules stay in memory."""
-
-_SYMBOLS = {
-    "module": types.SymbolKind.Class,
-    "section": types.SymbolKind.Namespace,
-    "value": types.SymbolKind.Property,
-}
-
-
-class RenameError(Exception):
-    """A new name that a module cannot have, or a place that has no name of a module."""
-
-
-@dataclass(frozen=True)
-class Session:
-    """What a request may read: the open documents at the time of the request.
-
-    - ``texts``: unsaved texts by real path.
-    - ``uris``: URIs of the open documents by real path.
-    - ``models``: models of the documents without errors, by URI.
-    - ``folders``: library folders of the open robots.
-    - ``workspace``: folders of the workspace.
-    - ``has_snippets``: whether the editor supports snippets.
-    """
-
-    texts: Mapping[str, bytes]
-    uris: Mapping[str, str]
-    models: Mapping[str, Robot | Fleet]
-    folders: tuple[Path, ...]
-    workspace: tuple[Path, ...]
-    has_snippets: bool
-
-
-class Features:
-    """Answers requests.  All methods run in one thread, which is not the thread of the protocol."""
-
-    def __init__(self) -> None:
-        self._views: OrderedDict[object, ModuleView] = OrderedDict()
-
-    def _view(self, document: OpenDocument, kind: Kind, session: Session) -> ModuleView:
-        """Returns the modules of a document, from the cache if no open text has changed."""
-        key = (document.uri, tuple(session.texts.items()), session.folders)
-        if key not in self._views:
-            tree = document.tree
-            self._views[key] = ModuleView(kind, document.path, tree, session.folders)
-            while len(self._views) > MAX_VIEWS:
-                self._views.popitem(last=False)
-        return self._views[key]
-
-    # -- one document -------------------------------------------------------------------
-
-    def hover(
-        self, document: OpenDocument, position: types.Position, session: Session
-    ) -> types.Hover | None:
-        if document.kind is None:
-            return None
-        with unsaved_texts(session.texts):
-            view = self._view(document, document.kind, session)
-            line, column = _line_and_column(document.source, position)
-            answer = hover_at(view, session.models.get(document.uri), line, column)
-        if answer is None:
-            return None
-        text, span = answer
-        content = types.MarkupContent(types.MarkupKind.Markdown, text)
-        return types.Hover(content, document.source.range(span))
-
-    def completion(
-        self, document: OpenDocument, position: types.Position, session: Session
-    ) -> types.CompletionList | None:
-        if document.kind is None:
-            return None
-        offset = document.source.offset(position)
-        cursor = cursor_at(document.text, offset)
-        with unsaved_texts(session.texts):
-            tree = tree_around(document.source, cursor, offset, str(document.path))
-            view = ModuleView(document.kind, document.path, tree, session.folders)
-            proposals = proposals_at(view, cursor, session.models)
-        items = [
-            self._item(document.source, cursor.start, offset, number, proposal)
-            for number, proposal in enumerate(proposals)
-            if session.has_snippets or not proposal.is_snippet
-        ]
-        return types.CompletionList(False, items)
-
-    def _item(
-        self,
-        source: SourceText,
-        start: int,
-        offset: int,
-        number: int,
-        proposal: Proposed,
-    ) -> types.CompletionItem:
-        place = types.Range(source.position(start + proposal.start), source.position(offset))
-        after = source.text[offset : offset + 1]
-        text = proposal.text
-        if text.endswith(":") and after == ":":
-            text = text[:-1]
-        markup = types.MarkupContent(types.MarkupKind.Markdown, proposal.documentation)
-        typed = source.text[start + proposal.start : offset]
-        return types.CompletionItem(
-            proposal.label,
-            kind=types.CompletionItemKind[proposal.kind],
-            detail=proposal.detail or None,
-            documentation=markup if proposal.documentation else None,
-            sort_text=f"{number:04}",
-            filter_text=proposal.label if typed.strip() else None,
-            text_edit=types.TextEdit(place, text),
-            insert_text_format=types.InsertTextFormat.Snippet if proposal.is_snippet else None,
-        )
-
-    def definition(
-        self, document: OpenDocument, position: types.Position, session: Session
-    ) -> types.Location | None:
-        if document.kind is None:
-            return None
-        with unsaved_texts(session.texts):
-            view = self._view(document, document.kind, session)
-            target = definition_at(view, *_line_and_column(document.source, position))
-        if target is None:
-            return None
-        return _location(*target, document, session)
-
-    def symbols(self, document: OpenDocument) -> list[types.DocumentSymbol]:
-        if document.kind is None:
-            return []
-        tree = document.tree
-        listed = outline_of(tree) if tree is not None else []
-        return [_symbol(entry, document.source) for entry in listed]
-
-    def formatting(self, document: OpenDocument) -> list[types.TextEdit]:
-        if document.kind is None:
-            return []
-        text = formatted(document.text)
-        return [] if text == document.text else list(_line_edits(document.source, text))
-
-    # -- references ---------------------------------------------------------------------
-
-    def _uses(
-        self, document: OpenDocument, position: types.Position, session: Session
-    ) -> tuple[str, Span, list[module_references.Use], ModuleView] | None:
-        if document.kind not in ("robot", "module"):
-            return None
-        with unsaved_texts(session.texts):
-            view = self._view(document, document.kind, session)
-            module = module_references.module_at(view, *_line_and_column(document.source, position))
-            if module is None or view.tree.get("modules") is None:
-                return None
-            others = workspace_documents(session.workspace, session.texts, session.uris)
-            uses = module_references.uses_of(view, document, module[0], others)
-        return (*module, uses, view)
-
-    def references(
-        self,
-        document: OpenDocument,
-        position: types.Position,
-        with_definition: bool,
-        session: Session,
-    ) -> list[types.Location]:
-        answer = self._uses(document, position, session)
-        uses = answer[2] if answer is not None else []
-        return [
-            types.Location(use.document.uri, use.document.source.range(use.span))
-            for use in uses
-            if with_definition or not use.is_definition
-        ]
-
-    def prepare_rename(
-        self, document: OpenDocument, position: types.Position, session: Session
-    ) -> types.PrepareRenamePlaceholder | None:
-        if document.kind not in ("robot", "module"):
-            return None
-        with unsaved_texts(session.texts):
-            view = self._view(document, document.kind, session)
-            module = module_references.module_at(view, *_line_and_column(document.source, position))
-        if module is None:
-            return None
-        name, span = module
-        return types.PrepareRenamePlaceholder(document.source.range(span), name)
-
-    def rename(
-        self, document: OpenDocument, position: types.Position, new_name: str, session: Session
-    ) -> types.WorkspaceEdit:
-        """Returns the changes of all documents.  Raises ``RenameError``."""
-        answer = self._uses(document, position, session)
-        if answer is None:
-            raise RenameError("only modules of a robot or assembly can be renamed")
-        _, _, uses, view = answer
-        if module_references.NAME.fullmatch(new_name) is None:
-            raise RenameError(
-                f"`{new_name}` is no name: small letters, digits and `_`, a letter first"
-            )
-        if new_name in entries(view.tree.get("modules")):
-            raise RenameError(f"there is already a module `{new_name}`")
-        changes: dict[str, list[types.TextEdit]] = {}
-        for use in uses:
-            edit = types.TextEdit(use.document.source.range(use.span), new_name)
-            changes.setdefault(use.document.uri, []).append(edit)
-        return types.WorkspaceEdit(changes)
-
-
-def _line_and_column(source: SourceText, position: types.Position) -> tuple[int, int]:
-    """Returns a line and column of source spans, which start at 1."""
-    offset = source.offset(position)
-    line = min(position.line, len(source.starts) - 1)
-    return line + 1, offset - source.starts[line] + 1
-
-
-def _location(path: Path, span: Span, document: OpenDocument, session: Session) -> types.Location:
-    if path == document.path:
-        return types.Location(document.uri, document.source.range(span))
-    real_path = os.path.realpath(path)
-    text = session.texts.get(real_path)
-    if text is None:
-        try:
-            text = path.read_bytes() if span.line > 1 or span.column > 1 else b""
-        except OSError:
-            text = b""
-    source = SourceText(text.decode("utf-8", "replace"))
-    uri = session.uris.get(real_path, uri_of(real_path))
-    return types.Location(uri, source.range(span))
-
-
-def _symbol(entry: Entry, source: SourceText) -> types.DocumentSymbol:
-    return types.DocumentSymbol(
-        entry.name or "?",
-        _SYMBOLS[entry.kind],
-        source.range(entry.span),
-        source.range(entry.name_span),
-        detail=entry.detail or None,
-        children=[_symbol(child, source) for child in entry.children] or None,
-    )
-
-
 def _line_edits(source: SourceText, text: str) -> Iterable[types.TextEdit]:
     """Yields an edit for each changed group of lines, so that the cursor stays in its line."""
-    before, after = _lines(source), _lines(SourceText(text))
-    matcher = difflib.SequenceMatcher(None, before, after, autojunk=False)
+    after = SourceText(text).lines
+    matcher = difflib.SequenceMatcher(None, source.lines, after, autojunk=False)
+    starts = [*source.starts, len(source.text)]
     for tag, start, end, new_start, new_end in matcher.get_opcodes():
         if tag != "equal":
-            place = types.Range(_line_start(source, start), _line_start(source, end))
+            place = types.Range(source.position(starts[start]), source.position(starts[end]))
             yield types.TextEdit(place, "".join(after[new_start:new_end]))
-
-
-def _lines(source: SourceText) -> Sequence[str]:
-    bounds = [*source.starts, len(source.text)]
-    return [source.text[bounds[i] : bounds[i + 1]] for i in range(len(bounds) - 1)]
-
-
-def _line_start(source: SourceText, line: int) -> types.Position:
-    end = len(source.text)
-    return source.position(source.starts[line] if line < len(source.starts) else end)

@@ -16,10 +16,9 @@ from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.model.float_sum import float_sum
 from thorvaldc.schema.documents import bounds_in_words
-from thorvaldc.tools.language_server import schema_lookup
 from thorvaldc.tools.language_server.module_references import Reference, reference_at
-from thorvaldc.tools.language_server.module_view import ModuleView, Parameter, Port
-from thorvaldc.tools.language_server.open_document import Place, place_at
+from thorvaldc.tools.language_server.module_view import ModuleView, Parameter, Port, Schemas
+from thorvaldc.tools.language_server.open_document import KeyPath, Place, place_at
 
 Hover = tuple[str, Span]
 """Text in Markdown, and the span that it describes."""
@@ -53,10 +52,10 @@ def _key_text(view: ModuleView, place: Place, model: Robot | Fleet | None) -> st
         return ""  # the module has no such parameter
     if place.path[:1] == ("modules",) and len(place.path) == 2:
         return module_text(view, str(place.path[1]), model)
-    text = schema_text(place.path, schema_lookup.schemas_at(view.kind, place.path))
+    text = schema_text(place.path, view.schemas(place.path))
     if not text and isinstance(place.path[-1], int):  # an element, such as x of a position
         path = place.path[:-1]
-        text = schema_text(path, schema_lookup.schemas_at(view.kind, path))
+        text = schema_text(path, view.schemas(path))
     return text
 
 
@@ -78,26 +77,25 @@ def _reference_text(view: ModuleView, reference: Reference, model: Robot | Fleet
 # -- parts ------------------------------------------------------------------------------
 
 
-def schema_text(path: tuple[str | int, ...], schemas: list[schema_lookup.Schema]) -> str:
+def schema_text(path: KeyPath, schemas: Schemas) -> str:
     """Returns the description of a key, its kind, default, allowed values and examples."""
-    description = schema_lookup.description_of(schemas)
+    description = schemas.first("description")
     name = next((str(key) for key in reversed(path) if isinstance(key, str)), "")
     if not description:
         return ""
     rows = [f"**{name}**: {description}"]
-    quantities = schema_lookup.quantities_of(schemas)
+    quantities = schemas.quantities
     if quantities:
         kinds = " or ".join(f"{QUANTITIES[q].name.replace('_', ' ')}" for q in quantities)
         units = " or ".join(dict.fromkeys(f"`{QUANTITIES[q].unit}`" for q in quantities))
         rows.append(f"- {kinds}, in {units}")
-    rows += [f"- {bound}" for schema in schemas for bound in bounds_in_words(schema)]
-    default = next((schema["default"] for schema in schemas if "default" in schema), None)
+    rows += [f"- {bound}" for schema in schemas.schemas for bound in bounds_in_words(schema)]
+    default = schemas.first("default")
     if default is not None:
         rows.append(f"- default: `{yaml_text(default)}`")
-    values = schema_lookup.values_of(schemas)
+    values, examples = schemas.values, schemas.all("examples")
     if values:
         rows.append("- values: " + ", ".join(f"`{yaml_text(value)}`" for value in values))
-    examples = schema_lookup.examples_of(schemas)
     if examples and not values:
         rows.append(f"- example: `{yaml_text(examples[0])}`")
     return "\n".join(rows)
@@ -222,7 +220,7 @@ def _value_text(view: ModuleView, place: Place) -> str:
 
 
 def _unit_of(view: ModuleView, place: Place) -> str:
-    quantities = schema_lookup.quantities_of(schema_lookup.schemas_at(view.kind, place.path))
+    quantities = view.schemas(place.path).quantities
     parameter = view.parameter_at(place.path)
     if parameter is not None and parameter.quantity:
         quantities = [parameter.quantity]

@@ -101,35 +101,28 @@ def _dotted(
     if _DOTTED.fullmatch(text) is None:
         return
     names = text.split(".")
-    column = node.span.column + (1 if node.quoted else 0)
+    start = 0
     for index, name in enumerate(names):
         is_last = index == len(names) - 1
         own = kind if is_last and index > 0 else "module"
-        span = Span(node.span.file, node.span.line, column, node.span.line, column + len(name))
-        yield Reference(own, name, ".".join(names[: index + 1]), span)
-        column += len(name) + 1
+        yield Reference(own, name, ".".join(names[: index + 1]), _part(node, start, name))
+        start += len(name) + 1
 
 
 def _names(node: Node, text: str) -> Iterator[Reference]:
     """Yields the names in an expression; the second name of ``wheel.radius`` is a part."""
-    start = node.span.column + (1 if node.quoted else 0)
     for match in _DOTTED.finditer(text):
-        column = start + match.start()
         whole = ""
         for name in _NAME.finditer(match[0]):
             whole = f"{whole}.{name[0]}".lstrip(".")
-            yield Reference(
-                "name",
-                name[0],
-                whole,
-                Span(
-                    node.span.file,
-                    node.span.line,
-                    column + name.start(),
-                    node.span.line,
-                    column + name.end(),
-                ),
-            )
+            span = _part(node, match.start() + name.start(), name[0])
+            yield Reference("name", name[0], whole, span)
+
+
+def _part(node: Node, start: int, text: str) -> Span:
+    """Returns the span of a part of a scalar, ``start`` characters after its first one."""
+    column = node.span.column + start + (1 if node.quoted else 0)
+    return Span(node.span.file, node.span.line, column, node.span.line, column + len(text))
 
 
 def _is_file(view: ModuleView, path: tuple[str | int, ...], text: str) -> bool:
@@ -321,8 +314,9 @@ def _target(view: ModuleView, reference: Reference) -> Target | None:
     if not owner:
         node = node_at(view.tree, ("modules", reference.name))
         return (view.path, node.where) if node is not None else None
-    return _in_module(_type_at(view, owner), section, reference.name) or _in_module(
-        _type_at(view, owner), "modules", reference.name
+    module = _type_at(view, owner)
+    return _in_module(module, section, reference.name) or _in_module(
+        module, "modules", reference.name
     )
 
 

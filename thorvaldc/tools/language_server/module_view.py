@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from thorvaldc.compiler.modules.library import Library, ModuleType
 from thorvaldc.compiler.modules.module_parameters import Scope
@@ -14,11 +15,12 @@ from thorvaldc.compiler.modules.mounting import mount_kinds
 from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.pipeline import library_folders_of
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Pose
-from thorvaldc.schema.documents import Kind
+from thorvaldc.schema.documents import Kind, inlined
 from thorvaldc.tools.language_server.open_document import KeyPath, node_at
 
 CANOPEN_IDS = (1, 127)
@@ -158,6 +160,13 @@ class ModuleView:
         types = (child.type for child in self.root.children.values())
         return sorted({module.category for module in types if module is not None})
 
+    def schemas(self, path: KeyPath) -> Schemas:
+        """Returns the schemas of the value at a path."""
+        schemas = [inlined(self.kind)]
+        for key in path:
+            schemas = [inner for schema in schemas for inner in _inner(schema, key)]
+        return Schemas(branch for schema in schemas for branch in _branches(schema))
+
     # -- ports --------------------------------------------------------------------------
 
     def port(self, reference: str) -> Port | None:
@@ -279,3 +288,93 @@ def _carrier(instance: Instance) -> Instance | None:
         if child.is_mechanical and child.entry.get("mount") is None:
             return _carrier(child)
     return None
+
+
+# -- schemas ----------------------------------------------------------------------------
+
+Schema = dict[str, Any]
+
+
+class Schemas:
+    """The parts of a JSON Schema that describe a value of a document, the most specific first."""
+
+    def __init__(self, schemas: Iterable[Schema]) -> None:
+        self.schemas = list(schemas)
+
+    def all(self, keyword: str) -> list[Any]:
+        """Returns the items of all lists or mappings under a keyword, such as ``examples``."""
+        return [item for schema in self.schemas for item in schema.get(keyword, ())]
+
+    def first(self, keyword: str) -> Any:
+        """Returns the first value of a keyword that is not empty, or ``None``."""
+        return next((s[keyword] for s in self.schemas if s.get(keyword) not in (None, "")), None)
+
+    @property
+    def keys(self) -> dict[str, Schema]:
+        """The keys that a mapping can have, with their schemas."""
+        keys: dict[str, Schema] = {}
+        for schema in self.schemas:
+            for key, inner in schema.get("properties", {}).items():
+                if isinstance(inner, dict):
+                    keys.setdefault(key, inner)
+        return keys
+
+    @property
+    def values(self) -> list[Any]:
+        """The values that the schemas list: enumerations, constants and words."""
+        values: list[Any] = []
+        for schema in self.schemas:
+            listed = [*schema.get("enum", ()), *schema.get("x-words", ())]
+            if "const" in schema:
+                listed.append(schema["const"])
+            if "boolean" in _types(schema):
+                listed += [True, False]
+            if schema.get("pattern") == "^auto$":
+                listed.append("auto")
+            values += [value for value in listed if value not in values]
+        return values
+
+    @property
+    def quantities(self) -> list[str]:
+        """The kinds of quantity that the value can have."""
+        names: list[str] = []
+        for schema in self.schemas:
+            quantity = schema.get("x-quantity", [])
+            listed = [quantity] if isinstance(quantity, str) else quantity
+            names += [name for name in listed if name in QUANTITIES and name not in names]
+        return names
+
+
+def is_nested(schema: Schema) -> bool:
+    """Returns whether a value can only be a mapping, or only a list."""
+    return _types(schema) in (["object"], ["array"])
+
+
+def _types(schema: Schema) -> list[str]:
+    types = schema.get("type", [])
+    return [types] if isinstance(types, str) else list(types)
+
+
+def _branches(schema: Schema) -> Iterator[Schema]:
+    """Yields a schema and the alternatives of which it consists."""
+    yield schema
+    for keyword in ("anyOf", "oneOf", "allOf"):
+        for inner in schema.get(keyword, ()):
+            if isinstance(inner, dict):
+                yield from _branches(inner)
+    for keyword in ("then", "else"):
+        if isinstance(schema.get(keyword), dict):
+            yield from _branches(schema[keyword])
+
+
+def _inner(schema: Schema, key: str | int) -> Iterator[Schema]:
+    for branch in _branches(schema):
+        if isinstance(key, int):
+            if isinstance(branch.get("items"), dict):
+                yield branch["items"]
+            continue
+        properties = branch.get("properties", {})
+        if key in properties:
+            yield properties[key]
+        elif isinstance(branch.get("additionalProperties"), dict):
+            yield branch["additionalProperties"]

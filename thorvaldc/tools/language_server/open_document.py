@@ -43,12 +43,15 @@ class SourceText:
             if line[0].endswith(("\r", "\n")):
                 self.starts.append(line.end())
 
+    @cached_property
+    def lines(self) -> list[str]:
+        """The lines with their line breaks."""
+        bounds = [*self.starts, len(self.text)]
+        return [self.text[start:end] for start, end in itertools.pairwise(bounds)]
+
     def line(self, index: int) -> str:
         """Returns the line with the index from 0, without its line break."""
-        if not 0 <= index < len(self.starts):
-            return ""
-        end = self.starts[index + 1] if index + 1 < len(self.starts) else len(self.text)
-        return self.text[self.starts[index] : end].rstrip("\r\n")
+        return self.lines[index].rstrip("\r\n") if 0 <= index < len(self.lines) else ""
 
     def offset(self, position: Position) -> int:
         """Returns the offset of the character at a position; positions outside are moved inside."""
@@ -70,6 +73,11 @@ class SourceText:
         offset = max(0, min(offset, len(self.text)))
         index = bisect.bisect_right(self.starts, offset) - 1
         return Position(index, _units(self.text[self.starts[index] : offset]))
+
+    def line_and_column(self, position: Position) -> tuple[int, int]:
+        """Returns the line and column of source spans, which start at 1, at a position."""
+        line = min(position.line, len(self.starts) - 1)
+        return line + 1, self.offset(position) - self.starts[line] + 1
 
     def offset_of(self, line: int, column: int) -> int:
         """Returns the offset of a line and column of a source span, which start at 1."""
@@ -132,11 +140,9 @@ def tree_of(source: SourceText, file: str) -> Node | None:
 
 def _without_lines(source: SourceText, indices: set[int]) -> str:
     """Returns a text with empty lines in place of some lines; the other spans do not change."""
-    bounds = [*source.starts, len(source.text)]
-    lines = [source.text[start:end] for start, end in itertools.pairwise(bounds)]
+    lines = list(source.lines)
     for index in indices:
-        line = lines[index]
-        lines[index] = line[len(line.rstrip("\r\n")) :]
+        lines[index] = lines[index][len(source.line(index)) :]
     return "".join(lines)
 
 

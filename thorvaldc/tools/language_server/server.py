@@ -16,6 +16,7 @@ from pygls.exceptions import FeatureRequestError, JsonRpcInvalidParams
 from pygls.lsp.server import LanguageServer
 
 from thorvaldc import __version__
+from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.tools.language_server.diagnostic_publisher import DiagnosticPublisher
 from thorvaldc.tools.language_server.features import Features, RenameError, Session
 from thorvaldc.tools.language_server.open_document import (
@@ -47,7 +48,6 @@ class ThorvaldcServer(LanguageServer):
             self.documents, self.text_document_publish_diagnostics, self.log_error
         )
         self._executor = ThreadPoolExecutor(1, "thorvaldc-requests")
-        self._features = Features()
         self._register_notifications()
         self._register_requests()
 
@@ -60,46 +60,24 @@ class ThorvaldcServer(LanguageServer):
         self._notification(types.SHUTDOWN, self._shutdown)
 
     def _register_requests(self) -> None:
-        features = self._features
-        self._request(
-            types.TEXT_DOCUMENT_HOVER,
-            lambda document, p, session: features.hover(document, p.position, session),
-        )
+        features = Features()
+        self._request(types.TEXT_DOCUMENT_HOVER, features.hover)
         self._request(
             types.TEXT_DOCUMENT_COMPLETION,
-            lambda document, p, session: features.completion(document, p.position, session),
+            features.completion,
             types.CompletionOptions(trigger_characters=list(".: {[\"'/")),
         )
+        self._request(types.TEXT_DOCUMENT_DEFINITION, features.definition)
+        self._request(types.TEXT_DOCUMENT_DOCUMENT_SYMBOL, features.symbols)
+        self._request(types.TEXT_DOCUMENT_FORMATTING, features.formatting)
+        self._request(types.TEXT_DOCUMENT_REFERENCES, features.references)
+        self._request(types.TEXT_DOCUMENT_PREPARE_RENAME, features.prepare_rename)
         self._request(
-            types.TEXT_DOCUMENT_DEFINITION,
-            lambda document, p, session: features.definition(document, p.position, session),
-        )
-        self._request(
-            types.TEXT_DOCUMENT_DOCUMENT_SYMBOL,
-            lambda document, p, session: features.symbols(document),
-        )
-        self._request(
-            types.TEXT_DOCUMENT_FORMATTING,
-            lambda document, p, session: features.formatting(document),
-        )
-        self._request(
-            types.TEXT_DOCUMENT_REFERENCES,
-            lambda document, p, session: features.references(
-                document, p.position, p.context.include_declaration, session
-            ),
-        )
-        self._request(
-            types.TEXT_DOCUMENT_PREPARE_RENAME,
-            lambda document, p, session: features.prepare_rename(document, p.position, session),
-        )
-        self._request(
-            types.TEXT_DOCUMENT_RENAME,
-            lambda document, p, session: features.rename(document, p.position, p.new_name, session),
-            types.RenameOptions(prepare_provider=True),
+            types.TEXT_DOCUMENT_RENAME, features.rename, types.RenameOptions(prepare_provider=True)
         )
         self._request(
             types.TEXT_DOCUMENT_CODE_ACTION,
-            lambda document, p, session: self.publisher.code_actions(document, p.range),
+            lambda document, params, session: self.publisher.code_actions(document, params.range),
             types.CodeActionOptions([types.CodeActionKind.QuickFix]),
         )
 
@@ -120,6 +98,10 @@ class ThorvaldcServer(LanguageServer):
         The answer is dropped if the document has changed in the meantime.
         """
 
+        def answer_with_texts(document: OpenDocument, params: Any, session: Session) -> Any:
+            with unsaved_texts(session.texts):
+                return answer(document, params, session)
+
         @self.feature(method, options)
         async def call(params: Any) -> Any:
             document = self.documents.get(params.text_document.uri)
@@ -128,7 +110,7 @@ class ThorvaldcServer(LanguageServer):
             loop, session = asyncio.get_running_loop(), self._session()
             try:
                 value = await loop.run_in_executor(
-                    self._executor, answer, document, params, session
+                    self._executor, answer_with_texts, document, params, session
                 )
             except RenameError as error:
                 raise JsonRpcInvalidParams(str(error)) from None
