@@ -42,17 +42,16 @@ def read_batteries(
     modules: list[Module] = []
     for i, mapping in enumerate(mappings):
         name = names.make(mapping.name, f"battery_{i}")
-        target = f"modules.{name}"
         comments = [mapping.location]
-        battery_id = _battery_id(mapping, target, comments)
-        x = mapping.number("x", f"{target}.mount.xyz", default=0.0)
-        y = mapping.number("y", f"{target}.mount.xyz", default=0.0)
-        z = mapping.number("z", f"{target}.mount.xyz", default=height + _BATTERY_HEIGHT)
-        yaw = mapping.number("yaw", f"{target}.mount.rpy", default=0.0)
+        battery_id = _battery_id(mapping, comments)
+        x = mapping.number("x", default=0.0)
+        y = mapping.number("y", default=0.0)
+        z = mapping.number("z", default=height + _BATTERY_HEIGHT)
+        yaw = mapping.number("yaw", default=0.0)
         mapping.leave_out(
             "bat_mesh", "it is the number of a mesh; the library has its own enclosure mesh"
         )
-        present = _battery_present(mapping, target, battery_id)
+        present = _battery_present(mapping, battery_id)
         if x is None or y is None or z is None or yaw is None:
             continue
         mount: dict[str, Value] = {"parent": ROOT_MODULE, "xyz": [x, y, z - height]}
@@ -72,7 +71,7 @@ def read_batteries(
     return modules
 
 
-def _battery_id(mapping: OriginalMapping, target: str, comments: list[str]) -> int | None:
+def _battery_id(mapping: OriginalMapping, comments: list[str]) -> int | None:
     """Returns the battery id on the CAN bus, from 0 to 15.
 
     Returns ``None`` if the enclosure is empty or the battery id is not valid.
@@ -83,7 +82,7 @@ def _battery_id(mapping: OriginalMapping, target: str, comments: list[str]) -> i
     key = "id" if mapping.has("id") else "node"
     if key == "id":
         mapping.leave_out("node", "`id` already identifies the battery")
-    value = mapping.number(key, f"{target}.can")
+    value = mapping.number(key)
     if value is None or value < 0.0:
         return None
     number = value
@@ -102,14 +101,14 @@ def _battery_id(mapping: OriginalMapping, target: str, comments: list[str]) -> i
     return int(value)
 
 
-def _battery_present(mapping: OriginalMapping, target: str, battery_id: int | None) -> bool:
+def _battery_present(mapping: OriginalMapping, battery_id: int | None) -> bool:
     """Returns whether the enclosure contains a battery.
 
     The enclosure contains a battery if the file contains a battery id.  A contradiction with the
     keys `with_battery` and `type` is reported.
     """
-    with_battery = mapping.boolean("with_battery", f"{target}.params.with_battery")
-    battery_type = mapping.number("type", f"{target}.params.with_battery")
+    with_battery = mapping.boolean("with_battery")
+    battery_type = mapping.number("type")
     present = battery_id is not None
     if battery_type not in (None, 0, 1):
         mapping.report.add(
@@ -150,19 +149,16 @@ def read_boards(
     modules: list[Module] = []
     for i, mapping in enumerate(mappings):
         name = names.make(mapping.name, f"io_{i}")
-        target = f"modules.{name}"
         node_id: int | None = _IO_NODE_ID
         comments = [mapping.location]
         if mapping.has("id"):
-            node_id = mapping.integer("id", f"{target}.can", low=NODE_IDS[0], high=NODE_IDS[1])
+            node_id = mapping.integer("id", low=NODE_IDS[0], high=NODE_IDS[1])
         else:
             comments.append(f"the file has no id: {_IO_NODE_ID} is the default of the original")
         mapping.leave_out("type", "the library has one IO board for all types of the original")
         params: dict[str, Value] = {}
         for relay in (0, 1):
-            state = mapping.boolean(
-                f"rl{relay}_init_state", f"{target}.params.relay_{relay}_at_start"
-            )
+            state = mapping.boolean(f"rl{relay}_init_state")
             if state is not None:
                 params[f"relay_{relay}_at_start"] = state
         if node_id is None:
@@ -267,7 +263,6 @@ def read_sensor(
     """
     module_type = _with_lidar_type(mapping, module_type)
     name = names.make(mapping.name, module_type.rpartition("/")[2])
-    target = f"modules.{name}.mount"
     if not any(mapping.has(key) for key in ("x", "y", "z")):
         mapping.report.add(
             "import-assumed",
@@ -275,19 +270,13 @@ def read_sensor(
             mapping.node.where,
             hint=f"set the mount of `{name}` in the robot.yaml",
         )
-    x, y, z = (mapping.number(key, f"{target}.xyz", default=0.0) for key in ("x", "y", "z"))
-    roll, pitch, yaw = (
-        mapping.number(key, f"{target}.rpy", default=0.0) for key in ("roll", "pitch", "yaw")
-    )
+    x, y, z = (mapping.number(key, default=0.0) for key in ("x", "y", "z"))
+    roll, pitch, yaw = (mapping.number(key, default=0.0) for key in ("roll", "pitch", "yaw"))
     comments = [mapping.location]
-    product = [
-        f"{key} {text}"
-        for key in ("make", "model", "type")
-        if (text := mapping.text(key, f"a comment of modules.{name}"))
-    ]
+    product = [f"{key} {text}" for key in ("make", "model", "type") if (text := mapping.text(key))]
     if product:
         comments.append(", ".join(product))
-    link = mapping.text("parent_link", target)
+    link = mapping.text("parent_link")
     parent = parents.find(link.strip("/").rpartition("/")[2]) if link else parents.base
     if parent is None or parent.what:
         place = parent.what if parent is not None else "base_link"
@@ -326,7 +315,7 @@ def _with_lidar_type(mapping: OriginalMapping, module_type: str) -> str:
     """Returns the module type of a lidar by its `type`, which is `2d` or `3d`."""
     if module_type != "sensor/lidar_2d":
         return module_type
-    text = mapping.text("type", "modules") or ""
+    text = mapping.text("type") or ""
     if text.lower() in ("3d", "3"):
         return "sensor/lidar_3d"
     if text.lower() not in ("", "2d", "2"):

@@ -23,6 +23,21 @@ _CLEARANCE_STEERED = 0.22  # for a drive with a steering module
 _CLAMP_REACH = 0.4  # m, largest horizontal distance of a drive from the tube that the clamp holds
 _SAME_POSITION = 0.05  # m; two wheels at a smaller distance are the same wheel
 
+_ParamRow = tuple[str, str, str, float, float]
+# Optional values of a drive: key, parameter of the drive module, unit, least and greatest value.
+_PARAMS: tuple[_ParamRow, ...] = (
+    ("prp_gr_rt", "gear_ratio", "", 1.0, 1e4),
+    ("prp_enc_ppr", "encoder_ppr", "", 1, 1_000_000),
+    ("prp_max_rpm", "motor_max_speed", "rpm", 1.0, 1e5),
+    ("prp_sim_a", "wheel_acceleration", "m/s^2", 0.05, 100.0),
+)
+_STEERING_PARAMS: tuple[_ParamRow, ...] = (
+    ("str_gr_rt", "steering_gear_ratio", "", 1.0, 1e4),
+    ("str_enc_ppr", "steering_encoder_ppr", "", 1, 1_000_000),
+    ("str_lim", "steering_limit", "rad", 0.01, 100.0),
+    ("str_sim_v", "steering_velocity", "rad/s", 0.01, 100.0),
+)
+
 Segment = tuple[float, float, float, float]  # x1, y1, x2, y2 in base_link, m
 
 
@@ -57,34 +72,26 @@ def read_drives(mappings: Sequence[OriginalMapping], names: Names) -> list[Drive
 
 
 def _read_drive(mapping: OriginalMapping, name: str) -> Drive | None:
-    target = f"modules.{name}"
     earlier_errors = len(mapping.report.errors)
     for key in ("node", "x", "y"):
         if not mapping.has(key):
             mapping.report_error(
                 "import-missing", f"`{mapping.path}` has no `{key}`", hint=f"add it: `{key}: ...`"
             )
-    node_id = mapping.integer("node", f"{target}.can", low=NODE_IDS[0], high=NODE_IDS[1])
-    x = mapping.number("x", f"{target}.mount.xyz")
-    y = mapping.number("y", f"{target}.mount.xyz")
-    drive_type = mapping.integer("type", f"{target}.type", low=0, high=1)
+    node_id = mapping.integer("node", low=NODE_IDS[0], high=NODE_IDS[1])
+    x = mapping.number("x")
+    y = mapping.number("y")
+    drive_type = mapping.integer("type", low=0, high=1)
     if mapping.has("type") and drive_type is None:
         return None
     steered = drive_type != 1
     params: dict[str, Value] = {}
-    radius = _read_wheel(mapping, params, target)
-    reader = _ParamReader(mapping, params, target)
-    reader.quantity("prp_gr_rt", "gear_ratio", low=1.0, high=1e4)
-    reader.count("prp_enc_ppr", "encoder_ppr")
-    reader.quantity("prp_max_rpm", "motor_max_speed", " rpm", low=1.0, high=1e5)
-    reader.quantity("prp_sim_a", "wheel_acceleration", " m/s^2", low=0.05, high=100.0)
+    radius = _read_wheel(mapping, params)
+    _read_params(mapping, _PARAMS, params)
     if steered:
-        reader.quantity("str_gr_rt", "steering_gear_ratio", low=1.0, high=1e4)
-        reader.count("str_enc_ppr", "steering_encoder_ppr")
-        reader.quantity("str_lim", "steering_limit", " rad", low=0.01, high=100.0)
-        reader.quantity("str_sim_v", "steering_velocity", " rad/s", low=0.01, high=100.0)
+        _read_params(mapping, _STEERING_PARAMS, params)
     else:
-        for key in ("str_gr_rt", "str_enc_ppr", "str_lim", "str_sim_v"):
+        for key, *_ in _STEERING_PARAMS:
             mapping.leave_out(key, "a drive of type 1 has no steering")
     mapping.leave_out("leg_mesh", "it is the number of a mesh; the library has its own leg meshes")
     if len(mapping.report.errors) > earlier_errors:
@@ -94,7 +101,7 @@ def _read_drive(mapping: OriginalMapping, name: str) -> Drive | None:
     return Drive(mapping, name, steered, node_id, x, y, radius, params)
 
 
-def _read_wheel(mapping: OriginalMapping, params: dict[str, Value], target: str) -> float | None:
+def _read_wheel(mapping: OriginalMapping, params: dict[str, Value]) -> float | None:
     """Returns the radius (m) of the wheel, or ``None`` if the radius is not valid.
 
     A radius or width that differs from the default wheel is added to ``params``.
@@ -105,7 +112,7 @@ def _read_wheel(mapping: OriginalMapping, params: dict[str, Value], target: str)
         ("r_wheel", "radius", _WHEEL_RADIUS, 0.05),
         ("w_wheel", "width", _WHEEL_WIDTH, 0.02),
     ):
-        size = mapping.number(key, f"{target}.params.wheel", default=usual, low=low, high=5.0)
+        size = mapping.number(key, default=usual, low=low, high=5.0)
         if size is not None and size != usual:
             wheel_params[param] = size
         sizes.append(size)
@@ -114,24 +121,19 @@ def _read_wheel(mapping: OriginalMapping, params: dict[str, Value], target: str)
     return sizes[0]
 
 
-@dataclass(frozen=True, slots=True)
-class _ParamReader:
+def _read_params(
+    mapping: OriginalMapping, rows: Sequence[_ParamRow], params: dict[str, Value]
+) -> None:
     """Converts optional values of an original drive to parameters of the drive module."""
-
-    mapping: OriginalMapping
-    params: dict[str, Value]
-    target: str
-
-    def quantity(self, key: str, param: str, unit: str = "", *, low: float, high: float) -> None:
-        value = self.mapping.number(key, f"{self.target}.params.{param}", low=low, high=high)
+    for key, param, unit, low, high in rows:
+        value: float | None
+        if isinstance(low, int):
+            value = mapping.integer(key, low=low, high=int(high))
+        else:
+            value = mapping.number(key, low=low, high=high)
         if value is not None:
             number = repr(value) if value != int(value) else str(int(value))
-            self.params[param] = f"{number}{unit}" if unit else value
-
-    def count(self, key: str, param: str) -> None:
-        value = self.mapping.integer(key, f"{self.target}.params.{param}", low=1, high=1_000_000)
-        if value is not None:
-            self.params[param] = value
+            params[param] = f"{number} {unit}" if unit else value
 
 
 def drive_modules(
@@ -358,17 +360,17 @@ def read_frame(
     height of the frame is the most frequent height of the corners.  In a file without pipes and
     corners, the height of the frame is 0.65 m.
     """
-    # The names are chosen before errors are found, so that the names do not depend on errors.
-    pipe_names = [names.make(mapping.name, f"pipe_{i}") for i, mapping in enumerate(pipes)]
-    corner_names = [names.make(mapping.name, f"corner_{i}") for i, mapping in enumerate(corners)]
+    # Invalid pipes and corners have names, too, so that the names do not depend on errors.
     pipe_values = [
-        _read_pipe(mapping, name) for mapping, name in zip(pipes, pipe_names, strict=True)
+        (mapping, names.make(mapping.name, f"pipe_{i}"), _read_pipe(mapping))
+        for i, mapping in enumerate(pipes)
     ]
     corner_values = [
-        _read_corner(mapping, name) for mapping, name in zip(corners, corner_names, strict=True)
+        (mapping, names.make(mapping.name, f"corner_{i}"), _read_corner(mapping))
+        for i, mapping in enumerate(corners)
     ]
-    heights = [pipe[4] for pipe in pipe_values if pipe is not None]
-    heights = heights or [corner[2] for corner in corner_values if corner is not None]
+    heights = [pipe[4] for *_, pipe in pipe_values if pipe is not None]
+    heights = heights or [corner[2] for *_, corner in corner_values if corner is not None]
     if heights:
         # If two heights are equally frequent, the lower height is used.
         height = max(heights, key=lambda h: (heights.count(h), -h))
@@ -382,7 +384,7 @@ def read_frame(
             hint="use a frame module such as `frame/tube_rectangular` in the robot.yaml",
         )
     frame = Frame(height)
-    for mapping, name, pipe in zip(pipes, pipe_names, pipe_values, strict=True):
+    for mapping, name, pipe in pipe_values:
         if pipe is None:
             continue
         x1, y1, x2, y2, z = pipe
@@ -390,7 +392,7 @@ def read_frame(
         frame.modules.append(
             _bar("frame/tube", name, (x1, y1), (x2, y2), z - height, [mapping.location])
         )
-    for mapping, name, corner in zip(corners, corner_names, corner_values, strict=True):
+    for mapping, name, corner in corner_values:
         if corner is None:
             continue
         x, y, z, quarter_turns = corner
@@ -423,19 +425,14 @@ def _bar(
     return Module(name, module_type, mount, {"length": math.hypot(dx, dy)}, comments=comments)
 
 
-def _read_pipe(
-    mapping: OriginalMapping, name: str
-) -> tuple[float, float, float, float, float] | None:
+def _read_pipe(mapping: OriginalMapping) -> tuple[float, float, float, float, float] | None:
     """Returns the end points x1, y1, x2, y2 (m) of a pipe, and the height (m) above the ground.
 
     Returns ``None`` if the pipe is not valid.
     """
-    target = f"modules.{name}"
     mapping.leave_out("space", _SPACE)
-    values = [mapping.number(key, f"{target}.mount") for key in ("x1", "y1", "x2", "y2")]
-    height = mapping.number(
-        "height", f"{target}.mount", default=_DEFAULT_HEIGHT, low=0.05, high=20.0
-    )
+    values = [mapping.number(key) for key in ("x1", "y1", "x2", "y2")]
+    height = mapping.number("height", default=_DEFAULT_HEIGHT, low=0.05, high=20.0)
     missing = [key for key in ("x1", "y1", "x2", "y2") if not mapping.has(key)]
     if missing:
         mapping.report_error("import-missing", f"`{mapping.path}` has no `{'`, `'.join(missing)}`")
@@ -450,19 +447,18 @@ def _read_pipe(
     return x1, y1, x2, y2, height
 
 
-def _read_corner(mapping: OriginalMapping, name: str) -> tuple[float, float, float, int] | None:
+def _read_corner(mapping: OriginalMapping) -> tuple[float, float, float, int] | None:
     """Returns the position x, y, z (m) of a corner, and the yaw angle in quarter turns.
 
     Returns ``None`` if the corner is not valid.
     """
-    target = f"modules.{name}"
     mapping.leave_out("space", _SPACE)
     mapping.leave_out(
         "corner_mesh", "it is the number of a mesh; the library has its own corner mesh"
     )
-    x, y = mapping.number("x", f"{target}.mount"), mapping.number("y", f"{target}.mount")
-    z = mapping.number("z", f"{target}.mount", default=_DEFAULT_HEIGHT)
-    corner_type = mapping.number("type", f"{target}.mount.rpy", default=0.0)
+    x, y = mapping.number("x"), mapping.number("y")
+    z = mapping.number("z", default=_DEFAULT_HEIGHT)
+    corner_type = mapping.number("type", default=0.0)
     if corner_type not in (None, 0, 1, 2, 3):
         mapping.leave_out(
             "type", "only the corner types 0 to 3 are known; the corner is not rotated"
@@ -489,7 +485,7 @@ def read_beams(
         name = names.make(mapping.name, f"beam_{i}")
         end_drives: list[Drive] = []
         for key in ("start", "end"):
-            text = mapping.text(key, f"modules.{name}.mount")
+            text = mapping.text(key)
             if text is None:
                 mapping.report_error("import-missing", f"`{mapping.path}` has no `{key}`")
             elif text not in by_name:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.compiler.source.input_file import read_bytes
-from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.node import Node, describe_node
 from thorvaldc.compiler.source.reader import MAX_BYTES, MAX_VALUES, compose
 from thorvaldc.diagnostics import Label, Report, Span
 
@@ -156,13 +156,11 @@ _MAX_SHOWN = 4  # largest number of names that a message lists
 class Conversion:
     """Conversion of one value of an original configuration file.
 
-    If ``converted`` is true, ``text`` is the path of the value in robot.yaml.  If ``converted`` is
-    false, ``text`` is the reason why the value is not converted.
+    ``reason`` says why the value is not converted; it is empty for a converted value.
     """
 
     span: Span
-    converted: bool
-    text: str
+    reason: str
 
 
 class ConversionLog:
@@ -180,10 +178,10 @@ class ConversionLog:
         self._leaves: dict[Key, Node] = dict(_leaves(root, ()))
         self._left_out: dict[tuple[str, str], list[tuple[Key, Node]]] = {}
 
-    def add_converted(self, key: Key, target: str) -> None:
-        """Logs that a value is converted to the path ``target`` in robot.yaml."""
+    def add_converted(self, key: Key) -> None:
+        """Logs that a value is converted, or that it is empty."""
         if key in self._leaves:
-            self.conversions[key] = Conversion(self._leaves[key].span, True, target)
+            self.conversions[key] = Conversion(self._leaves[key].span, "")
 
     def add_reported(self, key: Key, reason: str) -> None:
         """Logs that a diagnostic explains why the values below ``key`` are not converted.
@@ -192,7 +190,7 @@ class ConversionLog:
         """
         for leaf, node in self._leaves.items():
             if leaf[: len(key)] == key and leaf not in self.conversions:
-                self.conversions[leaf] = Conversion(node.span, False, reason)
+                self.conversions[leaf] = Conversion(node.span, reason)
 
     def add_error(self, key: Key, message: str) -> None:
         """Logs an error of a value, and replaces an earlier log entry of the value."""
@@ -233,7 +231,7 @@ class ConversionLog:
                 hint="if the robot needs it, add it to the robot.yaml that is written",
             )
             for leaf in unknown_leaves:
-                self.conversions[leaf] = Conversion(self._leaves[leaf].span, False, "unknown")
+                self.conversions[leaf] = Conversion(self._leaves[leaf].span, "unknown")
 
     def _unknown_key(self, key: Key) -> Key:
         """Returns the path of the outermost mapping around ``key`` that has no value in the log.
@@ -287,9 +285,8 @@ _MULTIPLE_OF_PI = re.compile(r"(-?)(?:([\d.]+)\*)?pi(?:/([\d.]+))?")
 class OriginalMapping:
     """A mapping of an original configuration file.
 
-    Every method that reads a value adds the conversion of the value to ``log``.  The argument
-    ``target`` is the path of the converted value in robot.yaml.  Errors are added to the report of
-    ``log``.
+    Every method that reads a value adds the conversion of the value to ``log``.  Errors are added
+    to the report of ``log``.
     """
 
     key: Key
@@ -331,10 +328,8 @@ class OriginalMapping:
 
         The value of ``key`` is a mapping or a list of mappings.
         """
-        child = self.node.get(key)
-        child_key = (*self.key, key)
-        if child is None or child.value is None or child.value == "":
-            self.log.add_converted(child_key, "empty")
+        child = self._value(key)
+        if child is None:
             return []
         items: list[tuple[str, Node]] = []
         if isinstance(child.value, tuple):
@@ -342,37 +337,29 @@ class OriginalMapping:
         elif isinstance(child.value, dict):
             items = list(child.value.items())
             if not items:
-                self.log.add_converted(child_key, "empty")
+                self.log.add_converted((*self.key, key))
         else:
-            self._report_value(child_key, child, f"`{key}`: expected a mapping, got {_kind(child)}")
+            self._reject(child, f"`{key}`: expected a mapping, got {describe_node(child)}", key)
         mappings: list[OriginalMapping] = []
         for name, item in items:
             if isinstance(item.value, dict):
-                mappings.append(OriginalMapping((*child_key, name), item, self.log))
+                mappings.append(OriginalMapping((*self.key, key, name), item, self.log))
             else:
-                message = f"`{key}.{name}`: expected a mapping, got {_kind(item)}"
-                self._report_value((*child_key, name), item, message)
+                message = f"`{key}.{name}`: expected a mapping, got {describe_node(item)}"
+                self._reject(item, message, key, name)
         return mappings
 
-    def child(self, key: str) -> OriginalMapping | None:
-        """Returns the value of a key that contains a mapping.
-
-        Returns ``None`` if the key is missing, or if the value is empty or not a mapping.
-        """
-        child = self.node.get(key)
-        child_key = (*self.key, key)
-        if child is None or child.value is None:
-            self.log.add_converted(child_key, "empty")
+    def _value(self, key: str) -> Node | None:
+        """Returns the value of a key, or ``None`` if it is missing or empty, which is logged."""
+        node = self.node.get(key)
+        if node is None or node.value is None or node.value == "":
+            self.log.add_converted((*self.key, key))
             return None
-        if not isinstance(child.value, dict):
-            self._report_value(child_key, child, f"`{key}`: expected a mapping, got {_kind(child)}")
-            return None
-        return OriginalMapping(child_key, child, self.log)
+        return node
 
     def number(
         self,
         key: str,
-        target: str,
         *,
         default: float | None = None,
         low: float = -1000.0,
@@ -383,72 +370,57 @@ class OriginalMapping:
         Returns ``None`` and reports an error if the value is not a finite number from ``low`` to
         ``high``.  A number may be written in quotes.
         """
-        node = self.node.get(key)
-        value_key = (*self.key, key)
-        if node is None or node.value is None or node.value == "":
-            self.log.add_converted(value_key, "empty")
+        node = self._value(key)
+        if node is None:
             return default
         value = _number(node)
+        subject = f"`{key}` of `{self.path}`"
         if value is None:
             has_comma = isinstance(node.value, str) and "," in node.value
-            self._report_value(
-                value_key,
-                node,
-                f"`{key}` of `{self.path}`: expected a number, got {_kind(node)}",
-                "write a decimal point instead of the comma" if has_comma else None,
-            )
+            hint = "write a decimal point instead of the comma" if has_comma else None
+            message = f"{subject}: expected a number, got {describe_node(node)}"
+            self._reject(node, message, key, hint=hint)
             return None
         if not low <= value <= high:
-            self._report_value(
-                value_key,
-                node,
-                f"`{key}` of `{self.path}`: expected a number from {low:g} to {high:g}, "
-                f"got {value:g}",
-            )
+            message = f"{subject}: expected a number from {low:g} to {high:g}, got {value:g}"
+            self._reject(node, message, key)
             return None
-        self.log.add_converted(value_key, target)
+        self.log.add_converted((*self.key, key))
         return value
 
-    def integer(self, key: str, target: str, *, low: int, high: int) -> int | None:
+    def integer(self, key: str, *, low: int, high: int) -> int | None:
         """Returns the value of a key as an integer from ``low`` to ``high``.
 
         Returns ``None`` if the key is missing or the value is not valid.
         """
-        value = self.number(key, target, low=-1e9, high=1e9)
+        value = self.number(key, low=-1e9, high=1e9)
         if value is None:
             return None
         if value != round(value) or not low <= value <= high:
-            self._report_value(
-                (*self.key, key),
-                self.node.get(key) or self.node,
-                f"`{key}` of `{self.path}`: expected an integer from {low} to {high}, "
-                f"got {value:g}",
-            )
+            expected = f"an integer from {low} to {high}, got {value:g}"
+            message = f"`{key}` of `{self.path}`: expected {expected}"
+            self._reject(self.node.get(key) or self.node, message, key)
             return None
         return int(value)
 
-    def boolean(self, key: str, target: str) -> bool | None:
+    def boolean(self, key: str) -> bool | None:
         """Returns the value of a key as a Boolean.
 
         All Boolean words of YAML 1.1 are accepted.  Returns ``None`` if the key is missing or the
         value is not valid.
         """
-        node = self.node.get(key)
-        if node is None or node.value is None or node.value == "":
-            self.log.add_converted((*self.key, key), "empty")
+        node = self._value(key)
+        if node is None:
             return None
         text = str(node.value).strip().lower() if not isinstance(node.value, (dict, tuple)) else ""
         if text in _TRUE or text in _FALSE:
-            self.log.add_converted((*self.key, key), target)
+            self.log.add_converted((*self.key, key))
             return text in _TRUE
-        self._report_value(
-            (*self.key, key),
-            node,
-            f"`{key}` of `{self.path}`: expected true or false, got {_kind(node)}",
-        )
+        shown = describe_node(node)
+        self._reject(node, f"`{key}` of `{self.path}`: expected true or false, got {shown}", key)
         return None
 
-    def text(self, key: str, target: str) -> str | None:
+    def text(self, key: str) -> str | None:
         """Returns the value of a key as text.
 
         Returns ``None`` if the key is missing, or if the value is null, a list or a mapping.
@@ -456,7 +428,7 @@ class OriginalMapping:
         node = self.node.get(key)
         if node is None or isinstance(node.value, (dict, tuple)):
             return None
-        self.log.add_converted((*self.key, key), target)
+        self.log.add_converted((*self.key, key))
         return str(node.value).strip() if node.value is not None else None
 
     def leave_out(self, key: str, reason: str) -> None:
@@ -474,18 +446,9 @@ class OriginalMapping:
         self.report.add(code, message, self.span(key) if key else self.node.where, hint=hint)
         self.log.add_reported(error_key, message)
 
-    def _report_value(self, key: Key, node: Node, message: str, hint: str | None = None) -> None:
+    def _reject(self, node: Node, message: str, *keys: str, hint: str | None = None) -> None:
         self.report.add("import-value", message, node.span, hint=hint)
-        self.log.add_error(key, message)
-
-
-def _kind(node: Node) -> str:
-    """Describes the value of a YAML node for an error message."""
-    if isinstance(node.value, dict):
-        return "a mapping"
-    if isinstance(node.value, tuple):
-        return "a list"
-    return "nothing" if node.value is None else f"`{node.value}`"
+        self.log.add_error((*self.key, *keys), message)
 
 
 def _number(node: Node) -> float | None:

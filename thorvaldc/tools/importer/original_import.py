@@ -20,32 +20,8 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model.float_sum import float_sum
-from thorvaldc.tools.importer.devices import (
-    ParentFrames,
-    read_batteries,
-    read_boards,
-    read_sensor,
-    sensor_module_type,
-)
-from thorvaldc.tools.importer.frame_and_drives import (
-    drive_modules,
-    mount_on_root,
-    read_beams,
-    read_drives,
-    read_frame,
-    share_params,
-)
-from thorvaldc.tools.importer.original_file import (
-    Conversion,
-    ConversionLog,
-    Key,
-    OriginalMapping,
-    read_original,
-)
+from thorvaldc.tools.importer import devices, frame_and_drives, original_file
 from thorvaldc.tools.importer.robot_text import ROOT_MODULE, Module, Names, Robot, as_id, render
-
-__all__ = ["Conversion", "ImportResult", "import_file", "import_original"]
-
 
 _DRIVES = "motor_drives"
 _MAX_NESTING = 8
@@ -73,7 +49,7 @@ class ImportResult:
     """
 
     text: str | None
-    conversions: dict[Key, Conversion]
+    conversions: dict[original_file.Key, original_file.Conversion]
 
 
 def import_original(path: Path) -> tuple[str | None, Report]:
@@ -101,10 +77,10 @@ def import_file(path: Path, report: Report) -> ImportResult:
 
 
 def _import(path: Path, report: Report) -> ImportResult:
-    document = read_original(path, str(path), report)
+    document = original_file.read_original(path, str(path), report)
     if document is None:
         return ImportResult(None, {})
-    log = ConversionLog(document, report)
+    log = original_file.ConversionLog(document, report)
     root_path_and_node = _find_root(document, ())
     if root_path_and_node is None:
         report.add(
@@ -114,7 +90,7 @@ def _import(path: Path, report: Report) -> ImportResult:
             hint="give the file with `motor_drives`, `batteries`, `pipes` and `corners`",
         )
         return ImportResult(None, {})
-    root = OriginalMapping(*root_path_and_node, log)
+    root = original_file.OriginalMapping(*root_path_and_node, log)
     robot = _convert(root, _robot_name(root, path))
     log.finish()
     if robot is None or report.has_errors:
@@ -126,7 +102,7 @@ def _import(path: Path, report: Report) -> ImportResult:
     return ImportResult(render(robot), log.conversions)
 
 
-def _find_root(node: Node, key: Key) -> tuple[Key, Node] | None:
+def _find_root(node: Node, key: original_file.Key) -> tuple[original_file.Key, Node] | None:
     """Returns the path and the node of the mapping that contains the key ``motor_drives``."""
     if not isinstance(node.value, dict) or len(key) > _MAX_NESTING:
         return None
@@ -139,7 +115,7 @@ def _find_root(node: Node, key: Key) -> tuple[Key, Node] | None:
     return None
 
 
-def _robot_name(root: OriginalMapping, path: Path) -> str:
+def _robot_name(root: original_file.OriginalMapping, path: Path) -> str:
     """Returns the name of the robot in an original configuration file.
 
     The name of the robot is the value of the key `robot_name`.  If the file has no key
@@ -148,33 +124,35 @@ def _robot_name(root: OriginalMapping, path: Path) -> str:
     """
     outer_keys = [key for key in root.key if as_id(key) not in _GENERIC_KEYS]
     return (
-        as_id(root.text("robot_name", "name") or "")
+        as_id(root.text("robot_name") or "")
         or next((as_id(key) for key in reversed(outer_keys)), "")
         or as_id(path.name.split(".")[0])
         or "robot"
     )
 
 
-def _convert(root: OriginalMapping, name: str) -> Robot | None:
+def _convert(root: original_file.OriginalMapping, name: str) -> Robot | None:
     robot = Robot(name)
     _convert_settings(root, robot)
-    calculator = root.text("base_calculator", "base_calculator")
+    calculator = root.text("base_calculator")
     names = Names((ROOT_MODULE,))
-    drives = read_drives(root.children(_DRIVES), names)
+    drives = frame_and_drives.read_drives(root.children(_DRIVES), names)
     if not drives and not root.report.has_errors:
         root.report_error("import-missing", f"`{_DRIVES}` is empty: a robot has at least one drive")
-    frame = read_frame(root.children("pipes"), root.children("corners"), names, root)
-    beams = read_beams(root.children("beams"), drives, names)
-    batteries = read_batteries(root.children("batteries"), frame.height, names)
-    boards = read_boards(root.children("io"), {d.node_id: d.source for d in drives}, names)
-    sensors = _read_sensors(root, ParentFrames(frame, drives), names)
+    frame = frame_and_drives.read_frame(
+        root.children("pipes"), root.children("corners"), names, root
+    )
+    beams = frame_and_drives.read_beams(root.children("beams"), drives, names)
+    batteries = devices.read_batteries(root.children("batteries"), frame.height, names)
+    boards = devices.read_boards(root.children("io"), {d.node_id: d.source for d in drives}, names)
+    sensors = _read_sensors(root, devices.ParentFrames(frame, drives), names)
     if root.report.has_errors:
         return None
-    wheel_modules = drive_modules(drives, frame.height, frame.tubes, names)
+    wheel_modules = frame_and_drives.drive_modules(drives, frame.height, frame.tubes, names)
     if root.report.has_errors:
         return None
     robot.base_calculator = _base_calculator(root, calculator, wheel_modules)
-    robot.defaults = share_params(wheel_modules)
+    robot.defaults = frame_and_drives.share_params(wheel_modules)
     robot.modules = [
         Module(
             ROOT_MODULE, "frame/open", comments=[f"height over the ground: {plain(frame.height)} m"]
@@ -190,12 +168,12 @@ def _convert(root: OriginalMapping, name: str) -> Robot | None:
     return robot
 
 
-def _convert_settings(root: OriginalMapping, robot: Robot) -> None:
+def _convert_settings(root: original_file.OriginalMapping, robot: Robot) -> None:
     """Converts the parameters of the original base driver that robot.yaml can express."""
-    rate = root.number("rate", "driver.rate", low=1.0, high=1000.0)
+    rate = root.number("rate", low=1.0, high=1000.0)
     if rate is not None:
         robot.driver["rate"] = f"{rate:g} Hz"
-    prefix = root.text("tf_prefix", "namespace")
+    prefix = root.text("tf_prefix")
     if prefix:
         robot.namespace = as_id(prefix)
     for key, reason in (
@@ -211,7 +189,9 @@ def _convert_settings(root: OriginalMapping, robot: Robot) -> None:
     root.leave_out("twist_covariance", "the base calculator computes the covariance itself")
 
 
-def _base_calculator(root: OriginalMapping, text: str | None, wheel_modules: list[Module]) -> str:
+def _base_calculator(
+    root: original_file.OriginalMapping, text: str | None, wheel_modules: list[Module]
+) -> str:
     """Returns the name of the base calculator that replaces the original base calculator.
 
     The default is the general base calculator.
@@ -254,27 +234,29 @@ def _base_calculator(root: OriginalMapping, text: str | None, wheel_modules: lis
     return "general"
 
 
-def _read_sensors(root: OriginalMapping, parents: ParentFrames, names: Names) -> list[Module]:
+def _read_sensors(
+    root: original_file.OriginalMapping, parents: devices.ParentFrames, names: Names
+) -> list[Module]:
     """Returns the modules of all sensors in the original file.
 
     The value of a sensor key is one sensor, a list of sensors or a mapping of sensors.
     """
-    sensors: list[tuple[OriginalMapping, str]] = []
+    sensors: list[tuple[original_file.OriginalMapping, str]] = []
     for key, node in (root.node.value if isinstance(root.node.value, dict) else {}).items():
-        module_type = sensor_module_type(key)
+        module_type = devices.sensor_module_type(key)
         if module_type is None:
             continue
         has_several = isinstance(node.value, dict) and all(
             isinstance(child.value, dict) for child in node.value.values()
         )
-        if has_several or isinstance(node.value, tuple):
+        if has_several or isinstance(node.value, tuple) or node.value is None:
             sensors += [(child, module_type) for child in root.children(key)]
-        elif isinstance(node.value, dict) or node.value is None:
-            child = root.child(key)
-            if child is not None:
-                sensors.append((child, module_type))
+        elif isinstance(node.value, dict):
+            mapping = original_file.OriginalMapping((*root.key, key), node, root.log)
+            sensors.append((mapping, module_type))
     modules = [
-        read_sensor(mapping, module_type, parents, names) for mapping, module_type in sensors
+        devices.read_sensor(mapping, module_type, parents, names)
+        for mapping, module_type in sensors
     ]
     return [module for module in modules if module is not None]
 
@@ -289,8 +271,8 @@ Point = tuple[float, float]  # x, y in base_link, m
 
 
 def add_casters(
-    drive_modules: Sequence[Module],
-    source: OriginalMapping,
+    wheel_modules: Sequence[Module],
+    source: original_file.OriginalMapping,
     frame_height: float,
     frame_center_x: float,
     names: Names,
@@ -303,7 +285,7 @@ def add_casters(
     ``frame_height`` (m) is the height of the robot's frame above the ground.  ``frame_center_x``
     (m) is the x coordinate of the middle of the frame in ``base_link``.
     """
-    points = [mount_position(module) for module in drive_modules if module.mount is not None]
+    points = [mount_position(module) for module in wheel_modules if module.mount is not None]
     if not _are_on_a_line(points):
         return []
     module_type = "caster/fixed" if len(set(points)) == 1 else "caster/swivel"
@@ -320,7 +302,7 @@ def add_casters(
         Module(
             names.make(f"support_{i}", "support"),
             module_type,
-            mount_on_root(x, y, height - frame_height),
+            frame_and_drives.mount_on_root(x, y, height - frame_height),
             {"height": height},
             comments=["assumed: original files do not contain passive wheels"],
         )

@@ -22,15 +22,8 @@ from thorvaldc.compiler.source.units import UnitError, parse_quantity
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.tools.language_server import hover
+from thorvaldc.tools.language_server import hover, open_document
 from thorvaldc.tools.language_server.module_view import ModuleView, Parameter, Schemas, is_nested
-from thorvaldc.tools.language_server.open_document import (
-    MAX_REPAIRED,
-    KeyPath,
-    SourceText,
-    node_at,
-    tree_of,
-)
 
 _KEY = re.compile(
     r"""(?:"((?:[^"\\]|\\.)*)"|'((?:[^']|'')*)'|([^\s\-?#{}\[\],&*!|>'"%@`:][^#\n]*?|-[^\s#:]+))"""
@@ -56,7 +49,7 @@ class Cursor:
     closing : brackets that close the flow mappings and lists around the cursor.
     """
 
-    path: KeyPath
+    path: open_document.KeyPath
     slot: Literal["key", "value", "either"]
     prefix: str
     start: int
@@ -326,7 +319,7 @@ def proposals_at(
 
 
 def _keys(view: ModuleView, cursor: Cursor) -> Iterator[Proposed]:
-    mapping = node_at(view.tree, cursor.path)
+    mapping = open_document.node_at(view.tree, cursor.path)
     present = set(mapping.value) if mapping is not None and isinstance(mapping.value, dict) else ()
     if not cursor.path and not present:
         yield from _whole_documents(view)
@@ -427,7 +420,7 @@ def _parameter_values(view: ModuleView, parameter: Parameter) -> Iterator[Propos
 
 
 def _references(
-    view: ModuleView, path: KeyPath, models: Mapping[str, Robot | Fleet]
+    view: ModuleView, path: open_document.KeyPath, models: Mapping[str, Robot | Fleet]
 ) -> Iterator[Proposed]:
     """Yields the names that a value can refer to."""
     inside = path[2:] if path[:1] == ("modules",) else ()
@@ -458,7 +451,7 @@ def _references(
 
 
 def _names_of_models(
-    view: ModuleView, path: KeyPath, models: Mapping[str, Robot | Fleet]
+    view: ModuleView, path: open_document.KeyPath, models: Mapping[str, Robot | Fleet]
 ) -> Iterator[Proposed]:
     """Yields names of the open robots, for documents that no robot names."""
     key = path[-1] if path else ""
@@ -549,17 +542,19 @@ def _names(view: ModuleView, cursor: Cursor) -> Iterator[Proposed]:
             yield Proposed(name, name, "Variable", detail, text, start=start)
 
 
-def tree_around(source: SourceText, cursor: Cursor, offset: int, file: str) -> Node | None:
+def tree_around(
+    source: open_document.SourceText, cursor: Cursor, offset: int, file: str
+) -> Node | None:
     """Returns the YAML tree of a document in which a user types.
 
     If the document is not valid YAML, the brackets around the cursor are closed at the end of the
     cursor's line.
     """
     node = read_text(source.text.encode("utf-8", "surrogatepass"), file, Report())
-    if node is not None or len(source.text) > MAX_REPAIRED:
+    if node is not None or len(source.text) > open_document.MAX_REPAIRED:
         return node
     end = source.offset_of(source.position(offset).line + 1, 1 << 30)
     word = "x" if cursor.slot != "key" and not cursor.prefix else ""
     closed = source.text[:offset] + word + cursor.quote + cursor.closing + source.text[end:]
     node = read_text(closed.encode("utf-8", "surrogatepass"), file, Report())
-    return node if node is not None else tree_of(source, file)
+    return node if node is not None else open_document.tree_of(source, file)

@@ -17,13 +17,7 @@ from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.tools.language_server import module_references
-from thorvaldc.tools.language_server.code_completion import (
-    Proposed,
-    cursor_at,
-    proposals_at,
-    tree_around,
-)
+from thorvaldc.tools.language_server import code_completion, module_references
 from thorvaldc.tools.language_server.hover import hover_at
 from thorvaldc.tools.language_server.module_view import ModuleView
 from thorvaldc.tools.language_server.open_document import (
@@ -107,12 +101,14 @@ class Features:
         if document.kind is None:
             return None
         offset = document.source.offset(params.position)
-        cursor = cursor_at(document.text, offset)
-        tree = tree_around(document.source, cursor, offset, str(document.path))
+        cursor = code_completion.cursor_at(document.text, offset)
+        tree = code_completion.tree_around(document.source, cursor, offset, str(document.path))
         view = ModuleView(document.kind, document.path, tree, session.folders)
         items = [
             _completion_item(document.source, cursor.start, offset, number, proposal)
-            for number, proposal in enumerate(proposals_at(view, cursor, session.models))
+            for number, proposal in enumerate(
+                code_completion.proposals_at(view, cursor, session.models)
+            )
             if session.has_snippets or not proposal.is_snippet
         ]
         return types.CompletionList(False, items)
@@ -205,7 +201,7 @@ class Features:
 
 
 def _completion_item(
-    source: SourceText, start: int, offset: int, number: int, proposal: Proposed
+    source: SourceText, start: int, offset: int, number: int, proposal: code_completion.Proposed
 ) -> types.CompletionItem:
     place = types.Range(source.position(start + proposal.start), source.position(offset))
     text = proposal.text

@@ -31,35 +31,9 @@ from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
-from thorvaldc.model.facts.driving import driving_of
-from thorvaldc.model.facts.energy import energy_of
+from thorvaldc.model.facts import driving, energy, size, slopes, stability
 from thorvaldc.model.facts.facts_document import facts_document
-from thorvaldc.model.facts.size import size_of
-from thorvaldc.model.facts.slopes import slopes_of
-from thorvaldc.model.facts.stability import stability_of
-from thorvaldc.tools.provenance.influence_search import (
-    INTEGER_STEPS,
-    SMALL_CHANGE,
-    Influence,
-    InfluenceSearch,
-    RobotProbe,
-    SourceValue,
-    incremented,
-    key_path,
-    relative_effect,
-    scaled,
-)
-from thorvaldc.tools.provenance.value_paths import (
-    all_paths,
-    changed_value,
-    find_value,
-    is_model_path,
-    observed_value,
-    output_values,
-    resolve_path,
-    value_at,
-    with_values,
-)
+from thorvaldc.tools.provenance import influence_search, value_paths
 
 # -- the way of a parameter through defaults, assemblies and expressions ----------------
 
@@ -84,10 +58,10 @@ class Step:
     text: str
     value: Any
     unit: str
-    source: SourceValue | None
+    source: influence_search.SourceValue | None
 
 
-def find_instance(probe: RobotProbe, text: str) -> tuple[Instance, str]:
+def find_instance(probe: influence_search.RobotProbe, text: str) -> tuple[Instance, str]:
     """Returns the module and the name of the parameter of ``modules.MODULE.params.NAME``.
 
     ``params`` may be left out, and the module may be inside assemblies.  Raises
@@ -115,12 +89,14 @@ def find_instance(probe: RobotProbe, text: str) -> tuple[Instance, str]:
     )
 
 
-def chain_of_parameter(probe: RobotProbe, instance: Instance, name: str) -> Iterator[Step]:
+def chain_of_parameter(
+    probe: influence_search.RobotProbe, instance: Instance, name: str
+) -> Iterator[Step]:
     """Yields the nodes that give a parameter its value: the sources first, the parameter last."""
     yield from _chain(_Places(probe), instance.scope, name, set())
 
 
-def chain_of_type(probe: RobotProbe, path: str) -> Iterator[Step]:
+def chain_of_type(probe: influence_search.RobotProbe, path: str) -> Iterator[Step]:
     """Yields the nodes that choose the type of a module and of the assemblies around it."""
     places = _Places(probe)
     instance = probe.instances
@@ -166,14 +142,14 @@ def _names(node: Node, scope: Scope) -> list[str]:
 class _Places:
     """The position of each node in its document."""
 
-    def __init__(self, probe: RobotProbe) -> None:
+    def __init__(self, probe: influence_search.RobotProbe) -> None:
         self._sources = {value.span: value for value in probe.values()}
         self._keys: dict[Span, str] = {}
         for document in probe.documents.values():
             self._add(document, ())
 
     def _add(self, node: Node, keys: tuple[str | int, ...]) -> None:
-        self._keys[node.span] = key_path(keys)
+        self._keys[node.span] = influence_search.key_text(keys)
         if isinstance(node.value, dict):
             for key, item in node.value.items():
                 self._add(item, (*keys, key))
@@ -218,11 +194,11 @@ MOST_EMISSIONS = 100
 MOST_EFFECTS = 20
 MODEL_FILES = ("model.json",)
 FACTS: dict[str, Callable[[Robot], Any]] = {
-    "size": size_of,
-    "stability": stability_of,
-    "driving": driving_of,
-    "slopes": slopes_of,
-    "energy": energy_of,
+    "size": size.size_of,
+    "stability": stability.stability_of,
+    "driving": driving.driving_of,
+    "slopes": slopes.slopes_of,
+    "energy": energy.energy_of,
 }
 """Parts of the facts about a robot, which are computed from its model."""
 NAMES_OF_OUTPUT = 3
@@ -266,7 +242,7 @@ class Explanation:
     value: Any
     unit: str = ""
     element: Span | None = None
-    influences: list[Influence] = field(default_factory=list)
+    influences: list[influence_search.Influence] = field(default_factory=list)
     chain: list[Step] = field(default_factory=list)
     types: list[Step] = field(default_factory=list)
     model_values: list[str] = field(default_factory=list)
@@ -293,7 +269,7 @@ class Explainer:
         self, path: Path, robot: Robot, library: Sequence[Path], trust: bool, stack: ExitStack
     ) -> None:
         self.robot = robot
-        self.probe = RobotProbe(path, library, trust, stack)
+        self.probe = influence_search.RobotProbe(path, library, trust, stack)
         self.document = model_document(robot)
 
     def explain(self, text: str) -> Explanation:
@@ -303,7 +279,7 @@ class Explainer:
         """
         file, colon, query = text.rpartition(":")
         # The name of an object of a node contains a colon.
-        if colon and file and not is_model_path(self.document, text):
+        if colon and file and not value_paths.is_model_path(self.document, text):
             explanation = self._explain_output(file, query)
         elif text.split(".")[0] == "modules":
             explanation = self._explain_parameter(text)
@@ -317,17 +293,19 @@ class Explainer:
     # -- values of the model ----------------------------------------------------------------
 
     def _explain_model_value(self, text: str) -> Explanation:
-        path = resolve_path(self.document, text)
-        value = value_at(self.document, path)
+        path = value_paths.resolve_path(self.document, text)
+        value = value_paths.value_at(self.document, path)
         explanation = Explanation(".".join(path), value, field_unit(path))
         explanation.element = _span_of(self.robot, path)
         explanation.types = self._types(_module_at(self.document, path))
-        new = changed_value(value, SMALL_CHANGE)
+        new = value_paths.changed_value(value, influence_search.SMALL_CHANGE)
         explanation.is_varied = new is not None
         if new is None:
             return explanation
-        self._search(explanation, lambda robot: observed_value(robot, path))
-        explanation.uses = list(self._uses(lambda: with_values(self.robot, {path: new})))
+        self._search(explanation, lambda robot: value_paths.observed_value(robot, path))
+        explanation.uses = list(
+            self._uses(lambda: value_paths.with_values(self.robot, {path: new}))
+        )
         constants = [i.source for i in explanation.influences if not i.source.is_expression]
         changed = self._changed(constants[:1])
         if changed is not None and len(constants) == 1:
@@ -344,16 +322,18 @@ class Explainer:
             facts = FACTS[part](robot)
             return {part: facts_document(facts) if facts is not None else {}}
 
-        path = resolve_path(document(self.robot), text)
-        value = value_at(document(self.robot), path)
+        path = value_paths.resolve_path(document(self.robot), text)
+        value = value_paths.value_at(document(self.robot), path)
         explanation = Explanation(".".join(path), value, field_unit(path))
-        explanation.is_varied = changed_value(explanation.value, SMALL_CHANGE) is not None
+        explanation.is_varied = (
+            value_paths.changed_value(explanation.value, influence_search.SMALL_CHANGE) is not None
+        )
         if explanation.is_varied:
-            self._search(explanation, lambda robot: value_at(document(robot), path))
+            self._search(explanation, lambda robot: value_paths.value_at(document(robot), path))
         return explanation
 
     def _search(self, explanation: Explanation, observe: Callable[[Robot], Any]) -> None:
-        search = InfluenceSearch(self.probe, observe, MOST_COMPILATIONS)
+        search = influence_search.InfluenceSearch(self.probe, observe, MOST_COMPILATIONS)
         result = search.run(self.probe.values())
         explanation.influences = result.influences
         explanation.is_complete = result.is_complete
@@ -394,16 +374,23 @@ class Explainer:
             explanation.uses = list(self._uses(lambda: changed))
         return explanation
 
-    def _changed(self, sources: Sequence[SourceValue]) -> Robot | None:
+    def _changed(self, sources: Sequence[influence_search.SourceValue]) -> Robot | None:
         """Returns the robot with other values of some sources.
 
         Returns ``None`` if there are no sources, or if each change is an error.
         """
-        changes: list[dict[SourceValue, Any]] = [
-            {source: scaled(source.node.value, SMALL_CHANGE) for source in sources},
+        changes: list[dict[influence_search.SourceValue, Any]] = [
+            {
+                source: influence_search.scaled(source.node.value, influence_search.SMALL_CHANGE)
+                for source in sources
+            },
             *(
-                {s: incremented(s.node.value, step) for s in sources if s.is_integer}
-                for step in INTEGER_STEPS
+                {
+                    s: influence_search.incremented(s.node.value, step)
+                    for s in sources
+                    if s.is_integer
+                }
+                for step in influence_search.INTEGER_STEPS
             ),
         ]
         for change in filter(None, changes):
@@ -417,11 +404,11 @@ class Explainer:
 
     def _explain_output(self, file: str, query: str) -> Explanation:
         name, target, text = self._output(file)
-        output_value = find_value(name, output_values(name, text), query)
+        output_value = value_paths.find_value(name, value_paths.output_values(name, text), query)
 
         def read(robot: Robot) -> Any:
             content = emit(robot, [target]).get(name, b"").decode()
-            values = output_values(name, content)
+            values = value_paths.output_values(name, content)
             return next((v.value for v in values if v.path == output_value.path), None)
 
         label = ".".join(output_value.path[-NAMES_OF_OUTPUT:])
@@ -430,7 +417,10 @@ class Explainer:
         explanation.model_values = [".".join(path) for path in paths]
         if paths:
             is_complete = explanation.is_complete
-            self._search(explanation, lambda robot: [observed_value(robot, path) for path in paths])
+            self._search(
+                explanation,
+                lambda robot: [value_paths.observed_value(robot, path) for path in paths],
+            )
             explanation.is_complete = explanation.is_complete and is_complete
             explanation.influences = list(self._with_effects(explanation.influences, read))
         modules = {_module_at(self.document, path) for path in paths} - {""}
@@ -445,7 +435,9 @@ class Explainer:
         Group tests find those that change the output.  The second result is false if the search
         ended at its limit.
         """
-        search = InfluenceSearch(self.probe, lambda robot: robot, MOST_COMPILATIONS)
+        search = influence_search.InfluenceSearch(
+            self.probe, lambda robot: robot, MOST_COMPILATIONS
+        )
         value = read(self.robot)
         changes = {
             leaf.path: leaf.after
@@ -461,7 +453,9 @@ class Explainer:
             emissions += 1
             is_robot = True
             try:
-                changed = with_values(self.robot, {path: changes[path] for path in paths})
+                changed = value_paths.with_values(
+                    self.robot, {path: changes[path] for path in paths}
+                )
                 if read(changed) == value:
                     continue
             except Exception:  # A backend may raise anything for a robot that no compiler made.
@@ -474,8 +468,8 @@ class Explainer:
         return sources, not groups
 
     def _with_effects(
-        self, influences: list[Influence], read: Callable[[Robot], Any]
-    ) -> Iterator[Influence]:
+        self, influences: list[influence_search.Influence], read: Callable[[Robot], Any]
+    ) -> Iterator[influence_search.Influence]:
         """Yields the influences with their effects on an output value."""
         value = read(self.robot)
         for number, influence in enumerate(influences):
@@ -483,10 +477,15 @@ class Explainer:
             if source.is_expression or number >= MOST_EFFECTS:
                 yield influence
                 continue
-            robot, _ = self.probe.compile({source: scaled(source.node.value, SMALL_CHANGE)})
+            robot, _ = self.probe.compile(
+                {source: influence_search.scaled(source.node.value, influence_search.SMALL_CHANGE)}
+            )
             new = read(robot) if robot is not None else value
             # An integer cannot be scaled, and a value may reach the output by a large change only.
-            yield Influence(source, relative_effect(source, SMALL_CHANGE, value, new))
+            yield influence_search.Influence(
+                source,
+                influence_search.relative_effect(source, influence_search.SMALL_CHANGE, value, new),
+            )
 
     def _output(self, file: str) -> tuple[str, str, str]:
         """Returns the name, the target and the text of the file of a build that ``file`` names."""
@@ -564,8 +563,8 @@ def known_paths(explainer: Explainer) -> Iterator[str]:
     yield "mass"
     yield from (f"com.{axis}" for axis in "xyz")
     for document in (model, documents):
-        for path in all_paths(document):
-            if changed_value(value_at(document, path), 1e-3) is not None:
+        for path in value_paths.all_paths(document):
+            if value_paths.changed_value(value_paths.value_at(document, path), 1e-3) is not None:
                 yield ".".join(path)
     yield from _parameters(explainer.probe.instances)
 

@@ -15,7 +15,7 @@ from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.excerpt import Excerpts
 from thorvaldc.diagnostics.text_layout import paragraph, text_list
 from thorvaldc.tools.provenance.explanation import Explanation, OutputUse, Step
-from thorvaldc.tools.provenance.influence_search import Influence, SourceValue, key_path
+from thorvaldc.tools.provenance.influence_search import Influence, SourceValue
 
 MOST_WITH_EXCERPTS = 4
 MOST_ROWS = 12
@@ -223,7 +223,7 @@ def _step_document(step: Step, writer: ExplanationText) -> dict[str, Any]:
 
 
 def _step_of(source: SourceValue) -> Step:
-    return Step(source.span, key_path(source.keys), str(source.node.value), None, "", source)
+    return Step(source.span, source.key_path, str(source.node.value), None, "", source)
 
 
 def _is_zero(source: SourceValue) -> bool:

@@ -72,10 +72,10 @@ class SourceValue:
     @property
     def key_path(self) -> str:
         """Text of the position, such as ``links.body.parts[0].mass``."""
-        return key_path(self.keys)
+        return key_text(self.keys)
 
 
-def key_path(keys: Iterable[Key]) -> str:
+def key_text(keys: Iterable[Key]) -> str:
     """Returns keys and indices as text, such as ``links.body.parts[0].mass``."""
     text = ""
     for key in keys:
