@@ -19,10 +19,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
 
-from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.frame import CanFrame, to_ns
 from thorvaldc.can.frame_bits import INTERFRAME_BITS
 from thorvaldc.can.frame_bits import frame_bits as exact_bits
-from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.diagnostics import Span
 from thorvaldc.model.bus import Bus, FrameDefinition
 from thorvaldc.model.bus_timing import MASTER, bus_load, frame_response_times

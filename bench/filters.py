@@ -22,12 +22,12 @@ from bench.wheel_noise import ROBOTS, Array
 from thorvaldc.backends.ros2_localization import process_noise
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
-from thorvaldc.model.ros import FOR_FILTERS, MEASURED
+from thorvaldc.model.settings import FOR_FILTERS, MEASURED
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import CheckedJointStates
 from thorvaldc.runtime.calculators import BaseGeometry, Noise
 from thorvaldc.runtime.calculators.general import General
-from thorvaldc.runtime.filter_covariance import filter_covariance
+from thorvaldc.runtime.odometry import filter_covariance
 from thorvaldc.runtime.se2 import ORIGIN, Twist
 from thorvaldc.simulation.vectorised.calculator_batch import CalculatorBatch
 

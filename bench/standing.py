@@ -21,7 +21,7 @@ from bench.figure import Figure
 from bench.random_trees import random_tree
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model import Robot
-from thorvaldc.model.statics.load_ranges import load_ranges
+from thorvaldc.model.facts.stability import load_ranges
 from thorvaldc.model.statics.standing import Standing, standing_of
 from thorvaldc.model.statics.tip_over import support_of
 

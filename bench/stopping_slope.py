@@ -2,7 +2,7 @@
 
 Robots with few driven wheels drive straight downhill, forwards and backwards, and get the command
 to stop.  On some slopes they follow the ramp of the driver, on others the wheels with motors slide.
-The closed form has the deceleration of ``model.statics.stopping_slope`` and a reaction time of one
+The closed form has the deceleration of ``model.statics.slope`` and a reaction time of one
 control cycle, because these runs have no bus.
 """
 
@@ -18,7 +18,7 @@ from bench.figure import ROOT, Figure
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
-from thorvaldc.model.statics.stopping_slope import SlopeStops
+from thorvaldc.model.statics.slope import SlopeStops
 from thorvaldc.model.stopping import STOP_LOCK
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.scenario_run import ScenarioSimulation

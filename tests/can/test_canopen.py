@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 
+from thorvaldc.can import canopen, lss
 from thorvaldc.can.canopen import (
     HIGHEST_NODE_ID,
+    DriveState,
     Emergency,
     NmtCommand,
     NmtState,
@@ -38,3 +42,46 @@ def test_emergency_messages() -> None:
     assert Emergency.unpack(b"\x10\x23").register is None
     with pytest.raises(ValueError, match="1 bytes"):
         Emergency.unpack(b"\x10")
+
+
+# Power states in status words, compared with the table of CiA 402.
+
+TABLE = {
+    "x0xx0000": DriveState.NOT_READY,
+    "x1xx0000": DriveState.SWITCH_ON_DISABLED,
+    "x01x0001": DriveState.READY_TO_SWITCH_ON,
+    "x01x0011": DriveState.SWITCHED_ON,
+    "x01x0111": DriveState.OPERATION_ENABLED,
+    "x00x0111": DriveState.QUICK_STOP_ACTIVE,
+    "x0xx1111": DriveState.FAULT_REACTION_ACTIVE,
+    "x0xx1000": DriveState.FAULT,
+}
+
+
+def test_every_status_word_has_the_state_of_the_table() -> None:
+    states: dict[int, DriveState] = {}
+    for pattern, state in TABLE.items():
+        choices = [("0", "1") if bit == "x" else (bit,) for bit in pattern]
+        states.update({int("".join(bits), 2): state for bits in itertools.product(*choices)})
+    for word in range(256):
+        assert DriveState.of(word | 0x1600) is states.get(word), f"{word:08b}"
+
+
+def test_the_other_bits_of_status_words_are_those_of_the_table() -> None:
+    assert canopen.VOLTAGE_ENABLED == 0x0010
+    assert canopen.REMOTE == 0x0200
+    assert canopen.TARGET_REACHED == 0x0400
+    assert canopen.HOMING_ATTAINED == 0x1000
+    assert canopen.HOMING_ERROR == 0x2000
+
+
+# Numbers of LSS, compared with the tables of CiA 305.
+
+
+def test_the_table_of_bit_timings() -> None:
+    kbit_s = {0: 1000, 1: 800, 2: 500, 3: 250, 4: 125, 6: 50, 7: 20, 8: 10}
+    assert {index: 1000 * rate for index, rate in kbit_s.items()} == lss.BITRATES
+
+
+def test_the_node_id_of_a_device_without_one() -> None:
+    assert lss.UNCONFIGURED == 0xFF

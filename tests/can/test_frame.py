@@ -8,7 +8,8 @@ import random
 import pytest
 
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.can.frame_bits import first_difference, frame_bits, worst_case_bits
+from thorvaldc.can.frame_bits import first_difference, frame_bits
+from thorvaldc.model.bus_timing import worst_case_bits
 
 
 def bits_one_by_one(frame: CanFrame) -> list[int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pty
 import socket
+import stat
 import sys
 from contextlib import closing
 from dataclasses import replace
@@ -16,7 +17,7 @@ from tests.can.interfaces import HEARTBEAT, bus, open_python_can, refusal
 from tests.robots import SPAN
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.can.open_interface import open_interface, open_interfaces
+from thorvaldc.can.open_interface import bus_lock, open_interface, open_interfaces
 from thorvaldc.can.simulated_bus_client import SimulatedBusClient
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
@@ -172,3 +173,22 @@ def test_a_master_on_a_simulated_bus_sends_in_its_own_order(bus: Bus, tmp_path: 
         for frame in sent:
             assert master.send(frame)
         assert [got.frame for got in (second.receive(2.0) for _ in sent) if got] == sent
+
+
+# The lock of a CAN bus on systems without abstract sockets: a file in the user's folder.
+
+
+def test_a_lock_file_is_held_until_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr(sys, "platform", "darwin")
+    for _ in range(2):
+        with bus_lock("slcan:/dev/ttyACM0"):
+            with (
+                pytest.raises(DiagnosticError, match="uses the bus"),
+                bus_lock("slcan:/dev/ttyACM0"),
+            ):
+                pass
+            with bus_lock("slcan:/dev/ttyACM1"):
+                pass
+    for file in tmp_path.rglob("*.lock"):
+        assert stat.S_IMODE(file.stat().st_mode) == 0o600

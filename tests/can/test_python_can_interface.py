@@ -20,9 +20,7 @@ import msgpack
 import pytest
 
 from tests.can.interfaces import ALL_KINDS, HEARTBEAT, bus, open_python_can
-from thorvaldc.can.elapsed_clock import elapsed_ns
-from thorvaldc.can.error_state import ErrorState
-from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.frame import CanFrame, ErrorState, elapsed_ns
 from thorvaldc.can.open_interface import UDP_GROUP
 from thorvaldc.can.python_can_interface import PythonCanInterface
 from thorvaldc.diagnostics.error import DiagnosticError

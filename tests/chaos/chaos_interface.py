@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from thorvaldc.can.frame import CanFrame
-from thorvaldc.can.nanoseconds import to_ns
+from thorvaldc.can.frame import CanFrame, to_ns
 from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from tests.simulation.bus.robots import cia402 as steered_cia402
 from tests.simulation.bus.robots import compiled
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import Node, ObjectValue
-from thorvaldc.model.robot import AUTOMATIC
+from thorvaldc.model.settings import AUTOMATIC
 
 _STEERED_SCRIPT = """
 thorvaldc: 1

@@ -42,10 +42,9 @@ from tests.chaos.permission import Permission, wheel_speed
 from tests.chaos.schedule import DELIVERED, POWER_ON, READY, ChaosEvent, Schedule
 from tests.chaos.true_motion import TrueMotion
 from tests.robots import SPAN
-from thorvaldc.can.error_state import ErrorState
-from thorvaldc.can.nanoseconds import to_ns
+from thorvaldc.can.frame import ErrorState, to_ns
 from thorvaldc.model.bus_faults import BusFault, BusFaults
-from thorvaldc.model.robot import AUTOMATIC
+from thorvaldc.model.settings import AUTOMATIC
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import BaseDriver, DriverState

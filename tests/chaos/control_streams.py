@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from thorvaldc.runtime.control.control_server import ControlServer
+from thorvaldc.runtime.control_channel import ControlServer
 from thorvaldc.runtime.service_table import Services
 
 BUFFER = 200_000

@@ -16,7 +16,7 @@ from tests.chaos.invariants import PUSHED
 from tests.chaos.schedule import DELIVERED, POWER_ON, READY, ChaosEvent, Schedule
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import Bus, Node, ObjectValue
-from thorvaldc.model.required_objects import required_objects
+from thorvaldc.model.bus_timing import required_objects
 
 POWER_ON_SHARE = 0.05
 """Share of the missions that begin with the power-on; they take longer."""

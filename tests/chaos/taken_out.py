@@ -8,17 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from thorvaldc.runtime.can_base.battery_supervision import BatteryLevel, BatterySupervision
+from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryLevel, BatterySupervision
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
-from thorvaldc.runtime.can_base.object_readback import ObjectSupervision
+from thorvaldc.runtime.can_base.node_watchdog import ObjectSupervision
 from thorvaldc.runtime.can_base.stop_ladder import StopLadder
-from thorvaldc.runtime.control.control_server import ControlServer
+from thorvaldc.runtime.control_channel import ControlServer
 from thorvaldc.runtime.driven_robot import DrivenRobot
-from thorvaldc.runtime.motion_permission import MotionPermission
+from thorvaldc.runtime.driver import MotionPermission
 from thorvaldc.runtime.multiplexer import Multiplexer, _Source
-from thorvaldc.runtime.owned_stop import OwnedStop
-from thorvaldc.runtime.service_table import Caller
-from thorvaldc.runtime.time_gap import Gap, TimeGapRule
+from thorvaldc.runtime.pace import Gap, TimeGapRule
+from thorvaldc.runtime.service_table import Caller, OwnedStop
 
 
 def _time_gaps() -> None:

@@ -18,7 +18,7 @@ from tests.child_process import ChildProcess
 from tests.cli.conftest import Command
 from tests.cli.test_bus import ROOT, running
 from tests.simulation.bus.robots import CIA402, compiled
-from thorvaldc.can.bus_lock import BusLock
+from thorvaldc.can.open_interface import bus_lock
 from thorvaldc.can.simulated_bus_client import SimulatedBusClient
 from thorvaldc.commissioning.bus_configuration import digest
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
@@ -176,7 +176,7 @@ def test_a_second_master_on_this_computer_is_refused(
     thorvaldc: Command, robot: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The lock depends on neither the user's folders nor the spelling of the interface."""
-    with BusLock("sim:./a"):
+    with bus_lock("sim:./a"):
         monkeypatch.setenv("XDG_RUNTIME_DIR", f"{robot.parent}/other")
         for command in (("can", "scan", "--active"), ("can", "plan"), ("run",)):
             got = thorvaldc(*command, "robot.yaml", "--bus", "sim:././a")

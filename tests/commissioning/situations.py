@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from tests.commissioning.bench import QUICK, Bench, MemoryStorage
-from thorvaldc.can.bus_lock import BusLock
 from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.open_interface import bus_lock
 from thorvaldc.model import Robot
 
 
@@ -93,7 +93,7 @@ def _changed_by_hand(bench: Bench) -> None:
 
 
 def _locked(bench: Bench) -> None:
-    with BusLock("virtual:locked"), BusLock("virtual:locked"):
+    with bus_lock("virtual:locked"), bus_lock("virtual:locked"):
         bench.apply()
 
 

@@ -12,8 +12,8 @@ from tests.slow import mostly_slow
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.verify import verify
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model.bus_quirks import Quirk
-from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.model.bus_faults import Quirk
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
 
 CANOPENNODE = (
     Quirk.LSS_RESPONDS_WHEN_SELECTED,

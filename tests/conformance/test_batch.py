@@ -18,7 +18,7 @@ from tests.conformance.test_calculators import (
     tricycle_wheels,
 )
 from tests.conformance.wheels import wheel
-from thorvaldc.runtime.base_interface import JointStates
+from thorvaldc.runtime.base_interface import JointStates, NotFiniteError
 from thorvaldc.runtime.calculators import BaseCalculator, BaseGeometry, WheelGeometry
 from thorvaldc.runtime.calculators.general import General, GeneralOptions
 from thorvaldc.runtime.calculators.twist_estimator import (
@@ -26,7 +26,6 @@ from thorvaldc.runtime.calculators.twist_estimator import (
     TwistEstimate,
     TwistEstimator,
 )
-from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.vectorised.calculator_batch import Array, CalculatorBatch
 

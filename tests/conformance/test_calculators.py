@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from tests.conformance.wheels import wheel
-from thorvaldc.runtime.base_interface import JointStates
+from thorvaldc.runtime.base_interface import JointStates, NotFiniteError
 from thorvaldc.runtime.calculators import (
     PLUGINS,
     BaseCalculator,
@@ -19,7 +19,6 @@ from thorvaldc.runtime.calculators import (
     calculator_class,
 )
 from thorvaldc.runtime.calculators.steering_branch import LIMIT_TOLERANCE, RESUME_ABOVE
-from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 SETTINGS = settings(

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.model import Robot
-from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointStates
+from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointStates, ParameterError
 from thorvaldc.runtime.driver import BaseDriver, DriveMode
-from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.physics.sim_base import SimBase
 

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from tests.conformance.wheels import wheel
-from thorvaldc.runtime.base_interface import JointStates
+from thorvaldc.runtime.base_interface import JointStates, NotFiniteError
 from thorvaldc.runtime.calculators import BaseGeometry, Noise
 from thorvaldc.runtime.calculators.general import General, GeneralOptions
-from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.vectorised.calculator_batch import CalculatorBatch
 

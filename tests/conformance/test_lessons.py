@@ -21,9 +21,9 @@ from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
-from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.base_interface import RequestRefused
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.frame_receiver import FrameReceiver
-from thorvaldc.runtime.errors import RequestRefused
 from thorvaldc.runtime.se2 import ZERO_TWIST
 from thorvaldc.simulation.bus.battery_and_io_devices import BATTERY_FRAMES
 from thorvaldc.simulation.bus.roboteq_device import RoboteqController

@@ -19,14 +19,13 @@ from tests.conformance.test_calculators import (
     twists,
 )
 from tests.conformance.wheels import wheel
-from thorvaldc.runtime.base_interface import JointStates
+from thorvaldc.runtime.base_interface import JointStates, NotFiniteError
 from thorvaldc.runtime.calculators import BaseGeometry, WheelGeometry
 from thorvaldc.runtime.calculators.twist_estimator import (
     EstimatorOptions,
     TwistEstimate,
     TwistEstimator,
 )
-from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.runtime.se2 import Cov3
 
 robots = st.one_of(any_wheels(), axle_wheels(), tricycle_wheels())

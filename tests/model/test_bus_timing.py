@@ -13,16 +13,16 @@ from thorvaldc.model.bus import Bus, FrameDefinition
 from thorvaldc.model.bus_timing import (
     Stream,
     bus_load,
-    frame_bits,
     frame_response_times,
     response_times,
+    worst_case_bits,
 )
 
 MS, US = 1e-3, 1e-6
 
 
 def test_worst_case_bits_of_a_frame() -> None:
-    assert [frame_bits(n) for n in (0, 1, 8)] == [55, 65, 135]
+    assert [worst_case_bits(n) for n in (0, 1, 8)] == [55, 65, 135]
 
 
 def test_the_published_example_that_refuted_the_first_instance() -> None:
@@ -81,7 +81,7 @@ def test_bounds_hold_in_a_small_simulation(seed: int) -> None:
     generator = random.Random(seed)
     count, bitrate = generator.randint(3, 12), 500_000
     streams = [
-        Stream(i, frame_bits(generator.randint(0, 8)), generator.choice((5, 10, 20, 50)) * MS)
+        Stream(i, worst_case_bits(generator.randint(0, 8)), generator.choice((5, 10, 20, 50)) * MS)
         for i in range(count)
     ]
     bounds = response_times(streams, bitrate)

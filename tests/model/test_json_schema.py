@@ -12,8 +12,7 @@ import pytest
 from tests.examples import FLEETS, ROBOTS, example_fleet, example_robot
 from tests.model.test_model_json import GOOD, changed, everything
 from thorvaldc.model import Fleet, Placement, Pose
-from thorvaldc.model.json_schema import model_schema, model_schema_text
-from thorvaldc.model.model_json import VERSION, to_json
+from thorvaldc.model.model_json import VERSION, model_schema, model_schema_text, to_json
 
 # The fields and types of each version.  Do not change an entry: a program that reads the
 # version exists.  When the fields change, increase VERSION, add an entry here, and a line in the

@@ -9,7 +9,7 @@ import pytest
 
 from bench.bus_traffic import random_bus, reached, worst_payload
 from thorvaldc.can.frame_bits import frame_bits
-from thorvaldc.model.bus_timing import frame_bits as worst_bits
+from thorvaldc.model.bus_timing import worst_case_bits as worst_bits
 
 
 @pytest.mark.parametrize("number", range(8))

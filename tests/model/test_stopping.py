@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 
+from tests.model.stops import stop_bound
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import compiled
 from thorvaldc.model import ParameterSet, Robot
@@ -16,10 +17,9 @@ from thorvaldc.model.stopping import (
     KINDS,
     reachable_speed,
     shortest_watchdog,
-    stop_bound,
     stop_bounds,
 )
-from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.se2 import Twist
 
 SLOW_TURNS = "max_linear_velocity: 0.8 m/s, max_angular_velocity: 0.1 rad/s"

@@ -9,8 +9,13 @@ import pytest
 
 from tests.examples import example_robot
 from tests.runtime.can_base.test_even_stop import robot
-from thorvaldc.model.stopping import bus_response_time
-from thorvaldc.model.swerve import BUS_LOST, BUS_SILENT, swerve_bounds, yaw_per_metre
+from thorvaldc.model.stopping import (
+    BUS_LOST,
+    BUS_SILENT,
+    bus_response_time,
+    swerve_bounds,
+    yaw_per_metre,
+)
 
 
 def test_one_bus_for_each_side() -> None:

@@ -12,13 +12,12 @@ import pytest
 
 from tests.examples import ROBOTS, example_robot
 from tests.simulation.bus.robots import cia402_robot
-from thorvaldc.ros.clock_watch import ClockWatch
 from thorvaldc.ros.parameters import PARAMETERS
-from thorvaldc.ros.topic_twists import TwistInputs
+from thorvaldc.ros.topic_twists import ClockWatch, TwistInputs
+from thorvaldc.runtime.base_interface import ParameterError
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import BaseDriver
-from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.run_time_parameters import COMMAND_TIMEOUT, LIMITS
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.runtime.service_table import ServiceError

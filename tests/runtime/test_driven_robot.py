@@ -9,14 +9,15 @@ from typing import Any
 
 import pytest
 
+from tests.model.stops import stop_bound
 from tests.robots import FOUR_STEERED, make_robot
 from tests.runtime.can_base.simulated_rig import FORWARD, Rig
 from tests.simulation.bus.robots import ROBOTS
 from thorvaldc.model import Robot
-from thorvaldc.model.stopping import COMMAND_TIMEOUT, stop_bound
-from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.model.stopping import COMMAND_TIMEOUT
+from thorvaldc.runtime.base_interface import RequestRefused
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.driven_robot import DrivenRobot
-from thorvaldc.runtime.errors import RequestRefused
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.physics.sim_base import SimBase
 

@@ -9,11 +9,11 @@ import pytest
 
 from bench.filters import BOUNDED, DRIVE, MIXED, study
 from tests.examples import example_robot
-from thorvaldc.model.ros import FOR_FILTERS, MEASURED
+from thorvaldc.model.settings import FOR_FILTERS, MEASURED
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry, Noise
 from thorvaldc.runtime.calculators.general import General
-from thorvaldc.runtime.filter_covariance import DRIVE_ERROR_TIME, filter_covariance
+from thorvaldc.runtime.odometry import DRIVE_ERROR_TIME, filter_covariance
 
 PERIOD = 0.02
 WHITE = Noise(correlation=0.0, radius_error=0.0, steering_offset_error=0.0)

@@ -9,8 +9,8 @@ import pytest
 
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.model import TwistInput
+from thorvaldc.runtime.base_interface import ParameterError
 from thorvaldc.runtime.driver import BaseDriver, DriveMode
-from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.multiplexer import Multiplexer
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.physics.sim_base import SimBase

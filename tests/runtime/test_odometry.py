@@ -10,11 +10,10 @@ import pytest
 
 from tests.conformance.wheels import wheel
 from thorvaldc.runtime import se2
-from thorvaldc.runtime.base_interface import JointStates
+from thorvaldc.runtime.base_interface import JointStates, NotFiniteError
 from thorvaldc.runtime.calculators import BaseGeometry, Noise
 from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.calculators.twist_estimator import TwistEstimator
-from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL, Odometry
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, Pose2, Twist
 

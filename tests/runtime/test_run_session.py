@@ -7,12 +7,12 @@ import re
 import pytest
 
 from tests.simulation.bus.robots import CIA402, compiled
-from thorvaldc.can.interface import CanInterface
+from thorvaldc.can.frame import CanInterface
 from thorvaldc.model import Robot
-from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.base_interface import RequestRefused
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import DriverState
-from thorvaldc.runtime.errors import RequestRefused
 from thorvaldc.runtime.run_session import RunSession
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot

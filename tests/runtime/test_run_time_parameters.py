@@ -10,11 +10,10 @@ import pytest
 from tests.robots import FOUR_STEERED, SPAN, make_robot
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import ParameterSet, Robot
-from thorvaldc.runtime.base_interface import JointStates
+from thorvaldc.runtime.base_interface import JointStates, ParameterError
 from thorvaldc.runtime.calculators import PLUGINS, BaseGeometry, Noise, calculator_class
 from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.driver import BaseDriver
-from thorvaldc.runtime.errors import ParameterError
 from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.physics.sim_base import SimBase

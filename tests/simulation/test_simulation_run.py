@@ -16,8 +16,7 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import to_json
-from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Pose2, Twist
-from thorvaldc.runtime.twist_text import parse_twist
+from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Pose2, Twist, parse_twist
 from thorvaldc.simulation.control_loop import (
     Segment,
     default_manoeuvre,

@@ -24,7 +24,7 @@ from thorvaldc.model.facts.robot_facts import RobotFacts
 from thorvaldc.model.facts.size import Size
 from thorvaldc.model.facts.stability import DIRECTIONS, Stability
 from thorvaldc.model.spatial import dot
-from thorvaldc.model.statics.convex_hull import Point, convex_hull
+from thorvaldc.model.statics.tip_over import Point, convex_hull
 
 _MARGIN = 0.17
 """Space around a view for dimension lines, as a share of the largest extent of the robot."""

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 from thorvaldc.model import Box, Collision, Cylinder, MeshShape, Robot, Shape, Sphere, Vec3, Visual
 from thorvaldc.model.spatial import Quat, cross, dot, rotate
-from thorvaldc.model.statics.convex_hull import Point, convex_hull
 from thorvaldc.model.statics.joint_tree import tree_of
-from thorvaldc.model.statics.mesh_vertices import mesh_vertices
+from thorvaldc.model.statics.tip_over import Point, convex_hull
+from thorvaldc.model.stl import mesh_vertices
 
 _SIDES = 24
 """Corners of the polygons for circles."""

@@ -13,8 +13,7 @@ from collections.abc import Sequence
 from thorvaldc.backends.colors_and_meshes import BLOCK_COLORS
 from thorvaldc.backends.xml_writer import Element
 from thorvaldc.model import Box, Cylinder, Ground, MeshShape, Pose, Sphere, World, Zone
-from thorvaldc.model.spatial import clean
-from thorvaldc.model.statics.gravity import GRAVITY
+from thorvaldc.model.spatial import GRAVITY, clean
 
 TERRAIN = "terrain.bin"
 _DEPTH = 0.5  # m, thickness of a height field below its lowest point

@@ -43,7 +43,7 @@ from thorvaldc.backends.ros2_parts import Parts, node_space, parts_of
 from thorvaldc.backends.urdf import urdf_text
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.model_json import to_json
-from thorvaldc.model.ros import package_name
+from thorvaldc.model.settings import package_name
 
 FOLDER = "ros2"
 

@@ -23,8 +23,8 @@ from typing import NamedTuple
 
 from thorvaldc.backends.ros2_parameter_file import Value
 from thorvaldc.model import Robot, Wheel
-from thorvaldc.model.float_sum import float_sum
-from thorvaldc.model.ros import DRIVER
+from thorvaldc.model.settings import DRIVER
+from thorvaldc.model.spatial import float_sum
 
 Parameters = dict[str, Value]
 

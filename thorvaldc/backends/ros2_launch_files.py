@@ -23,7 +23,7 @@ from thorvaldc.backends.ros2_parts import (
 )
 from thorvaldc.backends.templates import Templates
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.model.ros import EKF
+from thorvaldc.model.settings import EKF
 
 _TEMPLATES = Templates("ros2/launch")
 _CLOCK = {"use_sim_time": "true", "publish_clock": "true"}

@@ -68,7 +68,7 @@ def process_noise(robot: Robot) -> list[float]:
 
     The filter takes the accelerations as white, and the driver's last as long as a ramp: from the
     largest velocity v to rest with the deceleration a, t = v/a. White noise whose sum has the same
-    variance has the intensity 2 a^2 t = 2 a v (``thorvaldc.runtime.filter_covariance`` derives the
+    variance has the intensity 2 a^2 t = 2 a v (``thorvaldc.runtime.odometry`` derives the
     factor 2 t). The filter then follows each ramp, and still weighs odometry against an IMU by
     their covariances.
 

@@ -26,7 +26,7 @@ from thorvaldc.backends.ros2_parts import (
     source_topic,
 )
 from thorvaldc.model import Robot, Sensor
-from thorvaldc.model.statics.footprint import footprint
+from thorvaldc.model.statics.tip_over import footprint
 
 Parameters = dict[str, Value]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from thorvaldc.backends.ros2_parameter_file import Value
 from thorvaldc.backends.ros2_parts import Parts, base_frame, odom_frame
 from thorvaldc.model import Robot
-from thorvaldc.model.ros import DRIVER, FOR_FILTERS
+from thorvaldc.model.settings import DRIVER, FOR_FILTERS
 
 TELEOP_SHARE = 0.5  # speed without the turbo button, as a fraction of the robot's limits
 

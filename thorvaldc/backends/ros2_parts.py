@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from thorvaldc.model import Robot, Sensor
-from thorvaldc.model.ros import EKF, MAP_FRAME, ODOM_FRAME
+from thorvaldc.model.settings import EKF, MAP_FRAME, ODOM_FRAME
 
 SENSOR_TOPICS = {"lidar_2d": "scan", "lidar_3d": "points", "imu": "data", "gnss": "fix"}
 """Last part of the topic of a sensor, by the type of the sensor."""

@@ -15,8 +15,7 @@ from thorvaldc.backends.sdf_elements import add_geometry, add_pose, add_system
 from thorvaldc.backends.sdf_sensors import SENSORS
 from thorvaldc.backends.xml_writer import Element, number, numbers
 from thorvaldc.model import Ground, Pose, Robot, World
-from thorvaldc.model.spatial import clean
-from thorvaldc.model.statics.gravity import GRAVITY
+from thorvaldc.model.spatial import GRAVITY, clean
 from thorvaldc.model.stl import Triangle, binary_stl
 
 STEP = 0.001

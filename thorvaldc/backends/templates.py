@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from thorvaldc.model.data_folder import data_folder
+from thorvaldc.model.plugins import data_folder
 
 if TYPE_CHECKING:
     from jinja2 import Environment

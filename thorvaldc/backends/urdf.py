@@ -18,7 +18,7 @@ from thorvaldc.backends.xml_writer import (
     to_text,
 )
 from thorvaldc.model import Box, Cylinder, Joint, Link, MeshShape, Pose, Robot, Shape, Wheel
-from thorvaldc.model.once_per_model import once_per_model
+from thorvaldc.model.element import once_per_model
 from thorvaldc.model.spatial import clean
 
 # URDF requires limits for revolute and prismatic joints. The joint limit 1e9 means "no limit".

@@ -28,16 +28,6 @@ _POLYNOMIAL = 0x4599
 """Polynomial of the 15-bit CRC without x^15: x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1."""
 
 
-def worst_case_bits(length: int, extended: bool = False) -> int:
-    """Returns the maximum number of bits of a CAN frame with ``length`` data bytes.
-
-    The interframe space after the CAN frame is included.  A CAN frame has the most stuff bits if
-    the first stuff bit follows five bits and each further stuff bit follows four bits.
-    """
-    stuffed = (54 if extended else 34) + 8 * length
-    return stuffed + (stuffed - 1) // 4 + TAIL_BITS + INTERFRAME_BITS
-
-
 @functools.lru_cache(maxsize=4096)
 def frame_bits(frame: CanFrame) -> int:
     """Returns the exact number of bits of a CAN frame, including stuff bits and interframe space.

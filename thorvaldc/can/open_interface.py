@@ -3,34 +3,37 @@
 python-can reports a wrong interface name or a missing permission late, and with an error text of
 its backend.  Common user errors, such as a missing serial port, are detected before the CAN
 interface is opened and are reported with a hint.
+
+``bus_lock`` allows only one master for each bus on a computer.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import functools
+import hashlib
 import importlib
 import logging
 import os
 import socket
 import stat
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from thorvaldc.can.bus_lock import BusLock
-from thorvaldc.can.interface import CanInterface
+from thorvaldc.can.frame import CanInterface
+from thorvaldc.can.local_socket import runtime_directory, socket_path
 from thorvaldc.can.python_can_interface import PythonCanInterface, one_line
 from thorvaldc.can.simulated_bus_client import SimulatedBusClient
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus
-from thorvaldc.model.require_bus import require_bus
+from thorvaldc.model import Bus, Robot
 
 if TYPE_CHECKING:
     import can
+
 
 UDP_GROUP = "239.74.163.2"
 """Default multicast group of the interface ``udp``."""
@@ -122,7 +125,7 @@ def open_interfaces(spec: str, robot: Robot) -> dict[str, CanInterface]:
     ``left=socketcan:can0,right=socketcan:can1``.  With ``sim:NAME`` a robot with the buses ``left``
     and ``right`` uses the simulated buses ``NAME.left`` and ``NAME.right``.
     """
-    require_bus(robot)
+    robot.require_bus()
     names = [bus.name for bus in robot.buses]
     if spec == "virtual:delivered":
         reason = "a delivered robot has no node ids yet; it is for the `can` commands"
@@ -145,7 +148,52 @@ def lock_buses(spec: str, robot: Robot, locks: contextlib.ExitStack) -> None:
     Raises ``DiagnosticError`` (``bus-locked``) if another master of this computer uses a bus.
     """
     for name in _split_spec(spec, [bus.name for bus in robot.buses]).values():
-        locks.enter_context(BusLock(name))
+        locks.enter_context(bus_lock(name))
+
+
+@contextlib.contextmanager
+def bus_lock(spec: str) -> Iterator[None]:
+    """Locks the CAN bus at the interface ``spec``, such as ``socketcan:can0``, for one master.
+
+    The operating system releases the lock when the process ends.  On Linux the lock is a socket in
+    the abstract name space, which depends neither on the user nor on the environment
+    (``XDG_RUNTIME_DIR``, ``TMPDIR``).  Like a CAN network interface, it belongs to a network name
+    space.  On other systems the lock is a file of the user.
+
+    Raises ``DiagnosticError`` (``bus-locked``) if another program has locked the bus.  Raises
+    ``OSError`` if the lock cannot be created.
+    """
+    digest = hashlib.sha256(_identity(spec).encode()).hexdigest()[:32]
+    with contextlib.ExitStack() as lock:
+        try:
+            if sys.platform == "linux":
+                address = lock.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+                address.bind(f"\0thorvaldc-master-{digest}")
+            else:
+                path = runtime_directory() / f"master-{digest}.lock"
+                file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+                lock.callback(os.close, file)
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno not in (errno.EADDRINUSE, errno.EWOULDBLOCK):
+                raise
+            raise DiagnosticError(
+                "bus-locked",
+                f"another `thorvaldc can` or `thorvaldc run` uses the bus {spec}",
+                hint="wait until it has finished, or stop it",
+            ) from None
+        yield
+
+
+def _identity(spec: str) -> str:
+    """Returns a name that is the same for all spellings of a CAN interface."""
+    interface, _, channel = spec.partition(":")
+    if interface == "sim":
+        with contextlib.suppress(OSError):  # an invalid name is reported when the bus is opened
+            channel = os.path.realpath(socket_path(channel))
+    elif interface == "slcan":
+        channel = os.path.realpath(channel.partition("@")[0])
+    return f"{interface}:{channel}"
 
 
 def _split_spec(spec: str, names: list[str]) -> Mapping[str, str]:

@@ -9,10 +9,7 @@ import time
 from collections import Counter, deque
 from typing import TYPE_CHECKING
 
-from thorvaldc.can.elapsed_clock import elapsed, elapsed_ns
-from thorvaldc.can.error_state import ErrorState
-from thorvaldc.can.frame import CanFrame, ReceivedFrame
-from thorvaldc.can.nanoseconds import to_ns
+from thorvaldc.can.frame import CanFrame, ErrorState, ReceivedFrame, elapsed, elapsed_ns, to_ns
 
 if TYPE_CHECKING:
     import can
@@ -35,7 +32,7 @@ _LOST = (errno.ENODEV, errno.ENXIO, errno.ENETDOWN, errno.EIO, errno.EBADF)
 class PythonCanInterface:
     """A CAN interface that sends and receives through a bus of python-can (``can.BusABC``).
 
-    The clock of the CAN interface is ``elapsed_clock``, which also counts while the computer is
+    The clock of the CAN interface is ``elapsed``, which also counts while the computer is
     asleep.  The time stamps of python-can come from the wall clock, which jumps when the time of
     the computer is set.  The age of each CAN frame is computed from its time stamp and subtracted
     from the present time.  The time stamp of a CAN frame is ignored if it is in the future or older

@@ -203,65 +203,46 @@ def download_segment_response(toggle: int) -> bytes:
 class AbortCode(enum.IntEnum):
     """SDO abort codes of CiA 301 that this package sends or explains.
 
-    A device may send SDO abort codes that this table does not contain.
+    A device may send SDO abort codes that this table does not contain.  ``text`` is the
+    meaning of a code.
     """
 
-    TOGGLE_NOT_ALTERNATED = 0x05030000
-    TIMED_OUT = 0x05040000
-    COMMAND_UNKNOWN = 0x05040001
-    CRC_WRONG = 0x05040004
-    UNSUPPORTED_ACCESS = 0x06010000
-    WRITE_ONLY = 0x06010001
-    READ_ONLY = 0x06010002
-    OBJECT_UNKNOWN = 0x06020000
-    NOT_MAPPABLE = 0x06040041
-    MAPPING_TOO_LONG = 0x06040042
-    PARAMETER_INCOMPATIBLE = 0x06040043
-    DEVICE_INCOMPATIBLE = 0x06040047
-    HARDWARE_ERROR = 0x06060000
-    LENGTH_WRONG = 0x06070010
-    TOO_LONG = 0x06070012
-    TOO_SHORT = 0x06070013
-    SUBINDEX_UNKNOWN = 0x06090011
-    VALUE_RANGE = 0x06090030
-    VALUE_TOO_HIGH = 0x06090031
-    VALUE_TOO_LOW = 0x06090032
-    GENERAL_ERROR = 0x08000000
-    STORE_REFUSED = 0x08000020
-    LOCAL_CONTROL = 0x08000021
-    STATE_REFUSED = 0x08000022
-    NO_DATA = 0x08000024
+    text: str
 
+    def __new__(cls, code: int, text: str) -> AbortCode:
+        member = int.__new__(cls, code)
+        member._value_ = code
+        member.text = text
+        return member
 
-_ABORT_TEXTS: dict[int, str] = {
-    AbortCode.TOGGLE_NOT_ALTERNATED: "the toggle bit did not alternate",
-    AbortCode.TIMED_OUT: "the SDO protocol timed out",
-    AbortCode.COMMAND_UNKNOWN: "the command specifier is unknown",
-    AbortCode.CRC_WRONG: "the checksum of a block transfer is wrong",
-    AbortCode.UNSUPPORTED_ACCESS: "this access is not supported",
-    AbortCode.WRITE_ONLY: "the object is write-only",
-    AbortCode.READ_ONLY: "the object is read-only",
-    AbortCode.OBJECT_UNKNOWN: "the object does not exist",
-    AbortCode.NOT_MAPPABLE: "the object cannot be mapped to a PDO",
-    AbortCode.MAPPING_TOO_LONG: "the mapped objects are longer than a PDO",
-    AbortCode.PARAMETER_INCOMPATIBLE: "the value contradicts another parameter",
-    AbortCode.DEVICE_INCOMPATIBLE: "the device is internally incompatible",
-    AbortCode.HARDWARE_ERROR: "a hardware error prevents the access",
-    AbortCode.TOO_LONG: "the data type does not match: too many bytes",
-    AbortCode.TOO_SHORT: "the data type does not match: too few bytes",
-    AbortCode.VALUE_TOO_HIGH: "the value is too high",
-    AbortCode.VALUE_TOO_LOW: "the value is too low",
-    AbortCode.GENERAL_ERROR: "general error",
-    AbortCode.LOCAL_CONTROL: "the device is under local control",
-    AbortCode.NO_DATA: "no data available",
-    AbortCode.LENGTH_WRONG: "the data type does not match: wrong length",
-    AbortCode.SUBINDEX_UNKNOWN: "the subindex does not exist",
-    AbortCode.VALUE_RANGE: "the value is out of range",
-    AbortCode.STORE_REFUSED: "the data cannot be stored",
-    AbortCode.STATE_REFUSED: "the device state does not allow it",
-}
+    TOGGLE_NOT_ALTERNATED = 0x05030000, "the toggle bit did not alternate"
+    TIMED_OUT = 0x05040000, "the SDO protocol timed out"
+    COMMAND_UNKNOWN = 0x05040001, "the command specifier is unknown"
+    CRC_WRONG = 0x05040004, "the checksum of a block transfer is wrong"
+    UNSUPPORTED_ACCESS = 0x06010000, "this access is not supported"
+    WRITE_ONLY = 0x06010001, "the object is write-only"
+    READ_ONLY = 0x06010002, "the object is read-only"
+    OBJECT_UNKNOWN = 0x06020000, "the object does not exist"
+    NOT_MAPPABLE = 0x06040041, "the object cannot be mapped to a PDO"
+    MAPPING_TOO_LONG = 0x06040042, "the mapped objects are longer than a PDO"
+    PARAMETER_INCOMPATIBLE = 0x06040043, "the value contradicts another parameter"
+    DEVICE_INCOMPATIBLE = 0x06040047, "the device is internally incompatible"
+    HARDWARE_ERROR = 0x06060000, "a hardware error prevents the access"
+    LENGTH_WRONG = 0x06070010, "the data type does not match: wrong length"
+    TOO_LONG = 0x06070012, "the data type does not match: too many bytes"
+    TOO_SHORT = 0x06070013, "the data type does not match: too few bytes"
+    SUBINDEX_UNKNOWN = 0x06090011, "the subindex does not exist"
+    VALUE_RANGE = 0x06090030, "the value is out of range"
+    VALUE_TOO_HIGH = 0x06090031, "the value is too high"
+    VALUE_TOO_LOW = 0x06090032, "the value is too low"
+    GENERAL_ERROR = 0x08000000, "general error"
+    STORE_REFUSED = 0x08000020, "the data cannot be stored"
+    LOCAL_CONTROL = 0x08000021, "the device is under local control"
+    STATE_REFUSED = 0x08000022, "the device state does not allow it"
+    NO_DATA = 0x08000024, "no data available"
 
 
 def abort_text(code: int) -> str:
     """Returns the meaning and the number of an SDO abort code, for messages to the user."""
-    return f"{_ABORT_TEXTS.get(code, 'aborted')} (SDO abort {code:#010x})"
+    text = next((known.text for known in AbortCode if known == code), "aborted")
+    return f"{text} (SDO abort {code:#010x})"

@@ -10,10 +10,17 @@ from collections import deque
 from typing import Any
 
 from thorvaldc.can import simulated_bus_protocol as protocol
-from thorvaldc.can.error_state import ErrorState
-from thorvaldc.can.frame import RECEIVE_LIMIT, SEND_LIMIT, CanFrame, ReceivedFrame
+from thorvaldc.can.frame import (
+    NANOSECONDS,
+    NEVER,
+    RECEIVE_LIMIT,
+    SEND_LIMIT,
+    CanFrame,
+    ErrorState,
+    ReceivedFrame,
+    to_ns,
+)
 from thorvaldc.can.local_socket import Unpacker, pack, pack_json, socket_path
-from thorvaldc.can.nanoseconds import NANOSECONDS, NEVER, to_ns
 from thorvaldc.diagnostics.foreign_json import read_json
 
 ANSWER_TIME = 5.0

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import typer
 
-from thorvaldc.can.bus_lock import BusLock
-from thorvaldc.can.open_interface import open_interface
+from thorvaldc.can.open_interface import bus_lock, open_interface
 from thorvaldc.cli.console_operator import ConsoleOperator
 from thorvaldc.cli.diagnostic_output import message, report_of
 from thorvaldc.cli.exits import INPUT
@@ -28,8 +27,7 @@ from thorvaldc.commissioning.planner import Plan, PlanStep, make_plan
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.commissioning.step_executor import Operator
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus
+from thorvaldc.model import Bus, Robot
 
 UNTESTED = (
     "note: this was never tried on physical hardware, only on simulated buses. Lift the wheels "
@@ -126,7 +124,7 @@ def _open_bus(robot: Robot, spec: str, store: str, sends: bool) -> Iterator[BusA
         message(UNTESTED)
     with contextlib.ExitStack() as locks:
         if sends:
-            locks.enter_context(BusLock(interface_name))
+            locks.enter_context(bus_lock(interface_name))
         interface = open_interface(interface_name, bus)
         try:
             master = BusMaster(interface, bus)

@@ -95,7 +95,7 @@ def driver_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
 @completer
 def service_names(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes the services of the running driver in the argument NAME."""
-    from thorvaldc.runtime.control.control_client import ControlClient
+    from thorvaldc.runtime.control_channel import ControlClient
 
     client = ControlClient(ctx.params["name"], answer_time=0.2)
     try:

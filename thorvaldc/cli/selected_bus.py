@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus
-from thorvaldc.model.require_bus import require_bus
+from thorvaldc.model import Bus, Robot
 
 
 def select_bus(robot: Robot, spec: str) -> tuple[Bus, str]:
@@ -17,7 +15,7 @@ def select_bus(robot: Robot, spec: str) -> tuple[Bus, str]:
     Raises ``DiagnosticError`` for a robot without a CAN bus. Raises ``typer.BadParameter`` if
     ``--bus`` does not name a CAN bus of the robot.
     """
-    require_bus(robot)
+    robot.require_bus()
     buses = {bus.name: bus for bus in robot.buses}
     name, equals, interface = spec.partition("=")
     if equals and name in buses:

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from thorvaldc.can.lss import UNCONFIGURED, Identity
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import OBJECT_TYPES, Bus, Node
+from thorvaldc.model import Bus, Node, Robot
+from thorvaldc.model.bus import OBJECT_TYPES
+from thorvaldc.model.bus_timing import written_objects
 from thorvaldc.model.model_json import typed_value
-from thorvaldc.model.required_objects import written_objects
 
 PARKING = range(112, 127)
 """Node ids that are used only temporarily, while a flash exchanges the ids of nodes."""

@@ -19,13 +19,10 @@ from thorvaldc.can.canopen import (
     heartbeat_state,
     nmt_message,
 )
-from thorvaldc.can.error_state import ErrorState
-from thorvaldc.can.frame import CanFrame
-from thorvaldc.can.frame_bits import worst_case_bits
-from thorvaldc.can.interface import CanInterface
-from thorvaldc.can.nanoseconds import NANOSECONDS
+from thorvaldc.can.frame import NANOSECONDS, CanFrame, CanInterface, ErrorState
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model.bus import Bus
+from thorvaldc.model import Bus
+from thorvaldc.model.bus_timing import worst_case_bits
 
 MASTER = "master"
 """Name of the master as a producer of frames in the robot model."""

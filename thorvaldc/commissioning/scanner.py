@@ -18,8 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from thorvaldc.can.canopen import HEARTBEAT, SDO_REQUEST, SDO_RESPONSE, NmtState
-from thorvaldc.can.cia402 import DriveState
+from thorvaldc.can.canopen import HEARTBEAT, SDO_REQUEST, SDO_RESPONSE, DriveState, NmtState
 from thorvaldc.can.lss import UNCONFIGURED, Identity
 from thorvaldc.can.sdo import upload_request
 from thorvaldc.commissioning.bus_configuration import BusConfiguration, NodeConfiguration

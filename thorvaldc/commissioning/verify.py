@@ -17,8 +17,8 @@ from thorvaldc.commissioning.bus_master import BusMaster
 from thorvaldc.commissioning.scan_result import OK, ScanResult
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.diagnostics.text_layout import text_table
-from thorvaldc.model.bus import Bus
-from thorvaldc.model.float_sum import float_sum
+from thorvaldc.model import Bus
+from thorvaldc.model.spatial import float_sum
 
 LONGEST_LISTENING = 3.0
 """Longest listening time (s)."""

@@ -16,7 +16,7 @@ from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Mesh
-from thorvaldc.model.data_folder import data_folder
+from thorvaldc.model.plugins import data_folder
 from thorvaldc.schema.documents import schema_text
 
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")

@@ -24,3 +24,8 @@ class DiagnosticError(Exception):
         self.diagnostic = Diagnostic(CODES[code], message, span, hint, fixes=fixes)
         if hint:
             self.add_note(f"hint: {hint}")  # a traceback shows it below the message
+
+    @property
+    def one_line(self) -> str:
+        """The message and the hint in one line."""
+        return "; ".join(filter(None, (self.diagnostic.message, self.diagnostic.hint)))

@@ -1,18 +1,22 @@
 """The intermediate model (IR) of a robot or a fleet of robots, independent of any output format."""
 
+from thorvaldc.model.bus import (
+    Bus,
+    Channel,
+    FrameDefinition,
+    Node,
+    ObjectValue,
+    Scalar,
+    Signal,
+)
 from thorvaldc.model.fleet import Block, Fleet, Ground, Placement, World, Zone
 from thorvaldc.model.robot import (
     Actuator,
     Battery,
     Box,
     Brake,
-    Bus,
-    CalculatorChoice,
-    Channel,
     Collision,
     Cylinder,
-    DriverSettings,
-    FrameDefinition,
     Joint,
     JointServo,
     Link,
@@ -20,22 +24,22 @@ from thorvaldc.model.robot import (
     MeshShape,
     Mimic,
     Module,
-    Node,
-    ObjectValue,
-    ParameterSet,
     Purchase,
     Robot,
-    RosSettings,
-    Scalar,
     Sensor,
     Shape,
-    Signal,
     SourcedMass,
     Sphere,
     Tread,
-    TwistInput,
     Visual,
     Wheel,
+)
+from thorvaldc.model.settings import (
+    CalculatorChoice,
+    DriverSettings,
+    ParameterSet,
+    RosSettings,
+    TwistInput,
 )
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 

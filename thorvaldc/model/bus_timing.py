@@ -1,4 +1,5 @@
-"""The load of a CAN bus and the worst-case response times of its CAN frames.
+"""The load of a CAN bus, the worst-case response times of its CAN frames, and the time in which
+the driver reads all objects of the nodes.
 
 The analysis follows Davis, Burns, Bril and Lukkien, "Controller Area Network (CAN) schedulability
 analysis: Refuted, revisited and revised", Real-Time Systems 35 (2007), section 3. A level-m busy
@@ -48,10 +49,11 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from thorvaldc.model.bus import Bus, FrameDefinition
-from thorvaldc.model.float_sum import float_sum
+from thorvaldc.model import Bus, FrameDefinition, Node, ObjectValue, Robot
+from thorvaldc.model.bus import MASTER
+from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.stopping import motor_nodes
 
-MASTER = "master"
 _SECOND = 10**12  # ps
 _LONGEST = 100 * _SECOND  # a longer response time counts as no bound
 _ROUNDS = 100  # limit of the iterations over jitters; a working bus needs two or three
@@ -85,15 +87,16 @@ class Stream(NamedTuple):
     stage: int | None = None
 
 
-def frame_bits(length: int) -> int:
-    """Return the largest number of bits of a CAN frame with 11-bit identifier and ``length`` bytes.
+def worst_case_bits(length: int, extended: bool = False) -> int:
+    """Return the largest number of bits of a CAN frame with ``length`` data bytes.
 
-    A CAN frame with n data bytes has 8 n data bits and 47 other bits, including 3 bits of
-    interframe space. The CAN controller inserts stuff bits into the first 34 + 8 n bits of the CAN
-    frame. In the worst case, the CAN controller inserts a stuff bit after the first five bits, and
-    then a stuff bit after every four bits.
+    A CAN frame with n data bytes has 8 n data bits and 47 other bits (67 with a 29-bit identifier),
+    including 3 bits of interframe space. The CAN controller inserts stuff bits into all but the
+    last 13 of them. In the worst case, it inserts a stuff bit after the first five bits, and then a
+    stuff bit after every four bits.
     """
-    return 47 + 8 * length + (34 + 8 * length - 1) // 4
+    stuffed = (54 if extended else 34) + 8 * length
+    return stuffed + (stuffed - 1) // 4 + 13
 
 
 def response_times(streams: Sequence[Stream], bitrate: int) -> list[float | None]:
@@ -235,7 +238,7 @@ def bus_load(bus: Bus) -> float:
     """
     bits, groups = 0.0, dict[str, int]()
     for frame in bus.frames:
-        length = frame_bits(frame.length)
+        length = worst_case_bits(frame.length)
         group = _group(frame)
         if group == _EMERGENCY:
             continue
@@ -285,7 +288,7 @@ def frame_streams(bus: Bus, jitter: Mapping[str, float], bits: Mapping[str, int]
     return [
         Stream(
             frame.cob_id,
-            bits.get(frame.name) or frame_bits(frame.length),
+            bits.get(frame.name) or worst_case_bits(frame.length),
             frame.period or frame.minimum_interval or bus.sync_period,
             jitter.get(frame.name, 0.0),
             _group(frame),
@@ -341,3 +344,65 @@ def _lateness(bus: Bus, times: Mapping[str, float | None]) -> dict[str, float] |
                 if other.synchronous and other.producer != MASTER:
                     late[other.name] = at_sync
     return late
+
+
+# -- objects of the CANopen nodes ----------------------------------------------------------------
+#
+# The objects that must have the values of the robot file:
+#
+# - `can flash` writes the objects that can be written, and `can verify` compares them all;
+# - the base driver compares them all at the start-up, and reads them again and again;
+# - docs/faults.md tells for each group of objects why its values matter.
+#
+# While a robot runs, another interface of a drive (USB, a service tool) can change each of these
+# objects, and nothing else on the bus shows it.  The base driver reads one object in each control
+# cycle T on each bus.  With N objects of all nodes of the bus, a change is found within N T, as
+# long as each node answers within a cycle:
+#
+#     cycle    |    1    |    2    |    3    |         |    N    |   N + 1
+#     driver   RPDO SYNC SDO upload of object 1        ...  N         1
+#     node               value of object 1
+
+
+def written_objects(node: Node) -> Iterator[ObjectValue]:
+    """Yields the objects that `can flash` writes."""
+    return (entry for entry in node.objects if entry.access == "rw" and entry.value is not None)
+
+
+def required_objects(bus: Bus, node: Node) -> Iterator[ObjectValue]:
+    """Yields the objects that the base driver compares with the robot file.
+
+    They are the objects with a value, but not those that an RPDO contains: the base driver writes
+    them itself, in each control cycle, and a drive keeps the last value of an earlier run, such as
+    the mode of operation of a homing.
+    """
+    commanded = {
+        (index, subindex)
+        for frame in bus.frames
+        if frame.producer == MASTER and node.name in frame.consumers
+        for index, subindex, _ in frame.mapping
+    }
+    return (
+        entry
+        for entry in node.objects
+        if entry.value is not None and (entry.index, entry.subindex) not in commanded
+    )
+
+
+def reading_time(bus: Bus, cycle: float) -> float:
+    """Returns the time in s in which the base driver reads all required objects of a bus once.
+
+    ``cycle``: control cycle of the robot in s.
+    """
+    motors = [n for n in bus.nodes if any(c.actuator is not None for c in n.channels)]
+    return cycle * sum(1 for node in motors for _ in required_objects(bus, node))
+
+
+def start_reading_time(robot: Robot) -> float:
+    """Returns the time in s in which the base driver reads all required objects at its start.
+
+    It reads one object of each motor controller per control cycle, while it reads one of each bus
+    during the drive (``reading_time``).
+    """
+    counts = [len(list(required_objects(bus, node))) for bus, node in motor_nodes(robot)]
+    return max(counts, default=0) / robot.driver.rate

@@ -1,12 +1,13 @@
-"""The base class of the model's dataclasses: equality, hash and text."""
+"""The base class of the model's dataclasses (equality, hash and text), and a cache of results."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
 import operator
+import weakref
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any, cast
+from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
 
 def values_getter(names: Sequence[str]) -> Callable[[Any], tuple[Any, ...]]:
@@ -59,3 +60,44 @@ class Element:
             f"{name}={getattr(self, name)!r}" for name in _compared(cast(Hashable, type(self)))
         )
         return f"{type(self).__name__}({shown})"
+
+
+# -- results that are computed from a model, for functions that several targets call --------
+
+Model = TypeVar("Model")
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+_results: dict[int, tuple[weakref.ref[Any], dict[Any, Any]]] = {}
+"""The results of each living model, by the ``id`` of the model."""
+
+
+def once_per_model(
+    function: Callable[Concatenate[Model, Arguments], Result],
+) -> Callable[Concatenate[Model, Arguments], Result]:
+    """Return the function with a cache that keeps its results as long as the model exists.
+
+    The first argument is a ``Robot`` or a ``Fleet``. The cache recognises it by its identity,
+    because the hash of a robot with nine wheels takes 1 ms. The other arguments must be hashable.
+    The result must not refer to the model, and callers must not change the result.
+    """
+
+    @functools.wraps(function)
+    def cached(model: Model, /, *args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        results = _results_of(model)
+        key = (function, args, tuple(kwargs.items()))
+        if key not in results:
+            results[key] = function(model, *args, **kwargs)
+        result: Result = results[key]
+        return result
+
+    return cached
+
+
+def _results_of(model: Any) -> dict[Any, Any]:
+    number = id(model)
+    entry = _results.get(number)
+    if entry is None:
+        entry = (weakref.ref(model, lambda _: _results.pop(number, None)), {})
+        _results[number] = entry
+    return entry[1]

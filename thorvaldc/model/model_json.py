@@ -1,4 +1,4 @@
-"""Conversion of the model to JSON text and back, driven by the type hints of the dataclasses.
+"""The model as JSON text and back, and its JSON Schema, from the type hints of the dataclasses.
 
 The page ``docs/model.md`` describes the JSON format and its versions. A dataclass of the model
 becomes a JSON object with all fields of the dataclass. A tuple or a source span becomes a JSON
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import inspect
 import json
 import math
 import re
@@ -23,20 +24,24 @@ from thorvaldc.diagnostics.bounded_file import read_bounded
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model.bus import (
-    OBJECT_TYPES,
+from thorvaldc.model import (
+    Actuator,
     Bus,
+    Fleet,
     FrameDefinition,
+    Joint,
+    JointServo,
     Node,
     ObjectValue,
+    Robot,
+    RosSettings,
+    Shape,
     Signal,
 )
-from thorvaldc.model.element import values_getter
-from thorvaldc.model.fleet import Fleet
-from thorvaldc.model.once_per_model import once_per_model
-from thorvaldc.model.quantities import field_types
-from thorvaldc.model.robot import Actuator, Joint, JointServo, Robot, RosSettings, Shape
-from thorvaldc.model.ros import DISTROS, DRIVER, EKF
+from thorvaldc.model.bus import OBJECT_TYPES
+from thorvaldc.model.element import once_per_model, values_getter
+from thorvaldc.model.quantities import field_types, quantity_at
+from thorvaldc.model.settings import DISTROS, DRIVER, EKF
 
 FORMAT = "thorvaldc-model"
 VERSION = 10
@@ -392,3 +397,120 @@ def load_model(path: Path) -> Robot | Fleet:
         raise DiagnosticError(
             "model-unreadable", f"{path}: {error}", hint="build the robot again"
         ) from error
+
+
+# -- JSON Schema ----------------------------------------------------------------------------
+
+_PLAIN = {
+    bool: "boolean",
+    int: "integer",
+    float: "number",
+    str: "string",
+    type(None): "null",
+}
+
+
+def model_schema() -> dict[str, Any]:
+    """Return the JSON Schema of ``model.json``, with a definition for each class of the model."""
+    definitions: dict[str, Any] = {}
+    roots = [_schema_of(cls, definitions) for cls in KINDS.values()]
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "The model of a robot or a fleet, as `model.json` of a build",
+        "description": "All values are in SI; quaternions are (w, x, y, z).",
+        "type": "object",
+        "properties": {
+            "format": {"const": FORMAT},
+            "version": {"const": VERSION, "description": "Increased when the fields change."},
+            "kind": {"enum": list(KINDS)},
+            "model": {"type": "object"},
+        },
+        "required": ["format", "version", "kind", "model"],
+        "additionalProperties": False,
+        "allOf": [
+            {
+                "if": {"properties": {"kind": {"const": kind}}},
+                "then": {"properties": {"model": root}},
+            }
+            for kind, root in zip(KINDS, roots, strict=True)
+        ],
+        "$defs": dict(sorted(definitions.items())),
+    }
+
+
+def model_schema_text() -> str:
+    """Return the JSON Schema of ``model.json`` as JSON text."""
+    return json.dumps(model_schema(), indent=2, ensure_ascii=False) + "\n"
+
+
+def _schema_of(hint: Any, definitions: dict[str, Any]) -> dict[str, Any]:
+    """Return the JSON Schema of a Python type.
+
+    The schema of a model class is stored in ``definitions``, and the function returns a ``$ref`` to
+    the stored schema.
+    """
+    if typing.get_origin(hint) is typing.Annotated:
+        return _schema_of(hint.__origin__, definitions)
+    if hint in _PLAIN:
+        return {"type": _PLAIN[hint]}
+    if hint is Span or dataclasses.is_dataclass(hint):
+        name = hint.__name__  # type: ignore[union-attr]
+        if name not in definitions:
+            if hint is Span:
+                definitions[name] = _span_schema()
+            else:
+                definitions[name] = _class_schema(typing.cast(type, hint), definitions)
+        return {"$ref": f"#/$defs/{name}"}
+    arguments = typing.get_args(hint)
+    if typing.get_origin(hint) is tuple:
+        if len(arguments) == 2 and arguments[1] is Ellipsis:
+            return {"type": "array", "items": _schema_of(arguments[0], definitions)}
+        return _list_schema([_schema_of(argument, definitions) for argument in arguments])
+    if typing.get_origin(hint) not in (typing.Union, types.UnionType):
+        raise TypeError(f"a field of the model cannot have the type {hint}")
+    members = [_schema_of(argument, definitions) for argument in arguments]
+    if all(list(member) == ["type"] for member in members):
+        return {"type": [member["type"] for member in members]}
+    return {"anyOf": members}
+
+
+def _class_schema(cls: type, definitions: dict[str, Any]) -> dict[str, Any]:
+    properties = {name: _schema_of(hint, definitions) for name, hint in type_hints(cls).items()}
+    for name, schema in properties.items():
+        quantity = quantity_at(cls, [name])
+        if quantity is not None and quantity.unit and "$ref" not in schema:
+            schema["x-quantity"] = quantity.kind
+    if cls in SHAPES.values():
+        properties["kind"] = {"const": cls.__name__}
+    return {
+        "description": _description(cls),
+        "type": "object",
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+    }
+
+
+def _span_schema() -> dict[str, Any]:
+    hints = typing.get_type_hints(Span)
+    return {
+        "description": f"{_description(Span)}\n\nA list of {', '.join(hints)}.",
+        **_list_schema([{"type": _PLAIN[hint]} for hint in hints.values()]),
+    }
+
+
+def _list_schema(items: list[dict[str, Any]]) -> dict[str, Any]:
+    count = len(items)
+    return {
+        "type": "array",
+        "prefixItems": items,
+        "items": False,
+        "minItems": count,
+        "maxItems": count,
+    }
+
+
+def _description(cls: type) -> str:
+    """Return the docstring of a model class, with each paragraph and each list item on one line."""
+    text = inspect.cleandoc(cls.__doc__ or "").replace("``", "`").replace("`None`", "`null`")
+    return re.sub(r"(?<!\n)\n(?!\n|- )\s*", " ", text)

@@ -16,11 +16,14 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
+from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
+
 
 T = TypeVar("T")
 
@@ -102,3 +105,21 @@ def _conflict(entries: list[EntryPoint]) -> str:
         f"{entry.dist.name if entry.dist else 'a package'} ({entry.value})" for entry in entries
     )
     return f"is offered by several packages: {', '.join(offers)}; uninstall all but one of them"
+
+
+# -- folders with data beside the code: module library and templates --------------------------
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+
+
+@cache
+def data_folder(name: str) -> Path:
+    """Return the path of the data folder ``modules`` or ``templates``.
+
+    The folder of a source checkout is preferred to the copy in an installed package, because an
+    editable installation may contain an outdated copy.
+    """
+    checkout = _PACKAGE.parent / name
+    if (_PACKAGE.parent / "pyproject.toml").is_file() and checkout.is_dir():
+        return checkout
+    return _PACKAGE / "_data" / name

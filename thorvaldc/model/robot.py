@@ -8,70 +8,81 @@ of the robot model.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from thorvaldc.diagnostics import Span
+from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import quantities as si
-from thorvaldc.model.bus import Bus, Channel, FrameDefinition, Node, ObjectValue, Scalar, Signal
-from thorvaldc.model.drive_settings import (
-    AUTOMATIC,
-    REQUIRED,
-    SAFETY_STOP,
-    STOP_PRIORITY,
-    BatterySettings,
+from thorvaldc.model.bus import Bus, Scalar
+from thorvaldc.model.element import Element
+from thorvaldc.model.settings import (
+    DEFAULT_SETTINGS,
     CalculatorChoice,
     DriverSettings,
     ParameterSet,
+    RosSettings,
     TwistInput,
 )
-from thorvaldc.model.element import Element
-from thorvaldc.model.module import Module, Purchase, SourcedMass
-from thorvaldc.model.ros import DEFAULT_SETTINGS, RosSettings
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
-# The modules ``bus`` and ``drive_settings`` define the classes of the CAN bus and of the settings.
-# This module exports them too, because they are parts of the robot model.
-__all__ = [
-    "AUTOMATIC",
-    "REQUIRED",
-    "SAFETY_STOP",
-    "STOP_PRIORITY",
-    "Actuator",
-    "Battery",
-    "BatterySettings",
-    "Box",
-    "Brake",
-    "Bus",
-    "CalculatorChoice",
-    "Channel",
-    "Collision",
-    "Cylinder",
-    "DriverSettings",
-    "FrameDefinition",
-    "Joint",
-    "JointServo",
-    "Link",
-    "Mesh",
-    "MeshShape",
-    "Mimic",
-    "Module",
-    "Node",
-    "ObjectValue",
-    "ParameterSet",
-    "Purchase",
-    "Robot",
-    "RosSettings",
-    "Scalar",
-    "Sensor",
-    "Shape",
-    "Signal",
-    "SourcedMass",
-    "Sphere",
-    "Tread",
-    "TwistInput",
-    "Visual",
-    "Wheel",
-]
+# -- modules: the types of the module library that the robot consists of ----------------
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class SourcedMass(Element):
+    """The mass of all parts of a module whose numbers have the same source.
+
+    - ``mass``: mass in kg.
+    - ``source``: source of the numbers as in the module file, such as ``datasheet: VLP-16``, or
+      empty if the module file states no source.
+    """
+
+    mass: si.Kilograms
+    source: str
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Purchase(Element):
+    """What a module costs and how long its delivery takes, as far as the files state it.
+
+    - ``price``: price of one module in ``currency``, or ``None``.
+    - ``currency``: code of ISO 4217, such as ``EUR``; empty without a price.
+    - ``supplier``: name of the supplier, or empty.
+    - ``lead_time``: time from order to delivery in s, or ``None``.
+    """
+
+    price: si.Money | None
+    currency: str
+    supplier: str
+    lead_time: si.Seconds | None
+
+
+NOT_STATED = Purchase(None, "", "", None)
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Module(Element):
+    """A module of the robot: one use of a module type that is not an assembly.
+
+    - ``name``: path of the module, such as ``fl.steering``.
+    - ``type``: name of the module type, such as ``steering/standard``.
+    - ``parent``: path of the module that carries it, or empty for the root module and for a module
+      that is not mounted.
+    - ``mounted``: true if the module is a body of the robot. A module that is only wired, such as a
+      motor controller without a mount, has no links and no mass.
+    - ``masses``: mass by source, in the order of the module file.
+    - ``purchase``: price, supplier and lead time.
+    """
+
+    name: str
+    type: str
+    parent: str
+    mounted: bool
+    masses: tuple[SourcedMass, ...]
+    span: Span
+    purchase: Purchase = NOT_STATED
+
 
 # -- geometry -----------------------------------------------------------------
 
@@ -331,6 +342,15 @@ class Wheel(Element):
         """Whether a motor steers the wheel; a swivelling wheel of a caster is not steered."""
         return self.steering_joint is not None
 
+    @property
+    def contact_point(self) -> tuple[float, float]:
+        """The contact point (x, y in m) in ``base_link`` on level ground, with all joints at 0."""
+        c, s = math.cos(self.heading), math.sin(self.heading)
+        return (
+            self.x + c * self.trail - s * self.lateral_offset,
+            self.y + s * self.trail + c * self.lateral_offset,
+        )
+
     def radius_named(self, name: str | None) -> float:
         """Return the rolling radius of the wheel in m that has the name ``name`` in ``radii``.
 
@@ -529,3 +549,14 @@ class Robot(Element):
             if actuator.joint == joint:
                 return actuator
         return None
+
+    def require_bus(self) -> None:
+        """Raise ``DiagnosticError`` (``bus-missing``) if the robot has no CAN bus."""
+        if not self.buses:
+            raise DiagnosticError(
+                "bus-missing",
+                f"{self.name} has no devices, and so no bus",
+                self.span,
+                hint="give its motors controllers; the assembly `assembly/steered_drive` contains"
+                " one",
+            )

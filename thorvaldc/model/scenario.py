@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from thorvaldc.diagnostics import Span
-from thorvaldc.model.fleet import Fleet
+from thorvaldc.model import Fleet
 
 GROUPS = ("odometry", "truth", "twist", "joints")
 """Names of the groups of columns that a record of a run can contain."""

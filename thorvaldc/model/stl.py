@@ -1,4 +1,4 @@
-"""Binary STL files, the format of the meshes of a model.
+"""Mesh files of a model: binary STL files, and the vertices of STL and OBJ files.
 
 A file has a header of 80 bytes and the number of triangles (uint32). A triangle has 50 bytes: its
 normal vector and three corners as float32, and 2 bytes of attributes, all in little-endian order.
@@ -6,11 +6,12 @@ normal vector and three corners as float32, and 2 bytes of attributes, all in li
 
 from __future__ import annotations
 
+import functools
 import math
 import struct
 from collections.abc import Iterable, Iterator
 
-from thorvaldc.model.spatial import Vec3
+from thorvaldc.model import Vec3
 
 Triangle = tuple[Vec3, Vec3, Vec3]
 HEADER, RECORD = 84, 50  # bytes
@@ -47,3 +48,21 @@ def triangle_normal(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+
+
+@functools.lru_cache(maxsize=256)
+def mesh_vertices(name: str, data: bytes) -> tuple[Vec3, ...]:
+    """Return the vertices of a mesh file of the model, a binary STL file or an OBJ file.
+
+    Each vertex is returned once, in the order of the file.
+    """
+    vertices: dict[Vec3, None] = {}
+    if name.endswith(".obj"):
+        for line in data.decode("utf-8", "replace").splitlines():
+            words = line.split()
+            if words[:1] == ["v"]:
+                vertices[float(words[1]), float(words[2]), float(words[3])] = None
+        return tuple(vertices)
+    for triangle in stl_triangles(data):
+        vertices |= dict.fromkeys(triangle)
+    return tuple(vertices)

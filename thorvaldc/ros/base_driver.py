@@ -12,7 +12,7 @@ from typing import Any
 
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.ros.bases import NodeError
-from thorvaldc.runtime.end_signals import end_signals
+from thorvaldc.runtime.pace import end_signals
 
 LONGEST_WAIT = 0.1
 """Longest real time (s) for which the program waits for messages before it looks at a signal."""
@@ -49,9 +49,7 @@ def main(args: Sequence[str] | None = None) -> int:
         try:
             return run_nodes([BaseDriverNode], ended)
         except DiagnosticError as error:
-            diagnostic = error.diagnostic
-            hint = f"; {diagnostic.hint}" if diagnostic.hint else ""
-            return _fail(f"{diagnostic.message}{hint}", INPUT)
+            return _fail(error.one_line, INPUT)
         except (NodeError, ParameterException) as error:
             return _fail(str(error), INPUT)
         finally:

@@ -7,7 +7,7 @@ import gc
 from collections.abc import Mapping
 from pathlib import Path
 
-from thorvaldc.can.interface import CanInterface
+from thorvaldc.can.frame import CanInterface
 from thorvaldc.can.open_interface import lock_buses, open_interfaces
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot

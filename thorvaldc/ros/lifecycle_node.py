@@ -8,7 +8,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+import traceback
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,10 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist as TwistMessage
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.duration import Duration
-from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import BatteryState, JointState
@@ -26,25 +29,95 @@ from std_msgs.msg import Bool, String
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model.ros import FOR_FILTERS
+from thorvaldc.model.settings import FOR_FILTERS
 from thorvaldc.ros.bases import NodeError, description_text, open_robot
-from thorvaldc.ros.clock_watch import ClockWatch
-from thorvaldc.ros.guarded_node import GuardedLifecycleNode
 from thorvaldc.ros.messages import (
     JointMessages,
     battery_message,
+    diagnostic_statuses,
     odometry_message,
     optional_type,
     transform_message,
 )
-from thorvaldc.ros.node_diagnostics import diagnostic_statuses
 from thorvaldc.ros.node_parameters import NodeParameters
 from thorvaldc.ros.node_services import create_services
-from thorvaldc.ros.topic_twists import TwistInputs
+from thorvaldc.ros.topic_twists import ClockWatch, TwistInputs
 from thorvaldc.runtime.driven_robot import DrivenRobot
-from thorvaldc.runtime.filter_covariance import filter_covariance
+from thorvaldc.runtime.odometry import filter_covariance
 from thorvaldc.runtime.run_session import UNTESTED
 from thorvaldc.runtime.service_table import ServiceError
+
+# -- a node whose control loop no request and no message can end --------------------------------
+#
+# An error in a callback of rclpy ends the program that spins the node, and rclpy's own callbacks
+# have such errors: Jazzy for a transition that the present state does not allow, Jazzy and Kilted
+# for a parameter of an unknown type and for a negative time on /clock.
+
+_LOG_PERIOD = 1.0
+"""Shortest real time (s) between two lines in the log."""
+_Callback = Callable[[Any, Any], Any]
+
+
+class GuardedLifecycleNode(LifecycleNode):  # type: ignore[misc]
+    """A lifecycle node that refuses a request whose callback fails, and goes on.
+
+    A message whose callback fails is dropped, and ``message_failed`` is called.
+    """
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        for service in self.services:  # those of rclpy: lifecycle, parameters, loggers
+            service.callback = self.guarded(service.srv_name, service.callback)
+
+    def message_failed(self, reason: str) -> None:
+        """Reacts to a message whose callback failed for ``reason``."""
+
+    def guarded(self, service: str, callback: _Callback) -> _Callback:
+        """Returns a callback of a service that refuses a request if ``callback`` fails."""
+
+        def answer(request: Any, response: Any) -> Any:
+            try:
+                return callback(request, response)
+            except Exception as error:
+                refuse(request, response, self._logged(f"a request to {service}", error))
+                return response
+
+        return answer
+
+    def create_subscription(
+        self, kind: Any, topic: str, callback: Any, *rest: Any, **options: Any
+    ) -> Any:
+        # Overridden for the subscription to /clock too, which rclpy creates with `use_sim_time`.
+        def take(message: Any) -> None:
+            try:
+                callback(message)
+            except Exception as error:
+                self.message_failed(self._logged(f"a message on {topic}", error))
+
+        return super().create_subscription(kind, topic, take, *rest, **options)
+
+    def _logged(self, cause: str, error: Exception) -> str:
+        reason = f"{cause} failed: {' '.join(str(error).split()) or type(error).__name__}"
+        self.get_logger().error(reason, throttle_duration_sec=_LOG_PERIOD)
+        self.get_logger().debug(traceback.format_exc())
+        return reason
+
+
+def refuse(request: Any, response: Any, reason: str) -> None:
+    """Makes a refusal of the response to a request, with its reason where it has a place for it."""
+    if isinstance(response, SetParameters.Response):
+        # rclpy sets one after another: those before the wrong one are set.
+        missing = len(request.parameters) - len(response.results)
+        response.results += [SetParametersResult(successful=False, reason=reason)] * missing
+    elif isinstance(response, SetParametersAtomically.Response):
+        response.result = SetParametersResult(successful=False, reason=reason)
+    elif hasattr(response, "success"):
+        response.success = False
+        if hasattr(response, "message"):
+            response.message = reason
+
+
+# -- the node of the base driver -----------------------------------------------------------------
 
 NODE_NAME = "base_driver"
 REPORT_PERIOD = 1.0
@@ -187,9 +260,7 @@ class BaseDriverNode(GuardedLifecycleNode):
                 values["real_time_factor"],
             )
         except DiagnosticError as error:
-            self.problem = str(error.diagnostic.message)
-            if error.diagnostic.hint:
-                self.problem += f"; {error.diagnostic.hint}"
+            self.problem = error.one_line
         except (NodeError, OSError) as error:
             self.problem = str(error)
         else:

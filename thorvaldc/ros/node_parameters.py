@@ -15,7 +15,7 @@ from thorvaldc.model import Robot
 from thorvaldc.model.model_json import load_model
 from thorvaldc.ros.bases import NodeError
 from thorvaldc.ros.parameters import MODEL_FILE, PARAMETER_SET, PARAMETERS, NodeParameter
-from thorvaldc.runtime.errors import ParameterError
+from thorvaldc.runtime.base_interface import ParameterError
 from thorvaldc.runtime.run_time_parameters import COMMAND_TIMEOUT, LIMITS, Parameters
 
 _LIMITS = (*LIMITS, COMMAND_TIMEOUT)
@@ -109,9 +109,7 @@ class NodeParameters:
             self._proposed(*changes)
             self.give(*changes)
         except DiagnosticError as error:
-            diagnostic = error.diagnostic
-            reason = "; ".join(filter(None, (diagnostic.message, diagnostic.hint)))
-            return SetParametersResult(successful=False, reason=reason)
+            return SetParametersResult(successful=False, reason=error.one_line)
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from thorvaldc.model import Robot
-from thorvaldc.model.ros import DRIVER, FOR_FILTERS, MEASURED, ODOM_FRAME
+from thorvaldc.model.settings import DRIVER, FOR_FILTERS, MEASURED, ODOM_FRAME
 from thorvaldc.runtime.run_time_parameters import COMMAND_TIMEOUT, LIMITS, Parameters
 
 ParameterValue = str | bool | float

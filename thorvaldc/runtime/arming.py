@@ -14,14 +14,13 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model.robot import AUTOMATIC, SAFETY_STOP
-from thorvaldc.runtime.base_interface import BaseHandle
+from thorvaldc.model.settings import AUTOMATIC, SAFETY_STOP
+from thorvaldc.runtime.base_interface import BaseHandle, ParameterError, RequestRefused
 from thorvaldc.runtime.driver import BaseDriver
-from thorvaldc.runtime.errors import ParameterError, RequestRefused
 from thorvaldc.runtime.multiplexer import Multiplexer
-from thorvaldc.runtime.owned_stop import THIS_PROGRAM
 from thorvaldc.runtime.pace import Pace, Timing
 from thorvaldc.runtime.se2 import ZERO_TWIST
+from thorvaldc.runtime.service_table import THIS_PROGRAM
 
 Feed = Callable[[BaseDriver, float], object]
 """Function that is called at the start of each control cycle with the driver and the time (s), and

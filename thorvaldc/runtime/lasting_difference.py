@@ -27,8 +27,7 @@ from thorvaldc.runtime.calculators import (
     BaseGeometry,
     WheelGeometry,
 )
-from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.runtime.twist_text import twist_text
+from thorvaldc.runtime.se2 import ZERO_TWIST, Twist, twist_text
 
 MARGIN = 2.0
 """Time (s) beyond the slowest change of the twist before a difference lasts."""

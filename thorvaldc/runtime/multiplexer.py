@@ -9,13 +9,13 @@ from typing import TypeVar
 
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot, TwistInput
-from thorvaldc.model.drive_settings import ZERO_FIRST
-from thorvaldc.model.float_sum import float_sum
+from thorvaldc.model.settings import ZERO_FIRST
+from thorvaldc.model.spatial import float_sum
+from thorvaldc.runtime.base_interface import ParameterError
 from thorvaldc.runtime.driver import MAX_TWIST, BaseDriver
-from thorvaldc.runtime.errors import ParameterError
-from thorvaldc.runtime.owned_stop import THIS_PROGRAM, OwnedStop
+from thorvaldc.runtime.pace import Gap, gap_text
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.runtime.time_gap import Gap, gap_text
+from thorvaldc.runtime.service_table import THIS_PROGRAM, OwnedStop
 
 _TIME_TOLERANCE = 1e-9
 """Tolerance (s) for rounding errors in the check of a time-out."""
@@ -124,7 +124,7 @@ class Multiplexer:
 
     - if it is new: its first twist, or its first one after its time-out or after another program;
     - if it takes over from a source of a higher priority that has fallen silent;
-    - after a gap in time (module ``time_gap``), which voids all published twists.
+    - after a gap in time (module ``pace``), which voids all published twists.
 
     The first two do not apply to a source whose ``first_command`` is ``any``.  A source that must
     publish zero keeps its rank: the robot stands, and follows no source of a lower priority.

@@ -1,4 +1,4 @@
-"""When the control cycles of a robot are due.
+"""When the control cycles of a robot are due, which gaps between them stop it, and what ends a run.
 
 The cycles start at absolute deadlines, one per period T, so that timing errors do not accumulate.
 If a cycle takes longer than T, the missed deadlines are skipped::
@@ -14,11 +14,18 @@ virtual, or ``SimulatedTime``.  Virtual and simulated time go on only when a cyc
 
 from __future__ import annotations
 
+import contextlib
+import enum
 import math
+import signal
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Protocol
+
+from thorvaldc.model import DriverSettings, Robot
+from thorvaldc.model.stopping import shortest_watchdog
 
 
 class Clock(Protocol):
@@ -50,7 +57,7 @@ class Timing:
     - ``skipped``: number of deadlines that the loop skipped because of overruns.
     - ``latest``: longest delay (s) between a deadline and the start of its cycle.
     - ``longest``: longest duration (s) of a cycle.
-    - ``gaps``: number of gaps in time between two cycles, see ``time_gap``.
+    - ``gaps``: number of gaps in time between two cycles, see ``Gap``.
     """
 
     cycles: int = 0
@@ -150,3 +157,121 @@ class Pace:
     def restart(self) -> None:
         """Lets the next cycle be due now, after a pause or before the end of a run."""
         self._deadline, self._due = None, self.real_time()
+
+
+# -- gaps: the time between two control cycles --------------------------------------------------
+#
+# A control cycle that comes too late is a problem of the base driver: its process was stopped, the
+# machine was busy, or a system call has blocked.  Meanwhile the watchdogs of the drives may have
+# braked the robot, and commands may have waited in a queue.  ``T`` is the period of the control
+# cycle, and ``W`` is the shortest watchdog of the robot's drives:
+#
+#     0         1 T       2.5 T                       W / 2                          W
+#     |----------|----------|---------------------------|----------------------------|
+#           normal          |           short           |            long            drives brake
+#
+# - After a **short** gap, the twist ramp goes on to zero by the whole time of the gap, or from the
+#   measured twist if the drives have braked more.  All commands that waited are void.  The robot
+#   moves again after a zero twist was commanded.
+# - A **long** gap is a fault.  The robot stops, and a person must reset the fault.
+# - ``MOST_GAPS`` short gaps within ``GAP_WINDOW`` count as a long one: a computer that misses its
+#   control cycles again and again does not control a robot.
+#
+# The factor 1/2 of a long gap leaves time for a last control cycle before the drives brake by
+# themselves: a drive may have heard the base driver for the last time up to one heartbeat period
+# before the gap.
+
+NORMAL_PERIODS = 2.5
+"""Longest normal time between two control cycles, in periods: one cycle is missing."""
+WATCHDOG_SHARE = 0.5
+"""Shortest long gap, as a share of the shortest watchdog of the drives."""
+MOST_GAPS = 3
+"""Number of short gaps within ``GAP_WINDOW`` that count as a long gap."""
+GAP_WINDOW = 2.0
+"""Time (s) in which short gaps are counted."""
+_ROUNDING = 1e-9
+
+
+class Gap(enum.Enum):
+    """Judgement of the time between two control cycles, see the text of this module."""
+
+    NONE = "none"
+    SHORT = "short"
+    LONG = "long"
+
+
+@dataclass(slots=True)
+class TimeGapRule:
+    """Limits (s) of the time between two control cycles, and the latest short gaps.
+
+    - ``normal``: longest time without a gap;
+    - ``longest_short``: time from which on a gap is long;
+    - ``latest``: times (s) of the newest gaps.
+    """
+
+    normal: float
+    longest_short: float
+    latest: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, robot: Robot, settings: DriverSettings) -> TimeGapRule:
+        """Returns the limits for a robot, from the watchdogs of its drives.
+
+        For a robot whose drives have no watchdog, the command time-out replaces the watchdog.
+        """
+        watchdog = shortest_watchdog(robot)
+        watchdog = settings.command_timeout if watchdog is None else watchdog
+        normal = NORMAL_PERIODS / settings.rate
+        return cls(normal, max(WATCHDOG_SHARE * watchdog, normal))
+
+    def judge(self, elapsed: float, now: float = math.inf) -> Gap:
+        """Judges the time ``elapsed`` (s) between two control cycles, of which one begins at
+        ``now`` (s)."""
+        if elapsed <= self.normal + _ROUNDING:
+            return Gap.NONE
+        recent = sum(1 for time in self.latest if now - time < GAP_WINDOW)
+        if elapsed >= self.longest_short - _ROUNDING or recent >= MOST_GAPS - 1:
+            return Gap.LONG
+        return Gap.SHORT
+
+    def note(self, now: float) -> None:
+        """Counts a gap that has ended at ``now`` (s)."""
+        self.latest = (*self.latest[1 - MOST_GAPS :], now)
+
+
+def gap_text(elapsed: float) -> str:
+    """Returns the reason that the operator sees, such as ``no control cycle for 120 ms``."""
+    return f"no control cycle for {elapsed * 1000.0:.0f} ms"
+
+
+# -- signals that end a run: the program stops the robot in order, and ends then ----------------
+
+END_SIGNALS = tuple(
+    signal.Signals[name]
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+    if name in signal.Signals.__members__
+)
+"""All signals with which a person, a terminal that closes, or the system ends a program."""
+
+
+@contextlib.contextmanager
+def end_signals() -> Iterator[Callable[[], bool]]:
+    """Yields a function that returns true after one of the signals ``END_SIGNALS`` was received.
+
+    Further signals change nothing, so that they do not cut off the stop of the robot, which belongs
+    into the ``with`` block.  SIGHUP stays ignored where the program was started to outlive its
+    terminal (``nohup``).  Outside the main thread no signal is received, because Python runs signal
+    handlers only in the main thread.
+    """
+    received: list[int] = []
+    previous = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in END_SIGNALS:
+            if number.name == "SIGHUP" and signal.getsignal(number) is signal.SIG_IGN:
+                continue
+            previous[number] = signal.signal(number, lambda number, frame: received.append(number))
+    try:
+        yield lambda: bool(received)
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)

@@ -15,16 +15,16 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from thorvaldc.can.interface import CanInterface
+from thorvaldc.can.frame import CanInterface
 from thorvaldc.diagnostics import CODES, Diagnostic
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot, TwistInput
-from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.base_interface import RequestRefused
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driven_robot import DrivenRobot, Watch
 from thorvaldc.runtime.driver import BaseDriver
-from thorvaldc.runtime.end_signals import end_signals
-from thorvaldc.runtime.errors import RequestRefused
+from thorvaldc.runtime.pace import end_signals
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 UNTESTED = (

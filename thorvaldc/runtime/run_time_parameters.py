@@ -16,9 +16,9 @@ from typing import Any
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import DriverSettings, Robot
+from thorvaldc.runtime.base_interface import ParameterError
 from thorvaldc.runtime.calculators import Noise
 from thorvaldc.runtime.calculators.twist_fit import MAY_BE_ZERO
-from thorvaldc.runtime.errors import ParameterError
 
 LIMITS = {
     "max_linear_velocity": "m/s",

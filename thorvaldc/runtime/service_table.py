@@ -1,4 +1,4 @@
-"""Table of services that can be called by name with JSON arguments."""
+"""Table of services that can be called by name with JSON arguments, and stops with their owners."""
 
 from __future__ import annotations
 
@@ -9,7 +9,53 @@ from typing import Any
 
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.runtime.owned_stop import THIS_PROGRAM
+
+THIS_PROGRAM = "this program"
+"""Owner of the stops and twist sources that are used in the process of the base driver."""
+
+_ENDED = ", which has ended"
+
+
+class OwnedStop:
+    """A stop that is released only by the programs that have engaged it.
+
+    The stop is engaged as long as at least one program has engaged it and has not released it.  A
+    program that ends does not release its stops; afterwards only ``force`` releases them.
+
+    - ``owners``: programs that have engaged the stop, also those that have ended.
+    """
+
+    def __init__(self) -> None:
+        self.owners: tuple[str, ...] = ()
+
+    @property
+    def engaged(self) -> bool:
+        return bool(self.owners)
+
+    def engage(self, owner: str) -> None:
+        if owner not in self.owners:
+            self.owners = (*self.owners, owner)
+
+    def note_end(self, owner: str) -> None:
+        """Marks a program as ended, if it is an owner of the stop."""
+        self.owners = tuple(name + _ENDED if name == owner else name for name in self.owners)
+
+    def release(self, owner: str, force: bool = False) -> str:
+        """Releases the stop of one program, or with ``force`` the stops of all programs.
+
+        Returns the reason if another program has engaged the stop, else an empty text.
+        """
+        others = () if force else tuple(name for name in self.owners if name != owner)
+        self.owners = others
+        if not others:
+            return ""
+        lives = not all(name.endswith(_ENDED) for name in others)
+        return (
+            f"the stop was set by {' and '.join(others)}; release it"
+            f"{' there, or' if lives else ''} with `force=true`"
+            ' (in JSON: "force": true)'
+        )
+
 
 _KINDS: dict[str, tuple[tuple[type, ...], str]] = {
     "number": ((int, float), "a number"),
@@ -153,7 +199,7 @@ class Services:
                 return service.call(now, caller, **checked)
             return service.call(now, **checked)
         except DiagnosticError as error:
-            raise ServiceError(_one_line(error)) from None
+            raise ServiceError(error.one_line) from None
         except ValueError as error:
             raise ServiceError(" ".join(str(error).split())) from None
 
@@ -179,11 +225,6 @@ def _finite(name: str, value: float) -> float:
     if not math.isfinite(number):
         raise ServiceError(f"`{name}` is {number}; it must be finite")
     return number
-
-
-def _one_line(error: DiagnosticError) -> str:
-    diagnostic = error.diagnostic
-    return f"{diagnostic.message}; {diagnostic.hint}" if diagnostic.hint else diagnostic.message
 
 
 def _shorten(value: Any) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from thorvaldc.model import DriverSettings
-from thorvaldc.model.float_sum import float_sum
+from thorvaldc.model.spatial import float_sum
 from thorvaldc.runtime.calculators import BaseCommand
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 

@@ -22,8 +22,7 @@ from thorvaldc.runtime.calculators import BaseCalculator
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.lasting_difference import is_axle_swing
 from thorvaldc.runtime.run_time_parameters import Parameters
-from thorvaldc.runtime.se2 import Pose2, Twist
-from thorvaldc.runtime.twist_text import twist_text
+from thorvaldc.runtime.se2 import Pose2, Twist, twist_text
 from thorvaldc.simulation.control_loop import (
     NEGLIGIBLE_TWIST,
     ControlLoop,

@@ -22,7 +22,7 @@ from thorvaldc.backends.mjcf_terrain import heights, relief
 from thorvaldc.backends.mjcf_world import zone_color
 from thorvaldc.compiler.modules.mounting import MountingPort
 from thorvaldc.model import Box, Fleet, Ground, Joint, MeshShape, Pose, Robot, Shape, World, Zone
-from thorvaldc.model.data_folder import data_folder
+from thorvaldc.model.plugins import data_folder
 from thorvaldc.model.spatial import quat_from_axis_angle
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.simulation.pictures.surfaces import is_closed, surface, zone_text

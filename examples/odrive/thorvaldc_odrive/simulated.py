@@ -12,8 +12,7 @@ import struct
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from thorvaldc.can.frame import CanFrame
-from thorvaldc.can.nanoseconds import to_ns
+from thorvaldc.can.frame import CanFrame, to_ns
 from thorvaldc.simulation.bus.simulated_device import SimulatedDevice
 from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel
 from thorvaldc_odrive.protocol import (

@@ -16,7 +16,7 @@ from tests.examples import ROBOTS, example_robot
 from thorvaldc.backends.ros2 import package_of
 from thorvaldc.backends.ros2_navigation import Motion
 from thorvaldc.model import Robot
-from thorvaldc.model.statics.footprint import footprint
+from thorvaldc.model.statics.tip_over import footprint
 
 FRAMES = {
     *("global_frame", "robot_base_frame", "local_frame", "base_frame_id", "odom_frame_id"),

@@ -10,8 +10,7 @@ import pytest
 import thorvaldc
 from thorvaldc.compiler.hardware.purchase_reader import Money, MoneyError, parse_money
 from thorvaldc.model import Robot
-from thorvaldc.model.facts.facts_document import facts_document
-from thorvaldc.model.facts.robot_facts import robot_facts
+from thorvaldc.model.facts.robot_facts import facts_document, robot_facts
 
 WEIGHT = """\
 thorvaldc: 1

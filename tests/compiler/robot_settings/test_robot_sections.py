@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Fleet, Robot, RosSettings
-from thorvaldc.model.ros import package_name
+from thorvaldc.model.settings import package_name
 
 BODY = """\
 modules:

@@ -8,7 +8,7 @@ import pytest
 
 import thorvaldc
 from thorvaldc.model import Robot
-from thorvaldc.model.facts.energy import Energy, energy_of
+from thorvaldc.model.facts.electrics import Energy, energy_of
 from thorvaldc.model.facts.fact_tables import fact_tables
 from thorvaldc.model.facts.robot_facts import robot_facts
 

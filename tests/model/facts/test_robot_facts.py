@@ -13,9 +13,8 @@ import pytest
 from tests.examples import ROBOTS, example_robot
 from tests.robots import make_robot
 from thorvaldc.model.facts.fact_tables import fact_tables
-from thorvaldc.model.facts.facts_document import facts_document
-from thorvaldc.model.facts.robot_facts import fact_sections, robot_facts
-from thorvaldc.model.statics.gravity import GRAVITY
+from thorvaldc.model.facts.robot_facts import fact_sections, facts_document, robot_facts
+from thorvaldc.model.spatial import GRAVITY
 
 SQUARE = [(0.5, 0.4), (0.5, -0.4), (-0.5, 0.4), (-0.5, -0.4)]
 STEERED = [(x, y, "steered") for x, y in SQUARE]

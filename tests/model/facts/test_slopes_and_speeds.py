@@ -10,9 +10,9 @@ import pytest
 from tests.examples import ROBOTS, example_robot
 from tests.robots import make_robot
 from thorvaldc.model import Robot
+from thorvaldc.model.facts.driving import SlopeLimits
 from thorvaldc.model.facts.robot_facts import robot_facts
-from thorvaldc.model.facts.slopes import SlopeLimits
-from thorvaldc.model.statics.gravity import GRAVITY
+from thorvaldc.model.spatial import GRAVITY
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.reachable_twists import ReachableTwists
 from thorvaldc.runtime.se2 import Twist

@@ -16,7 +16,7 @@ from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.backends.sdf import Sdf
 from thorvaldc.backends.urdf import Urdf
 from thorvaldc.model import Robot
-from thorvaldc.model.statics.load_ranges import load_ranges
+from thorvaldc.model.facts.stability import load_ranges
 from thorvaldc.model.statics.standing import standing_of
 from thorvaldc.model.statics.standing_pose import solve_statics
 

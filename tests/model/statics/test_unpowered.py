@@ -10,14 +10,14 @@ import pytest
 from tests.examples import ROBOTS, example_robot
 from tests.robots import make_robot
 from thorvaldc.model import Brake, Robot
-from thorvaldc.model.statics.gravity import GRAVITY
-from thorvaldc.model.statics.tip_over import support_of
-from thorvaldc.model.statics.unpowered import (
+from thorvaldc.model.spatial import GRAVITY
+from thorvaldc.model.statics.slope import (
     coasting_deceleration,
     holds_without_torque,
     roll_out,
     standing_slopes,
 )
+from thorvaldc.model.statics.tip_over import support_of
 
 SQUARE = [(0.5, 0.4), (0.5, -0.4), (-0.5, 0.4), (-0.5, -0.4)]
 

@@ -9,7 +9,7 @@ import pytest
 from tests.conformance.wheels import wheel
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry
-from thorvaldc.runtime.calculators.motor_limits import DriveMotors
+from thorvaldc.runtime.calculators.steering_branch import DriveMotors
 from thorvaldc.runtime.se2 import Twist
 
 LIMITS = [(4.0, 2.0), (8.0, 1.0)]

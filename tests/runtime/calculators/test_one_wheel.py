@@ -11,7 +11,7 @@ import pytest
 from tests.conformance.wheels import wheel
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry, WheelGeometry
-from thorvaldc.runtime.calculators.one_wheel import OneWheel
+from thorvaldc.runtime.calculators.differential import OneWheel
 from thorvaldc.runtime.se2 import Twist
 
 STATES = [

@@ -9,7 +9,7 @@ import pytest
 from tests.conformance.wheels import wheel
 from thorvaldc.runtime.calculators import BaseGeometry, WheelGeometry
 from thorvaldc.runtime.calculators.base_geometry import FixedWheels
-from thorvaldc.runtime.calculators.skid_steering import SkidSteering
+from thorvaldc.runtime.calculators.reachable_twists import SkidSteering
 from thorvaldc.runtime.se2 import Twist
 
 PLACES = [(0.5, 0.6, "fixed"), (0.5, -0.2, "fixed"), (-0.3, 0.5, "passive"), (-0.7, -0.2, "fixed")]

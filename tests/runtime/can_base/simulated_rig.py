@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
-from thorvaldc.model.bus_quirks import Quirk
+from thorvaldc.model.bus_faults import Quirk
 from thorvaldc.runtime.base_interface import BaseHandle
-from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import BaseDriver

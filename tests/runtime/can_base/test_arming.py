@@ -9,8 +9,8 @@ import pytest
 
 from tests.runtime.can_base.simulated_rig import FORWARD, Rig
 from tests.simulation.bus.robots import ROBOTS, roboteq
-from thorvaldc.runtime.can_base.base_state import BaseState
-from thorvaldc.runtime.errors import RequestRefused
+from thorvaldc.runtime.base_interface import RequestRefused
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.se2 import ZERO_TWIST
 from thorvaldc.runtime.service_table import Caller, ServiceError
 

@@ -16,10 +16,9 @@ from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.canopen import NmtState
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
-from thorvaldc.runtime.base_interface import JointCommands
-from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.base_interface import JointCommands, RequestRefused
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.motor_controller import Intent
-from thorvaldc.runtime.errors import RequestRefused
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.cia402_device import Cia402Drive

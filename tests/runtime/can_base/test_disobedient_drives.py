@@ -8,14 +8,15 @@ from typing import Any
 import pytest
 
 from tests.chaos.chaos_robots import steered_script as two_buses
+from tests.model.stops import stop_bound
 from tests.robots import SPAN
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import ROBOTS, cia402, roboteq
 from thorvaldc.can.canopen import HEARTBEAT, NMT, SYNC, NmtCommand
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault, BusFaults
-from thorvaldc.model.stopping import DETECTED_FAULT, DRIVER_DEAD, stop_bound
-from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.model.stopping import DETECTED_FAULT, DRIVER_DEAD
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 

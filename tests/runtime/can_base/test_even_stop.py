@@ -6,14 +6,14 @@ import math
 
 import pytest
 
+from tests.model.stops import stop_bound
 from tests.robots import SPAN
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import compiled
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault, BusFaults
-from thorvaldc.model.stopping import DRIVER_DEAD, stop_bound
-from thorvaldc.model.swerve import BUS_LOST, BUS_SILENT, swerve_bounds
-from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.model.stopping import BUS_LOST, BUS_SILENT, DRIVER_DEAD, swerve_bounds
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 import pytest
 
 from tests.simulation.bus.robots import roboteq
-from thorvaldc.runtime.can_base.frame_rates import LONGEST_BURST, FrameRates
-from thorvaldc.runtime.can_base.frame_receiver import LatestFrame
+from thorvaldc.runtime.can_base.frame_receiver import LONGEST_BURST, FrameRates, LatestFrame
 
 CYCLE = 0.02
 REPORT = 0x181

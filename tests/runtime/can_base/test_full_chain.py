@@ -11,7 +11,7 @@ from tests.runtime.can_base.simulated_rig import Rig
 from tests.runtime.can_base.test_can_base import EXAMPLES, drives, four_wheels
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Robot
-from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.control_loop import Segment, twist_at

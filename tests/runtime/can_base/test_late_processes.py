@@ -8,7 +8,7 @@ from tests.examples import example_robot
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.frame import ReceivedFrame
-from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 
 PERIOD = 0.02

@@ -10,7 +10,7 @@ from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import ROBOTS
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
-from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
 
 both = pytest.mark.parametrize("make", ROBOTS.values(), ids=ROBOTS)
 REPORT = 0x181

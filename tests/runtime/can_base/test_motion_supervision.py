@@ -8,13 +8,13 @@ from collections.abc import Callable
 import pytest
 
 from tests.simulation.bus.robots import cia402
-from thorvaldc.runtime.can_base.motion_supervision import (
+from thorvaldc.runtime.can_base.motor_controller import Axis, FollowLimits
+from thorvaldc.runtime.can_base.stop_ladder import (
     REST_TRAVEL,
     STOP_SHARE,
     MotionSupervision,
     Obedience,
 )
-from thorvaldc.runtime.can_base.motor_controller import Axis, FollowLimits
 
 PERIOD = 1 / 64  # s; sums of it are exact
 

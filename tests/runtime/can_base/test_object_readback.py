@@ -8,7 +8,7 @@ import pytest
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model.bus import ObjectValue
-from thorvaldc.runtime.can_base.object_readback import (
+from thorvaldc.runtime.can_base.node_watchdog import (
     ANSWER_TIME,
     TRIES,
     ObjectReadback,

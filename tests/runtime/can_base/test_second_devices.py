@@ -12,9 +12,9 @@ from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import ROBOTS, cia402
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault, BusFaults
-from thorvaldc.runtime.can_base.base_state import BaseState
-from thorvaldc.runtime.can_base.frame_rates import OBSERVATION
-from thorvaldc.runtime.errors import RequestRefused
+from thorvaldc.runtime.base_interface import RequestRefused
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
+from thorvaldc.runtime.can_base.frame_receiver import OBSERVATION
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 

@@ -8,7 +8,7 @@ import pytest
 
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import CIA402, compiled
-from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 SCRIPT = re.sub(r', serial: "\w+"', "", CIA402.replace("cia402_propulsion", "propulsion"))

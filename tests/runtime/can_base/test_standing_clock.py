@@ -8,10 +8,9 @@ import pytest
 
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import ROBOTS, roboteq
-from thorvaldc.can.frame import CanFrame, ReceivedFrame
-from thorvaldc.can.nanoseconds import to_ns
+from thorvaldc.can.frame import CanFrame, ReceivedFrame, to_ns
 from thorvaldc.model import Robot
-from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.se2 import Twist

@@ -11,10 +11,10 @@ from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import ROBOTS
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model.stopping import shortest_watchdog
-from thorvaldc.runtime.can_base.base_state import BaseState
-from thorvaldc.runtime.errors import RequestRefused
+from thorvaldc.runtime.base_interface import RequestRefused
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
+from thorvaldc.runtime.pace import Gap, TimeGapRule
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.runtime.time_gap import Gap, TimeGapRule
 from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 
 SPEED = 0.8

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 
-from thorvaldc.can.cia402 import Mode
+from thorvaldc.can.canopen import Mode
 from thorvaldc.simulation.bus.cia402_motion import Bounds, Homing, Motion, Move, ramp
 
 DT = 1 / 64

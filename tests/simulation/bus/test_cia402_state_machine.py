@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from thorvaldc.can.cia402 import DriveState
+from thorvaldc.can.canopen import DriveState
 from thorvaldc.simulation.bus.cia402_motion import Reaction, StateMachine
 
 NOT_READY, DISABLED, READY = (

@@ -12,8 +12,7 @@ from tests.examples import example_robot
 from tests.robots import SPAN
 from tests.simulation.bus.master import Master
 from tests.simulation.bus.robots import cia402_robot
-from thorvaldc.can.error_state import ErrorState
-from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.frame import CanFrame, ErrorState
 from thorvaldc.compiler.bus.injected_faults import read_faults
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot

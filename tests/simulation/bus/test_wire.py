@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from thorvaldc.can.error_state import ErrorState
-from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.frame import CanFrame, ErrorState
 from thorvaldc.can.frame_bits import frame_bits
 from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 from thorvaldc.simulation.bus.timeline import Timeline

@@ -13,7 +13,7 @@ from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model import Robot
 from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.model.facts.stability import DIRECTIONS
-from thorvaldc.model.statics.gravity import GRAVITY
+from thorvaldc.model.spatial import GRAVITY
 from thorvaldc.model.statics.slope import SlopeStatics
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 

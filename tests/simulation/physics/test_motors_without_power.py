@@ -10,8 +10,8 @@ import pytest
 from tests.examples import example_robot
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model import Brake, Robot
-from thorvaldc.model.statics.gravity import GRAVITY
-from thorvaldc.model.statics.unpowered import coasting_deceleration, standing_slopes
+from thorvaldc.model.spatial import GRAVITY
+from thorvaldc.model.statics.slope import coasting_deceleration, standing_slopes
 from thorvaldc.runtime.base_interface import JointCommands
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase

@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 
 from tests.runtime.can_base.test_even_stop import DRIVES, robot
-from tests.runtime.control.test_runner_services import TWO_BUSES
+from tests.runtime.test_runner_services import TWO_BUSES
 from tests.simulation.bus.robots import ROBOTS, cia402_robot, compiled
 from tests.simulation.test_worker_processes import end_the_parent
-from thorvaldc.model.swerve import swerve_bounds
+from thorvaldc.model.stopping import swerve_bounds
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.tools.fault_matrix.fault_cases import (
     DRIVING,

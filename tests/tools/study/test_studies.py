@@ -27,7 +27,7 @@ from thorvaldc.compiler.scenario.scenario_reader import metric_units
 from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.model import Robot
 from thorvaldc.model.facts.robot_facts import robot_facts
-from thorvaldc.model.statics.gravity import GRAVITY
+from thorvaldc.model.spatial import GRAVITY
 from thorvaldc.model.statics.slope import SlopeStatics
 from thorvaldc.tools.study.design_evaluation import DesignEvaluator, StudyInputs, robot_text
 from thorvaldc.tools.study.replaced_values import with_replaced_values

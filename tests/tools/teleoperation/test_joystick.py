@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from thorvaldc.runtime.errors import ParameterError
+from thorvaldc.runtime.base_interface import ParameterError
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.runtime.teleoperation.operator import Limits
+from thorvaldc.runtime.teleop_loop import Limits
 from thorvaldc.tools.teleoperation import joystick as js
 from thorvaldc.tools.teleoperation import keyboard
 from thorvaldc.tools.teleoperation.joystick import Joystick, Layout, OperatorPair

@@ -6,7 +6,7 @@ import pytest
 
 from thorvaldc.cli.terminal import keys_of
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.runtime.teleoperation.operator import Limits
+from thorvaldc.runtime.teleop_loop import Limits
 from thorvaldc.tools.teleoperation.keyboard import FIRST_HOLD, MOTIONS, REPEAT_HOLD, Keyboard
 
 LIMITS = Limits(1.5, 2.0, True)

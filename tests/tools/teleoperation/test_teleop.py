@@ -23,7 +23,7 @@ from tests.child_process import ChildProcess
 from tests.cli.conftest import GOOD, Command
 from tests.cli.person import PATIENCE, Person
 from tests.tools.teleoperation.test_joystick import Device
-from thorvaldc.runtime.control.control_client import ControlClient
+from thorvaldc.runtime.control_channel import ControlClient
 from thorvaldc.tools.teleoperation.joystick import ABS_Y, BTN_TL
 
 

@@ -10,11 +10,10 @@ import pytest
 from tests.examples import example_robot
 from tests.robots import FOUR_STEERED, make_robot
 from tests.runtime.can_base.simulated_rig import Rig
-from thorvaldc.model.robot import AUTOMATIC
+from thorvaldc.model.settings import AUTOMATIC
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.service_table import ServiceError
-from thorvaldc.runtime.teleoperation.operator import Limits
-from thorvaldc.runtime.teleoperation.teleop_loop import operate
+from thorvaldc.runtime.teleop_loop import Limits, operate
 from thorvaldc.simulation.physics.sim_base import SimBase
 from thorvaldc.tools.teleoperation.keyboard import Keyboard
 

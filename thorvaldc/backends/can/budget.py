@@ -8,9 +8,8 @@ from typing import Any
 
 from thorvaldc.backends.can.canmap import json_text
 from thorvaldc.diagnostics.text_layout import markdown_table
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus, FrameDefinition
-from thorvaldc.model.bus_timing import frame_bits
+from thorvaldc.model import Bus, FrameDefinition, Robot
+from thorvaldc.model.bus_timing import worst_case_bits
 
 FORMAT = "thorvaldc-can-budget"
 VERSION = 1
@@ -46,7 +45,7 @@ def _by_urgency(bus: Bus) -> list[FrameDefinition]:
 
 
 def _row(bus: Bus, frame: FrameDefinition) -> dict[str, Any]:
-    bits = frame_bits(frame.length)
+    bits = worst_case_bits(frame.length)
     interval = frame.period or frame.minimum_interval
     return {
         "name": frame.name,
@@ -93,7 +92,7 @@ def _table(bus: Bus) -> Iterator[str]:
                 frame.name,
                 frame.producer,
                 str(frame.length),
-                str(frame_bits(frame.length)),
+                str(worst_case_bits(frame.length)),
                 _milliseconds(frame.period or frame.minimum_interval, "g"),
                 f"{100 * load:.2f}" if load else "-",
                 _milliseconds(frame.response_time, ".3f"),

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus, FrameDefinition, Signal
+from thorvaldc.model import Bus, FrameDefinition, Robot, Signal
 
 GUARD = "ROBOT_CAN_H"
 LEGEND = """\

@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 
-from thorvaldc.model.bus import OBJECT_TYPES, Bus, Node, ObjectValue
+from thorvaldc.model import Bus, Node, ObjectValue
+from thorvaldc.model.bus import OBJECT_TYPES
 
 BAUDRATES = (10, 20, 50, 125, 250, 500, 800, 1000)  # kbit/s, the list of CiA 306
 MANDATORY = (0x1000, 0x1001, 0x1018)

@@ -17,8 +17,8 @@ from dataclasses import replace
 from operator import itemgetter
 
 from thorvaldc.backends.can.dcf import RPDOS, TPDOS
-from thorvaldc.model.bus import Bus, Node, ObjectValue
-from thorvaldc.model.cia402_motors import FIRST_INDEX, STRIDE, motor_numbers
+from thorvaldc.model import Bus, Node, ObjectValue
+from thorvaldc.model.bus import FIRST_INDEX, STRIDE, motor_numbers
 
 # Maps the unit of a CAN signal to the name of the physical quantity in ros2_canopen.
 SCALES = {"rad": "pos", "rad/s": "vel"}

@@ -29,7 +29,7 @@ from thorvaldc.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from thorvaldc.can.interface import CanInterface
+    from thorvaldc.can.frame import CanInterface
     from thorvaldc.cli.robot_file import LoadedRobot
     from thorvaldc.diagnostics import Report
     from thorvaldc.model import Robot
@@ -84,7 +84,7 @@ def run(
     from thorvaldc.diagnostics import Report
     from thorvaldc.diagnostics.error import DiagnosticError
     from thorvaldc.runtime.run_session import RunSession
-    from thorvaldc.runtime.twist_text import parse_twist
+    from thorvaldc.runtime.se2 import parse_twist
 
     seconds = parse_duration(duration, "--duration") if duration else math.inf
     commanded_twist = parsed(twist, parse_twist, "--twist") if twist else None

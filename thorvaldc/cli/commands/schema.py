@@ -24,7 +24,7 @@ def schema(
         ),
     ],
 ) -> int:
-    from thorvaldc.model.json_schema import model_schema_text
+    from thorvaldc.model.model_json import model_schema_text
     from thorvaldc.schema.documents import schema_text
 
     if kind not in (*KINDS, MODEL):

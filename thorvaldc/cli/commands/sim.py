@@ -45,7 +45,7 @@ def sim(
     from thorvaldc.cli.drive_runs import run_drive
     from thorvaldc.cli.run_pictures import RunPictures
     from thorvaldc.cli.scenario_runs import run_scenario
-    from thorvaldc.runtime.twist_text import parse_twist
+    from thorvaldc.runtime.se2 import parse_twist
 
     seconds = options.parse_duration(duration, "--duration") if duration else 0.0
     commanded_twist = options.parsed(twist, parse_twist, "--twist") if twist else None

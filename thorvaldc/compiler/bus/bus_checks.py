@@ -26,7 +26,6 @@ from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Actuator, Bus, FrameDefinition, Robot
-from thorvaldc.model.statics.contact_point import contact_point
 
 LOAD_LIMIT, LOAD_WARNING = 0.80, 0.50
 
@@ -465,7 +464,7 @@ def check_sides(robot: Robot, root: Instance, report: Report) -> None:
     ``root``: root of the tree of module instances, with the entries of the channels.
     """
     motors = {(motor.node, motor.channel): motor for motor in robot.actuators}
-    wheels = {wheel.spin_joint: contact_point(wheel) for wheel in robot.wheels}
+    wheels = {wheel.spin_joint: wheel.contact_point for wheel in robot.wheels}
     for leaf in root.leaves():
         node = name_prefix(leaf.path)
         for channel, entry in leaf.wiring.items():

@@ -14,8 +14,8 @@ from thorvaldc.can.canopen import SYNC
 from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source import node as source
 from thorvaldc.diagnostics import Label, Report, Span
-from thorvaldc.model import Actuator, FrameDefinition, Node
-from thorvaldc.model.bus import OBJECT_TYPES, ObjectValue
+from thorvaldc.model import Actuator, FrameDefinition, Node, ObjectValue
+from thorvaldc.model.bus import OBJECT_TYPES
 
 MASTER = "master"
 MASTER_ID = 127

@@ -14,11 +14,9 @@ from thorvaldc.compiler.validation.document_check import check, without_invalid_
 from thorvaldc.compiler.values.document_section import Section, read_document
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus
-from thorvaldc.model.bus import Node as Device
-from thorvaldc.model.bus_faults import FAULT_KINDS, BusFault, BusFaults, FaultKind
-from thorvaldc.model.bus_quirks import Quirk
+from thorvaldc.model import Bus, Robot
+from thorvaldc.model import Node as Device
+from thorvaldc.model.bus_faults import FAULT_KINDS, BusFault, BusFaults, FaultKind, Quirk
 
 _WHEN = ("fault", "bus", "at", "frame", "delay")
 _CANOPEN_FAULTS = (

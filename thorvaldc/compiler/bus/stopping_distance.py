@@ -24,7 +24,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Proposal, Report
 from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import DriverSettings, ParameterSet, Robot
-from thorvaldc.model.statics.stopping_slope import SlopeStops, steepest_stops
+from thorvaldc.model.statics.slope import SlopeStops, steepest_stops
 from thorvaldc.model.stopping import (
     COMMAND_TIMEOUT,
     DETECTED_FAULT,

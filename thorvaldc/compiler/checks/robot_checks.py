@@ -13,13 +13,10 @@ from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.diagnostics.plain_numbers import millimetres, plain
 from thorvaldc.model import Robot, Wheel
-from thorvaldc.model.float_sum import float_sum
-from thorvaldc.model.statics.contact_point import contact_point
-from thorvaldc.model.statics.gravity import GRAVITY
+from thorvaldc.model.spatial import GRAVITY, float_sum
 from thorvaldc.model.statics.joint_tree import tree_of
-from thorvaldc.model.statics.slope import SlopeStatics
+from thorvaldc.model.statics.slope import SlopeStatics, holds_without_torque, standing_slopes
 from thorvaldc.model.statics.tip_over import support_of
-from thorvaldc.model.statics.unpowered import holds_without_torque, standing_slopes
 
 # Largest gap (m) between a wheel and the ground that suspensions and tyres compensate.
 WHEEL_OFF_GROUND = 2e-3
@@ -195,7 +192,7 @@ def check_wheels_overlap(robot: Robot, report: Report) -> None:
     cells: dict[tuple[int, int], list[Wheel]] = {}
     size = 2 * max(max(w.radius, w.width) for w in robot.wheels) + 1e-6
     for wheel in robot.wheels:
-        x, y = contact_point(wheel)
+        x, y = wheel.contact_point
         i, j = math.floor(x / size), math.floor(y / size)
         neighbours = [
             neighbour
@@ -224,7 +221,7 @@ def _rectangles_overlap(a: Wheel, b: Wheel) -> bool:
     The rectangle of a wheel has the length 2 * radius along the heading, and the width of the
     wheel.  Two rectangles are tested for overlap with the separating axis theorem.
     """
-    (ax, ay), (bx, by) = contact_point(a), contact_point(b)
+    (ax, ay), (bx, by) = a.contact_point, b.contact_point
     tolerance = 1e-6  # m
     for heading in (a.heading, b.heading):
         for axis in (heading, heading + math.pi / 2):
@@ -309,7 +306,7 @@ def check_slope(robot: Robot, design: DesignRequirements, report: Report) -> Non
 
 def check_standing(robot: Robot, design: DesignRequirements, report: Report) -> None:
     """Checks that the robot stands on the required slope without power, see
-    ``model.statics.unpowered``.
+    ``model.statics.slope``.
 
     While the drives have power, they hold the robot.  Somebody must know what holds it then.
     """

@@ -45,6 +45,7 @@ from thorvaldc.model import (
     Mesh,
     MeshShape,
     Pose,
+    Purchase,
     Sensor,
     Shape,
     SourcedMass,
@@ -54,7 +55,7 @@ from thorvaldc.model import (
     Visual,
     Wheel,
 )
-from thorvaldc.model.module import NOT_STATED, Purchase
+from thorvaldc.model.robot import NOT_STATED
 from thorvaldc.model.spatial import clean, combine
 
 

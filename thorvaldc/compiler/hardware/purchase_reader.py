@@ -19,7 +19,8 @@ from thorvaldc.compiler.values.value_reader import (
 )
 from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model.module import NOT_STATED, Purchase
+from thorvaldc.model import Purchase
+from thorvaldc.model.robot import NOT_STATED
 
 _ISO_4217 = """
 AED AFN ALL AMD AOA ARS AUD AWG AZN BAM BBD BDT BHD BIF BMD BND BOB BRL BSD BTN BWP BYN BZD CAD

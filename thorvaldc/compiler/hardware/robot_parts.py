@@ -29,13 +29,13 @@ from thorvaldc.model import (
     Mimic,
     Module,
     Pose,
+    Purchase,
     Sensor,
     SourcedMass,
     Wheel,
 )
-from thorvaldc.model.module import Purchase
 from thorvaldc.model.spatial import clean
-from thorvaldc.model.statics.passive_joints import Coordinate, Member, follow
+from thorvaldc.model.statics.joint_tree import Coordinate, Member, follow
 
 Placed = TypeVar("Placed", Link, Joint, Actuator, Wheel, Sensor, Battery)
 

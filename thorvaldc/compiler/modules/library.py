@@ -22,7 +22,7 @@ from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model.data_folder import data_folder
+from thorvaldc.model.plugins import data_folder
 
 Content = TypeVar("Content")
 

@@ -27,9 +27,8 @@ from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.diagnostics import Label, Proposal, Report
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Actuator, DriverSettings, ParameterSet, TwistInput, Wheel
-from thorvaldc.model.robot import SAFETY_STOP, STOP_PRIORITY, BatterySettings
+from thorvaldc.model.settings import SAFETY_STOP, STOP_PRIORITY, BatterySettings
 from thorvaldc.model.spatial import clean
-from thorvaldc.model.statics.contact_point import contact_point
 
 # Least distance (m) of a wheel from the centre of the robot in the computation of the maximum
 # turning rate.  Without the least distance, a wheel near the centre of the robot would allow a
@@ -218,7 +217,7 @@ class DriverSettingsReader:
             radius = wheel.radius_named(radii)
             wheel_speed = actuator.max_velocity * radius
             wheel_acceleration = actuator.max_acceleration * radius
-            lever = max(math.hypot(*contact_point(wheel)), MIN_LEVER)
+            lever = max(math.hypot(*wheel.contact_point), MIN_LEVER)
             speed = min(speed, wheel_speed)
             turning_rate = min(turning_rate, wheel_speed / lever)
             acceleration = min(acceleration, wheel_acceleration)

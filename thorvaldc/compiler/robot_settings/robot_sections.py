@@ -15,14 +15,13 @@ from thorvaldc.compiler.source.node import Node, insertion
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import ValueReader, entries
 from thorvaldc.diagnostics import Label, Proposal, Report, Span
-from thorvaldc.model import Battery, CalculatorChoice, Robot
-from thorvaldc.model.facts.energy import battery_voltage
+from thorvaldc.model import Battery, CalculatorChoice, Robot, RosSettings
+from thorvaldc.model.facts.electrics import battery_voltage
 from thorvaldc.model.robot import PARALLEL, SEPARATE
-from thorvaldc.model.ros import (
+from thorvaldc.model.settings import (
     MAP_FRAME,
     ODOM_FRAME,
     RESERVED_TOPICS,
-    RosSettings,
     package_name,
     package_problem,
 )

@@ -18,9 +18,8 @@ from thorvaldc.compiler.values.document_section import Section, read_document
 from thorvaldc.compiler.values.value_reader import ValueReader
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model import Fleet, Placement, Pose, Robot
-from thorvaldc.model.ros import package_name
-from thorvaldc.model.statics.contact_point import contact_point
-from thorvaldc.model.statics.convex_hull import Point, convex_hull, separates
+from thorvaldc.model.settings import package_name
+from thorvaldc.model.statics.tip_over import Point, convex_hull, separates
 
 
 def compile_fleet(source: SourceFile, compile_robot: Compile) -> Compilation:
@@ -229,7 +228,7 @@ def _footprint(entry: str, placement: Placement) -> _Footprint:
     x, y, _ = placement.pose.xyz
     corners = []
     for wheel in placement.robot.wheels:
-        wheel_x, wheel_y = contact_point(wheel)
+        wheel_x, wheel_y = wheel.contact_point
         for dx, dy in ((a * wheel.radius, b * wheel.width / 2) for a in (-1, 1) for b in (-1, 1)):
             corner = placement.pose.apply((wheel_x + dx, wheel_y + dy, 0.0))
             corners.append((corner[0], corner[1]))

@@ -32,8 +32,8 @@ from thorvaldc.model import (
     World,
     Zone,
 )
-from thorvaldc.model.statics.convex_hull import Point, convex_hull, overlap
 from thorvaldc.model.statics.joint_tree import tree_of
+from thorvaldc.model.statics.tip_over import Point, convex_hull, overlap
 
 _KEYS_OF_SLOPES = ("angle", "direction")
 _KEYS_OF_ROUGH_GROUND = ("amplitude", "wavelength", "seed", "size")

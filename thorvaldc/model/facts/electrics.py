@@ -1,13 +1,15 @@
-"""Bus load, addresses and wiring of a robot."""
+"""Bus load, addresses and wiring of a robot, the energy of its batteries and its range."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from thorvaldc.model import Actuator, Battery, Bus, Channel, Node, Robot, Scalar
 from thorvaldc.model import quantities as si
-from thorvaldc.model.bus import Bus, Channel, Node
-from thorvaldc.model.robot import Actuator, Robot
+from thorvaldc.model.robot import PARALLEL
+from thorvaldc.model.spatial import float_sum
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,3 +148,145 @@ def _wire(
         id=node.id if node else 0,
         channel=channel.name if channel else "",
     )
+
+
+# -- energy of the batteries and the range that it limits ---------------------------------------
+
+VOLTAGE, CAPACITY = "voltage", "capacity"
+POWER = "power"
+"""Property of a sensor or node: electrical power in W that it draws while the robot is on."""
+
+
+@dataclass(frozen=True, slots=True)
+class BatteryFacts:
+    """A battery enclosure.
+
+    - ``present``: true if a battery is in the enclosure.
+    - ``voltage``: nominal voltage in V, or ``None`` if the module does not state it.
+    - ``capacity``: capacity in A s, or ``None`` if the module does not state it.
+    - ``energy``: voltage times capacity in J, or ``None`` if one of them is not stated.
+    """
+
+    name: str
+    module: str
+    present: bool
+    voltage: si.Volts | None
+    capacity: si.AmpereSeconds | None
+    energy: si.Joules | None
+
+
+@dataclass(frozen=True, slots=True)
+class Energy:
+    """Energy and range of a robot on level ground.
+
+    - ``energy``: energy of all batteries in J, or ``None`` if a module does not state it or the
+      robot has no battery.
+    - ``rolling_force``: force in N that the rolling resistance of the wheels needs.
+    - ``range_bound``: energy divided by ``rolling_force`` in m: no robot drives further. The losses
+      in motors and gears and the power of the electronics make the real range shorter. ``None`` if
+      one of the numbers is missing.
+    - ``power``: power of the electronics in W that the modules state, 0 if none states it.
+    - ``connection``: ``parallel``, ``separate`` or ``None``, see ``Robot.battery_connection``.
+    - ``voltage``, ``capacity``: nominal voltage in V and capacity in A s of the whole source: of
+      the only battery, or of batteries in parallel, whose capacities add up. ``None`` if the robot
+      has no common source or a module does not state its number.
+    - ``standby``: energy divided by ``power`` in s, or ``None`` if a module does not state its
+      power, or if the batteries are no common source.
+    - ``standby_current``: ``power`` divided by ``voltage`` in A, of all batteries together, or
+      ``None`` without a ``standby``.
+    - ``missing``: the numbers that no module states, in words.
+    """
+
+    batteries: tuple[BatteryFacts, ...]
+    connection: str | None
+    voltage: si.Volts | None
+    capacity: si.AmpereSeconds | None
+    energy: si.Joules | None
+    rolling_force: si.Newtons
+    range_bound: si.Metres | None
+    power: si.Watts
+    standby: si.Seconds | None
+    standby_current: si.Amperes | None
+    missing: tuple[str, ...]
+
+
+def energy_of(robot: Robot) -> Energy:
+    """Return the energy and the range of a robot."""
+    batteries = tuple(_batteries(robot))
+    present = [battery for battery in batteries if battery.present]
+    energies = [battery.energy for battery in present if battery.energy is not None]
+    energy = float_sum(energies) if energies and len(energies) == len(present) else None
+    force = float_sum(wheel.rolling_resistance * wheel.load for wheel in robot.wheels)
+    consumers = list(_stated_powers(robot))
+    silent = [name for name, power in consumers if power is None]
+    power = float_sum(power for _, power in consumers if power is not None)
+    missing = [
+        f"voltage or capacity of `{battery.name}`" for battery in present if battery.energy is None
+    ]
+    source = present if len(present) == 1 or robot.battery_connection == PARALLEL else []
+    voltages, capacities = {b.voltage for b in source}, [b.capacity for b in source]
+    voltage = voltages.pop() if len(voltages) == 1 else None
+    known = [capacity for capacity in capacities if capacity is not None]
+    capacity = float_sum(known) if known and len(known) == len(source) else None
+    has_standby = bool(source) and energy is not None and power > 0.0 and not silent
+    if len(present) > 1 and not source:
+        missing.append(
+            "which modules each battery supplies"
+            if robot.battery_connection
+            else "whether the batteries are in parallel"
+        )
+    if force <= 0.0:
+        missing.append("the rolling resistance of the wheels")
+    if any(wheel.driven for wheel in robot.wheels):
+        missing.append("the efficiency of motors and gears")
+    if silent:
+        missing.append(f"the power of {_listed(silent)}")
+    return Energy(
+        batteries,
+        robot.battery_connection,
+        voltage,
+        capacity,
+        energy,
+        force,
+        energy / force if energy is not None and force > 0.0 else None,
+        power,
+        energy / power if has_standby and energy is not None else None,
+        power / voltage if has_standby and voltage else None,
+        tuple(missing),
+    )
+
+
+def battery_voltage(battery: Battery) -> float | None:
+    """Return the nominal voltage of a battery in V, or ``None`` if its module states none."""
+    return _number(battery.properties, VOLTAGE)
+
+
+def _batteries(robot: Robot) -> Iterator[BatteryFacts]:
+    for battery in robot.batteries:
+        voltage = battery_voltage(battery)
+        capacity = _number(battery.properties, CAPACITY)
+        present = battery.node is not None
+        energy = voltage * capacity if voltage is not None and capacity is not None else None
+        yield BatteryFacts(battery.name, battery.module, present, voltage, capacity, energy)
+
+
+def _stated_powers(robot: Robot) -> Iterator[tuple[str, float | None]]:
+    batteries = {battery.node for battery in robot.batteries}
+    for sensor in robot.sensors:
+        yield sensor.name, _number(sensor.properties, POWER)
+    for bus in robot.buses:
+        for node in bus.nodes:
+            if node.name not in batteries:
+                yield node.name, _number(node.properties, POWER)
+
+
+def _number(properties: Iterable[tuple[str, Scalar]], name: str) -> float | None:
+    value = dict(properties).get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    return float(value)
+
+
+def _listed(names: list[str]) -> str:
+    shown = ", ".join(f"`{name}`" for name in names[:3])
+    return f"{shown} and {len(names) - 3} more" if len(names) > 3 else shown

@@ -6,19 +6,15 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
-from thorvaldc.model.facts.driving import Driving
-from thorvaldc.model.facts.electrics import BusFacts, Wire
-from thorvaldc.model.facts.energy import Energy
-from thorvaldc.model.facts.masses import NO_SOURCE, BillRow, ModuleMass, source_kind
-from thorvaldc.model.facts.purchase import PurchaseFacts
+from thorvaldc.model import SourcedMass
+from thorvaldc.model.facts.driving import Driving, SlopeLimits, Slopes
+from thorvaldc.model.facts.electrics import BusFacts, Energy, Wire
+from thorvaldc.model.facts.masses import NO_SOURCE, BillRow, ModuleMass, PurchaseFacts, source_kind
 from thorvaldc.model.facts.robot_facts import RobotFacts
 from thorvaldc.model.facts.size import Size
-from thorvaldc.model.facts.slopes import SlopeLimits, Slopes
-from thorvaldc.model.facts.soil import SoilLoad
-from thorvaldc.model.facts.stability import DIRECTIONS, Stability, WheelLoad
-from thorvaldc.model.module import SourcedMass
+from thorvaldc.model.facts.stability import DIRECTIONS, SoilLoad, Stability, WheelLoad
 from thorvaldc.model.robot import PARALLEL
-from thorvaldc.model.statics.unpowered import StandingSlopes
+from thorvaldc.model.statics.slope import StandingSlopes
 
 Row = tuple[str, ...]
 

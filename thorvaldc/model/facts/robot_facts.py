@@ -1,31 +1,38 @@
-"""Computes the facts about a robot from its model."""
+"""Computes the facts about a robot from its model, and converts them to JSON values."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
-from thorvaldc.model.facts.driving import Driving, driving_of
-from thorvaldc.model.facts.electrics import BusFacts, Wire, buses_of, wiring_of
-from thorvaldc.model.facts.energy import Energy, energy_of
+from thorvaldc.model.element import once_per_model
+from thorvaldc.model.facts.driving import Driving, Slopes, driving_of, slopes_of
+from thorvaldc.model.facts.electrics import BusFacts, Energy, Wire, buses_of, energy_of, wiring_of
 from thorvaldc.model.facts.masses import (
     BillRow,
     MassShare,
     ModuleMass,
+    PurchaseFacts,
     bill_of,
     mass_by_source,
     masses_of,
+    purchase_of,
 )
-from thorvaldc.model.facts.purchase import PurchaseFacts, purchase_of
 from thorvaldc.model.facts.size import Size, size_of
-from thorvaldc.model.facts.slopes import Slopes, slopes_of
-from thorvaldc.model.facts.soil import SoilLoad, soil_load_of
-from thorvaldc.model.facts.stability import Stability, WheelLoad, stability_of, wheel_loads_of
-from thorvaldc.model.once_per_model import once_per_model
-from thorvaldc.model.robot import Robot
-from thorvaldc.model.statics.unpowered import StandingSlopes, standing_slopes
+from thorvaldc.model.facts.stability import (
+    SoilLoad,
+    Stability,
+    WheelLoad,
+    soil_load_of,
+    stability_of,
+    wheel_loads_of,
+)
+from thorvaldc.model.spatial import clean
+from thorvaldc.model.statics.slope import StandingSlopes, standing_slopes
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,3 +110,29 @@ def fact_quantity(path: str) -> si.Quantity:
     ``path`` : keys of the fact in the JSON values of ``facts_document``, joined by dots.
     """
     return si.quantity_at(RobotFacts, path.split(".")) or si.NUMBER
+
+
+def facts_document(facts: Any) -> dict[str, Any]:
+    """Return facts as JSON values, with the names of the fields as keys.
+
+    ``facts`` is a ``RobotFacts`` or a part of it.
+    All values are in SI units and angles in rad, rounded to 12 significant digits.
+    """
+    return {
+        field.name: json_value(getattr(facts, field.name)) for field in dataclasses.fields(facts)
+    }
+
+
+def json_value(value: Any) -> Any:
+    """Return one fact, or a part of a ``RobotFacts``, as a JSON value, as ``facts_document``."""
+    if dataclasses.is_dataclass(value):
+        return facts_document(value)
+    if isinstance(value, tuple):
+        if value and all(_is_pair(item) for item in value):
+            return {key: json_value(item) for key, item in value}
+        return [json_value(item) for item in value]
+    return clean(value) if isinstance(value, float) else value
+
+
+def _is_pair(value: Any) -> bool:
+    return isinstance(value, tuple) and len(value) == 2 and isinstance(value[0], str)

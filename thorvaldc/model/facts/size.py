@@ -7,9 +7,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from thorvaldc.model import quantities as si
-from thorvaldc.model.float_sum import float_sum
-from thorvaldc.model.robot import (
+from thorvaldc.model import (
     Box,
     Collision,
     Cylinder,
@@ -17,12 +15,14 @@ from thorvaldc.model.robot import (
     Robot,
     Shape,
     Sphere,
+    Vec3,
     Visual,
     Wheel,
 )
-from thorvaldc.model.spatial import Quat, Vec3, add, quat_to_matrix, rotate
+from thorvaldc.model import quantities as si
+from thorvaldc.model.spatial import Quat, add, float_sum, quat_to_matrix, rotate
 from thorvaldc.model.statics.joint_tree import JointTree, tree_of
-from thorvaldc.model.statics.mesh_vertices import mesh_vertices
+from thorvaldc.model.stl import mesh_vertices
 
 _SMALLEST_DISTANCE = 1e-3
 """A wheelbase or track below this distance (m) is no distance between two axles."""

@@ -24,9 +24,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from thorvaldc.model.float_sum import float_sum
-from thorvaldc.model.robot import Link
-from thorvaldc.model.spatial import Pose, Vec3, add, clean, cross, dot, sub
+from thorvaldc.model import Link, Pose, Vec3
+from thorvaldc.model.spatial import add, clean, cross, dot, float_sum, sub
 from thorvaldc.model.statics.joint_tree import JointTree
 
 

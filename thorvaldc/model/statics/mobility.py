@@ -24,9 +24,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from thorvaldc.model.float_sum import float_sum
-from thorvaldc.model.robot import Joint, Robot, Wheel
-from thorvaldc.model.statics.contact_point import contact_point
+from thorvaldc.model import Joint, Robot, Wheel
+from thorvaldc.model.spatial import float_sum
 
 Row = tuple[float, float, float]
 Twist = tuple[float, float, float]
@@ -64,14 +63,14 @@ def cannot_turn(robot: Robot) -> bool:
 
 def lateral_row(wheel: Wheel, angle: float) -> Row:
     """Returns the lateral row of a wheel with the heading ``angle`` (rad)."""
-    x, y = contact_point(wheel)
+    x, y = wheel.contact_point
     c, s = math.cos(angle), math.sin(angle)
     return (-s, c, c * x + s * y)
 
 
 def rolling_row(wheel: Wheel, angle: float) -> Row:
     """Returns the rolling row of a wheel with the heading ``angle`` (rad)."""
-    x, y = contact_point(wheel)
+    x, y = wheel.contact_point
     c, s = math.cos(angle), math.sin(angle)
     return (c, s, s * x - c * y)
 

@@ -1,7 +1,7 @@
 """Whether gravity and level ground hold every body of a robot, and the wheel loads that follow.
 
 The bodies are rigid. The unknowns are the height of the base, its rotations about the world's x and
-y axes, and the coordinates of the passive joints (``passive_joints``). A wheel is a circle of its
+y axes, and the coordinates of the passive joints (``joint_tree``). A wheel is a circle of its
 radius, whose lowest point has the height h_i(q) above the ground. The potential energy is
 
     E(q) = sum of m g z + sum of k (q - q_ref)^2 / 2    (weights and springs).
@@ -31,25 +31,27 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from thorvaldc.model.float_sum import float_sum
-from thorvaldc.model.once_per_model import once_per_model
-from thorvaldc.model.robot import Joint, Robot, Wheel
+from thorvaldc.model import Joint, Pose, Robot, Vec3, Wheel
+from thorvaldc.model.element import once_per_model
 from thorvaldc.model.spatial import (
-    Pose,
-    Vec3,
+    GRAVITY,
     clean,
+    float_sum,
     quat_from_axis_angle,
     quat_multiply,
     quat_normalize,
 )
-from thorvaldc.model.statics.contact_point import contact_point
-from thorvaldc.model.statics.gravity import GRAVITY
-from thorvaldc.model.statics.joint_tree import JointTree, tree_of
-from thorvaldc.model.statics.passive_joints import Coordinate, coordinates_of, held_joints
-from thorvaldc.model.statics.rigid_groups import RigidGroups
-from thorvaldc.model.statics.simplex import maximize
+from thorvaldc.model.statics.joint_tree import (
+    Coordinate,
+    JointTree,
+    RigidGroups,
+    coordinates_of,
+    held_joints,
+    tree_of,
+)
 from thorvaldc.model.statics.static_loads import (
     least_squares_loads,
+    maximize,
     spring_reference,
     static_loads,
 )
@@ -534,7 +536,7 @@ def spring_loads(
     if standing is not None:
         loads = standing.loads
     elif body.mass > 0.0:
-        loads = static_loads([contact_point(wheel) for wheel in wheels], body)
+        loads = static_loads([wheel.contact_point for wheel in wheels], body)
     else:
         loads = [0.0] * len(wheels)
     loads = [clean(load) for load in loads]

@@ -35,22 +35,25 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from thorvaldc.model.float_sum import float_sum
-from thorvaldc.model.once_per_model import once_per_model
-from thorvaldc.model.robot import Joint, Robot, Wheel
+from thorvaldc.model import Joint, Pose, Robot, Vec3, Wheel
+from thorvaldc.model.element import once_per_model
 from thorvaldc.model.spatial import (
-    Pose,
-    Vec3,
+    GRAVITY,
     clean,
+    float_sum,
     quat_from_axis_angle,
     quat_multiply,
     quat_normalize,
 )
-from thorvaldc.model.statics.gravity import GRAVITY
-from thorvaldc.model.statics.joint_tree import JointTree, tree_of
+from thorvaldc.model.statics.joint_tree import (
+    Coordinate,
+    JointTree,
+    RigidGroups,
+    coordinates_of,
+    held_joints,
+    tree_of,
+)
 from thorvaldc.model.statics.mass_matrix import BranchSparse, inverse_weights
-from thorvaldc.model.statics.passive_joints import Coordinate, coordinates_of, held_joints
-from thorvaldc.model.statics.rigid_groups import RigidGroups
 from thorvaldc.model.statics.standing import standing_of
 from thorvaldc.model.statics.wheel_contact import (
     SOLREF,
@@ -271,7 +274,7 @@ class _PassiveStance(_Stance):
     """A robot with passive or coupled joints.
 
     The unknowns of the standing pose are the height and the rotations of the base, and the
-    coordinates of the joints (``passive_joints``). The weight of a body on passive joints has a
+    coordinates of the joints (``joint_tree``). The weight of a body on passive joints has a
     part in their stiffness, which the contacts do not have: a body that hangs below its axis is
     held by it. The stiffness matrix is therefore computed from differences of the forces.
     """

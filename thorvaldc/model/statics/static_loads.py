@@ -1,4 +1,4 @@
-"""Computes the static wheel loads (N) and the rest positions of springs.
+"""Computes the static wheel loads (N), the rest positions of springs, and linear programs.
 
 Equations for a standing robot with the weight W (N) and the centre of mass (x, y), where the wheel
 i has the contact point (x_i, y_i) and carries the load N_i (N):
@@ -21,13 +21,9 @@ import math
 from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
-from thorvaldc.model.float_sum import float_sum
-from thorvaldc.model.robot import Joint, Wheel
-from thorvaldc.model.spatial import Inertial, Vec3, clean
-from thorvaldc.model.statics.contact_point import contact_point
-from thorvaldc.model.statics.gravity import GRAVITY
-from thorvaldc.model.statics.joint_tree import JointTree
-from thorvaldc.model.statics.passive_joints import coordinates_of, coupled_joints
+from thorvaldc.model import Inertial, Joint, Vec3, Wheel
+from thorvaldc.model.spatial import GRAVITY, clean, float_sum
+from thorvaldc.model.statics.joint_tree import JointTree, coordinates_of, coupled_joints
 
 
 class Pivot(NamedTuple):
@@ -72,7 +68,7 @@ def free_pivots(tree: JointTree, wheels: Sequence[Wheel], stopped: Collection[st
             axis = pose.rotate(joint.axis)
             for i, wheel in enumerate(wheels):
                 if wheel.link in links:
-                    levers[i] += ratio * _lever(pose.xyz, axis, *contact_point(wheel))
+                    levers[i] += ratio * _lever(pose.xyz, axis, *wheel.contact_point)
             carried = tree.inertial(below)
             lever = _lever(pose.xyz, axis, carried.com[0], carried.com[1])
             moment += ratio * carried.mass * GRAVITY * lever
@@ -217,7 +213,7 @@ def _torque(
     axis = pose.rotate(joint.axis)
     carried = tree.inertial(sorted(below))
     forces = [
-        (load, *contact_point(wheel))
+        (load, *wheel.contact_point)
         for wheel, load in zip(wheels, loads, strict=True)
         if wheel.link in below
     ]
@@ -225,3 +221,62 @@ def _torque(
     if joint.type == "prismatic":
         return axis[2] * float_sum(force for force, _, _ in forces)
     return float_sum(force * _lever(pose.xyz, axis, x, y) for force, x, y in forces)
+
+
+# -- linear programs with a feasible origin, solved by the simplex method -----------------------
+#
+#     maximise c . x   subject to   A x <= b,  x >= 0,   with b >= 0.
+#
+# The origin is feasible, so that the method starts there and needs no first phase. Bland's rule
+# chooses the pivots: the method ends for every input.
+
+_ZERO = 1e-11
+
+
+def maximize(
+    objective: Sequence[float], rows: Sequence[Sequence[float]], bounds: Sequence[float]
+) -> tuple[list[float], list[float]]:
+    """Return the solution x and the multiplier of each row.
+
+    The multipliers y >= 0 satisfy A^T y >= c, with equality where x > 0, and y = 0 for a row that
+    is not tight. The problem must be bounded; a direction without a bound is not followed.
+
+    - ``objective``: c.
+    - ``rows``, ``bounds``: A and b; negative elements of b count as 0.
+    """
+    n, m = len(objective), len(rows)
+    table = [
+        [*row, *(1.0 if i == k else 0.0 for k in range(m)), max(bound, 0.0)]
+        for i, (row, bound) in enumerate(zip(rows, bounds, strict=True))
+    ]
+    costs = [*objective, *[0.0] * m, 0.0]
+    basis = list(range(n, n + m))
+    unbounded: set[int] = set()
+    while True:
+        entering = next(
+            (j for j in range(n + m) if costs[j] > _ZERO and j not in unbounded),
+            None,
+        )
+        if entering is None:
+            break
+        leaving, least = None, 0.0
+        for i, row in enumerate(table):
+            if row[entering] > _ZERO:
+                ratio = row[-1] / row[entering]
+                if leaving is None or (ratio, basis[i]) < (least, basis[leaving]):
+                    leaving, least = i, ratio
+        if leaving is None:
+            unbounded.add(entering)
+            continue
+        pivot_row = [value / table[leaving][entering] for value in table[leaving]]
+        table[leaving] = pivot_row
+        for row in (*table[:leaving], *table[leaving + 1 :], costs):
+            factor = row[entering]
+            if factor != 0.0:
+                for j, value in enumerate(pivot_row):
+                    row[j] -= factor * value
+        basis[leaving] = entering
+    solution = [0.0] * (n + m)
+    for i, j in enumerate(basis):
+        solution[j] = table[i][-1]
+    return solution[:n], [-cost for cost in costs[n : n + m]]

@@ -1,9 +1,9 @@
-"""The angles at which a standing robot tips over, in every direction.
+"""The area that a robot covers, seen from above, and the angles at which it tips over.
 
-Derivation. The robot is rigid, stands with its wheels on a plane, and does not slide. Its support
-polygon is the convex hull of the contact points. The edge e of the polygon has the outward normal
-n_e, and the centre of mass, at the height h above the plane, has the horizontal distance d_e from
-it, positive inside. The plane is tilted by the angle a, so that it falls in the horizontal
+Tip-over angles. The robot is rigid, stands with its wheels on a plane, and does not slide. Its
+support polygon is the convex hull of the contact points. The edge e of the polygon has the outward
+normal n_e, and the centre of mass, at the height h above the plane, has the horizontal distance d_e
+from it, positive inside. The plane is tilted by the angle a, so that it falls in the horizontal
 direction u. In the frame of the plane, the weight W then has the component W cos(a) into the plane
 and W sin(a) along u. The wheels push only, so the robot tips over the edge e as soon as the moment
 about the edge is not positive:
@@ -21,13 +21,76 @@ tan a_min = min d_e / h. The suspension, the tyres and loose loads lower the rea
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from thorvaldc.model.robot import Robot
+from thorvaldc.model import Box, Cylinder, MeshShape, Robot, Shape, Sphere, Vec3
+from thorvaldc.model.element import once_per_model
 from thorvaldc.model.spatial import clean
-from thorvaldc.model.statics.contact_point import contact_point
-from thorvaldc.model.statics.convex_hull import Point, convex_hull
+from thorvaldc.model.statics.joint_tree import tree_of
+from thorvaldc.model.stl import mesh_vertices
+
+Point = tuple[float, float]
+"""Coordinates x and y (m)."""
+
+
+def convex_hull(points: Sequence[Point]) -> list[Point]:
+    """Returns the corners of the convex hull of points in the plane, counter-clockwise.
+
+    Points on the edges of the convex hull are left out.  The convex hull is computed with Andrew's
+    monotone chain algorithm.
+    """
+    ordered = sorted(set(points))
+    if len(ordered) < 3:
+        return ordered
+
+    def half_hull(source: list[Point]) -> list[Point]:
+        chain: list[Point] = []
+        for p in source:
+            while len(chain) >= 2:
+                (ax, ay), (bx, by) = chain[-2], chain[-1]
+                if (bx - ax) * (p[1] - ay) - (by - ay) * (p[0] - ax) > 1e-12:
+                    break
+                chain.pop()
+            chain.append(p)
+        return chain[:-1]
+
+    return half_hull(ordered) + half_hull(ordered[::-1])
+
+
+def separates(hull: Sequence[Point], other: Sequence[Point]) -> bool:
+    """Returns whether an edge of ``hull`` has all points of ``other`` on its outer side.
+
+    Two convex polygons do not overlap if an edge of one of them separates them (separating axis
+    theorem).  ``hull``: corners of a convex polygon, counter-clockwise.
+    """
+    for (ax, ay), (bx, by) in zip(hull, [*hull[1:], *hull[:1]], strict=True):
+        if all((bx - ax) * (y - ay) - (by - ay) * (x - ax) <= 0.0 for x, y in other):
+            return True
+    return False
+
+
+def overlap(hull: Sequence[Point], other: Sequence[Point]) -> tuple[float, Point] | None:
+    """Returns the shortest move of ``other`` after which two convex polygons do not overlap.
+
+    The result is the distance (m) and the direction (unit vector), or ``None`` if the polygons do
+    not overlap.  The shortest move is along the normal of an edge of one of the polygons.
+    """
+    best: tuple[float, Point] | None = None
+    for corners, sign in ((hull, 1.0), (other, -1.0)):
+        for (ax, ay), (bx, by) in zip(corners, [*corners[1:], *corners[:1]], strict=True):
+            length = math.hypot(bx - ax, by - ay)
+            if length == 0.0:
+                continue
+            nx, ny = (by - ay) / length, (ax - bx) / length  # outwards
+            opposite = other if corners is hull else hull
+            depth = -min((x - ax) * nx + (y - ay) * ny for x, y in opposite)
+            if depth <= 0.0:
+                return None
+            if best is None or depth < best[0]:
+                best = depth, (sign * nx, sign * ny)
+    return best
+
 
 _SHORTEST_EDGE = 1e-9  # m
 _LOWEST_HEIGHT = 1e-9  # m
@@ -91,7 +154,7 @@ class Support(NamedTuple):
 def support_of(robot: Robot) -> Support:
     """Return the support polygon of a robot with all joints at position 0."""
     x, y, z = robot.inertial.com
-    hull: Sequence[Point] = convex_hull([contact_point(wheel) for wheel in robot.wheels])
+    hull: Sequence[Point] = convex_hull([wheel.contact_point for wheel in robot.wheels])
     if len(hull) < 3:
         return Support((), z)
     edges = []
@@ -101,3 +164,74 @@ def support_of(robot: Robot) -> Support:
             margin = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / length
             edges.append(Edge(math.atan2(ax - bx, by - ay), margin))
     return Support(tuple(edges), z)
+
+
+# -- the footprint of a robot: the convex area that it covers, seen from above ------------------
+
+_SIDES = 16
+"""Corners of the polygons around circles. The polygons contain the circles."""
+_GRID = 0.001  # m
+
+
+@once_per_model
+def footprint(robot: Robot) -> list[Point]:
+    """Return the corners of the footprint in ``base_link`` in m, counter-clockwise.
+
+    The footprint is the convex hull of the collision shapes of all links, with every joint at
+    position 0, and of the circles that the wheels cover when they steer or swivel. Coordinates are
+    rounded away from the origin to millimetres.
+    """
+    tree = tree_of(robot)
+    meshes = {mesh.name: mesh.data for mesh in robot.meshes}
+    points: list[Point] = []
+    for link in robot.links:
+        pose = tree.pose.get(link.name)
+        if pose is None:
+            continue
+        for collision in link.collisions:
+            place = pose * collision.pose
+            for corner in _corners(collision.shape, meshes):
+                x, y, _ = place.apply(corner)
+                points.append((x, y))
+    for wheel in robot.wheels:
+        # A wheel that turns covers a circle around its axis; others cover a part of the circle.
+        reach = math.hypot(wheel.radius + abs(wheel.trail), wheel.width / 2)
+        reach += abs(wheel.lateral_offset)
+        if wheel.steered or wheel.swivel_joint is not None:
+            points += [(wheel.x + x, wheel.y + y) for x, y in _circle(reach)]
+    return convex_hull([(_outward(x), _outward(y)) for x, y in convex_hull(points)])
+
+
+def _outward(value: float) -> float:
+    # A tolerance of 1 nm keeps 0.55 from becoming 0.551.
+    steps = math.ceil(abs(value) / _GRID - 1e-6)
+    return math.copysign(steps / round(1 / _GRID), value) if steps else 0.0
+
+
+def _circle(radius: float) -> Iterator[Point]:
+    outer = radius / math.cos(math.pi / _SIDES)
+    for k in range(_SIDES):
+        angle = 2.0 * math.pi * (k + 0.5) / _SIDES
+        yield outer * math.cos(angle), outer * math.sin(angle)
+
+
+def _corners(shape: Shape, meshes: dict[str, bytes]) -> Iterator[Vec3]:
+    """Yield points whose convex hull contains a shape, in the frame of the shape."""
+    match shape:
+        case Box((x, y, z)):
+            for k in range(8):
+                yield tuple(  # type: ignore[misc]
+                    size / 2 if k >> axis & 1 else -size / 2 for axis, size in enumerate((x, y, z))
+                )
+        case Cylinder(radius, length):
+            for x, y in _circle(radius):
+                yield x, y, length / 2
+                yield x, y, -length / 2
+        case Sphere(radius):
+            for x, y in _circle(radius):
+                yield x, y, 0.0
+                yield x, 0.0, y
+                yield 0.0, x, y
+        case MeshShape(mesh, (sx, sy, sz)):
+            for x, y, z in mesh_vertices(mesh, meshes[mesh]):
+                yield x * sx, y * sy, z * sz

@@ -57,8 +57,8 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from thorvaldc.model.robot import Wheel
-from thorvaldc.model.spatial import Vec3, clean
+from thorvaldc.model import Vec3, Wheel
+from thorvaldc.model.spatial import clean
 
 SOLREF = (0.01, 1.0)
 """MuJoCo's ``solref`` of a wheel: time constant in s and damping ratio."""

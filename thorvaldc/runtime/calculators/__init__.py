@@ -1,20 +1,22 @@
 """Base calculators convert a twist to joint commands, and joint states to a twist estimate.
 
-To add a base calculator to this package, list its class in ``calculator_registry``.  Other Python
+To add a base calculator to this package, list its class in ``base_calculator``.  Other Python
 packages add base calculators with the entry point group ``thorvaldc.base_calculators``.
 """
 
 from __future__ import annotations
 
-from thorvaldc.runtime.calculators.base_calculator import BaseCalculator, BaseCommand, NoOptions
-from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, WheelGeometry
-from thorvaldc.runtime.calculators.calculator_registry import (
+from thorvaldc.runtime.calculators.base_calculator import (
     PLUGINS,
+    BaseCalculator,
+    BaseCommand,
+    NoOptions,
     calculator_class,
     calculator_errors,
     calculator_names,
     for_robot,
 )
+from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, WheelGeometry
 from thorvaldc.runtime.calculators.twist_estimator import TwistEstimate
 from thorvaldc.runtime.calculators.twist_fit import Noise
 

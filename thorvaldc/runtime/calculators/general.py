@@ -31,12 +31,10 @@ from typing import ClassVar, Self
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, Noise
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
-from thorvaldc.runtime.calculators.linear_algebra import least_squares3, solve3
-from thorvaldc.runtime.calculators.motor_limits import DriveMotors
-from thorvaldc.runtime.calculators.reachable_twists import ReachableTwists
-from thorvaldc.runtime.calculators.skid_steering import SkidSteering
-from thorvaldc.runtime.calculators.steering_branch import SteeringJoint
+from thorvaldc.runtime.calculators.reachable_twists import ReachableTwists, SkidSteering
+from thorvaldc.runtime.calculators.steering_branch import DriveMotors, SteeringJoint
 from thorvaldc.runtime.calculators.twist_estimator import EstimatorOptions, TwistEstimator
+from thorvaldc.runtime.calculators.twist_fit import least_squares3, solve3
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 _FOLLOW_WEIGHT = 0.01

@@ -27,12 +27,9 @@ from math import dist
 from statistics import NormalDist
 from typing import NamedTuple
 
-from thorvaldc.model.float_sum import float_sum
-from thorvaldc.model.spatial import symmetric_eigenvalues
-from thorvaldc.runtime.base_interface import CheckedJointStates, JointStates
+from thorvaldc.model.spatial import float_sum, symmetric_eigenvalues
+from thorvaldc.runtime.base_interface import CheckedJointStates, JointStates, NotFiniteError
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
-from thorvaldc.runtime.calculators.hypothesis_fits import FOLLOWING_FLOOR, HypothesisFits
-from thorvaldc.runtime.calculators.linear_algebra import solve3
 from thorvaldc.runtime.calculators.twist_fit import (
     ROLL_AND_SIDE,
     SIDE_ONLY,
@@ -48,10 +45,13 @@ from thorvaldc.runtime.calculators.twist_fit import (
     chi_squares,
     fit_twist,
     misfit,
+    solve3,
     unweighted_normal_equations,
 )
 from thorvaldc.runtime.calculators.wheel_rejection import (
     COMMANDED_SPEED,
+    FOLLOWING_FLOOR,
+    HypothesisFits,
     HypothesisSearch,
     Suspicion,
     covering,
@@ -60,7 +60,6 @@ from thorvaldc.runtime.calculators.wheel_rejection import (
     mixture,
     suspicion,
 )
-from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.runtime.se2 import Cov3, Row3, Twist
 
 __all__ = ["EstimatorOptions", "Noise", "TwistEstimate", "TwistEstimator"]

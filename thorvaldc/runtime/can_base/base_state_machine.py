@@ -37,20 +37,74 @@ all start-up checks are repeated.
 
 from __future__ import annotations
 
+import enum
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from thorvaldc.can.canopen import NmtCommand, NmtState
-from thorvaldc.can.error_state import ErrorState
+from thorvaldc.can.frame import ErrorState
 from thorvaldc.model import Robot
-from thorvaldc.model.required_objects import start_reading_time
-from thorvaldc.runtime.can_base.base_state import BaseState
-from thorvaldc.runtime.can_base.bus_connection import BusConnection
-from thorvaldc.runtime.can_base.even_stop import hold_time
-from thorvaldc.runtime.can_base.frame_rates import OBSERVATION
+from thorvaldc.model.bus_timing import start_reading_time
+from thorvaldc.runtime.can_base.bus_connection import BusConnection, hold_time
+from thorvaldc.runtime.can_base.frame_receiver import OBSERVATION
 from thorvaldc.runtime.can_base.motor_controller import Intent, MotorController
 from thorvaldc.runtime.can_base.stop_ladder import StopLadder
+
+
+class BaseState(enum.Enum):
+    """State of a robot base whose motors are controlled over CAN.
+
+    - ``INIT``: the driver listens to the bus and sends nothing;
+    - ``PREOP``: the driver brings all nodes to the NMT state pre-operational;
+    - ``CONFIG``: the driver compares the nodes with the robot file and starts the nodes;
+    - ``STANDBY``: a steering joint is not homed; the motors are off until the robot is armed or the
+      steering is homed on request;
+    - ``HOMING``: the driver enables the motors, homes the steering and turns the wheels straight;
+    - ``READY``: the robot stands and waits for a commanded twist;
+    - ``ACTIVE``: the robot drives;
+    - ``STOPPING``: the robot ramps to rest, because the commanded twist is too old;
+    - ``FAULT``, ``ESTOP``: all motors are in quick stop until ``reset`` is called; motors that do
+      not obey are stopped by other means, see ``stop_ladder``.
+    """
+
+    INIT = "init"
+    PREOP = "preop"
+    CONFIG = "config"
+    STANDBY = "standby"
+    HOMING = "homing"
+    READY = "ready"
+    ACTIVE = "active"
+    STOPPING = "stopping"
+    FAULT = "fault"
+    ESTOP = "estop"
+
+    @property
+    def drives(self) -> bool:
+        """``True`` if the state of the base is READY, ACTIVE or STOPPING, so that the wheels follow
+        commands."""
+        return self in (BaseState.READY, BaseState.ACTIVE, BaseState.STOPPING)
+
+    @property
+    def starts(self) -> bool:
+        """``True`` if the state of the base is one of the start-up states INIT, PREOP, CONFIG and
+        HOMING."""
+        return self in (BaseState.INIT, BaseState.PREOP, BaseState.CONFIG, BaseState.HOMING)
+
+
+class StateChange(NamedTuple):
+    """A change of the state of the base.
+
+    - ``time``: time of the change, s.
+    - ``state``: new state of the base.
+    - ``reason``: reason for the state FAULT or ESTOP.
+    """
+
+    time: float
+    state: BaseState
+    reason: str
+
 
 READING_SHARE = 2.0
 """Longest time of the reading of all objects, as a multiple of the time without a lost frame."""
@@ -132,7 +186,7 @@ class BaseStateMachine:
         self._reported_problem = ""
         self._now = -math.inf
         self._hold_until = -math.inf
-        """Time (s) until which the wheels keep their speed in FAULT; see ``even_stop``."""
+        """Time (s) until which the wheels keep their speed in FAULT; see ``hold_time``."""
         self._released = False
         """``True`` if all motors stand and need no torque any more."""
         self._cause, self._verdict = "", ""

@@ -38,12 +38,10 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from thorvaldc.can.canopen import NmtCommand
-from thorvaldc.can.frame import CanFrame
-from thorvaldc.can.interface import CanInterface
+from thorvaldc.can.frame import CanFrame, CanInterface
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
-from thorvaldc.model.drive_settings import AT_START
-from thorvaldc.model.require_bus import require_bus
+from thorvaldc.model.settings import AT_START
 from thorvaldc.model.stopping import REPORT_TIMEOUT
 from thorvaldc.runtime.base_interface import (
     BaseHandle,
@@ -51,13 +49,24 @@ from thorvaldc.runtime.base_interface import (
     JointCommands,
     JointStates,
 )
-from thorvaldc.runtime.can_base.base_state import BaseState, StateChange
-from thorvaldc.runtime.can_base.base_state_machine import BaseStateMachine, Times
-from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryState
-from thorvaldc.runtime.can_base.battery_supervision import BatteryLevel, BatterySupervision
+from thorvaldc.runtime.can_base.base_state_machine import (
+    BaseState,
+    BaseStateMachine,
+    StateChange,
+    Times,
+)
+from thorvaldc.runtime.can_base.battery_and_io_drivers import (
+    BatteryLevel,
+    BatteryState,
+    BatterySupervision,
+)
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
-from thorvaldc.runtime.can_base.bus_diagnostics import arming_reasons, component_statuses
-from thorvaldc.runtime.can_base.bus_services import BusServices, bus_services
+from thorvaldc.runtime.can_base.bus_services import (
+    BusServices,
+    arming_reasons,
+    bus_services,
+    component_statuses,
+)
 from thorvaldc.runtime.can_base.motor_controller import Intent
 from thorvaldc.runtime.service_table import Service
 
@@ -93,7 +102,7 @@ class CanBase(BaseHandle):
         is not connected to a bus (``bus-motor-unconnected``), or if a motor controller has no
         driver (``bus-driver-unknown``).
         """
-        require_bus(robot)
+        robot.require_bus()
         _require_connected_motors(robot)
         self.robot = robot
         self.period: float = min(bus.sync_period for bus in robot.buses)

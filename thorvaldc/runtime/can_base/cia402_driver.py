@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from thorvaldc.can.cia402 import (
+from thorvaldc.can.canopen import (
     CHANGE_IMMEDIATELY,
     HOMING_ATTAINED,
     HOMING_ERROR,
@@ -17,8 +17,7 @@ from thorvaldc.can.cia402 import (
     Mode,
 )
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus, Node
+from thorvaldc.model import Bus, Node, Robot
 from thorvaldc.runtime.can_base.motor_controller import Axis, Intent, MotorController
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 

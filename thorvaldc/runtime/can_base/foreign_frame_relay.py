@@ -24,8 +24,8 @@ from collections import Counter, deque
 from typing import NamedTuple
 
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.model.bus import Bus
-from thorvaldc.runtime.can_base.motor_controller import MASTER
+from thorvaldc.model import Bus
+from thorvaldc.model.bus import MASTER
 
 QUEUE_LIMIT = 64
 """Size of the queue in each direction, in frames."""

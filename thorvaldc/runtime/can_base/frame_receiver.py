@@ -1,16 +1,15 @@
-"""Receives CAN frames for the control cycle."""
+"""Receives CAN frames for the control cycle, and detects frames that arrive too often."""
 
 from __future__ import annotations
 
 import math
 import threading
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Mapping
 from typing import NamedTuple
 
-from thorvaldc.can.frame import ReceivedFrame
-from thorvaldc.can.interface import CanInterface
-from thorvaldc.can.nanoseconds import NANOSECONDS
+from thorvaldc.can.frame import NANOSECONDS, CanInterface, ReceivedFrame
+from thorvaldc.model import Bus, FrameDefinition
 
 EVENT_LIMIT = 512
 """Size of the event queue, in frames."""
@@ -141,3 +140,191 @@ class FrameReceiver:
                     self._events.popleft()
                     self.dropped += 1
                 self._events.append(Event(time, frame.id, frame.data))
+
+
+# -- detects CAN frames that arrive more often than the robot file states -----------------------
+#
+# Two devices with the same node id send every heartbeat and every report twice.  A program that
+# sends false reports of a node adds frames to the true reports.  In both cases the number of frames
+# in a time exceeds the number that the period T of the frame allows.  For each identifier the
+# excess e, in frames, is computed from the times of reception t and from the number n of received
+# frames:
+#
+#     e <- e + (n - n') - (t - t') (1 + TOLERANCE) / T          ': values of the previous sample
+#
+#     frames    x---x---x---x---x-x-x-x-x-x-x-x-x-x-x      T: period
+#     excess    0   0   0   0   0 .   1   .   2   .   3    > EXCESS: too many frames
+#
+# The excess over every earlier time is the largest of these sums, so that e is at least 0 (CUSUM
+# test).  The time t is the time of reception of the newest frame, not the present time.  The result
+# therefore does not depend on the load of the computer:
+#
+# - Lost frames and frames that arrive late make the excess smaller.
+# - Frames that a CAN adapter or a stalled program delivers in a burst follow a silence.  The
+#   silence and the burst usually belong to the same sample, because t does not change during the
+#   silence.  If a sample ends in the middle of the burst, the silence gives a credit (e < 0).  Of
+#   the credit, ``CREDIT_SHARE`` is left in the next sample; the credit is at most
+#   ``LONGEST_BURST``.
+# - A device that sends some frames early, such as a heartbeat at each change of its NMT state,
+#   stays below ``EXCESS``.
+#
+# The clock of a device on a CAN bus is more accurate than ``TOLERANCE``; otherwise its bit timing
+# would fail.
+#
+# If all nodes send too many frames at once, it is the clock of the computer that is wrong: it stood
+# while the bus went on, because the computer slept.  The watchdogs of the drives may have acted in
+# this time, which the driver cannot see as a gap between two control cycles.
+
+EXCESS = 5.0
+"""Largest number of frames above the stated number."""
+TOLERANCE = 0.01
+"""Largest deviation of the rate of a device from the stated rate, as a share."""
+LONGEST_BURST = 0.25
+"""Largest time (s) of silence that gives a credit for the frames that follow."""
+CREDIT_SHARE = 0.75
+"""Share of the credit that is left in the next sample."""
+SAMPLE_CYCLES = 5
+"""Number of control cycles between two samples of the same identifier."""
+LEAST_MISSED = 0.05
+"""Shortest time (s) by which all nodes exceed the clock of the computer."""
+OBSERVATION = 1.0
+"""Shortest time (s) of observation before the motors are enabled.
+
+After this time a second device that sends heartbeats with a period of 100 ms has exceeded
+``EXCESS``."""
+
+
+class _Rate:
+    """Excess of one identifier; see the docstring of this module.
+
+    ``period``: shortest allowed period (s) of the frame.
+    """
+
+    __slots__ = ("cob_id", "excess", "frame_name", "name", "node", "number", "per_second", "time")
+
+    def __init__(self, frame: FrameDefinition, period: float) -> None:
+        self.cob_id = frame.cob_id
+        self.node = frame.producer
+        self.frame_name = frame.name
+        self.name = frame.name.removeprefix(f"{frame.producer}_")
+        self.per_second = (1.0 + TOLERANCE) / period
+        self.clear(None)
+
+    def clear(self, newest: LatestFrame | None) -> None:
+        """Starts again without excess."""
+        self.excess = 0.0
+        self.number = 0 if newest is None else newest.number
+        self.time: float | None = None if newest is None else newest.time
+
+    def add(self, newest: LatestFrame) -> bool:
+        """Takes a sample; returns ``True`` if too many frames were received."""
+        self.excess = self.excess_with(newest)
+        self.number, self.time = newest.number, newest.time
+        return self.excess > EXCESS
+
+    def excess_with(self, newest: LatestFrame | None) -> float:
+        """Returns the excess that a sample would have, in frames."""
+        if newest is None or self.time is None:
+            return self.excess
+        credit = LONGEST_BURST * self.per_second
+        excess = self.excess if self.excess > 0.0 else CREDIT_SHARE * self.excess
+        excess += newest.number - self.number - (newest.time - self.time) * self.per_second
+        return excess if excess > -credit else -credit
+
+
+class FrameRates:
+    """Counts the periodic CAN frames of all nodes of one CAN bus.
+
+    - ``excessive``: description of the first identifier with too many frames by name of the node;
+    - ``missed_time``: time (s) that the clock of the computer has missed, as the frames of all
+      nodes say, at the first identifier with too many frames; 0 if single nodes send too many.
+    - ``latest``: newest received frame of each identifier.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        nodes: Collection[str],
+        latest: Mapping[int, LatestFrame],
+        periods: Mapping[str, float],
+    ) -> None:
+        """Counts the frames of the nodes in ``nodes``.
+
+        ``periods``: shortest period (s) of a frame by frame name, if the base driver makes the node
+        send the frame more often than the robot file states.
+        """
+        self._latest = latest
+        self._ids = {node.name: node.id for node in bus.nodes}
+        rates = [
+            _Rate(frame, periods.get(frame.name, period))
+            for frame, period in _periodic_frames(bus)
+            if frame.producer in nodes
+        ]
+        self._groups = [rates[i::SAMPLE_CYCLES] for i in range(SAMPLE_CYCLES)]
+        self._next_group = 0
+        self.excessive: dict[str, str] = {}
+        self.missed_time = 0.0
+
+    def change_periods(self, periods: Mapping[str, float]) -> None:
+        """Changes the shortest allowed periods (s) of the frames in ``periods``, by frame name."""
+        for group in self._groups:
+            for rate in group:
+                if rate.frame_name in periods:
+                    rate.per_second = (1.0 + TOLERANCE) / periods[rate.frame_name]
+
+    def clear(self) -> None:
+        """Forgets all frames that were counted before."""
+        self.excessive.clear()
+        self.missed_time = 0.0
+        for group in self._groups:
+            for rate in group:
+                rate.clear(self._latest.get(rate.cob_id))
+
+    def forget(self, nodes: Collection[str]) -> bool:
+        """Counts the frames of some nodes anew; returns whether one of them sent too many."""
+        noticed = [name for name in nodes if self.excessive.pop(name, "")]
+        for group in self._groups:
+            for rate in group:
+                if rate.node in noticed:
+                    rate.clear(self._latest.get(rate.cob_id))
+        return bool(noticed)
+
+    def take_sample(self) -> None:
+        """Takes a sample of a part of the identifiers; called once in each control cycle."""
+        self._next_group = (self._next_group + 1) % SAMPLE_CYCLES
+        for rate in self._groups[self._next_group]:
+            newest = self._latest.get(rate.cob_id)
+            if newest is None or newest.number == rate.number:
+                continue
+            if rate.add(newest) and rate.node not in self.excessive:
+                self.missed_time = self.missed_time or self._common_excess()
+                self.excessive[rate.node] = (
+                    f"{rate.name} ({rate.cob_id:#05x}) comes more often than the robot file states;"
+                    f" {second_device(self._ids[rate.node])}"
+                )
+
+    def _common_excess(self) -> float:
+        """Returns the time (s) by which the frames of every node exceed the clock, or 0.
+
+        A node that sent nothing lately says nothing.  A single node cannot tell a second device
+        from a clock that stands.
+        """
+        times: dict[str, float] = {}
+        for rate in (rate for group in self._groups for rate in group):
+            newest = self._latest.get(rate.cob_id)
+            if newest is not None:
+                excess = rate.excess_with(newest) / rate.per_second
+                times[rate.node] = max(times.get(rate.node, -math.inf), excess)
+        common = min(times.values(), default=0.0)
+        return common if len(times) > 1 and common > LEAST_MISSED else 0.0
+
+
+def second_device(node_id: int) -> str:
+    """Returns the question to the operator whether two devices have the same id."""
+    return f"is a second device with the id {node_id} on the bus?"
+
+
+def _periodic_frames(bus: Bus) -> Iterator[tuple[FrameDefinition, float]]:
+    for frame in bus.frames:
+        if frame.period is not None and frame.kind in ("pdo", "heartbeat", "broadcast"):
+            yield frame, frame.period

@@ -10,15 +10,13 @@ from typing import NamedTuple, TypeVar
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model import Actuator, Robot
-from thorvaldc.model.bus import Bus, Node, ObjectValue
+from thorvaldc.model import Actuator, Bus, Node, ObjectValue, Robot
+from thorvaldc.model.bus import MASTER
+from thorvaldc.model.bus_timing import required_objects
 from thorvaldc.model.plugins import PluginFailure, PluginTable
-from thorvaldc.model.required_objects import required_objects
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
 T = TypeVar("T")
-MASTER = "master"
-"""Name of the base driver as a producer or consumer of frames."""
 STANDING = 0.02
 """Speed (rad/s) below which a wheel or a steering joint counts as standing."""
 FRESH = 0.2

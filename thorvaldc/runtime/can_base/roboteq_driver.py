@@ -24,8 +24,7 @@ import math
 from collections.abc import Iterator, Mapping
 
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus, Node, ObjectValue
+from thorvaldc.model import Bus, Node, ObjectValue, Robot
 from thorvaldc.runtime.can_base.motor_controller import Axis, Intent, MotorController
 
 # Operating modes of a channel of the Roboteq motor controller.

@@ -6,7 +6,7 @@ import math
 import struct
 from collections.abc import Mapping, Sequence
 
-from thorvaldc.model.bus import FrameDefinition
+from thorvaldc.model import FrameDefinition
 
 _FORMATS = {
     (8, False): "B",

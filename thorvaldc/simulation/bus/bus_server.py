@@ -21,10 +21,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from thorvaldc.can import simulated_bus_protocol as protocol
-from thorvaldc.can.error_state import ErrorState
-from thorvaldc.can.frame import SEND_LIMIT, CanFrame
+from thorvaldc.can.frame import NEVER, SEND_LIMIT, CanFrame, ErrorState
 from thorvaldc.can.local_socket import Unpacker, listen, pack, pack_json, socket_path
-from thorvaldc.can.nanoseconds import NEVER
 from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import CanController, Wire

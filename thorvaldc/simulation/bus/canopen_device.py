@@ -17,10 +17,9 @@ from typing import Any, Self
 
 from thorvaldc.can import canopen, lss
 from thorvaldc.can.canopen import Emergency, NmtCommand, NmtState
-from thorvaldc.can.error_state import ErrorState
-from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.frame import CanFrame, ErrorState
 from thorvaldc.can.sdo import AbortCode
-from thorvaldc.model.bus_quirks import Quirk
+from thorvaldc.model.bus_faults import Quirk
 from thorvaldc.simulation.bus.object_dictionary import (
     DelayedWrite,
     Entry,

@@ -7,10 +7,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
-from thorvaldc.can.canopen import NmtState
-from thorvaldc.can.cia402 import HOMING_ATTAINED, HOMING_ERROR, TARGET_REACHED, DriveState, Mode
+from thorvaldc.can.canopen import (
+    HOMING_ATTAINED,
+    HOMING_ERROR,
+    TARGET_REACHED,
+    DriveState,
+    Mode,
+    NmtState,
+)
 from thorvaldc.model import Actuator
-from thorvaldc.model.cia402_motors import FIRST_INDEX, STRIDE, motor_numbers
+from thorvaldc.model.bus import FIRST_INDEX, STRIDE, motor_numbers
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.cia402_motion import (
     PRESENT_POSITION,

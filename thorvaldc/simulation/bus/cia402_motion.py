@@ -27,7 +27,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from thorvaldc.can.cia402 import (
+from thorvaldc.can.canopen import (
     CHANGE_IMMEDIATELY,
     NEW_SET_POINT,
     REMOTE,
@@ -315,7 +315,7 @@ class Homing:
 # -- power state machine ---------------------------------------------------------------------------
 
 # The control word changes the state of the drive, and the status word reports the state of the
-# drive. The module ``thorvaldc.can.cia402`` has a diagram of the drive states.  Bits of the CiA 402
+# drive. ``thorvaldc.can.canopen`` has a diagram of the drive states.  Bits of the CiA 402
 # control word:
 #
 #     bit 0 switch on   bit 1 enable voltage   bit 2 quick stop (active low)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 
-from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.frame import CanFrame, to_ns
 from thorvaldc.can.frame_bits import frame_bits
-from thorvaldc.can.nanoseconds import to_ns
 from thorvaldc.model.bus_faults import BusFault, BusFaults
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.simulated_device import SimulatedDevice

@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.sdo import AbortCode
-from thorvaldc.model.bus import OBJECT_TYPES, FrameDefinition
-from thorvaldc.model.bus_quirks import Quirk
+from thorvaldc.model import FrameDefinition
+from thorvaldc.model.bus import OBJECT_TYPES
+from thorvaldc.model.bus_faults import Quirk
 
 _FORMATS = {
     "bool": "<?",

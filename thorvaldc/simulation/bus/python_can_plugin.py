@@ -20,9 +20,7 @@ import can
 import can.interfaces
 import can.util
 
-from thorvaldc.can.error_state import ErrorState
-from thorvaldc.can.frame import CanFrame, ReceivedFrame
-from thorvaldc.can.nanoseconds import to_ns
+from thorvaldc.can.frame import CanFrame, ErrorState, ReceivedFrame, to_ns
 from thorvaldc.can.simulated_bus_client import SimulatedBusClient
 from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 from thorvaldc.simulation.bus.timeline import Event

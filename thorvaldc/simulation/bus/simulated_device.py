@@ -10,11 +10,9 @@ from typing import Any, Self
 
 from thorvaldc.can import lss
 from thorvaldc.can.canopen import HEARTBEAT
-from thorvaldc.can.frame import CanFrame
-from thorvaldc.can.nanoseconds import NANOSECONDS, to_ns
-from thorvaldc.model import Actuator, Robot
-from thorvaldc.model.bus import Bus, Channel, FrameDefinition, Node
-from thorvaldc.model.bus_quirks import Quirk
+from thorvaldc.can.frame import NANOSECONDS, CanFrame, to_ns
+from thorvaldc.model import Actuator, Bus, Channel, FrameDefinition, Node, Robot
+from thorvaldc.model.bus_faults import Quirk
 from thorvaldc.simulation.bus.object_dictionary import parameter_name
 from thorvaldc.simulation.bus.simulated_motors import Encoder, IdealMotor, MotorModel
 from thorvaldc.simulation.bus.timeline import Action, Event

@@ -8,18 +8,22 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.can.error_state import ErrorState
-from thorvaldc.can.frame import RECEIVE_LIMIT, SEND_LIMIT, CanFrame, ReceivedFrame
-from thorvaldc.can.nanoseconds import NEVER, to_ns
+from thorvaldc.can.frame import (
+    NEVER,
+    RECEIVE_LIMIT,
+    SEND_LIMIT,
+    CanFrame,
+    ErrorState,
+    ReceivedFrame,
+    to_ns,
+)
 from thorvaldc.commissioning.planner import AttachStep
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model import Actuator, Robot
-from thorvaldc.model.bus import Bus, Node
-from thorvaldc.model.bus_quirks import Quirk
+from thorvaldc.model import Actuator, Bus, Node, Robot
+from thorvaldc.model.bus_faults import Quirk
 from thorvaldc.model.plugins import PluginFailure, PluginTable
-from thorvaldc.model.require_bus import require_bus
 from thorvaldc.simulation.bus.battery_and_io_devices import ForeignDevice
 from thorvaldc.simulation.bus.simulated_device import DeviceSpecification, SimulatedDevice
 from thorvaldc.simulation.bus.simulated_motors import (
@@ -221,7 +225,7 @@ class SimulatedRobot:
 
         Raises ``DiagnosticError`` (``bus-missing``) if the robot has no bus.
         """
-        require_bus(robot)
+        robot.require_bus()
         self.robot = robot
         self.seed = seed
         self.timeline = Timeline()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable
 
-from thorvaldc.can.nanoseconds import NANOSECONDS, NEVER
+from thorvaldc.can.frame import NANOSECONDS, NEVER
 
 Action = Callable[[], None]
 

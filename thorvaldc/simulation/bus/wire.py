@@ -49,10 +49,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from thorvaldc.can.error_state import ErrorState
-from thorvaldc.can.frame import CanFrame
+from thorvaldc.can.frame import NANOSECONDS, CanFrame, ErrorState
 from thorvaldc.can.frame_bits import INTERFRAME_BITS, first_difference, frame_bits
-from thorvaldc.can.nanoseconds import NANOSECONDS
 from thorvaldc.simulation.bus.timeline import Event, Timeline
 
 # -- CAN controllers -------------------------------------------------------------------------------

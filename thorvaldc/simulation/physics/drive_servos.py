@@ -38,7 +38,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 from thorvaldc.model import Actuator, Brake, Robot
-from thorvaldc.model.statics.gravity import GRAVITY
+from thorvaldc.model.spatial import GRAVITY
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 _JOINT = 0  # mjTRN_JOINT of MuJoCo

@@ -12,11 +12,11 @@ from typing import NamedTuple
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Actuator, Robot
-from thorvaldc.model.statics.unpowered import coasting_deceleration
+from thorvaldc.model.statics.slope import coasting_deceleration
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointStates
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
-from thorvaldc.runtime.calculators.linear_algebra import solve3
+from thorvaldc.runtime.calculators.twist_fit import solve3
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Pose2, Twist
 
 # -- interfaces of simulated bases -----------------------------------------------------------------
@@ -42,7 +42,7 @@ class SimulatedJoints(BaseHandle):
 
 # An ideal joint has no mass and no ground, so its deceleration is computed from the model: a driven
 # wheel rolls with its share of the robot's mass against the friction of its motor, gear and tyre
-# (``model.statics.unpowered``).  A steering joint turns the tyre on the spot; its friction is as
+# (``model.statics.slope``).  A steering joint turns the tyre on the spot; its friction is as
 # strong as the motor that is made to overcome it, so the joint comes to rest with the largest
 # acceleration of the motor.  Time from the loss of power, with the closing time t_c of the brake:
 #

@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thorvaldc.runtime import se2
-from thorvaldc.runtime.base_interface import JointStates
+from thorvaldc.runtime.base_interface import JointStates, NotFiniteError
 from thorvaldc.runtime.calculators import BaseCalculator, TwistEstimate
 from thorvaldc.runtime.calculators.twist_estimator import TwistEstimator
-from thorvaldc.runtime.errors import NotFiniteError
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL, Odometry, mean_states
 from thorvaldc.runtime.se2 import Cov3, Pose2, Turn, Twist, propagated
 from thorvaldc.simulation.vectorised import fit_batch

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from thorvaldc.runtime.calculators.linear_algebra import solve3
 from thorvaldc.runtime.calculators.twist_estimator import RANK_TOLERANCE, TwistEstimator
 from thorvaldc.runtime.calculators.twist_fit import (
     ROLL_AND_SIDE,
@@ -23,6 +22,7 @@ from thorvaldc.runtime.calculators.twist_fit import (
     USE_ROLL,
     USE_SIDE,
     WheelConstants,
+    solve3,
 )
 
 Array = NDArray[np.float64]

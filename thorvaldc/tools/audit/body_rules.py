@@ -14,8 +14,8 @@ from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Inertial, Mesh, Pose
-from thorvaldc.model.float_sum import float_sum
-from thorvaldc.model.statics.convex_hull import convex_hull
+from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.statics.tip_over import convex_hull
 from thorvaldc.model.stl import RECORD, stl_triangles
 from thorvaldc.tools.audit.audit_facts import (
     Body,

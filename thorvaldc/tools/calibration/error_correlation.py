@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thorvaldc.model.float_sum import float_sum
+from thorvaldc.model.spatial import float_sum
 from thorvaldc.tools.calibration.log_intervals import Array
 
 TIME_CONSTANTS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.2)

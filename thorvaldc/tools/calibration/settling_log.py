@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thorvaldc.model import Robot
-from thorvaldc.model.float_sum import float_sum
+from thorvaldc.model.spatial import float_sum
 from thorvaldc.runtime.calculators import for_robot
 from thorvaldc.runtime.calculators.base_calculator import BaseCalculator
 from thorvaldc.runtime.se2 import Twist

@@ -35,8 +35,7 @@ def info(
         show_report,
     )
     from thorvaldc.model import Fleet
-    from thorvaldc.model.facts.facts_document import facts_document
-    from thorvaldc.model.facts.robot_facts import robot_facts
+    from thorvaldc.model.facts.robot_facts import facts_document, robot_facts
     from thorvaldc.tools.comparison.compared_inputs import read_input
     from thorvaldc.tools.comparison.facts_text import facts_markdown, facts_text
 

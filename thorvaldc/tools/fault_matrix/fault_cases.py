@@ -9,11 +9,10 @@ from functools import partial
 from typing import Any
 
 from thorvaldc.can.canopen import NMT, SYNC, NmtCommand
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus, FrameDefinition, Node, ObjectValue
+from thorvaldc.model import Bus, FrameDefinition, Node, ObjectValue, Robot
 from thorvaldc.model.bus_faults import FRAME_FORMATS
-from thorvaldc.model.required_objects import reading_time, required_objects
-from thorvaldc.model.statics.unpowered import roll_out
+from thorvaldc.model.bus_timing import reading_time, required_objects
+from thorvaldc.model.statics.slope import roll_out
 from thorvaldc.model.stopping import (
     COMMAND_TIMEOUT,
     DETECTED_FAULT,
@@ -21,8 +20,8 @@ from thorvaldc.model.stopping import (
     DRIVER_DEAD,
     HEARTBEAT_TIMEOUT,
     stop_bounds,
+    swerve_bounds,
 )
-from thorvaldc.model.swerve import swerve_bounds
 from thorvaldc.runtime.can_base.motor_controller import controller_class
 from thorvaldc.tools.fault_matrix.rehearsal import Rehearsal
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from thorvaldc.model import Robot
-from thorvaldc.model.statics.unpowered import roll_out
+from thorvaldc.model.statics.slope import roll_out
 from thorvaldc.model.stopping import DETECTED_FAULT, STOP_LOCK, stop_bounds
 from thorvaldc.tools.fault_matrix.fault_cases import MOVING_PHASES, STOPPING, FaultCase
 from thorvaldc.tools.fault_matrix.fault_reaction import NOT_SIMULATED, STOPS, UNASKED, Reaction

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import partial
 
 from thorvaldc.model import Robot
-from thorvaldc.model.require_bus import require_bus
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.tools.fault_matrix.fault_cases import (
     DRIVING,
@@ -67,7 +66,7 @@ class FaultMatrix:
 
         Raises ``DiagnosticError`` if the robot has no bus.
         """
-        require_bus(robot)
+        robot.require_bus()
         self.robot = robot
         self.parameters = parameters
         self.cases = list(fault_cases(robot) if cases is None else cases)

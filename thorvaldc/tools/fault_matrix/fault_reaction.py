@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from thorvaldc.model import Robot
-from thorvaldc.model.float_sum import float_sum
-from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.model.spatial import float_sum
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
+from thorvaldc.runtime.pace import NORMAL_PERIODS
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.runtime.time_gap import NORMAL_PERIODS
 from thorvaldc.tools.fault_matrix.fault_cases import (
     DRIVING,
     IDLE,

@@ -12,7 +12,7 @@ from thorvaldc import __version__
 from thorvaldc.diagnostics.text_layout import markdown_table, text_table
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import to_json
-from thorvaldc.model.swerve import BUS_LOST, SwerveBound, swerve_bounds
+from thorvaldc.model.stopping import BUS_LOST, SwerveBound, swerve_bounds
 from thorvaldc.tools.fault_matrix.fault_cases import DRIVING, MOVING_PHASES, PHASES
 from thorvaldc.tools.fault_matrix.fault_limits import rest_limit
 from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix, FaultRow

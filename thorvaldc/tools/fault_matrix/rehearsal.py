@@ -26,9 +26,9 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_faults import BusFault, BusFaults
-from thorvaldc.runtime.can_base.base_state import BaseState
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
-from thorvaldc.runtime.control.control_server import ControlServer
+from thorvaldc.runtime.control_channel import ControlServer
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import DriverState
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist

@@ -14,7 +14,7 @@ from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.facts.robot_facts import robot_facts
-from thorvaldc.model.float_sum import float_sum
+from thorvaldc.model.spatial import float_sum
 from thorvaldc.schema.documents import bounds_in_words
 from thorvaldc.tools.language_server.module_references import Reference, reference_at
 from thorvaldc.tools.language_server.module_view import ModuleView, Parameter, Port, Schemas

@@ -12,14 +12,10 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from thorvaldc.can.canopen import Emergency, NmtState, heartbeat_state, nmt_state_text
-from thorvaldc.can.cia402 import DriveState
-from thorvaldc.can.frame import CanFrame, ReceivedFrame
+from thorvaldc.can.canopen import DriveState, Emergency, NmtState, heartbeat_state, nmt_state_text
+from thorvaldc.can.frame import NANOSECONDS, CanFrame, CanInterface, ReceivedFrame
 from thorvaldc.can.frame_bits import frame_bits
-from thorvaldc.can.interface import CanInterface
-from thorvaldc.can.nanoseconds import NANOSECONDS
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus, FrameDefinition, Node, Signal
+from thorvaldc.model import Bus, FrameDefinition, Node, Robot, Signal
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
 WINDOW = 1.0

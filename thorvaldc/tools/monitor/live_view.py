@@ -6,9 +6,9 @@ import shutil
 from collections.abc import Callable, Mapping
 from typing import IO, Any
 
-from thorvaldc.can.interface import CanInterface
+from thorvaldc.can.frame import CanInterface
 from thorvaldc.cli.terminal import Terminal
-from thorvaldc.runtime.end_signals import end_signals
+from thorvaldc.runtime.pace import end_signals
 from thorvaldc.tools.monitor.bus_monitor import BusMonitor, watch
 from thorvaldc.tools.monitor.monitor_text import monitor_lines, page
 

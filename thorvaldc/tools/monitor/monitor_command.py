@@ -16,9 +16,8 @@ from thorvaldc.cli.completed_values import bus_interfaces
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 
 if TYPE_CHECKING:
-    from thorvaldc.can.interface import CanInterface
-    from thorvaldc.model import Robot
-    from thorvaldc.model.bus import Bus
+    from thorvaldc.can.frame import CanInterface
+    from thorvaldc.model import Bus, Robot
 
 LIVE_INTERVAL = 0.25
 INTERVAL = 1.0

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 
 from thorvaldc.model import Robot
-from thorvaldc.model.float_sum import float_sum
-from thorvaldc.model.spatial import quat_from_rpy
+from thorvaldc.model.spatial import float_sum, quat_from_rpy
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.se2 import ZERO_TWIST, Pose2

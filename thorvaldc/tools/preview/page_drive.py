@@ -10,11 +10,10 @@ from typing import Any
 
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.model.robot import AUTOMATIC
+from thorvaldc.model.settings import AUTOMATIC
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.runtime.teleoperation.operator import FIRST_SHARE, Limits, Request
-from thorvaldc.runtime.teleoperation.teleop_loop import operate
+from thorvaldc.runtime.teleop_loop import FIRST_SHARE, Limits, Request, operate
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 

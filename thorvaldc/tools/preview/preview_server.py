@@ -15,7 +15,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from watchfiles import awatch
 
 from thorvaldc.diagnostics.foreign_json import read_json
-from thorvaldc.model.data_folder import data_folder
+from thorvaldc.model.plugins import data_folder
 from thorvaldc.simulation.web_viewer import VIEWER, viewer_script
 from thorvaldc.tools.preview.compiled_robot import CompiledRobot
 from thorvaldc.tools.preview.page_drive import PageDrive

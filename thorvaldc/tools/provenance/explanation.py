@@ -31,8 +31,8 @@ from thorvaldc.diagnostics import Span
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
-from thorvaldc.model.facts import driving, energy, size, slopes, stability
-from thorvaldc.model.facts.facts_document import facts_document
+from thorvaldc.model.facts import driving, electrics, size, stability
+from thorvaldc.model.facts.robot_facts import facts_document
 from thorvaldc.tools.provenance import influence_search, value_paths
 
 # -- the way of a parameter through defaults, assemblies and expressions ----------------
@@ -197,8 +197,8 @@ FACTS: dict[str, Callable[[Robot], Any]] = {
     "size": size.size_of,
     "stability": stability.stability_of,
     "driving": driving.driving_of,
-    "slopes": slopes.slopes_of,
-    "energy": energy.energy_of,
+    "slopes": driving.slopes_of,
+    "energy": electrics.energy_of,
 }
 """Parts of the facts about a robot, which are computed from its model."""
 NAMES_OF_OUTPUT = 3

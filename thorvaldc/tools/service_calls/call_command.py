@@ -14,7 +14,7 @@ from thorvaldc.cli.completed_values import driver_names, service_names
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 
 if TYPE_CHECKING:
-    from thorvaldc.runtime.control.control_client import ControlClient
+    from thorvaldc.runtime.control_channel import ControlClient
 
 POLL_PERIOD = 0.2
 """Time in s between two looks at a robot that homes its steering."""
@@ -41,7 +41,7 @@ def call(
     json: options.Json = False,
 ) -> int:
     from thorvaldc.cli.diagnostic_output import message, print_json
-    from thorvaldc.runtime.control.control_client import ControlClient
+    from thorvaldc.runtime.control_channel import ControlClient
     from thorvaldc.runtime.service_table import ServiceError
 
     values = dict(_parse_argument(text) for text in arguments)

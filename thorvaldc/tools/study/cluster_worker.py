@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import thorvaldc
-from thorvaldc.model.data_folder import data_folder
+from thorvaldc.model.plugins import data_folder
 from thorvaldc.tools.study.design_evaluation import DesignEvaluator, StudyInputs
 from thorvaldc.tools.study.sample_points import Design
 

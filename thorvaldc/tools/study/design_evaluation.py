@@ -23,9 +23,8 @@ from thorvaldc.diagnostics import Diagnostic, Report
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
-from thorvaldc.model.facts.facts_document import json_value
-from thorvaldc.model.facts.purchase import PurchaseFacts, purchase_of
-from thorvaldc.model.facts.robot_facts import fact_quantity, fact_sections
+from thorvaldc.model.facts.masses import PurchaseFacts, purchase_of
+from thorvaldc.model.facts.robot_facts import fact_quantity, fact_sections, json_value
 from thorvaldc.tools.study.replaced_values import PathError, with_replaced_values
 from thorvaldc.tools.study.sample_points import Design
 from thorvaldc.tools.study.study_compilation import fact_values

@@ -32,8 +32,7 @@ from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
-from thorvaldc.model.facts.facts_document import facts_document
-from thorvaldc.model.facts.robot_facts import fact_quantity, robot_facts
+from thorvaldc.model.facts.robot_facts import fact_quantity, facts_document, robot_facts
 from thorvaldc.tools.study.replaced_values import (
     PathError,
     find_value,

@@ -7,9 +7,7 @@ import sys
 from collections.abc import Callable
 
 from thorvaldc.cli.terminal import Terminal
-from thorvaldc.runtime.teleoperation.operator import Limits, Operator
-from thorvaldc.runtime.teleoperation.teleop_loop import operate
-from thorvaldc.runtime.teleoperation.vehicle import Vehicle
+from thorvaldc.runtime.teleop_loop import Limits, Operator, Vehicle, operate
 from thorvaldc.tools.teleoperation.joystick import HELP as JOYSTICK_HELP
 from thorvaldc.tools.teleoperation.joystick import Joystick, OperatorPair, Search
 from thorvaldc.tools.teleoperation.keyboard import HELP as KEYBOARD_HELP

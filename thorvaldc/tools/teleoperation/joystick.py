@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
-from thorvaldc.runtime.errors import ParameterError
+from thorvaldc.runtime.base_interface import ParameterError
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.runtime.teleoperation.operator import FIRST_SHARE, Limits, Operator, Request
+from thorvaldc.runtime.teleop_loop import FIRST_SHARE, Limits, Operator, Request
 
 DEAD_ZONE = 0.1
 """Share of half an axis around its centre that counts as zero."""

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.runtime.teleoperation.operator import FIRST_SHARE, SMALLEST_SHARE, Limits, Request
+from thorvaldc.runtime.teleop_loop import FIRST_SHARE, SMALLEST_SHARE, Limits, Request
 
 FIRST_HOLD = 0.7
 """Time in s for which the press of a key drives.

@@ -16,7 +16,7 @@ from thorvaldc.cli.installation import check_full_installation
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
-    from thorvaldc.runtime.teleoperation.vehicle import Vehicle
+    from thorvaldc.runtime.teleop_loop import Vehicle
     from thorvaldc.tools.teleoperation.joystick import Search
 
 
@@ -78,7 +78,7 @@ def teleop(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.runtime.end_signals import end_signals
+    from thorvaldc.runtime.pace import end_signals
     from thorvaldc.tools.teleoperation.console import drive_from_console
 
     if bool(file) == bool(to):
@@ -111,8 +111,8 @@ def teleop(
 
 
 def _connect(name: str) -> Vehicle:
-    from thorvaldc.runtime.control.control_client import ControlClient
-    from thorvaldc.runtime.teleoperation.vehicle import RemoteVehicle
+    from thorvaldc.runtime.control_channel import ControlClient
+    from thorvaldc.runtime.teleop_loop import RemoteVehicle
 
     return RemoteVehicle(ControlClient(name))
 
@@ -153,7 +153,7 @@ def _start_driver(
 
 def _simulated_vehicle(robot: Robot, file: str, on: str, channel: str) -> Vehicle:
     from thorvaldc.diagnostics import Report
-    from thorvaldc.model.robot import AUTOMATIC
+    from thorvaldc.model.settings import AUTOMATIC
     from thorvaldc.runtime.driven_robot import DrivenRobot
 
     check_full_installation(f"`--on {on}`")
@@ -190,7 +190,7 @@ def _joystick_search(joystick: str, mapping: str) -> Search:
     Raises ``OutsideError`` if no joystick is plugged in at the start or if the package evdev is not
     installed.
     """
-    from thorvaldc.runtime.errors import ParameterError
+    from thorvaldc.runtime.base_interface import ParameterError
     from thorvaldc.tools.teleoperation.joystick import evdev_search
 
     try:
@@ -223,7 +223,7 @@ def _check_source(source: str, description: dict[str, Any]) -> None:
 
 
 def _parse_share(text: str) -> float:
-    from thorvaldc.runtime.teleoperation.operator import SMALLEST_SHARE
+    from thorvaldc.runtime.teleop_loop import SMALLEST_SHARE
 
     try:
         share = float(text.rstrip("% ")) / 100
