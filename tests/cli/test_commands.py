@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import GOOD, Command
-from thorvaldc.compiler.sandbox import worker_process
 from thorvaldc.diagnostics import CODES
 
 
@@ -85,7 +84,7 @@ def test_check_of_a_good_file(thorvaldc: Command) -> None:
 def test_check_names_the_missing_limits(
     thorvaldc: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(worker_process, "missing_limits", ["not supported: RLIMIT_AS"])
+    monkeypatch.setattr(sandbox, "missing_limits", ["not supported: RLIMIT_AS"])
     assert "not supported: RLIMIT_AS" in thorvaldc("check", "good.yaml").err
     assert "RLIMIT_AS" not in thorvaldc("check", "good.yaml", "--format", "json").err
 

@@ -10,17 +10,17 @@ import sys
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
 
 from thorvaldc.cli.exits import DONE, INPUT, OUTSIDE
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.codes import STRUCTURE
-from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.diagnostics.renderers import render, render_text
-from thorvaldc.diagnostics.text_layout import text_list
-from thorvaldc.model.finite_json import finite
+
+# A valid file has no diagnostics to render: the renderers are imported where they are used.
+if TYPE_CHECKING:
+    from thorvaldc.diagnostics.error import DiagnosticError
 
 FORMATS = ("text", "json", "github", "sarif")
 RESULT_FORMATS = ("text", "json", "markdown")
@@ -52,6 +52,8 @@ class DiagnosticOutput:
         self._all.extend(report)
         self._sources.update(sources)
         if self.format == "text" and len(report) > 0:
+            from thorvaldc.diagnostics.renderers import render_text
+
             text = render_text(
                 report, sources, color=has_color(self.stream), width=width_of(self.stream)
             )
@@ -80,6 +82,8 @@ class DiagnosticOutput:
                 more = "; more checks follow when they are corrected" if structural else ""
                 print(f"{' and '.join(counts)} in {files}{more}", file=self.stream)
         elif self.format != "text":
+            from thorvaldc.diagnostics.renderers import render
+
             text = render(self._all, self.format, self._sources, builds=builds)
             if text:
                 print(text)
@@ -146,6 +150,8 @@ def _broken(line: str, width: int) -> str:
 
 def print_json(value: Any, *, one_line: bool = False) -> None:
     """Prints the result of a command as JSON on stdout."""
+    from thorvaldc.model.finite_json import finite
+
     indent = None if one_line else 1
     print(json.dumps(finite(value), indent=indent, ensure_ascii=False), flush=one_line)
 
@@ -155,6 +161,8 @@ def print_table(rows: Iterable[tuple[str, str]]) -> None:
 
     Long texts in the table are wrapped to the width of the terminal.
     """
+    from thorvaldc.diagnostics.text_layout import text_list
+
     rows = list(rows)
     longest = max((len(name) for name, _ in rows), default=0)
     for line in text_list(rows, max(width_of(sys.stdout), longest + 32)):

@@ -12,12 +12,10 @@ from pathlib import Path
 from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.compiler.source.reader import MAX_BYTES
 
-NAME = "-"
-
 
 @contextmanager
-def standard_input() -> Iterator[Path]:
-    """Makes the standard input the content of the file ``-`` of the working folder.
+def standard_input(name: str) -> Iterator[Path]:
+    """Makes the standard input the content of a file of the working folder, which need not exist.
 
     Paths in the document start there.  Returns a file with the same text, for excerpts.
     """
@@ -25,5 +23,5 @@ def standard_input() -> Iterator[Path]:
     with tempfile.NamedTemporaryFile(prefix="thorvaldc-") as copy:
         copy.write(data)
         copy.flush()
-        with unsaved_texts({os.path.realpath(NAME): data}):
+        with unsaved_texts({os.path.realpath(name): data}):
             yield Path(copy.name)

@@ -26,7 +26,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from thorvaldc import backends
 from thorvaldc.compiler.bus.bus_checks import check_sides
 from thorvaldc.compiler.bus.lock_file import Lock, has_pins, lock_path, lock_text, read_lock
 from thorvaldc.compiler.bus.stopping_distance import check_stops_on_slope
@@ -43,10 +42,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import MAX_BYTES, read_file
 from thorvaldc.diagnostics import Diagnostic, Report, Severity, Span
 from thorvaldc.diagnostics.bounded_file import read_bounded
-from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.diagnostics.renderers import render_text
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.model.model_json import is_model_file, load_model, to_json
 from thorvaldc.tool_folders import document_compiler
 
 # The import of scenarios takes several milliseconds.
@@ -197,6 +193,8 @@ def emit(
     >>> [name for name in files if name.endswith(".urdf")]
     ['urdf/robot.urdf']
     """
+    from thorvaldc.model.model_json import to_json
+
     _check_types(model, targets)
     return {MODEL_FILE: to_json(model).encode()} | emit_without_model(model, targets, report)
 
@@ -205,7 +203,8 @@ def emit_without_model(
     model: Robot | Fleet, targets: Sequence[str], report: Report | None = None
 ) -> dict[str, bytes]:
     """Returns the files of ``emit`` without ``model.json``, for a simulation in this process."""
-    # The imports are here because the command `check` does not need the statics.
+    # The imports are here because the command `check` needs neither targets nor statics.
+    from thorvaldc import backends
     from thorvaldc.backends.statics_backend import StaticsBackend
     from thorvaldc.model.statics.standing_pose import solve_statics
 
@@ -399,6 +398,9 @@ def load_fleet(
 
 
 def _load(path: Path | str, library: Sequence[Path | str], trust: bool) -> Robot | Fleet:
+    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.model.model_json import is_model_file, load_model
+
     path = Path(path)
     if is_model_file(path) or path.name == MODEL_FILE:
         try:
@@ -414,6 +416,8 @@ def _load(path: Path | str, library: Sequence[Path | str], trust: bool) -> Robot
 def _compile_error(
     diagnostics: Sequence[Diagnostic] | Report, sources: Mapping[str, Path]
 ) -> CompileError:
+    from thorvaldc.diagnostics.renderers import render_text
+
     report = Report()
     report.extend(diagnostics)
     count = len(report.errors)

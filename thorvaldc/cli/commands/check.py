@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from thorvaldc.diagnostics import Accepted
     from thorvaldc.model import Fleet, Robot
 
+STANDARD_INPUT = "-"
+
 
 def check(
     files: Annotated[
@@ -39,25 +41,29 @@ def check(
     ] = False,
 ) -> int:
     from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, has_color
-    from thorvaldc.cli.standard_input import NAME, standard_input
     from thorvaldc.compiler.bus.lock_file import without_lock_files
     from thorvaldc.compiler.pipeline import compile_file
-    from thorvaldc.compiler.sandbox.worker_process import missing_limits
-    from thorvaldc.diagnostics.renderers import render_accepted
+    from thorvaldc.compiler.sandbox import missing_limits
 
     if format != "badge":
         check_format(format)
     folders = options.library_folders(library)
     output = DiagnosticOutput(format, sys.stdout)
     with ExitStack() as inputs:
-        text = inputs.enter_context(standard_input()) if NAME in files else None
+        text = None
+        if STANDARD_INPUT in files:
+            from thorvaldc.cli.standard_input import standard_input
+
+            text = inputs.enter_context(standard_input(STANDARD_INPUT))
         for file in without_lock_files(files):
             compilation = compile_file(file, library=folders, trust=trust)
-            if file == NAME and text is not None:
-                compilation.sources[NAME] = text
+            if file == STANDARD_INPUT and text is not None:
+                compilation.sources[file] = text
             output.add(compilation.report, compilation.sources)
             accepted = compilation.report.accepted
             if accepted and verbose and format == "text":
+                from thorvaldc.diagnostics.renderers import render_accepted
+
                 print(render_accepted(compilation.report, color=has_color(sys.stdout)))
             if compilation.model is not None:
                 more = f"; {_accepted(accepted)} accepted" if accepted else ""

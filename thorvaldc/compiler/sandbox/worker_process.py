@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-from thorvaldc.compiler.sandbox import worker_protocol
+from thorvaldc.compiler.sandbox import missing_limits, worker_protocol
 from thorvaldc.compiler.sandbox.worker_protocol import Fields, read_message, write_message
 
 _ROOT = str(Path(worker_protocol.__file__).parents[3])
@@ -164,10 +164,6 @@ class WorkerProcess:
             raise WorkerLimitError(f"ended its reader process (exit status {status})") from error
         finally:
             timer.cancel()
-
-
-missing_limits: list[str] = []
-"""Limits that were not in force in the worker processes so far."""
 
 
 def _start() -> subprocess.Popen[bytes]:

@@ -21,9 +21,9 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
-from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError, WorkerLimits, WorkerProcess
 from thorvaldc.compiler.shapes.mesh_formats import (
     IMPORTS,
     CheckedMesh,
@@ -38,12 +38,17 @@ from thorvaldc.diagnostics.bounded_file import read_bounded
 from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Mesh, Vec3
 
+# Robots with meshes of the built-in library alone need no worker process.
+if TYPE_CHECKING:
+    from thorvaldc.compiler.sandbox.worker_process import WorkerProcess
+
 MAX_FILE_BYTES = 64 * 1024 * 1024
 # Largest size of a mesh (m). A mesh file with a larger mesh probably has the unit mm.
 MAX_EXTENT = 20.0
 CONVERTED = ("dae", "glb", "gltf", "off", "ply")
 FORMATS = ("stl", "obj", *CONVERTED)
-LIMITS = WorkerLimits(wall_seconds=20.0, processor_seconds=10, memory_bytes=512 << 20)
+LIMITS: dict[str, Any] = {"wall_seconds": 20.0, "processor_seconds": 10, "memory_bytes": 512 << 20}
+"""Limits of a worker process, see ``WorkerLimits``."""
 _MAX_NEEDED_FILES = 16  # files to which one mesh file may refer
 
 
@@ -185,6 +190,8 @@ def _content(path: Path) -> bytes:
 
 def _read_in_worker(path: Path, suffix: str, data: bytes, scale: Vec3) -> CheckedMesh:
     """Reads a mesh in a worker process, with the files that it refers to."""
+    from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError
+
     converts = suffix in CONVERTED
     if converts and find_spec("trimesh") is None:
         raise MeshError(
@@ -214,11 +221,16 @@ def _read_in_worker(path: Path, suffix: str, data: bytes, scale: Vec3) -> Checke
 
 def _worker(workers: dict[bool, WorkerProcess], converts: bool) -> WorkerProcess:
     """Returns the worker process for STL and OBJ files, or for formats that are converted."""
+    from thorvaldc.compiler.sandbox.worker_process import WorkerLimits, WorkerProcess
+
     if converts not in workers:
         path = [os.path.abspath(folder) for folder in sys.path] if converts else []
         imports = [name for name in IMPORTS if converts and find_spec(name) is not None]
         workers[converts] = WorkerProcess(
-            "thorvaldc.compiler.shapes.mesh_formats", LIMITS, path=path, imports=imports
+            "thorvaldc.compiler.shapes.mesh_formats",
+            WorkerLimits(**LIMITS),
+            path=path,
+            imports=imports,
         )
     return workers[converts]
 
