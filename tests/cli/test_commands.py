@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import GOOD, Command
+from thorvaldc.compiler import sandbox
 from thorvaldc.diagnostics import CODES
 
 
