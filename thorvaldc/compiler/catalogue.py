@@ -24,7 +24,7 @@ from thorvaldc.compiler.result import accept_warnings, read_acceptances, report_
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.model import Link, SourcedMass, Vec3
+from thorvaldc.model import SourcedMass, Vec3
 from thorvaldc.model.spatial import clean, clean3, float_sum
 from thorvaldc.model.statics.joint_tree import JointTree
 
@@ -299,10 +299,12 @@ class _Expanded:
         leaf, port_name = leaf_port
         if leaf.type is None:
             return None
-        parts = RobotParts([Link("base_link", "", None, (), (), leaf.span)])
-        for each in self._leaves:
-            if hardware[each.path].links and (each is self._part or each.is_mechanical):
-                parts.add(each, hardware)
+        leaves = [
+            each
+            for each in self._leaves
+            if hardware[each.path].links and (each is self._part or each.is_mechanical)
+        ]
+        parts = RobotParts.of_modules(leaves, hardware, leaf.span)
         pose = JointTree(parts.links, parts.joints).pose
         port = leaf.type.section("ports")[port_name]
         links = hardware[leaf.path].links

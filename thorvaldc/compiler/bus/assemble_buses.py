@@ -19,19 +19,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from thorvaldc.can.canopen import HEARTBEAT, NMT, SYNC, NmtCommand
-from thorvaldc.compiler.bus.bus_checks import (
-    LOAD_WARNING,
-    check_bus,
-    check_serials,
-    check_wiring,
-    late_frames,
-)
-from thorvaldc.compiler.bus.device_frames import (
-    HEARTBEAT_PERIOD,
-    heartbeat,
-    minimum_interval,
-    standard_frames,
-)
+from thorvaldc.compiler.bus import bus_checks, device_frames
 from thorvaldc.compiler.bus.device_sections import (
     MASTER,
     MASTER_HEARTBEAT_PERIOD,
@@ -240,7 +228,7 @@ def build_buses(
     if not specs or any(spec.bitrate <= 0 for spec in specs):
         return ()
     present = [device for device in devices if _is_present(device, report)]
-    check_wiring(present, actuators, report)
+    bus_checks.check_wiring(present, actuators, report)
     others = foreign_devices(foreign, specs, report)
     placed = (
         assign_ids(present, others, specs, sync_period, lock or {}, report, watchdog=watchdog)
@@ -248,7 +236,7 @@ def build_buses(
     )
     if not placed:
         return ()
-    check_serials(placed, report)
+    bus_checks.check_serials(placed, report)
     return tuple(
         _build_bus(spec, [p for p in placed if p.bus == spec.name], sync_period, watchdog, report)
         for spec in specs
@@ -321,7 +309,7 @@ def _build_bus(
     )
     if not spec.stated:
         bus = _fast_enough(bus, report)
-    check_bus(bus, placed, report)
+    bus_checks.check_bus(bus, placed, report)
     return bus
 
 
@@ -346,13 +334,13 @@ def _fast_enough(bus: Bus, report: Report) -> Bus:
     """
     faster_bus = bus
     for bitrate in FASTER:
-        if faster_bus.load <= LOAD_WARNING and not late_frames(faster_bus):
+        if faster_bus.load <= bus_checks.LOAD_WARNING and not bus_checks.late_frames(faster_bus):
             break
         if all(not node.bitrates or bitrate in node.bitrates for node in bus.nodes):
             faster_bus = _timed(replace(bus, bitrate=bitrate))
-    if faster_bus is not bus and not late_frames(faster_bus):
+    if faster_bus is not bus and not bus_checks.late_frames(faster_bus):
         reason = f"use {100 * bus.load:.0f} % of"
-        if late_frames(bus):
+        if bus_checks.late_frames(bus):
             reason = "arrive too late at"
         report.add(
             "can-bitrate-chosen",
@@ -400,7 +388,9 @@ def _master_frames(
         spec.span,
         "The control cycle's beat, after its commands.",
     )
-    yield heartbeat(MASTER, HEARTBEAT + MASTER_ID, MASTER, nodes, heartbeat_period, spec.span)
+    yield device_frames.heartbeat(
+        MASTER, HEARTBEAT + MASTER_ID, MASTER, nodes, heartbeat_period, spec.span
+    )
 
 
 # -- foreign devices ---------------------------------------------------------------------
@@ -431,7 +421,9 @@ def foreign_devices(
             services = None
         frames = [
             *_relayed(name, device, scope, report),
-            *standard_frames(name, node_id or 0, services, HEARTBEAT_PERIOD),
+            *device_frames.standard_frames(
+                name, node_id or 0, services, device_frames.HEARTBEAT_PERIOD
+            ),
         ]
         span = id_node.span if id_node is not None else device.where
         devices.append(
@@ -473,5 +465,5 @@ def _relayed(
             (),
             node.where,
             scope.text(node.get("description")),
-            minimum_interval(scope, node, report),
+            device_frames.minimum_interval(scope, node, report),
         )

@@ -23,25 +23,8 @@ from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Proposal, Report
 from thorvaldc.diagnostics.plain_numbers import plain
-from thorvaldc.model import DriverSettings, ParameterSet, Robot
+from thorvaldc.model import DriverSettings, ParameterSet, Robot, stopping
 from thorvaldc.model.statics.slope import SlopeStops, steepest_stops
-from thorvaldc.model.stopping import (
-    COMMAND_TIMEOUT,
-    DETECTED_FAULT,
-    DRIVE_DEAD,
-    DRIVER_DEAD,
-    STOP_LOCK,
-    DrivenWheels,
-    Ramp,
-    StopBound,
-    coasting_nodes,
-    driven_wheels,
-    driver_ramp,
-    motor_nodes,
-    quick_stop_ramp,
-    reachable_speed,
-    stop_bounds,
-)
 
 SHORTEST_TIMEOUT = 0.1
 """Shortest derived command time-out (s), so that sources with 20 Hz may lose a command."""
@@ -50,11 +33,11 @@ SHORTEST_WATCHDOG_CYCLES = 4
 _ROUNDING = 1e-9
 
 _CAUSES = {
-    COMMAND_TIMEOUT: "when commands stop",
-    STOP_LOCK: "after a stop command",
-    DETECTED_FAULT: "after a detected fault",
-    DRIVER_DEAD: "when the base driver dies",
-    DRIVE_DEAD: "when a drive dies",
+    stopping.COMMAND_TIMEOUT: "when commands stop",
+    stopping.STOP_LOCK: "after a stop command",
+    stopping.DETECTED_FAULT: "after a detected fault",
+    stopping.DRIVER_DEAD: "when the base driver dies",
+    stopping.DRIVE_DEAD: "when a drive dies",
 }
 
 
@@ -62,7 +45,7 @@ def with_command_timeout(
     driver: DriverSettings,
     sets: Sequence[ParameterSet],
     stated: Node | None,
-    driven: DrivenWheels,
+    driven: stopping.DrivenWheels,
 ) -> tuple[DriverSettings, tuple[ParameterSet, ...]]:
     """Returns the settings with a command time-out that meets the stopping distance.
 
@@ -73,7 +56,7 @@ def with_command_timeout(
         return driver, tuple(sets)
     timeout = driver.command_timeout
     for settings in (driver, *(parameter_set.driver for parameter_set in sets)):
-        allowed = _reaction(distance, driver_ramp(driven, settings))
+        allowed = _reaction(distance, stopping.driver_ramp(driven, settings))
         timeout = min(timeout, _whole_milliseconds(allowed - 3.0 / driver.rate))
     timeout = max(timeout, SHORTEST_TIMEOUT, 3.0 / driver.rate)
     timeout = min(timeout, driver.command_timeout)
@@ -83,14 +66,14 @@ def with_command_timeout(
 
 
 def longest_watchdog(
-    driver: DriverSettings, sets: Sequence[ParameterSet], driven: DrivenWheels
+    driver: DriverSettings, sets: Sequence[ParameterSet], driven: stopping.DrivenWheels
 ) -> float:
     """Returns the longest heartbeat consumer time (s) of a drive, infinite without a stopping
     distance."""
     if driver.stopping_distance is None:
         return math.inf
     cycle = 1.0 / driver.rate
-    ramps = [quick_stop_ramp(driven, s) for s in (driver, *(p.driver for p in sets))]
+    ramps = [stopping.quick_stop_ramp(driven, s) for s in (driver, *(p.driver for p in sets))]
     allowed = min(_reaction(driver.stopping_distance, ramp) for ramp in ramps)
     return max(_whole_milliseconds(allowed - 2.0 * cycle), SHORTEST_WATCHDOG_CYCLES * cycle)
 
@@ -115,14 +98,14 @@ def check_stopping_distance(robot: Robot, driver: Node, report: Report) -> None:
     distance, node = robot.driver.stopping_distance, driver.get("stopping_distance")
     if distance is None or node is None:
         return
-    bounds = stop_bounds(robot)
+    bounds = stopping.stop_bounds(robot)
     worst = max(bounds, key=lambda bound: bound.distance)
     if worst.distance <= distance + _ROUNDING:
         return
     reached = (
         "any distance" if math.isinf(worst.distance) else f"up to {plain(worst.distance, 3)} m"
     )
-    fixed = _fixed_watchdog(robot) if worst.kind == DRIVER_DEAD else ""
+    fixed = _fixed_watchdog(robot) if worst.kind == stopping.DRIVER_DEAD else ""
     speed = min(_speed(robot, bound, distance) for bound in bounds)
     report.add(
         "stopping-distance",
@@ -152,7 +135,7 @@ def check_stops_on_slope(
         for stop in statics.stops:
             deceleration = statics.deceleration(slope, stop, backwards=backwards)
             if distance is not None:
-                speed = min(speed, reachable_speed(distance, stop.reaction, deceleration))
+                speed = min(speed, stopping.reachable_speed(distance, stop.reaction, deceleration))
             elif stop.dead:
                 continue
             if stop.distance(deceleration) > longest:
@@ -199,26 +182,28 @@ def _slower(speed: float, driver: Node) -> str:
 
 
 def _fixed_watchdog(robot: Robot) -> str:
-    coasting = coasting_nodes(robot)
+    coasting = stopping.coasting_nodes(robot)
     if coasting:
         return f" (the watchdog of `{coasting[0].module}` lets its motor coast)"
-    times = [n.command_watchdog for _, n in motor_nodes(robot) if n.command_watchdog is not None]
+    times = [
+        n.command_watchdog for _, n in stopping.motor_nodes(robot) if n.command_watchdog is not None
+    ]
     if not times:
         return ""
     return f" (the watchdog of its drives is {max(times):g} s and cannot be changed)"
 
 
-def _speed(robot: Robot, bound: StopBound, distance: float) -> float:
+def _speed(robot: Robot, bound: stopping.StopBound, distance: float) -> float:
     """Returns the speed (m/s) from which a kind of stop keeps the stopping distance."""
     if math.isinf(bound.distance):
         return 0.0
-    by_driver = bound.kind in (COMMAND_TIMEOUT, STOP_LOCK)
-    driven = driven_wheels(robot.wheels, robot.actuators)
-    ramp = (driver_ramp if by_driver else quick_stop_ramp)(driven, robot.driver)
-    return reachable_speed(distance, bound.reaction, ramp.deceleration)
+    by_driver = bound.kind in (stopping.COMMAND_TIMEOUT, stopping.STOP_LOCK)
+    driven = stopping.driven_wheels(robot.wheels, robot.actuators)
+    ramp = (stopping.driver_ramp if by_driver else stopping.quick_stop_ramp)(driven, robot.driver)
+    return stopping.reachable_speed(distance, bound.reaction, ramp.deceleration)
 
 
-def _reaction(distance: float, ramp: Ramp) -> float:
+def _reaction(distance: float, ramp: stopping.Ramp) -> float:
     """Returns the longest reaction time (s) for a stopping distance; see this module's docstring.
 
     The time is negative if the deceleration alone needs more than the stopping distance.

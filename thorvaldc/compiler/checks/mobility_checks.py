@@ -13,14 +13,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.diagnostics.plain_numbers import millimetres
 from thorvaldc.model import Joint, Robot
-from thorvaldc.model.statics.mobility import (
-    cannot_turn,
-    feasible_twists,
-    lateral_row,
-    rank,
-    roll_speeds,
-    rolling_row,
-)
+from thorvaldc.model.statics import mobility
 from thorvaldc.model.statics.standing import Standing, standing_of
 from thorvaldc.model.statics.tip_over import support_of
 from thorvaldc.model.stopping import driven_wheels
@@ -33,7 +26,7 @@ def check_steering_range(robot: Robot, report: Report) -> None:
     steering range of a robot with fixed wheels is not checked, because the fixed wheels limit the
     directions of motion.
     """
-    if feasible_twists(robot) < 3:
+    if mobility.feasible_twists(robot) < 3:
         return
     joints = {joint.name: joint for joint in robot.joints}
     for wheel in robot.wheels:
@@ -60,7 +53,7 @@ def check_controllable(robot: Robot, report: Report) -> None:
     """
     if not any(wheel.driven for wheel in robot.wheels):
         return
-    free = feasible_twists(robot)
+    free = mobility.feasible_twists(robot)
     if free == 0:
         report.add(
             "no-free-motion",
@@ -79,10 +72,10 @@ def check_controllable(robot: Robot, report: Report) -> None:
                 continue
             is_steered = wheel.steering_joint is not None
             angle = wheel.heading + (turn * (k + 1) if is_steered else 0.0)
-            rows.append(lateral_row(wheel, angle))
+            rows.append(mobility.lateral_row(wheel, angle))
             if wheel.driven:
-                rows.append(rolling_row(wheel, angle))
-        controlled = max(controlled, rank(rows))
+                rows.append(mobility.rolling_row(wheel, angle))
+        controlled = max(controlled, mobility.rank(rows))
     if controlled < 3:
         casters = [wheel for wheel in robot.wheels if wheel.swivel_joint is not None]
         report.add(
@@ -94,7 +87,7 @@ def check_controllable(robot: Robot, report: Report) -> None:
             hint="replace a swivelling caster by a wheel with a fixed direction (`caster/fixed`), "
             "or drive another wheel",
         )
-    elif free == 1 and cannot_turn(robot):
+    elif free == 1 and mobility.cannot_turn(robot):
         report.add(
             "skid-steering",
             "the robot can turn only by skidding: its fixed wheels are not on one axle",
@@ -213,9 +206,17 @@ def check_straight_line(robot: Robot, report: Report) -> None:
     A robot whose wheels block each other is left out; it is an error already.
     """
     driven = any(wheel.driven for wheel in robot.wheels)
-    if not driven or feasible_twists(robot) == 0 or roll_speeds(robot, FORWARDS) is not None:
+    if (
+        not driven
+        or mobility.feasible_twists(robot) == 0
+        or mobility.roll_speeds(robot, FORWARDS) is not None
+    ):
         return
-    turned = [w for w in robot.wheels if roll_speeds(replace(robot, wheels=(w,)), FORWARDS) is None]
+    turned = [
+        w
+        for w in robot.wheels
+        if mobility.roll_speeds(replace(robot, wheels=(w,)), FORWARDS) is None
+    ]
     wheel = turned[0]
     # A wheel also rolls backwards, so its axis is at most 90 deg off.
     angle = math.remainder(wheel.heading, math.pi)
@@ -252,7 +253,7 @@ def _straight_line(robot: Robot) -> float | None:
         turns = (joint.lower or 0.0, joint.upper or 0.0) if joint is not None else (0.0,)
         for turn in turns:
             angle = math.remainder(wheel.heading + wheel.steering_sign * turn, math.pi)
-            if roll_speeds(robot, (math.cos(angle), math.sin(angle), 0.0)) is not None:
+            if mobility.roll_speeds(robot, (math.cos(angle), math.sin(angle), 0.0)) is not None:
                 return angle
     return None
 

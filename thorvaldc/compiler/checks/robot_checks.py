@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import math
 
-from thorvaldc.compiler.checks.mobility_checks import (
-    check_bodies_held,
-    check_controllable,
-    check_steering_range,
-)
+from thorvaldc.compiler.checks import mobility_checks
 from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.diagnostics.plain_numbers import millimetres, plain
@@ -36,10 +32,10 @@ def check_robot(robot: Robot, design: DesignRequirements, report: Report) -> Non
         check_parts_above_ground(robot, report)
         check_wheels_overlap(robot, report)
         check_stability(robot, design, report)
-        if check_bodies_held(robot, report):
+        if mobility_checks.check_bodies_held(robot, report):
             check_wheel_loads(robot, report)
-        check_steering_range(robot, report)
-        check_controllable(robot, report)
+        mobility_checks.check_steering_range(robot, report)
+        mobility_checks.check_controllable(robot, report)
         check_slope(robot, design, report)
         if not report.has_errors:  # wrong masses, wheels or a wrong slope cause false warnings
             check_standing(robot, design, report)

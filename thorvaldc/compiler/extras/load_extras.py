@@ -57,10 +57,8 @@ def add_extras(
     files: dict[str, Path],
     report: Report,
     trust: bool,
-) -> tuple[str, ...]:
-    """Adds the links, joints and meshes of the extras to the parts of the robot.
-
-    Returns the other URDF elements of the extras as text.
+) -> RobotParts:
+    """Returns the parts of the robot with the links, joints and meshes of the extras.
 
     Parameters
     ----------
@@ -82,12 +80,14 @@ def add_extras(
         trust=trust,
     )
     files.update(extra_parts.files)
-    parts.links.extend(extra_parts.links)
-    parts.joints.extend(extra_parts.joints)
-    parts.joint_servos.extend(extra_parts.servos)
-    for mesh in extra_parts.meshes:
-        parts.meshes[mesh.name] = mesh
-    return extra_parts.urdf_extensions
+    added = RobotParts(
+        links=extra_parts.links,
+        joints=extra_parts.joints,
+        joint_servos=extra_parts.servos,
+        meshes=extra_parts.meshes,
+        urdf_extensions=extra_parts.urdf_extensions,
+    )
+    return RobotParts.joined([parts, added])
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from thorvaldc import model
 from thorvaldc.compiler.hardware.joint_reader import (
     ModuleValues,
     read_joints,
@@ -33,28 +34,7 @@ from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import INVALID, entries, items
 from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.diagnostics.plain_numbers import plain
-from thorvaldc.model import (
-    Actuator,
-    Battery,
-    Box,
-    Collision,
-    Cylinder,
-    Inertial,
-    Joint,
-    Link,
-    Mesh,
-    MeshShape,
-    Pose,
-    Purchase,
-    Sensor,
-    Shape,
-    SourcedMass,
-    Sphere,
-    Tread,
-    Vec3,
-    Visual,
-    Wheel,
-)
+from thorvaldc.model import Purchase
 from thorvaldc.model.robot import NOT_STATED
 from thorvaldc.model.spatial import clean, combine
 
@@ -70,15 +50,15 @@ class Hardware(NamedTuple):
     - ``mount_pose``: pose in the first link's frame where the module is mounted.
     """
 
-    links: tuple[Link, ...] = ()
-    masses: tuple[SourcedMass, ...] = ()
-    joints: tuple[Joint, ...] = ()
-    motors: tuple[Actuator, ...] = ()
-    wheel: Wheel | None = None
-    sensor: Sensor | None = None
-    battery: Battery | None = None
-    mount_pose: Pose = Pose()
-    meshes: tuple[Mesh, ...] = ()
+    links: tuple[model.Link, ...] = ()
+    masses: tuple[model.SourcedMass, ...] = ()
+    joints: tuple[model.Joint, ...] = ()
+    motors: tuple[model.Actuator, ...] = ()
+    wheel: model.Wheel | None = None
+    sensor: model.Sensor | None = None
+    battery: model.Battery | None = None
+    mount_pose: model.Pose = model.Pose()
+    meshes: tuple[model.Mesh, ...] = ()
     height_above_ground: float | None = None
     purchase: Purchase = NOT_STATED
 
@@ -138,7 +118,7 @@ class _HardwareReader:
         self.scope = scope
         self.report = report
         self.values = ModuleValues(module, scope, report)
-        self.masses: list[SourcedMass] = []
+        self.masses: list[model.SourcedMass] = []
         self.shapes = LinkShapeReader(
             module.folder,
             module.display.startswith(BUILTIN_LIBRARY),
@@ -183,13 +163,13 @@ class _HardwareReader:
             self._wheel(wheel) if wheel is not None else None,
             self._sensor(sensor) if sensor is not None else None,
             self._battery(battery) if battery is not None else None,
-            self.values.section(mount, "mount").pose() if mount is not None else Pose(),
+            self.values.section(mount, "mount").pose() if mount is not None else model.Pose(),
             tuple(self.shapes.meshes.values()),
             self.scope.quantity(height, "length") if is_stated else None,
             read_purchase(document.get("purchase"), self.scope, self.report),
         )
 
-    def _check_mass(self, links: tuple[Link, ...]) -> None:
+    def _check_mass(self, links: tuple[model.Link, ...]) -> None:
         """Checks that a module that is a body, and not only a frame, has a mass."""
         if self.report.has_errors:
             return  # a mass with an error is not missing
@@ -217,13 +197,13 @@ class _HardwareReader:
 
     # -- links ------------------------------------------------------------------------
 
-    def _link(self, name: str, node: Node) -> Link:
+    def _link(self, name: str, node: Node) -> model.Link:
         """Reads a link of a module document with the visual shapes and collision shapes of all
         parts of the link, and notes the masses of the parts.
         """
-        visuals: list[Visual] = []
-        collisions: list[Collision] = []
-        inertials: list[Inertial] = []
+        visuals: list[model.Visual] = []
+        collisions: list[model.Collision] = []
+        inertials: list[model.Inertial] = []
         for part in items(node.get("parts")):
             for scope in self._repetitions(part):
                 if scope.boolean(part.get("when"), True):
@@ -231,9 +211,9 @@ class _HardwareReader:
                     if mass is not None:
                         inertials.append(mass)
                         source = scope.text(part.get("source"))
-                        self.masses.append(SourcedMass(clean(mass.mass), source))
+                        self.masses.append(model.SourcedMass(clean(mass.mass), source))
         inertial = combine(inertials).clean() if inertials else None
-        return Link(name, "", inertial, tuple(visuals), tuple(collisions), node.where)
+        return model.Link(name, "", inertial, tuple(visuals), tuple(collisions), node.where)
 
     def _repetitions(self, part: Node) -> list[Scope]:
         """Returns the names for expressions for each copy of a part with the key `for`."""
@@ -265,10 +245,10 @@ class _HardwareReader:
 
     # -- wheel, sensor, battery -------------------------------------------------------------
 
-    def _wheel(self, node: Node) -> Wheel:
+    def _wheel(self, node: Node) -> model.Wheel:
         """Reads the section `wheel` of a module document."""
         wheel = self.values.section(node, "wheel")
-        return Wheel(
+        return model.Wheel(
             name="",
             module="",
             link=self.values.link_name(node.get("link")),
@@ -282,7 +262,7 @@ class _HardwareReader:
             **UNPLACED,
         )
 
-    def _treads(self, wheel: Section) -> Iterator[Tread]:
+    def _treads(self, wheel: Section) -> Iterator[model.Tread]:
         """Yields the treads of a wheel, which are the rolling surfaces of the wheel.
 
         Each tread of a wheel needs a radius of the same name in the section `radii`.
@@ -297,20 +277,20 @@ class _HardwareReader:
                     hint=f"add `radii: {{{name}: 90 mm}}`",
                 )
                 continue
-            yield Tread(name, tread["xyz"], tread["width"], tread["flange"])
+            yield model.Tread(name, tread["xyz"], tread["width"], tread["flange"])
 
-    def _sensor(self, node: Node) -> Sensor:
+    def _sensor(self, node: Node) -> model.Sensor:
         """Reads the section `sensor` of a module document."""
         kind, link = self.scope.text(node.get("type")), self.values.link_name(node.get("link"))
         properties = self.values.properties(node.get("properties"))
-        return Sensor("", "", kind, link, properties, node.where)
+        return model.Sensor("", "", kind, link, properties, node.where)
 
-    def _battery(self, node: Node) -> Battery:
+    def _battery(self, node: Node) -> model.Battery:
         """Reads the section `battery` of a module document."""
         present = self.scope.boolean(node.get("present"), True)
         link = self.values.link_name(node.get("link"))
         properties = self.values.properties(node.get("properties"))
-        return Battery("", "", link, "" if present else None, properties, node.where)
+        return model.Battery("", "", link, "" if present else None, properties, node.where)
 
 
 # -- shapes, colours and masses of links -------------------------------------------------
@@ -339,15 +319,15 @@ class LinkShapeReader:
         self.is_builtin = is_builtin
         self.palette = palette
         self.report = report
-        self.meshes: dict[str, Mesh] = {}
+        self.meshes: dict[str, model.Mesh] = {}
 
     def read(
         self,
         part: Node,
         scope: Scope,
-        visuals: list[Visual],
-        collisions: list[Collision],
-    ) -> Inertial | None:
+        visuals: list[model.Visual],
+        collisions: list[model.Collision],
+    ) -> model.Inertial | None:
         """Reads a part of a link, and adds the shape of the part to the link.
 
         Returns the inertia of the part in the frame of the link, or ``None`` for a part without
@@ -359,13 +339,15 @@ class LinkShapeReader:
         shape = self._shape(shape_node, scope, collides) if shape_node is not None else None
         if shape is not None:
             if scope.boolean(part.get("show"), True):
-                visuals.append(Visual(shape, pose, self._color(part.get("color"), scope)))
+                visuals.append(model.Visual(shape, pose, self._color(part.get("color"), scope)))
             if collides:
-                collisions.append(Collision(shape, pose))
+                collisions.append(model.Collision(shape, pose))
         inertial = self._inertial(part, shape, scope)
         return inertial.transformed(pose) if inertial is not None else None
 
-    def _inertial(self, part: Node, shape: Shape | None, scope: Scope) -> Inertial | None:
+    def _inertial(
+        self, part: Node, shape: model.Shape | None, scope: Scope
+    ) -> model.Inertial | None:
         """Returns the mass and the inertia of a link part in the coordinate frame of the part.
 
         If the module document does not state the inertia, the inertia of a uniform solid is
@@ -386,11 +368,11 @@ class LinkShapeReader:
             values = [scope.quantity(item, "inertia") for item in items(stated_inertia)]
             xx, yy, zz, xy, xz, yz = [*values, *[0.0] * 6][:6]
             com = scope.vector(part.get("com"), "length")
-            return Inertial(mass, com, (xx, yy, zz, xy, xz, yz))
+            return model.Inertial(mass, com, (xx, yy, zz, xy, xz, yz))
         inertia_shape = part.get("inertia_shape")
         if inertia_shape is not None:
             shape = self._shape(inertia_shape, scope, False)
-        if shape is None or isinstance(shape, MeshShape):
+        if shape is None or isinstance(shape, model.MeshShape):
             if shape is not None or part.get("shape") is None:
                 self.report.add(
                     "inertia-unknown",
@@ -405,7 +387,7 @@ class LinkShapeReader:
             self._check_positive((thickness,), wall)
         return uniform_solid(shape, mass, thickness)
 
-    def _shape(self, node: Node, scope: Scope, collides: bool) -> Shape | None:
+    def _shape(self, node: Node, scope: Scope, collides: bool) -> model.Shape | None:
         """Reads a box, cylinder, sphere or mesh of a module document.
 
         The sizes of the shape are in m.
@@ -415,16 +397,16 @@ class LinkShapeReader:
         if box is not None:
             size = scope.vector(box, "length")
             self._check_positive(size, box)
-            return Box(size)
+            return model.Box(size)
         if cylinder is not None:
             radius = scope.quantity(cylinder.get("radius"), "length")
             length = scope.quantity(cylinder.get("length"), "length")
             self._check_positive((radius, length), cylinder)
-            return Cylinder(radius, length)
+            return model.Cylinder(radius, length)
         if sphere is not None:
             radius = scope.quantity(sphere.get("radius"), "length")
             self._check_positive((radius,), sphere)
-            return Sphere(radius)
+            return model.Sphere(radius)
         if mesh is not None:
             return self._mesh(mesh, scope, collides)
         return None
@@ -437,7 +419,7 @@ class LinkShapeReader:
                 "size-not-positive", f"sizes must be positive, not {shown} m", node.span
             )
 
-    def _mesh(self, node: Node, scope: Scope, collides: bool) -> MeshShape | None:
+    def _mesh(self, node: Node, scope: Scope, collides: bool) -> model.MeshShape | None:
         """Reads a mesh file and adds the mesh to ``meshes``."""
         file = node.get("file")
         if file is None:
@@ -457,9 +439,9 @@ class LinkShapeReader:
         if mesh is None:
             return None
         self.meshes[mesh.name] = mesh
-        return MeshShape(mesh.name, factors)
+        return model.MeshShape(mesh.name, factors)
 
-    def _mesh_scale(self, scale: Node | None, scope: Scope) -> Vec3:
+    def _mesh_scale(self, scale: Node | None, scope: Scope) -> model.Vec3:
         """Returns the scale factors of a mesh.  One number is the factor of all axes.
 
         A scale may be a length, that of one unit of the mesh.

@@ -7,11 +7,13 @@ A coupling such as a differential bar or a pair of gears makes a joint follow an
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import chain
 from types import MappingProxyType
-from typing import TypeVar
+from typing import Any, TypeVar
 
+from thorvaldc import model
 from thorvaldc.compiler.hardware.hardware_reader import Hardware
 from thorvaldc.compiler.modules.module_parameters import hint_of_known
 from thorvaldc.compiler.modules.module_tree import Instance, References, name_prefix
@@ -19,85 +21,81 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.plain_numbers import millimetres
-from thorvaldc.model import (
-    Actuator,
-    Battery,
-    Joint,
-    JointServo,
-    Link,
-    Mesh,
-    Mimic,
-    Module,
-    Pose,
-    Purchase,
-    Sensor,
-    SourcedMass,
-    Wheel,
-)
+from thorvaldc.model import Purchase
 from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.joint_tree import Coordinate, Member, follow
 
-Placed = TypeVar("Placed", Link, Joint, Actuator, Wheel, Sensor, Battery)
+Placed = TypeVar(
+    "Placed", model.Link, model.Joint, model.Actuator, model.Wheel, model.Sensor, model.Battery
+)
+Device = TypeVar("Device", model.Wheel, model.Sensor, model.Battery)
 
 # Allowed difference (m) between the computed height of the root module and the height in the module
 # document.
 HEIGHT_TOLERANCE = 1e-3
 
 
-@dataclass
+@dataclass(frozen=True)
 class RobotParts:
-    """Container of the links, joints, actuators, wheels, sensors, batteries and meshes of a robot.
+    """The links, joints, actuators, wheels, sensors, batteries and meshes of a robot.
 
-    ``joint_servos`` are the servos of extras.
+    ``joint_servos`` and ``urdf_extensions`` are those of extras.
 
     The name of a link or joint is ``<module>_<name>``.  The part ``<module>`` is the path of the
     module instance with underscores instead of dots.  The part ``<name>`` is the name of the link
     or joint in the module document.
     """
 
-    links: list[Link]
-    joints: list[Joint] = field(default_factory=list)
-    actuators: list[Actuator] = field(default_factory=list)
-    wheels: list[Wheel] = field(default_factory=list)
-    sensors: list[Sensor] = field(default_factory=list)
-    batteries: list[Battery] = field(default_factory=list)
-    meshes: dict[str, Mesh] = field(default_factory=dict)
-    joint_servos: list[JointServo] = field(default_factory=list)
+    links: tuple[model.Link, ...] = ()
+    joints: tuple[model.Joint, ...] = ()
+    actuators: tuple[model.Actuator, ...] = ()
+    wheels: tuple[model.Wheel, ...] = ()
+    sensors: tuple[model.Sensor, ...] = ()
+    batteries: tuple[model.Battery, ...] = ()
+    meshes: tuple[model.Mesh, ...] = ()
+    joint_servos: tuple[model.JointServo, ...] = ()
+    urdf_extensions: tuple[str, ...] = ()
 
-    def add(self, leaf: Instance, hardware: Mapping[str, Hardware]) -> None:
-        """Adds the links, joints, motors and devices of a module.
+    @classmethod
+    def joined(cls, parts: Sequence[RobotParts]) -> RobotParts:
+        """Returns all parts in order.  Of meshes with one name, one remains."""
+        all_parts: dict[str, Any] = {
+            field.name: tuple(chain.from_iterable(getattr(part, field.name) for part in parts))
+            for field in fields(cls)
+        }
+        all_parts["meshes"] = tuple({mesh.name: mesh for mesh in all_parts["meshes"]}.values())
+        return cls(**all_parts)
+
+    @classmethod
+    def of_modules(
+        cls, leaves: Iterable[Instance], hardware: Mapping[str, Hardware], span: Span
+    ) -> RobotParts:
+        """Returns ``base_link`` and the parts of the modules.
 
         ``hardware`` contains the links, joints and devices of each module, by the path of the
-        module.
+        module.  ``span``: span of ``base_link``.
         """
-        part = hardware[leaf.path]
-        prefix = name_prefix(leaf.path)
-        for mesh in part.meshes:
-            self.meshes[mesh.name] = mesh
-        self.links += (_placed(link, leaf) for link in part.links)
-        self.joints.append(_mount_joint(leaf, hardware))
-        if part.wheel is not None:
-            link_name = f"{prefix}_{part.wheel.link}"
-            self.wheels.append(_placed(part.wheel, leaf, name=prefix, link=link_name))
-        if part.sensor is not None:
-            link_name = f"{prefix}_{part.sensor.link}"
-            self.sensors.append(_placed(part.sensor, leaf, name=prefix, link=link_name))
-        if part.battery is not None:
-            link_name = f"{prefix}_{part.battery.link}"
-            node = prefix if part.battery.node is not None else None
-            self.batteries.append(
-                _placed(part.battery, leaf, name=prefix, link=link_name, node=node)
-            )
-        self.add_joints(leaf, part)
+        base_link = model.Link("base_link", "", None, (), (), span)
+        return cls.joined([cls((base_link,)), *(_placed_module(leaf, hardware) for leaf in leaves)])
 
-    def add_joints(self, leaf: Instance, hardware: Hardware) -> None:
-        """Adds the joints and motors of a module."""
+    @classmethod
+    def moving(cls, leaf: Instance, hardware: Hardware) -> RobotParts:
+        """Returns the joints and motors of a module."""
         prefix = name_prefix(leaf.path)
-        for joint in hardware.joints:
-            ends = {"parent": f"{prefix}_{joint.parent}", "child": f"{prefix}_{joint.child}"}
-            self.joints.append(_placed(joint, leaf, **ends))
-        for motor in hardware.motors:
-            self.actuators.append(_placed(motor, leaf, joint=f"{prefix}_{motor.joint}"))
+        return cls(
+            joints=tuple(
+                _placed(
+                    joint,
+                    leaf,
+                    parent=f"{prefix}_{joint.parent}",
+                    child=f"{prefix}_{joint.child}",
+                )
+                for joint in hardware.joints
+            ),
+            actuators=tuple(
+                _placed(motor, leaf, joint=f"{prefix}_{motor.joint}") for motor in hardware.motors
+            ),
+        )
 
     def check_names(self, report: Report) -> None:
         """Reports two links or two joints with the same name.
@@ -105,7 +103,7 @@ class RobotParts:
         For example, the links of the modules `a_b.c` and `a.b_c` have the same prefix `a_b_c`.
         """
         for word, elements in (("link", self.links), ("joint", self.joints)):
-            first_by_name: dict[str, Link | Joint] = {}
+            first_by_name: dict[str, model.Link | model.Joint] = {}
             for element in elements:
                 first = first_by_name.setdefault(element.name, element)
                 if first is not element:
@@ -118,14 +116,15 @@ class RobotParts:
                         hint="rename one of the modules",
                     )
 
-    def raise_root(self, height: float, hardware: Mapping[str, Hardware], report: Report) -> None:
-        """Raises the root module by ``height`` (m), so that the wheels stand on the ground.
+    def raised(self, height: float, hardware: Mapping[str, Hardware], report: Report) -> RobotParts:
+        """Returns the robot raised by ``height`` (m), so that the wheels stand on the ground.
 
         The module document may state the height of the root module above the ground.  A difference
         between ``height`` and the height in the module document is reported.  The root module of a
         robot without wheels is placed at the height in the module document.
         """
-        for i, joint in enumerate(self.joints):
+        joints = list(self.joints)
+        for i, joint in enumerate(joints):
             if joint.parent != "base_link" or joint.type != "fixed" or not joint.module:
                 continue
             root = hardware.get(joint.module)
@@ -133,10 +132,10 @@ class RobotParts:
                 continue
             x, y, z = joint.pose.xyz
             z += height
-            self.joints[i] = replace(joint, pose=Pose((x, y, z), joint.pose.quat).clean())
+            joints[i] = replace(joint, pose=model.Pose((x, y, z), joint.pose.quat).clean())
             stated = root.height_above_ground
             if not self.wheels and stated is not None:
-                self.joints[i] = replace(joint, pose=Pose((x, y, stated), joint.pose.quat))
+                joints[i] = replace(joint, pose=model.Pose((x, y, stated), joint.pose.quat))
             elif stated is not None and abs(stated - z) > HEIGHT_TOLERANCE:
                 report.add(
                     "frame-height",
@@ -146,13 +145,36 @@ class RobotParts:
                     hint=f"set `height: {millimetres(z, 6)}`, leave it out, "
                     "or choose legs of another length",
                 )
+        return replace(self, joints=tuple(joints))
+
+
+def _placed_module(leaf: Instance, hardware: Mapping[str, Hardware]) -> RobotParts:
+    """Returns the links, joints, motors and devices of a mounted module."""
+    part, prefix = hardware[leaf.path], name_prefix(leaf.path)
+
+    def device(element: Device | None, **changes: str | None) -> tuple[Device, ...]:
+        if element is None:
+            return ()
+        return (_placed(element, leaf, name=prefix, link=f"{prefix}_{element.link}", **changes),)
+
+    moving = RobotParts.moving(leaf, part)
+    has_node = part.battery is not None and part.battery.node is not None
+    return replace(
+        moving,
+        links=tuple(_placed(link, leaf) for link in part.links),
+        joints=(_mount_joint(leaf, hardware), *moving.joints),
+        wheels=device(part.wheel),
+        sensors=device(part.sensor),
+        batteries=device(part.battery, node=prefix if has_node else None),
+        meshes=part.meshes,
+    )
 
 
 def modules_of(
     robot: Instance,
     hardware: Mapping[str, Hardware],
     purchases: Mapping[str, Purchase] = MappingProxyType({}),
-) -> tuple[Module, ...]:
+) -> tuple[model.Module, ...]:
     """Returns the modules of the robot that are not assemblies, in the order of the file.
 
     ``purchases``: purchase data in the robot document, by module type or path of a module.
@@ -163,7 +185,7 @@ def modules_of(
             continue
         mounted = leaf.is_mechanical
         modules.append(
-            Module(
+            model.Module(
                 leaf.path,
                 leaf.type.name,
                 leaf.mount.leaf.path if mounted and leaf.mount is not None else "",
@@ -196,12 +218,12 @@ def _purchase_of(
     return purchase
 
 
-def mass_by_source(hardware: Hardware) -> tuple[SourcedMass, ...]:
+def mass_by_source(hardware: Hardware) -> tuple[model.SourcedMass, ...]:
     """Returns the mass of a module by source, in the order of the module document."""
     masses: dict[str, float] = {}
     for part in hardware.masses:
         masses[part.source] = masses.get(part.source, 0.0) + part.mass
-    return tuple(SourcedMass(clean(mass), source) for source, mass in masses.items())
+    return tuple(model.SourcedMass(clean(mass), source) for source, mass in masses.items())
 
 
 def _placed(element: Placed, leaf: Instance, **changes: str | None) -> Placed:
@@ -214,19 +236,21 @@ def _placed(element: Placed, leaf: Instance, **changes: str | None) -> Placed:
     return replace(element, module=leaf.path, span=leaf.span, **changes)  # type: ignore[arg-type]
 
 
-def _mount_joint(leaf: Instance, hardware: Mapping[str, Hardware]) -> Joint:
+def _mount_joint(leaf: Instance, hardware: Mapping[str, Hardware]) -> model.Joint:
     """Returns the fixed joint between the carrying link and the first link of a leaf module."""
     part = hardware[leaf.path]
     prefix = name_prefix(leaf.path)
     child = f"{prefix}_{part.links[0].name}"
     if leaf.mount is None:
-        parent, pose = "base_link", Pose()
+        parent, pose = "base_link", model.Pose()
     else:
         carrier = leaf.mount.leaf
         link = leaf.mount.link or hardware[carrier.path].links[0].name
         parent = f"{name_prefix(carrier.path)}_{link}"
         pose = leaf.mount.pose * part.mount_pose.inverse()
-    return Joint(f"{prefix}_mount", leaf.path, "fixed", parent, child, pose.clean(), leaf.span)
+    return model.Joint(
+        f"{prefix}_mount", leaf.path, "fixed", parent, child, pose.clean(), leaf.span
+    )
 
 
 # -- couplings ---------------------------------------------------------------------------
@@ -234,15 +258,15 @@ def _mount_joint(leaf: Instance, hardware: Mapping[str, Hardware]) -> Joint:
 
 def couple_joints(
     document: Node, robot: Instance, parts: RobotParts, references: References, report: Report
-) -> None:
-    """Sets the leader of each joint that follows another one, and reports impossible couplings.
+) -> RobotParts:
+    """Returns the robot with coupled joints, and reports impossible couplings.
 
     ``document`` is the robot document, whose couplings may also name joints of extras.
     """
     coupler = _Coupler(parts, references, report)
     for instance, node in _couplings(document, robot):
         coupler.couple(instance, node)
-    parts.joints = [coupler.joints[joint.name] for joint in parts.joints]
+    return replace(parts, joints=tuple(coupler.joints.values()))
 
 
 def _couplings(document: Node, instance: Instance) -> Iterator[tuple[Instance, Node]]:
@@ -286,7 +310,7 @@ class _Coupler:
             span = at.span if at is not None else node.where
             self.report.add("coupling-impossible", message, span, labels=labels, hint=hint)
             return
-        self.joints[joint.name] = replace(joint, mimic=Mimic(leader.name, ratio, offset))
+        self.joints[joint.name] = replace(joint, mimic=model.Mimic(leader.name, ratio, offset))
         self.coupled_at[joint.name] = node.where
         low, high = Coordinate((Member(leader, 1.0, 0.0), Member(joint, ratio, offset))).limits()
         if low > high:
@@ -298,7 +322,7 @@ class _Coupler:
             )
 
     def _problem(
-        self, joint: Joint, leader: Joint, ratio: float
+        self, joint: model.Joint, leader: model.Joint, ratio: float
     ) -> tuple[str, str, Label | None] | None:
         """Returns message, hint and label if a joint cannot follow its leader."""
         if joint is leader:
@@ -338,7 +362,7 @@ class _Coupler:
             )
         return None
 
-    def _joint(self, instance: Instance, node: Node | None) -> Joint | None:
+    def _joint(self, instance: Instance, node: Node | None) -> model.Joint | None:
         """Returns the joint that a reference such as ``left.pivot`` names."""
         if node is None or not isinstance(node.value, str):
             return None

@@ -213,14 +213,15 @@ def _turning_point(
     return _TurningPoint(x, y, trail, lateral_offset, sign)
 
 
-def add_wheel_collisions(links: list[Link], wheels: Sequence[Wheel], tree: JointTree) -> None:
-    """Adds a collision cylinder for each wheel to the link of the wheel.
+def with_wheel_collisions(
+    links: Sequence[Link], wheels: Sequence[Wheel], tree: JointTree
+) -> tuple[Link, ...]:
+    """Returns the links, with a collision cylinder for each wheel.
 
     The axis of the collision cylinder is the spin axis of the wheel.  A cylinder of the module that
-    is the tyre once more is left out.  The function replaces the links of the wheels in the list
-    ``links``.
+    is the tyre once more is left out.
     """
-    index = {link.name: i for i, link in enumerate(links)}
+    changed = {link.name: link for link in links}
     for wheel in wheels:
         spin = spin_joint(tree, wheel.link)
         if spin is None:
@@ -229,9 +230,10 @@ def add_wheel_collisions(links: list[Link], wheels: Sequence[Wheel], tree: Joint
         axis = wheel_from_base.rotate(tree.pose[spin.child].rotate(spin.axis))
         pose = Pose(quat=_rotation_from_z_to(axis)).clean()
         cylinder = Collision(Cylinder(wheel.radius, wheel.width), pose)
-        link = links[index[wheel.link]]
+        link = changed[wheel.link]
         others = tuple(c for c in link.collisions if not _is_same_tyre(c, cylinder))
-        links[index[wheel.link]] = replace(link, collisions=(cylinder, *others))
+        changed[wheel.link] = replace(link, collisions=(cylinder, *others))
+    return tuple(changed.values())
 
 
 def _is_same_tyre(collision: Collision, tyre: Collision) -> bool:

@@ -16,15 +16,7 @@ from thorvaldc.compiler.source.dimensions import NONE as NO_DIMENSION
 from thorvaldc.compiler.source.node import Node, describe_node, insertion
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any
-from thorvaldc.compiler.values.value_reader import (
-    INVALID,
-    InvalidNameError,
-    ReferenceCycleError,
-    ValueReader,
-    describe_value,
-    entries,
-    items,
-)
+from thorvaldc.compiler.values import value_reader as values
 from thorvaldc.diagnostics import Label, Proposal, Report
 from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.diagnostics.suggest import did_you_mean
@@ -77,7 +69,9 @@ class ModuleChoice(Mapping[str, Any]):
         """Names and parameter values of the chosen module."""
         if self._scope is None:
             if self.written_in.depth > MAX_CHOICES:
-                raise ReferenceCycleError(f"itself: {self.module.name} -> {self.module.name}")
+                raise values.ReferenceCycleError(
+                    f"itself: {self.module.name} -> {self.module.name}"
+                )
             self._scope = Scope(
                 self.module,
                 {name: (node, self.written_in) for name, node in self.params.items()},
@@ -123,7 +117,7 @@ class ModuleChoice(Mapping[str, Any]):
         return True
 
 
-class Scope(ValueReader):
+class Scope(values.ValueReader):
     """Parameters and `let` values that expressions in a module document may use.
 
     The value of a parameter is computed when an expression first uses the name of the parameter.
@@ -175,8 +169,8 @@ class Scope(ValueReader):
 
     def __getitem__(self, name: str) -> Any:
         value = self._value_of(name)
-        if value is INVALID:
-            raise InvalidNameError
+        if value is values.INVALID:
+            raise values.InvalidNameError
         return value
 
     def _value_of(self, name: str) -> Any:
@@ -192,10 +186,10 @@ class Scope(ValueReader):
         chain = self._in_evaluation
         if name in chain:
             cycle = [*chain[chain.index(name) :], name]
-            raise ReferenceCycleError("itself: " + " -> ".join(cycle))
+            raise values.ReferenceCycleError("itself: " + " -> ".join(cycle))
         if len(chain) >= MAX_CHAIN:
             start = " -> ".join([*chain[:3], "..."])
-            raise ReferenceCycleError(f"more than {MAX_CHAIN} others in a row: {start}")
+            raise values.ReferenceCycleError(f"more than {MAX_CHAIN} others in a row: {start}")
         chain.append(name)
         try:
             if name in self._params:
@@ -238,7 +232,7 @@ class Scope(ValueReader):
         if kind == "module":
             try:
                 choice = self._value_of(name)
-            except ReferenceCycleError:
+            except values.ReferenceCycleError:
                 return None
             return choice.dimension if isinstance(choice, ModuleChoice) else None
         if kind == "integer":
@@ -281,7 +275,11 @@ class Scope(ValueReader):
         """
         if isinstance(node.value, tuple):
             elements = [self._let_value(element) for element in node.value]
-            return INVALID if any(element is INVALID for element in elements) else elements
+            return (
+                values.INVALID
+                if any(element is values.INVALID for element in elements)
+                else elements
+            )
         value = self.value(node)
         if isinstance(value, str) and value is node.value and not node.quoted:
             with contextlib.suppress(UnitError):
@@ -324,7 +322,7 @@ class Scope(ValueReader):
                     self._entry.where,
                     hint=_missing_param_hint(name, declaration, self._entry),
                 )
-            return INVALID
+            return values.INVALID
         value = self._typed(default, declaration, is_default=True)
         return self._in_range(name, declaration, default, value)
 
@@ -342,22 +340,22 @@ class Scope(ValueReader):
             if is_default:
                 return None
             if node.value is None:
-                return INVALID  # The schema check has already reported the missing value.
+                return values.INVALID  # The schema check has already reported the missing value.
             self.report.add(
                 "wrong-type",
                 f"`{node.value}` is not a value of this parameter",
                 node.span,
                 hint="leave the parameter out to get its default",
             )
-            return INVALID
+            return values.INVALID
         if kind == "module":
             return self._module(node, declaration)
         value = self.value(node, quantity if kind in ("quantity", "list", "integer") else None)
-        if value is INVALID or value is None:
+        if value is values.INVALID or value is None:
             return value
         if kind == "quantity":
             value = self._to_si(value, node, quantity, math.nan)
-            return INVALID if math.isnan(value) else value
+            return values.INVALID if math.isnan(value) else value
         if kind == "list":
             if isinstance(value, tuple | list):
                 elements = [
@@ -366,13 +364,13 @@ class Scope(ValueReader):
                     else self._to_si(element, node, quantity, math.nan)
                     for element in value
                 ]
-                return INVALID if any(map(math.isnan, elements)) else tuple(elements)
+                return values.INVALID if any(map(math.isnan, elements)) else tuple(elements)
             expected = "a list"
         elif kind == "integer":
             if isinstance(value, float) and value.is_integer():
                 value = int(value)
             if isinstance(value, int) and not isinstance(value, bool):
-                return value if self.has_dimension(node, quantity="number") else INVALID
+                return value if self.has_dimension(node, quantity="number") else values.INVALID
             expected = "a whole number"
         elif kind == "boolean":
             if isinstance(value, bool):
@@ -383,7 +381,7 @@ class Scope(ValueReader):
                 return value
             expected = "text"
         self._report_type(expected, node)
-        return INVALID
+        return values.INVALID
 
     def _module(self, node: Node, declaration: Node) -> Any:
         """Returns the value of a `module` parameter as a ``ModuleChoice``.
@@ -395,12 +393,12 @@ class Scope(ValueReader):
         name_node: Node | None = node
         if isinstance(node.value, dict):
             name_node = node.get("type")
-            params = entries(node.get("params"))
+            params = values.entries(node.get("params"))
         if name_node is None:
             self.report.add("wrong-type", "a module needs a `type`", node.span)
-            return INVALID
+            return values.INVALID
         value = self.value(name_node)
-        if value is INVALID or value is None or isinstance(value, ModuleChoice):
+        if value is values.INVALID or value is None or isinstance(value, ModuleChoice):
             return value
         if value == NONE:
             return None
@@ -411,10 +409,10 @@ class Scope(ValueReader):
                 name_node.span,
                 hint="write its name, as in `wheel/agri_200`, or `none`",
             )
-            return INVALID
+            return values.INVALID
         module = self.library.load(value, name_node, self.report)
         if module is None:
-            return INVALID
+            return values.INVALID
         category = _text(declaration, "category")
         if category and module.category != category:
             self.report.add(
@@ -422,7 +420,7 @@ class Scope(ValueReader):
                 f"`{value}` is a {module.category}; expected a {category}",
                 name_node.span,
             )
-            return INVALID
+            return values.INVALID
         return ModuleChoice(module, params, self)
 
     def _in_range(self, name: str, declaration: Node, node: Node, value: Any) -> Any:
@@ -431,7 +429,7 @@ class Scope(ValueReader):
         Returns the value.  Reports an error and returns ``INVALID`` if the parameter value is not
         allowed.
         """
-        if value is None or value is INVALID:
+        if value is None or value is values.INVALID:
             return value
         choices = declaration.get("choices")
         if choices is not None and isinstance(choices.value, tuple):
@@ -443,19 +441,19 @@ class Scope(ValueReader):
             if limit_node is None:
                 continue
             limit = self._typed(limit_node, declaration)
-            if limit is not INVALID and sign * value < sign * limit:
+            if limit is not values.INVALID and sign * value < sign * limit:
                 limit_text = plain(limit)
                 if isinstance(limit_node.value, str) and not limit_node.value.startswith("${"):
                     # The error message shows the limit of the parameter with the unit.
                     limit_text = limit_node.value
                 self.report.add(
                     "param-range",
-                    f"`{name}` is {describe_value(node, value)}; "
+                    f"`{name}` is {values.describe_value(node, value)}; "
                     f"it must be {relation} {limit_text}",
                     node.span,
                     labels=[Label(limit_node.span, "the limit is stated here")],
                 )
-                return INVALID
+                return values.INVALID
         return value
 
     def _one_of(self, name: str, declaration: Node, choices: Node, node: Node, value: Any) -> Any:
@@ -464,21 +462,23 @@ class Scope(ValueReader):
         Returns the value.  Reports an error and returns ``INVALID`` if the parameter value is not
         allowed.
         """
-        known = [str(choice.value) for choice in items(choices)]
+        known = [str(choice.value) for choice in values.items(choices)]
         if isinstance(value, ModuleChoice):
             is_known = value.module.name in known
         else:
-            is_known = value in [self._typed(choice, declaration) for choice in items(choices)]
+            is_known = value in [
+                self._typed(choice, declaration) for choice in values.items(choices)
+            ]
         if is_known:
             return value
         self.report.add(
             "param-range",
-            f"`{name}` is {describe_value(node, value)}; it may be one of "
+            f"`{name}` is {values.describe_value(node, value)}; it may be one of "
             + ", ".join(f"`{k}`" for k in known),
             node.span,
             hint=did_you_mean(str(node.value), known),
         )
-        return INVALID
+        return values.INVALID
 
 
 def _text(node: Node, key: str) -> str:
@@ -488,7 +488,7 @@ def _text(node: Node, key: str) -> str:
 
 def _missing_param_hint(name: str, declaration: Node, entry: Node) -> str:
     """Returns the hint to add a value for a parameter to the entry of a module."""
-    choices = items(declaration.get("choices"))
+    choices = values.items(declaration.get("choices"))
     quantity = QUANTITIES.get(_text(declaration, "quantity"))
     example = str(choices[0].value) if choices else quantity.example if quantity else ""
     hint = f"add `params: {{{name}: {example or '...'}}}`: {_text(declaration, 'description')}"

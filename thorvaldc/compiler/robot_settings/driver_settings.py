@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.diagnostics import Label, Proposal, Report
@@ -50,13 +50,13 @@ MEASURED_RADII = {"radius_error", "scale_error"}
 """Noise of the radii in a calibration file."""
 
 
-class DriverSettingsReader:
+class DriverSettingsReader(NamedTuple):
     """Reads the sections ``driver`` and ``parameter_sets`` of a robot document.
 
     Parameters
     ----------
-    driver : the section ``driver`` of the robot document.
-    parameter_sets : the section ``parameter_sets``.
+    section : the section ``driver`` of the robot document.
+    sets : the section ``parameter_sets``.
     wheels : the wheels of the robot.
     actuators : actuators of the robot, by the name of the joint.
     tolerance : fraction by which a stated limit may exceed the limit of the motors without a
@@ -65,23 +65,13 @@ class DriverSettingsReader:
     measured_noise : noise of the calibration file; the robot document has precedence.
     """
 
-    def __init__(
-        self,
-        driver: Section,
-        parameter_sets: Section,
-        wheels: Sequence[Wheel],
-        actuators: Mapping[str, Actuator],
-        tolerance: float,
-        report: Report,
-        measured_noise: Mapping[str, float] | None = None,
-    ) -> None:
-        self._driver = driver
-        self._parameter_sets = parameter_sets
-        self._wheels = wheels
-        self._actuators = actuators
-        self._tolerance = tolerance
-        self._report = report
-        self._measured_noise = dict(measured_noise or {})
+    section: Section
+    sets: Section
+    wheels: Sequence[Wheel]
+    actuators: Mapping[str, Actuator]
+    tolerance: float
+    report: Report
+    measured_noise: Mapping[str, float]
 
     def driver(self) -> DriverSettings:
         """Returns the settings of the base driver.
@@ -89,7 +79,7 @@ class DriverSettingsReader:
         The limit of the robot's twist is the lower of the limit in the robot document and the limit
         of the motors.
         """
-        section = self._driver
+        section = self.section
         self._check_cycle()
         motor_limits = self._motor_limits(None)
         limits: dict[str, Any] = {
@@ -98,7 +88,7 @@ class DriverSettingsReader:
         return DriverSettings(
             rate=section["rate"],
             command_timeout=section["command_timeout"],
-            noise=tuple((self._measured_noise | noise_of(section)).items()),
+            noise=tuple({**self.measured_noise, **noise_of(section)}.items()),
             stopping_distance=section["stopping_distance"],
             battery=self._battery(section["battery"]),
             arming=section["arming"],
@@ -122,8 +112,8 @@ class DriverSettingsReader:
             motor_limit = motor_limits[acceleration]
             if key in section:
                 values[key] = self._limit(section, key, motor_limit)
-            elif key in self._driver:
-                values[key] = _finite(min(self._driver[key], motor_limit))
+            elif key in self.section:
+                values[key] = _finite(min(self.section[key], motor_limit))
             else:
                 values[key] = limits[acceleration]
         return values
@@ -133,7 +123,7 @@ class DriverSettingsReader:
         keys = (field.name for field in fields(BatterySettings))
         settings = BatterySettings(**{key: section[key] for key in keys})
         if not settings.stop <= settings.limit <= settings.warn:
-            self._report.add(
+            self.report.add(
                 "battery-threshold",
                 f"the thresholds are stop {settings.stop:.3g}, limit {settings.limit:.3g} and warn "
                 f"{settings.warn:.3g}; they must not fall in this order",
@@ -141,7 +131,7 @@ class DriverSettingsReader:
                 hint="a battery that runs down reaches `warn`, then `limit`, then `stop`",
             )
         elif settings.arm < settings.stop:
-            self._report.add(
+            self.report.add(
                 "battery-threshold",
                 f"`arm` is {settings.arm:.3g}, below `stop` with {settings.stop:.3g}: an armed "
                 "robot would stop at once",
@@ -152,10 +142,10 @@ class DriverSettingsReader:
 
     def _check_cycle(self) -> None:
         """Reports a command time-out that is shorter than one cycle of the base driver."""
-        rate, timeout = self._driver["rate"], self._driver["command_timeout"]
+        rate, timeout = self.section["rate"], self.section["command_timeout"]
         if timeout < 1.0 / rate:
-            entry = self._driver.node.get("command_timeout") or self._driver.entry("rate")
-            self._report.add(
+            entry = self.section.node.get("command_timeout") or self.section.entry("rate")
+            self.report.add(
                 "driver-cycle",
                 f"the command time-out is {timeout:g} s, "
                 f"shorter than one cycle of {1.0 / rate:g} s",
@@ -168,15 +158,15 @@ class DriverSettingsReader:
 
         A parameter set contains the settings of the section ``driver`` with some changed values.
         """
-        sets = self._parameter_sets.items()
+        sets = self.sets.items()
         return tuple(self._parameter_set(name, section, driver) for name, section in sets)
 
     def _parameter_set(self, name: str, section: Section, driver: DriverSettings) -> ParameterSet:
         """Reads one named parameter set of the base driver."""
         radii = section.get("radii", None)
-        known = list(dict.fromkeys(key for wheel in self._wheels for key, _ in wheel.radii))
+        known = list(dict.fromkeys(key for wheel in self.wheels for key, _ in wheel.radii))
         if radii is not None and radii not in known:
-            self._report.add(
+            self.report.add(
                 "parameter-set-radii",
                 f"no wheel has radii named `{radii}`",
                 section.entry("radii").span,
@@ -197,7 +187,7 @@ class DriverSettingsReader:
         inherited = dict(driver.noise)
         if radii is not None:  # the calibration file states the errors of the ordinary radii
             for key in MEASURED_RADII:
-                if inherited.get(key) == self._measured_noise.get(key):
+                if inherited.get(key) == self.measured_noise.get(key):
                     inherited.pop(key, None)
         noise = tuple((inherited | noise_of(section)).items())
         return ParameterSet(name, radii, replace(driver, noise=noise, **limits), section.node.where)
@@ -210,8 +200,8 @@ class DriverSettingsReader:
         """
         speed = turning_rate = math.inf
         acceleration = turning_acceleration = math.inf
-        for wheel in self._wheels:
-            actuator = self._actuators.get(wheel.spin_joint)
+        for wheel in self.wheels:
+            actuator = self.actuators.get(wheel.spin_joint)
             if actuator is None:
                 continue
             radius = wheel.radius_named(radii)
@@ -231,8 +221,8 @@ class DriverSettingsReader:
         """
         stated = section.get(key, motor_limit)
         lowered = _rounded_down(motor_limit)
-        if stated > motor_limit * (1 + self._tolerance):
-            self._report.add(
+        if stated > motor_limit * (1 + self.tolerance):
+            self.report.add(
                 "driver-limit-too-high",
                 f"`{key}` is {section.shown(key, stated)}; the slowest module allows "
                 f"{section.shown(key, motor_limit)}",

@@ -15,16 +15,9 @@ from thorvaldc.compiler.source.node import Node, insertion
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import ValueReader, entries
 from thorvaldc.diagnostics import Label, Proposal, Report, Span
-from thorvaldc.model import Battery, CalculatorChoice, Robot, RosSettings
+from thorvaldc.model import Battery, CalculatorChoice, Robot, ros
 from thorvaldc.model.facts.electrics import battery_voltage
 from thorvaldc.model.robot import PARALLEL, SEPARATE
-from thorvaldc.model.settings import (
-    MAP_FRAME,
-    ODOM_FRAME,
-    RESERVED_TOPICS,
-    package_name,
-    package_problem,
-)
 
 
 def read_calculator(document: Node, scope: Scope) -> CalculatorChoice:
@@ -183,25 +176,25 @@ def _check_voltages(batteries: Sequence[Battery], connection: Node, report: Repo
             )
 
 
-def read_ros_settings(section: Section, robot_name: str, report: Report) -> RosSettings:
+def read_ros_settings(section: Section, robot_name: str, report: Report) -> ros.RosSettings:
     """Returns the settings of the ROS 2 package of a robot: the section `ros` of its document.
 
     The default name of the package is made from the name of the robot.
     """
-    package = section.get("package", package_name(robot_name or RosSettings().package))
+    package = section.get("package", ros.package_name(robot_name or ros.RosSettings().package))
     if "package" in section:
-        problem = package_problem(package)
+        problem = ros.package_problem(package)
         if problem is not None:
             report.add(
                 "ros-package-name",
                 f"`{package}` cannot be the name of a ROS 2 package: {problem}",
                 section.entry("package").span,
                 hint=Proposal(
-                    f"write `{package_name(package)}`, or leave out `package`",
-                    package_name(package),
+                    f"write `{ros.package_name(package)}`, or leave out `package`",
+                    ros.package_name(package),
                 ),
             )
-    return RosSettings(section["distro"], section["odom_tf"], package)
+    return ros.RosSettings(section["distro"], section["odom_tf"], package)
 
 
 def check_ros_names(robot: Robot, document: Node, report: Report) -> None:
@@ -220,7 +213,7 @@ def _check_frames(robot: Robot, report: Report) -> None:
                 link.span,
                 hint=f"call it `{link.name.lstrip('/')}`",
             )
-        elif link.name in (ODOM_FRAME, MAP_FRAME):
+        elif link.name in (ros.ODOM_FRAME, ros.MAP_FRAME):
             report.add(
                 "ros-frame-reserved",
                 f"the link `{link.name}` has the name of a frame that is not part of the robot",
@@ -242,8 +235,8 @@ def _check_topics(robot: Robot, document: Node, report: Report) -> None:
             entry = stated.get(twist_input.name, driver)
             node, topic = entry.get("topic") or entry, twist_input.topic
             owner = owners.setdefault(topic, (twist_input.name, node))
-            if topic in RESERVED_TOPICS:
-                use, labels = RESERVED_TOPICS[topic], []
+            if topic in ros.RESERVED_TOPICS:
+                use, labels = ros.RESERVED_TOPICS[topic], []
             elif owner[0] != twist_input.name:
                 use, labels = f"that of `{owner[0]}`", [Label(owner[1].where, "first used here")]
             else:

@@ -139,7 +139,9 @@ def _check_robot(calibration: Node, document: Node, report: Report) -> None:
         )
 
 
-def calibrate_wheels(calibration: Calibration, wheels: list[Wheel], report: Report) -> list[Wheel]:
+def calibrate_wheels(
+    calibration: Calibration, wheels: Sequence[Wheel], report: Report
+) -> tuple[Wheel, ...]:
     """Returns the wheels with the measured radii.
 
     A named wheel radius that equals the nominal ``radius`` of the wheel belongs to the same tyre.
@@ -154,7 +156,7 @@ def calibrate_wheels(calibration: Calibration, wheels: list[Wheel], report: Repo
                 span,
                 hint=did_you_mean(name, known, f"its wheels: {', '.join(known)}"),
             )
-    return [_calibrate_wheel(calibration, wheel, report) for wheel in wheels]
+    return tuple(_calibrate_wheel(calibration, wheel, report) for wheel in wheels)
 
 
 def _calibrate_wheel(calibration: Calibration, wheel: Wheel, report: Report) -> Wheel:
@@ -207,19 +209,18 @@ def _radius_hint(radius: float, nominal: float) -> str:
 
 
 def raise_axles(
-    joints: list[Joint],
+    joints: Sequence[Joint],
     tree: JointTree,
     nominal_wheels: Sequence[Wheel],
     measured_wheels: Sequence[Wheel],
-) -> None:
-    """Raises the axle of each wheel by the difference of the measured and the nominal radius.
+) -> tuple[Joint, ...]:
+    """Returns the joints, with each axle raised by measured minus nominal radius.
 
-    The function changes the poses of the spin joints in ``joints``.  After the function call, all
-    wheels of the model touch the ground.  The frame of a real robot bends by a few millimetres
-    until all wheels touch the ground.  A rigid robot model with different wheel radii would stand
+    All wheels of the model then touch the ground.  The frame of a real robot bends by a few
+    millimetres until all wheels touch the ground.  A rigid robot model with different wheel radii would stand
     on three wheels.
     """
-    index = {joint.name: i for i, joint in enumerate(joints)}
+    raised = {joint.name: joint for joint in joints}
     for nominal, measured in zip(nominal_wheels, measured_wheels, strict=True):
         growth = measured.radius - nominal.radius
         spin = spin_joint(tree, nominal.link)
@@ -229,22 +230,20 @@ def raise_axles(
         # The height of the axle of a wheel with camber is radius * cos(camber angle).
         rise = growth * math.sqrt(max(1.0 - axis[2] * axis[2], 0.0))
         shift = tree.pose[spin.parent].inverse().rotate((0.0, 0.0, rise))
-        i = index[spin.name]
-        pose = joints[i].pose
-        joints[i] = replace(joints[i], pose=replace(pose, xyz=add(pose.xyz, shift)).clean())
+        joint = raised[spin.name]
+        pose = replace(joint.pose, xyz=add(joint.pose.xyz, shift)).clean()
+        raised[spin.name] = replace(joint, pose=pose)
+    return tuple(raised.values())
 
 
 def calibrate_steering(
     calibration: Calibration,
-    actuators: list[Actuator],
+    actuators: Sequence[Actuator],
     wheels: Sequence[Wheel],
     report: Report,
-) -> None:
-    """Sets the encoder offsets (rad) of the steering motors to the measured steering offsets.
-
-    The function replaces the steering motors in the list ``actuators``.
-    """
-    index = {actuator.joint: i for i, actuator in enumerate(actuators)}
+) -> tuple[Actuator, ...]:
+    """Returns the actuators; steering motors get the measured encoder offsets (rad)."""
+    actuated = {actuator.joint for actuator in actuators}
     offset_by_joint: dict[str, Measured] = {}
     for wheel in wheels:
         measured = calibration.steering_offsets.get(wheel.name)
@@ -252,7 +251,7 @@ def calibrate_steering(
             continue
         offset, span = measured
         joint = wheel.steering_joint
-        if joint is None or joint not in index:
+        if joint is None or joint not in actuated:
             report.add(
                 "calibration-wheel",
                 f"the wheel `{wheel.name}` is not steered; it has no steering offset",
@@ -279,5 +278,9 @@ def calibrate_steering(
             )
         else:
             offset_by_joint[joint] = measured
-            i = index[joint]
-            actuators[i] = replace(actuators[i], encoder_offset=clean(offset))
+    return tuple(
+        replace(actuator, encoder_offset=clean(offset_by_joint[actuator.joint].value))
+        if actuator.joint in offset_by_joint
+        else actuator
+        for actuator in actuators
+    )

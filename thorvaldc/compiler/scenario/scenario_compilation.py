@@ -13,12 +13,7 @@ from pathlib import Path
 
 from thorvaldc.compiler.recordings.twist_log_reader import read_twists
 from thorvaldc.compiler.result import Compilation, Compile, SourceFile
-from thorvaldc.compiler.scenario.fleet_compilation import (
-    Placements,
-    open_named_file,
-    read_fleet,
-    robots_of,
-)
+from thorvaldc.compiler.scenario import fleet_compilation
 from thorvaldc.compiler.scenario.scenario_reader import read_scenario
 from thorvaldc.compiler.scenario.variations import Change, with_changes, without_variations
 from thorvaldc.compiler.source.input_file import LOGS, missing_file_hint
@@ -75,14 +70,18 @@ def _read_robots(
     fleet_node = node.get("fleet")
     entries = [entry for _, entry in document["robots"].items()]
     if robot is None and fleet_node is None and node.get("robots") is not None:
-        fleet = read_fleet(document, source, compile_part, report, parts)
+        fleet = fleet_compilation.read_fleet(document, source, compile_part, report, parts)
         # If robots of the fleet are missing, the checks of the scenario would report false errors.
-        return fleet if len(fleet.placements) == sum(map(robots_of, entries)) else None
+        return (
+            fleet
+            if len(fleet.placements) == sum(map(fleet_compilation.robots_of, entries))
+            else None
+        )
     if robot is not None:
         folder, span = source.path.parent, node.span
         part: SourceFile | None = SourceFile(Path(robot), os.path.relpath(robot, folder), folder)
     elif fleet_node is not None:
-        part, span = open_named_file(source, fleet_node, report), fleet_node.span
+        part, span = fleet_compilation.open_named_file(source, fleet_node, report), fleet_node.span
     else:
         report.add(
             "scenario-robots-missing",
@@ -115,7 +114,7 @@ def _place_single_robot(robot: Robot, robots: Section, report: Report) -> tuple[
     entries = list(robots.items())
     if len(entries) != 1:
         return (Placement(robot.name, Pose(), replace(robot, namespace=robot.name)),)
-    placements = Placements(report)
+    placements = fleet_compilation.Placements(report)
     for name, entry in entries:
         placements.add(name, entry, robot)
     return tuple(placements.placed)

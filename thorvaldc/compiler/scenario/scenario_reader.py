@@ -7,16 +7,11 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
+from thorvaldc.compiler.scenario import world_reader
 from thorvaldc.compiler.scenario.variations import (
     read_variations,
     with_changes,
     without_variations,
-)
-from thorvaldc.compiler.scenario.world_reader import (
-    check_obstacles,
-    check_starts,
-    read_world,
-    with_friction,
 )
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
@@ -81,12 +76,17 @@ def _read(document: Section, fleet: Fleet, report: Report) -> Scenario:
     world = document["world"]
     friction = world["friction"]
     if friction is not None:
-        placements = (replace(p, robot=with_friction(p.robot, friction)) for p in fleet.placements)
+        placements = (
+            replace(p, robot=world_reader.with_friction(p.robot, friction))
+            for p in fleet.placements
+        )
         fleet = replace(fleet, placements=tuple(placements))
     name, description = document["scenario"], document["description"]
-    fleet = replace(fleet, name=name, description=description, world=read_world(world, report))
-    check_starts(fleet, world, report)
-    check_obstacles(fleet, world, report)
+    fleet = replace(
+        fleet, name=name, description=description, world=world_reader.read_world(world, report)
+    )
+    world_reader.check_starts(fleet, world, report)
+    world_reader.check_obstacles(fleet, world, report)
     # A missing or wrong duration is an error; then no step is after the end.
     duration = document.get("duration", math.inf)
     sections = _SectionReader(fleet, duration, report)

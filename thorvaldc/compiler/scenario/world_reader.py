@@ -12,26 +12,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
+from thorvaldc import model
 from thorvaldc.compiler.source.node import Node, insertion, removal
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries, items
 from thorvaldc.diagnostics import Proposal, Report
 from thorvaldc.diagnostics.plain_numbers import plain
-from thorvaldc.model import (
-    Block,
-    Box,
-    Cylinder,
-    Fleet,
-    Ground,
-    Placement,
-    Pose,
-    Robot,
-    Shape,
-    Sphere,
-    Vec3,
-    World,
-    Zone,
-)
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.tip_over import Point, convex_hull, overlap
 
@@ -39,26 +25,26 @@ _KEYS_OF_SLOPES = ("angle", "direction")
 _KEYS_OF_ROUGH_GROUND = ("amplitude", "wavelength", "seed", "size")
 
 
-def read_world(world: Section, report: Report) -> World:
+def read_world(world: Section, report: Report) -> model.World:
     """Returns the world (ground, zones and obstacles) of a scenario document.
 
     The default world is level ground without obstacles.
     """
     ground = world["ground"]
-    return World(
-        _ground(ground, report) if "ground" in world else Ground(),
+    return model.World(
+        _ground(ground, report) if "ground" in world else model.Ground(),
         ObstacleReader(world, report).blocks(),
         tuple(read_zones(world["zones"], report)),
     )
 
 
-def with_friction(robot: Robot, coefficient: float) -> Robot:
+def with_friction(robot: model.Robot, coefficient: float) -> model.Robot:
     """Returns a copy of the robot in which all wheels have the same friction coefficient."""
     wheels = (replace(wheel, friction=coefficient) for wheel in robot.wheels)
     return replace(robot, wheels=tuple(wheels))
 
 
-def _ground(ground: Section, report: Report) -> Ground:
+def _ground(ground: Section, report: Report) -> model.Ground:
     """Reads the ground of the world, and reports keys that have no effect on the type of the
     ground.
     """
@@ -80,7 +66,7 @@ def _ground(ground: Section, report: Report) -> Ground:
     if ground_type == "slope" and node.get("angle") is None:
         hint = insertion("add `angle: 10 deg`", node, "angle", "10 deg", is_example=True)
         report.add("missing-key", "a slope has no `angle`", node.where, hint=hint)
-    slope = Ground(ground["angle"] or 0.0, ground["direction"])
+    slope = model.Ground(ground["angle"] or 0.0, ground["direction"])
     if ground_type != "rough":
         return slope
     _check_size(ground, report)
@@ -115,7 +101,7 @@ With fewer cells per wave, the edges between cells add rolling resistance.
 LARGEST_CELL = 0.1  # Largest edge length of a cell of the ground's height field (m).
 
 
-def read_zones(zones: Iterable[Section], report: Report) -> Iterator[Zone]:
+def read_zones(zones: Iterable[Section], report: Report) -> Iterator[model.Zone]:
     """Yields each valid zone in the list `zones` of a scenario document."""
     for zone in zones:
         node, size = zone.node, zone["size"]
@@ -131,7 +117,7 @@ def read_zones(zones: Iterable[Section], report: Report) -> Iterator[Zone]:
             )
             continue
         _check_keys(node, report)
-        yield Zone(
+        yield model.Zone(
             zone.planar_pose(),
             size,
             zone["friction"],
@@ -176,9 +162,9 @@ class ObstacleReader:
     def __init__(self, world: Section, report: Report) -> None:
         self._report = report
         self._world = world
-        self._blocks: list[Block] = []
+        self._blocks: list[model.Block] = []
 
-    def blocks(self) -> tuple[Block, ...]:
+    def blocks(self) -> tuple[model.Block, ...]:
         """Returns the shapes of all obstacles in the world.
 
         Returns an empty tuple and reports an error if the obstacles consist of too many shapes.
@@ -203,11 +189,11 @@ class ObstacleReader:
             return ()
         return tuple(self._blocks)
 
-    def _add(self, kind: str, name: str, shape: Shape, pose: Pose) -> None:
+    def _add(self, kind: str, name: str, shape: model.Shape, pose: model.Pose) -> None:
         """Adds one geometric shape to the world."""
-        self._blocks.append(Block(kind, name, shape, pose.clean()))
+        self._blocks.append(model.Block(kind, name, shape, pose.clean()))
 
-    def _line(self, section: Section) -> tuple[Pose, float]:
+    def _line(self, section: Section) -> tuple[model.Pose, float]:
         """Returns the pose and the length (m) of the line between the points `from` and `to`.
 
         The pose of the line has the origin in the middle of the line and the x axis along the line.
@@ -222,13 +208,13 @@ class ObstacleReader:
             )
             length = 1.0
         yaw = math.atan2(y1 - y0, x1 - x0)
-        return Pose.from_xyz_rpy(((x0 + x1) / 2, (y0 + y1) / 2, 0.0), (0.0, 0.0, yaw)), length
+        return model.Pose.from_xyz_rpy(((x0 + x1) / 2, (y0 + y1) / 2, 0.0), (0.0, 0.0, yaw)), length
 
     def _add_kerb(self, kerb: Section, name: str) -> None:
         """Adds a kerb, which is a long box on the ground."""
         center, length = self._line(kerb)
         height = kerb["height"]
-        box = Box((length, kerb["width"], height))
+        box = model.Box((length, kerb["width"], height))
         self._add("kerb", name, box, center * _offset(0.0, 0.0, height / 2))
 
     def _add_rails(self, rails: Section, name: str) -> None:
@@ -240,20 +226,22 @@ class ObstacleReader:
         gauge, diameter, ramp = rails["gauge"], rails["diameter"], rails["ramp"]
         height = rails["height"] or diameter
         for side, sign in (("left", 1), ("right", -1)):
-            rail_pose = Pose.from_xyz_rpy(
+            rail_pose = model.Pose.from_xyz_rpy(
                 (0.0, sign * gauge / 2, height - diameter / 2), (0.0, math.pi / 2, 0.0)
             )
-            self._add("rail", f"{name}_{side}", Cylinder(diameter / 2, length), center * rail_pose)
+            self._add(
+                "rail", f"{name}_{side}", model.Cylinder(diameter / 2, length), center * rail_pose
+            )
             if ramp <= 0.0:
                 continue
             # The lower end of a rail's ramp is half buried in the ground.  The axis of the ramp
             # meets the axis of the pipe rail at the upper end.
             rise = height - diameter / 2
-            pipe = Cylinder(diameter / 2, math.hypot(ramp, rise))
+            pipe = model.Cylinder(diameter / 2, math.hypot(ramp, rise))
             for end, direction in (("begin", -1), ("end", 1)):
                 xyz = (direction * (length + ramp) / 2, sign * gauge / 2, rise / 2)
                 rpy = (0.0, math.pi / 2 + direction * math.atan2(rise, ramp), 0.0)
-                pose = center * Pose.from_xyz_rpy(xyz, rpy)
+                pose = center * model.Pose.from_xyz_rpy(xyz, rpy)
                 self._add("rail", f"{name}_{side}_{end}", pipe, pose)
 
     def _add_obstacle(self, obstacle: Section, name: str) -> None:
@@ -269,14 +257,14 @@ class ObstacleReader:
                 self._report.add("conflicting-keys", f"a {shape_type} has no `{key}`", entry.where)
         if not all(key in obstacle for key in needed_keys):
             return
-        shape: Shape
+        shape: model.Shape
         if shape_type == "box":
-            shape, height = Box(obstacle["size"]), obstacle["size"][2]
+            shape, height = model.Box(obstacle["size"]), obstacle["size"][2]
         elif shape_type == "sphere":
-            shape, height = Sphere(obstacle["diameter"] / 2), obstacle["diameter"]
+            shape, height = model.Sphere(obstacle["diameter"] / 2), obstacle["diameter"]
         else:
             height = obstacle["height"]
-            shape = Cylinder(obstacle["diameter"] / 2, height)
+            shape = model.Cylinder(obstacle["diameter"] / 2, height)
         pose = obstacle.planar_pose() * _offset(0.0, 0.0, height / 2)
         self._add("obstacle", name, shape, pose)
 
@@ -289,7 +277,7 @@ class ObstacleReader:
         first, height = crop.planar_pose(), crop["height"]
         rows, plants = crop["rows"], crop["plants"]
         row_spacing, plant_spacing = crop["row_spacing"], crop["plant_spacing"]
-        plant = Cylinder(crop["diameter"] / 2, height)
+        plant = model.Cylinder(crop["diameter"] / 2, height)
         if rows * plants > MAX_BLOCKS:
             self._report.add(
                 "out-of-range",
@@ -310,7 +298,7 @@ class ObstacleReader:
         """
         entrance, width = tunnel.planar_pose(), tunnel["width"]
         spacing, height = tunnel["post_spacing"], tunnel["post_height"]
-        post = Cylinder(tunnel["post_diameter"] / 2, height)
+        post = model.Cylinder(tunnel["post_diameter"] / 2, height)
         posts = math.floor(tunnel["length"] / spacing + 1e-9) + 1
         if 2 * posts > MAX_BLOCKS:
             self._report.add(
@@ -325,8 +313,8 @@ class ObstacleReader:
                 self._add("post", f"{name}_{side}_{i + 1}", post, pose)
 
 
-def _offset(x: float, y: float, z: float) -> Pose:
-    return Pose((x, y, z))
+def _offset(x: float, y: float, z: float) -> model.Pose:
+    return model.Pose((x, y, z))
 
 
 # -- where robots start ------------------------------------------------------------------
@@ -340,7 +328,7 @@ _SECTIONS = {"crop": "crop_rows", "post": "polytunnels"}
 class _Solid(NamedTuple):
     """Points (m) of a convex body in the world, and its lowest and highest point (m)."""
 
-    points: list[Vec3]
+    points: list[model.Vec3]
     bottom: float
     top: float
 
@@ -354,7 +342,7 @@ class _Solid(NamedTuple):
         return max(xs) < least_x or min(xs) > most_x or max(ys) < least_y or min(ys) > most_y
 
 
-def check_starts(fleet: Fleet, world: Section, report: Report) -> None:
+def check_starts(fleet: model.Fleet, world: Section, report: Report) -> None:
     """Checks that no robot starts inside raised ground."""
     zone_sections = world["zones"]
     zones = fleet.world.zones if fleet.world is not None else ()
@@ -376,7 +364,7 @@ def check_starts(fleet: Fleet, world: Section, report: Report) -> None:
                 )
 
 
-def check_obstacles(fleet: Fleet, world: Section, report: Report) -> None:
+def check_obstacles(fleet: model.Fleet, world: Section, report: Report) -> None:
     """Reports each robot that starts inside an obstacle, a plant or a post."""
     blocks = [
         (block, _solid(block.shape, block.pose))
@@ -410,8 +398,8 @@ def check_obstacles(fleet: Fleet, world: Section, report: Report) -> None:
 
 
 def _report(
-    placement: Placement,
-    block: Block,
+    placement: model.Placement,
+    block: model.Block,
     node: Node,
     depth: float,
     direction: Point,
@@ -441,7 +429,7 @@ def _report(
     )
 
 
-def _node(block: Block, world: Node) -> Node | None:
+def _node(block: model.Block, world: Node) -> Node | None:
     """Returns the YAML node of a block."""
     if block.kind == "obstacle":
         return entries(world.get("obstacles")).get(block.name)
@@ -450,7 +438,7 @@ def _node(block: Block, world: Node) -> Node | None:
     return nodes[number - 1] if number <= len(nodes) else None
 
 
-def _parts(placement: Placement) -> Iterator[_Solid]:
+def _parts(placement: model.Placement) -> Iterator[_Solid]:
     """Yields the collision shapes of a placed robot in the world, with all joints at zero."""
     robot = placement.robot
     poses = tree_of(robot).pose
@@ -462,7 +450,7 @@ def _parts(placement: Placement) -> Iterator[_Solid]:
                     yield solid
 
 
-def _solid(shape: Shape, pose: Pose) -> _Solid | None:
+def _solid(shape: model.Shape, pose: model.Pose) -> _Solid | None:
     """Returns the points of a shape in the world, or ``None`` for a mesh."""
     points = [pose.apply(point) for point in _points(shape)]
     if not points:
@@ -471,21 +459,21 @@ def _solid(shape: Shape, pose: Pose) -> _Solid | None:
     return _Solid(points, min(heights), max(heights))
 
 
-def _points(shape: Shape) -> list[Vec3]:
+def _points(shape: model.Shape) -> list[model.Vec3]:
     """Returns points of a shape, whose convex hull is nearly the shape.
 
     A sphere is replaced by the largest cylinder in it.
     """
-    if isinstance(shape, Box):
+    if isinstance(shape, model.Box):
         x, y, z = (edge / 2 for edge in shape.size)
         return [(a * x, b * y, c * z) for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)]
     circle = [
         (math.cos(2 * math.pi * i / _CORNERS), math.sin(2 * math.pi * i / _CORNERS))
         for i in range(_CORNERS)
     ]
-    if isinstance(shape, Cylinder):
+    if isinstance(shape, model.Cylinder):
         r, half = shape.radius, shape.length / 2
-    elif isinstance(shape, Sphere):
+    elif isinstance(shape, model.Sphere):
         r = half = shape.radius / math.sqrt(2)
     else:
         return []
