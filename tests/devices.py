@@ -8,7 +8,7 @@ from typing import Any
 
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.compiler.bus.assemble_buses import BusSpec, Device, Wire, build_buses
-from thorvaldc.compiler.bus.lock_file import Lock
+from thorvaldc.compiler.bus.node_ids import Lock
 from thorvaldc.compiler.modules.library import Library, ModuleType
 from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source.node import Node

@@ -9,13 +9,13 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from thorvaldc.compiler.bus.assemble_buses import BusSpec, Device, build_buses
 from thorvaldc.compiler.hardware.hardware_reader import Hardware, hardware_of
-from thorvaldc.compiler.hardware.robot_parts import RobotParts, mass_by_source, modules_of
+from thorvaldc.compiler.hardware.robot_parts import RobotParts, masses_by_source, modules_of
 from thorvaldc.compiler.modules.library import Library, ModuleType
 from thorvaldc.compiler.modules.module_parameters import Scope, hint_of_known
 from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
@@ -78,16 +78,10 @@ def check_module(name: str, library: Library, report: Report) -> None:
     check is done.
     """
     module = library.load(name, Node(name, Span(name)), report)
-    if module is None:
+    if module is None or not _has_defaults(module):
         return
-    if any(param.get("default") is None for param in module.section("params").values()):
-        return
-    span = module.document.span
-    entry = Node({"type": Node(name, span)}, span)
-    robot = Instance("", None, Scope(None, {}, library, report, None), entry, span, None)
-    resolver = Resolver(library, report)
     part_name = name.rpartition("/")[2]
-    resolver.expand(robot, part_name, entry)
+    robot, resolver = _expanded(module, part_name, library, report)
     part = robot.children.get(part_name)
     if part is not None and module.is_assembly:
         _check_assembly_references(part, module, resolver, report)
@@ -98,13 +92,30 @@ def check_module(name: str, library: Library, report: Report) -> None:
         can = leaf.type.document.get("can")
         if can is not None:
             channels = leaf.type.document.get("channels")
-            device = Device(leaf.path, part_name, can, channels, (), None, leaf.scope, span)
+            device = Device(leaf.path, part_name, can, channels, (), None, leaf.scope, leaf.span)
             # Warnings about a CAN device are dropped, because without a robot no motors are
             # connected to the CAN device.
             bus_report = Report()
-            build_buses([device], [BusSpec("bus", BITRATE, span)], [], CYCLE, bus_report)
+            build_buses([device], [BusSpec("bus", BITRATE, leaf.span)], [], CYCLE, bus_report)
             for diagnostic in bus_report.errors:
                 report.put(diagnostic)
+
+
+def _has_defaults(module: ModuleType) -> bool:
+    """Returns whether all parameters of a module type have default values."""
+    return all(param.get("default") is not None for param in module.section("params").values())
+
+
+def _expanded(
+    module: ModuleType, name: str, library: Library, report: Report
+) -> tuple[Instance, Resolver]:
+    """Returns a robot with one module of a type, called ``name``, and its resolver."""
+    span = module.document.span
+    entry = Node({"type": Node(module.name, span)}, span)
+    robot = Instance("", None, Scope(None, {}, library, report, None), entry, span, None)
+    resolver = Resolver(library, report)
+    resolver.expand(robot, name, entry)
+    return robot, resolver
 
 
 def _check_assembly_references(
@@ -168,10 +179,10 @@ class ModuleDescription:
     type: str
     category: str
     description: str
+    masses: tuple[SourcedMass, ...] | None
     mounts_on: tuple[str, ...]
     carriers: tuple[str, ...]
     ports: tuple[Port, ...]
-    masses: tuple[SourcedMass, ...] | None
     units: dict[str, str]
 
     @property
@@ -198,10 +209,10 @@ def describe_module(module: ModuleType, library: Library) -> ModuleDescription:
         module.name,
         module.category,
         " ".join(str(module.document.plain().get("description", "")).split()),
+        tree.masses(),
         tree.mounts_on,
         tuple(o.name for o in others if set(tree.mounts_on) & set(o.port_kinds.values())),
         tuple(ports),
-        tree.masses(),
         {
             name: QUANTITIES[declaration["quantity"]].unit
             for name, declaration in module.document.plain().get("params", {}).items()
@@ -224,20 +235,13 @@ class _Expanded:
         self.name = module.name
         self._module = module
         self._report = Report()
-        span = module.document.span
-        entry = Node({"type": Node(module.name, span)}, span)
-        scope = Scope(None, {}, library, self._report, None)
-        self._robot = Instance("", None, scope, entry, span, None)
-        self._resolver = Resolver(library, self._report)
         self._hardware: dict[str, Hardware] | None = None
-        self._known = all(
-            declaration.get("default") is not None
-            for declaration in module.section("params").values()
-        )
-        if self._known:
-            self._resolver.expand(self._robot, "module", entry)
-        self._part = self._robot.children.get("module")
-        self._leaves = list(self._robot.leaves())
+        self._part: Instance | None = None
+        self._leaves: list[Instance] = []
+        if _has_defaults(module):
+            self._robot, self._resolver = _expanded(module, "module", library, self._report)
+            self._part = self._robot.children.get("module")
+            self._leaves = list(self._robot.leaves())
 
     @property
     def mounts_on(self) -> tuple[str, ...]:
@@ -321,12 +325,9 @@ class _Expanded:
         if hardware is None:
             return None
         if not self._module.is_assembly and self._part is not None:
-            return mass_by_source(hardware[self._part.path])
-        masses: dict[str, float] = {}
-        for module in modules_of(self._robot, hardware):
-            for part in module.masses:
-                masses[part.source] = masses.get(part.source, 0.0) + part.mass
-        return tuple(SourcedMass(clean(mass), source) for source, mass in masses.items())
+            return masses_by_source(hardware[self._part.path].masses)
+        modules = modules_of(self._robot, hardware)
+        return masses_by_source(part for module in modules for part in module.masses)
 
 
 # -- output of the command ``thorvaldc modules`` -----------------------------------------
@@ -416,25 +417,9 @@ def port_rows(description: ModuleDescription) -> list[Row]:
 
 def description_document(description: ModuleDescription) -> dict[str, Any]:
     """Returns a description as JSON values: lengths in m, masses in kg."""
-    return {
-        "category": description.category,
-        "mass": description.mass,
-        "masses": None
-        if description.masses is None
-        else [{"mass": part.mass, "source": part.source} for part in description.masses],
-        "mounts_on": list(description.mounts_on),
-        "carriers": list(description.carriers),
-        "ports": [
-            {
-                "name": port.name,
-                "kind": port.kind,
-                "position": port.position,
-                "takes": list(port.takes),
-            }
-            for port in description.ports
-        ],
-        "units": description.units,
-    }
+    facts = asdict(description)
+    del facts["type"], facts["description"]
+    return {"category": description.category, "mass": description.mass, **facts}
 
 
 def parameter_rows(module: ModuleType) -> Iterable[Row]:

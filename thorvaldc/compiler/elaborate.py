@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from thorvaldc.compiler.bus import stopping_distance
 from thorvaldc.compiler.bus.assemble_buses import Wiring, connect_actuators
-from thorvaldc.compiler.bus.lock_file import Lock
+from thorvaldc.compiler.bus.node_ids import Lock
 from thorvaldc.compiler.hardware import wheel_geometry
 from thorvaldc.compiler.hardware.hardware_reader import Hardware, hardware_of
 from thorvaldc.compiler.hardware.purchase_reader import read_purchases

@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from thorvaldc.compiler.bus.bus_checks import check_sides
-from thorvaldc.compiler.bus.lock_file import Lock, has_pins, lock_path, lock_text, read_lock
+from thorvaldc.compiler.bus.node_ids import Lock, has_pins, lock_path, lock_text, read_lock
 from thorvaldc.compiler.bus.stopping_distance import check_stops_on_slope
 from thorvaldc.compiler.checks.mobility_checks import check_purpose
 from thorvaldc.compiler.checks.robot_checks import check_robot

@@ -56,7 +56,7 @@ def build(
 ) -> int:
     from thorvaldc import __version__
     from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, count
-    from thorvaldc.compiler.bus.lock_file import without_lock_files
+    from thorvaldc.compiler.bus.node_ids import without_lock_files
     from thorvaldc.compiler.output.build_freshness import check_freshness
     from thorvaldc.compiler.output.writer import WriteError, write_locks
     from thorvaldc.compiler.pipeline import compile_file

@@ -41,7 +41,7 @@ def check(
     ] = False,
 ) -> int:
     from thorvaldc.cli.diagnostic_output import DiagnosticOutput, check_format, has_color
-    from thorvaldc.compiler.bus.lock_file import without_lock_files
+    from thorvaldc.compiler.bus.node_ids import without_lock_files
     from thorvaldc.compiler.pipeline import compile_file
     from thorvaldc.compiler.sandbox import missing_limits
 

@@ -28,16 +28,15 @@ from thorvaldc.compiler.bus.device_sections import (
     Device,
     Placed,
     Wire,
-    entries,
 )
-from thorvaldc.compiler.bus.lock_file import Lock
-from thorvaldc.compiler.bus.node_ids import assign_ids, bus_name
+from thorvaldc.compiler.bus.node_ids import Lock, assign_ids, bus_name
 from thorvaldc.compiler.bus.stopping_distance import master_heartbeat_period
 from thorvaldc.compiler.modules.library import Library
 from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
 from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.source import node as source
+from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Actuator, Bus, FrameDefinition, Joint, Node, Signal
 from thorvaldc.model.bus import CANOPEN
@@ -407,7 +406,7 @@ def foreign_devices(
     """
     scope = Scope(None, {}, Library(), report, None)
     devices = []
-    for name, device in entries(section):
+    for name, device in entries(section).items():
         id_node = device.get("id")
         node_id = id_node.value if id_node is not None and type(id_node.value) is int else None
         services = device.get("canopen")
@@ -448,7 +447,7 @@ def _node(name: str, node_id: int | None, span: Span) -> Node:
 def _relayed(
     name: str, device: source.Node, scope: Scope, report: Report
 ) -> Iterator[FrameDefinition]:
-    for key, node in entries(device.get("frames")):
+    for key, node in entries(device.get("frames")).items():
         cob_id, length = node.get("cob_id"), node.get("length")
         if cob_id is None or type(cob_id.value) is not int:
             continue  # the schema check reports a missing or invalid COB-ID

@@ -18,11 +18,11 @@ from thorvaldc.compiler.bus.device_sections import (
     Device,
     Placed,
     Wire,
-    entries,
     listed,
     serial_number,
 )
 from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
+from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Actuator, Bus, FrameDefinition, Robot
@@ -485,4 +485,4 @@ def check_sides(robot: Robot, root: Instance, report: Report) -> None:
 
 
 def _roles(device: Device) -> dict[str, str]:
-    return {n: device.scope.text(node.get("role")) for n, node in entries(device.channels)}
+    return {n: device.scope.text(node.get("role")) for n, node in entries(device.channels).items()}

@@ -7,27 +7,20 @@ a device add further CAN frames, such as heartbeats.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from thorvaldc.can.canopen import EMCY, HEARTBEAT, SDO_REQUEST, SDO_RESPONSE, NmtState
-from thorvaldc.compiler.bus.device_sections import (
-    MASTER,
-    Device,
-    Wire,
-    entries,
-    integer,
-    items,
-    listed,
-)
+from thorvaldc.compiler.bus.device_sections import MASTER, Device, Wire, integer, listed
 from thorvaldc.compiler.bus.frame_checks import check_channels, check_layout, check_scales
 from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source import dimensions
 from thorvaldc.compiler.source.node import Node, insertion
 from thorvaldc.compiler.source.unit_table import Dimension
 from thorvaldc.compiler.source.units import UnitError, parse_unit
+from thorvaldc.compiler.values.value_reader import entries, items
 from thorvaldc.diagnostics import Label, Proposal, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import FrameDefinition, Signal
@@ -80,7 +73,7 @@ def frames_of(
     Reports an error for each invalid CAN frame, and leaves the CAN frame out of the result.
     """
     scope, name = device.scope, device.name
-    for key, node in entries(device.can.get("frames")):
+    for key, node in entries(device.can.get("frames")).items():
         cob_id = _cob_id(device, key, node, report)
         if cob_id is None:
             continue
@@ -128,7 +121,10 @@ def frames_of(
                 mapping=mapping,
                 synchronous=synchronous,
             )
-    yield from _standard_frames(device, node_id, report)
+    stated = device.can.get("heartbeat_period")
+    heartbeat_period = HEARTBEAT_PERIOD if stated is None else _time(device, stated, report)
+    services = device.can.get("canopen")
+    yield from standard_frames(name, node_id, services, heartbeat_period or HEARTBEAT_PERIOD)
 
 
 def _by_timer(cycle: float) -> float:
@@ -155,13 +151,6 @@ def minimum_interval(scope: Scope, frame: Node, report: Report) -> float | None:
     if not math.isnan(rate):  # NaN means that an invalid rate is already reported
         report.add("can-period", f"the rate is {rate:g} Hz; it must be positive", node.span)
     return None
-
-
-def _standard_frames(device: Device, node_id: int, report: Report) -> Iterator[FrameDefinition]:
-    stated = device.can.get("heartbeat_period")
-    period = HEARTBEAT_PERIOD if stated is None else _time(device, stated, report)
-    services = device.can.get("canopen")
-    yield from standard_frames(device.name, node_id, services, period or HEARTBEAT_PERIOD)
 
 
 def standard_frames(
@@ -257,15 +246,17 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
     scope = device.scope
     wires = {wire.channel: wire for wire in device.wires}
     commands = scope.text(frame.get("direction"), "report") == "command"
-    for name, node in entries(frame.get("signals")):
+    for name, node in entries(frame.get("signals")).items():
         if not isinstance(node.value, dict):
             continue
         get = node.value.get
         channel = scope.text(get("channel")) if "channel" in node.value else None
-        wired = channel is None or channel in wires
-        unit = scope.text(get("unit"))
-        number_of = partial(_signal_number, scope, get if wired else _get_nothing, unit)
         wire = wires.get(channel) if channel is not None else None
+        unit = scope.text(get("unit"))
+        # Numbers can use the parameters of the motor on the channel.  Without a motor, they cannot
+        # be evaluated.
+        numbers = Node({}, node.span) if channel is not None and wire is None else node
+        number_of = partial(_signal_number, scope, numbers, unit)
         signal = Signal(
             name,
             integer(scope, get("start"), 0),
@@ -279,7 +270,9 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
             wire.actuator.joint if wire is not None else None,
             scope.boolean(get("multiplexer"), False),
             tuple(integer(scope, item, 0) for item in items(get("selected_by"))),
-            tuple((integer(scope, raw, 0), choice) for choice, raw in entries(get("choices"))),
+            tuple(
+                (integer(scope, raw, 0), choice) for choice, raw in entries(get("choices")).items()
+            ),
             scope.text(get("description")),
             scope.boolean(get("floating_point"), False),
         )
@@ -288,24 +281,11 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
         yield signal, channel
 
 
-def _get_nothing(key: str) -> None:
-    return None
-
-
 def _signal_number(
-    scope: Scope,
-    get: Callable[[str], Node | None],
-    unit: str,
-    key: str,
-    otherwise: float | None,
+    scope: Scope, numbers: Node, unit: str, key: str, otherwise: float | None
 ) -> Any:
-    """Returns a number of a CAN signal, in the unit of the signal.
-
-    An expression in the section `can` can use the parameters of the motor on a controller channel.
-    If the controller channel has no motor, ``get`` returns nothing, because the expression cannot
-    be evaluated.
-    """
-    number = get(key)
+    """Returns a number of a CAN signal, in the unit of the signal."""
+    number = numbers.get(key)
     if number is None:
         return otherwise
     allowed = _si_dimension(unit) if unit and isinstance(number.value, str) else ()

@@ -13,6 +13,7 @@ from typing import NamedTuple
 from thorvaldc.can.canopen import SYNC
 from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source import node as source
+from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model import Actuator, FrameDefinition, Node, ObjectValue
 from thorvaldc.model.bus import OBJECT_TYPES
@@ -97,16 +98,6 @@ class BusSpec(NamedTuple):
     stated: bool = True
 
 
-def entries(node: source.Node | None) -> list[tuple[str, source.Node]]:
-    """Returns the keys and values of a YAML mapping, or an empty list for other values."""
-    return list(node.value.items()) if node is not None and isinstance(node.value, dict) else []
-
-
-def items(node: source.Node | None) -> tuple[source.Node, ...]:
-    """Returns the elements of a YAML list, or an empty tuple if ``node`` is not a list."""
-    return node.value if node is not None and isinstance(node.value, tuple) else ()
-
-
 def integer(scope: Scope, node: source.Node | None, default: int) -> int:
     """Returns a YAML value as a whole number.
 
@@ -185,8 +176,8 @@ def _shown(index: int, subindex: int) -> str:
 def _own(device: Device, report: Report) -> Iterator[tuple[ObjectValue, Span]]:
     """Yields the object dictionary entries of the section `objects`, with source spans."""
     wired = {wire.channel for wire in device.wires}
-    channels = [name for name, _ in entries(device.channels)]
-    for name, node in entries(device.can.get("objects")):
+    channels = list(entries(device.channels))
+    for name, node in entries(device.can.get("objects")).items():
         channel, value = node.get("channel"), node.get("value")
         if channel is not None and channel.value not in wired:
             if channel.value not in channels:
@@ -201,17 +192,8 @@ def _own(device: Device, report: Report) -> Iterator[tuple[ObjectValue, Span]]:
         subindex = integer(device.scope, node.get("subindex"), 0)
         if value is None or type_name not in OBJECT_TYPES:
             continue  # the schema check reports the missing or invalid value
-        invalid = next(
-            (
-                key_node
-                for key_node, number, last in (
-                    (node.get("index"), index, 0xFFFF),
-                    (node.get("subindex"), subindex, 0xFE),
-                )
-                if key_node is not None and not 0 <= number <= last
-            ),
-            None,
-        )
+        invalid = None if 0 <= subindex <= 0xFE else node.get("subindex")
+        invalid = invalid if 0 <= index <= 0xFFFF else node.get("index")
         if invalid is not None:
             report.add(
                 "can-object-range",

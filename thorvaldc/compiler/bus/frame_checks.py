@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from thorvaldc.compiler.bus.device_sections import Device, Wire, entries, listed
+from thorvaldc.compiler.bus.device_sections import Device, Wire, listed
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Signal
@@ -16,8 +17,8 @@ FLOAT_LENGTHS = (32, 64)  # lengths (bits) of the floating-point formats of IEEE
 
 def check_channels(device: Device, frame: Node, report: Report) -> None:
     """Checks that the module has all channels to which the CAN signals of the module refer."""
-    known = [name for name, _ in entries(device.channels)]
-    for _, node in entries(frame.get("signals")):
+    known = list(entries(device.channels))
+    for node in entries(frame.get("signals")).values():
         channel = node.get("channel")
         if channel is not None and channel.value not in known:
             report.add(
@@ -52,7 +53,7 @@ def check_layout(
             length_node.span,
         )
         return False
-    span_of = {name: node.where for name, node in entries(frame.get("signals"))}
+    span_of = {name: node.where for name, node in entries(frame.get("signals")).items()}
     inside: list[Signal] = []
     for signal, _ in signals:
         if signal.length > 0 <= signal.start and signal.start + signal.length <= 8 * length:
@@ -217,7 +218,7 @@ def check_scales(
     - ``signals``: tuples (signal, name of the channel).
     """
     wires = {wire.channel: wire for wire in device.wires}
-    nodes = dict(entries(frame.get("signals")))
+    nodes = entries(frame.get("signals"))
     for signal, channel in signals:
         if channel is not None and channel not in wires:
             continue

@@ -1,14 +1,20 @@
-"""Assigns a node id to each CAN device of a robot.
+"""Assigns a node id to each CAN device of a robot, and keeps assigned ids in the lock file.
 
 A node id in the robot file has priority over a node id in the lock file.  A CAN device without a
 node id in the robot file and the lock file gets the lowest free node id of its range.
+
+The lock file `robot.lock.yaml` of a robot file `robot.yaml` contains the node ids that the compiler
+chose.  With the lock file, a CAN device keeps its node id when other devices are added.  Every
+command of the compiler reads the lock file, and the command `build` writes it.  The page
+`docs/language.md` describes its format.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 from thorvaldc.compiler.bus.device_frames import CHANNEL_DIMENSIONS, channel_names, frames_of
@@ -17,20 +23,16 @@ from thorvaldc.compiler.bus.device_sections import (
     BusSpec,
     Device,
     Placed,
-    entries,
     integer,
-    items,
     listed,
     objects_of,
 )
-from thorvaldc.compiler.bus.lock_file import Lock, Pin
-from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source import node as source
 from thorvaldc.compiler.source.dimensions import EXPECTED
-from thorvaldc.compiler.source.units import UnitError, parse_any
+from thorvaldc.compiler.values.value_reader import entries, items
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
-from thorvaldc.model import Channel, FrameDefinition, Node, Scalar
+from thorvaldc.model import Channel, FrameDefinition, Node, Robot
 from thorvaldc.model.bus import CANOPEN
 
 # Default number of missed heartbeats after which a CANopen node counts as lost, if the module
@@ -313,12 +315,12 @@ def _node(
         request.serial,
         tuple(
             Channel(name, scope.text(node.get("role")), wired.get(name))
-            for name, node in entries(device.channels)
+            for name, node in entries(device.channels).items()
         ),
         tuple(
             (name, value)
-            for name, node in entries(can.get("properties"))
-            if (value := _scalar(scope, node)) is not None
+            for name, node in entries(can.get("properties")).items()
+            if (value := scope.scalar(node)) is not None
         ),
         device.span,
         automatic=request.id is None,
@@ -338,16 +340,99 @@ def _node(
     )
 
 
-def _scalar(scope: Scope, node: source.Node) -> Scalar | None:
-    """Returns the value of a property of a CAN device.
+# -- the lock file ----------------------------------------------------------------------
 
-    A quantity such as ``100 ms`` is converted to SI units.  A text that is not a quantity with a
-    unit is returned unchanged.
+VERSION_KEY, VERSION = "thorvaldc_lock", 1
+ADDRESSES = "addresses"
+HEAD = """\
+# Ids that thorvaldc chose for the devices of {robot} (`can: auto`). `thorvaldc build` keeps this
+# file up to date. Keep it with the robot: with it a new module never takes another's id.
+"""
+
+
+class Pin(NamedTuple):
+    id: int
+    span: Span
+
+
+Lock = dict[tuple[str, str, str], Pin]  # (bus, id space, module) -> node id
+
+
+def lock_path(robot: Path) -> Path:
+    """Returns the path of the lock file of a robot, such as `robot.lock.yaml` for `robot.yaml`."""
+    return robot.with_name(f"{robot.stem}.lock.yaml")
+
+
+def without_lock_files(files: Sequence[str]) -> list[str]:
+    """Returns the paths without those of the lock files of robots among them.
+
+    The pattern `robots/*.yaml` also names lock files; the compiler reads them with their robots.
     """
-    value = scope.evaluate(node)
-    if isinstance(value, str) and not node.quoted:
-        try:
-            return parse_any(value)
-        except UnitError:
-            return value
-    return value if isinstance(value, bool | int | float | str) else None
+    locks = {lock_path(Path(file)) for file in files if Path(file).name}
+    return [file for file in files if Path(file) not in locks]
+
+
+def read_lock(document: source.Node, report: Report) -> Lock:
+    """Returns the node ids in a lock file, and reports an error for each invalid node id."""
+
+    def report_error(message: str, node: source.Node) -> None:
+        report.add(
+            "can-lock-invalid",
+            message,
+            node.span,
+            hint="restore the file from version control, or delete it to choose all ids again",
+        )
+
+    version = document.get(VERSION_KEY)
+    if version is None or type(version.value) is not int or version.value != VERSION:
+        report_error(
+            f"this is not a lock file with `{VERSION_KEY}: {VERSION}`", version or document
+        )
+        return {}
+
+    def entries(node: source.Node | None) -> Iterator[tuple[str, source.Node]]:
+        if node is not None and isinstance(node.value, dict):
+            yield from node.value.items()
+        elif node is not None:
+            report_error("expected a mapping", node)
+
+    lock: Lock = {}
+    for bus, spaces in entries(document.get(ADDRESSES)):
+        for id_space, modules in entries(spaces):
+            for module, node in entries(modules):
+                if type(node.value) is int:
+                    lock[bus, id_space, module] = Pin(node.value, node.where)
+                else:
+                    report_error(f"the id of `{module}` must be a whole number", node)
+    return lock
+
+
+def lock_text(robot: Robot, file: str) -> str:
+    """Returns the YAML text of the lock file of a robot.
+
+    - ``file``: name of the robot file, for the comment at the start of the lock file.
+    """
+    lines = [HEAD.format(robot=file), f"{VERSION_KEY}: {VERSION}\n"]
+    lines.append(f"{ADDRESSES}:\n" if has_pins(robot) else f"{ADDRESSES}: {{}}\n")
+    for bus in robot.buses:
+        pinned = [node for node in bus.nodes if node.automatic]
+        if pinned:
+            lines.append(f"  {_key(bus.name)}:\n")
+        for id_space in dict.fromkeys(node.id_space for node in pinned):
+            lines.append(f"    {_key(id_space)}:\n")
+            lines += [f"      {_key(n.module)}: {n.id}\n" for n in pinned if n.id_space == id_space]
+    return "".join(lines)
+
+
+def _key(name: str) -> str:
+    """Returns the name of a device as a YAML key.
+
+    The words `true`, `false` and `null` need quotes, because YAML does not read them as text.
+    Device names have only lower-case letters, so no other YAML key needs quotes.
+    """
+    return f'"{name}"' if name in ("true", "false", "null") else name
+
+
+def has_pins(robot: Robot) -> bool:
+    """Returns whether the compiler chose the node id of at least one CAN device."""
+    return any(node.automatic for bus in robot.buses for node in bus.nodes)

@@ -227,7 +227,7 @@ class _HardwareReader:
                 self.report.add("wrong-type", "expected a list", node.span)
                 values = ()
             dimensions = self.scope.dimension_of(node) if values else []
-            values = [self.values.scalar(v) if isinstance(v, Node) else v for v in values]
+            values = [self.scope.scalar(v, 0.0) if isinstance(v, Node) else v for v in values]
             count = len(scopes) * len(values)
             if count > MAX_REPETITIONS:
                 self.report.add(

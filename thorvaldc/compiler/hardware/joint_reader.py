@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from dataclasses import replace
 
 from thorvaldc.compiler.modules.library import ModuleType
 from thorvaldc.compiler.modules.module_parameters import Scope, hint_of_known
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.compiler.source.units import UnitError, parse_any
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Label, Report
@@ -67,23 +65,12 @@ class ModuleValues:
         entry_schema = schema.get("additionalProperties") or schema
         return Section(node, entry_schema, self.scope, alternative)
 
-    def scalar(self, node: Node) -> Scalar:
-        """Returns the value of a YAML node as a boolean, a number or a text.
-
-        A text with a unit is converted to a number in SI units.
-        """
-        value = self.scope.evaluate(node)
-        if isinstance(value, str) and not node.quoted:
-            with contextlib.suppress(UnitError):
-                return parse_any(value)
-        return value if isinstance(value, bool | int | float | str) else 0.0
-
     def properties(self, node: Node | None) -> tuple[tuple[str, Scalar], ...]:
         """Returns the properties in a mapping of a module document, by name.
 
         Properties with a unit are converted to SI units.
         """
-        return tuple((key, self.scalar(value)) for key, value in entries(node).items())
+        return tuple((key, self.scope.scalar(value, 0.0)) for key, value in entries(node).items())
 
 
 def read_joints(values: ModuleValues) -> tuple[Joint, ...]:

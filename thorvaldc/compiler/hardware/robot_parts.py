@@ -190,7 +190,7 @@ def modules_of(
                 leaf.type.name,
                 leaf.mount.leaf.path if mounted and leaf.mount is not None else "",
                 mounted,
-                mass_by_source(hardware[leaf.path]) if mounted else (),
+                masses_by_source(hardware[leaf.path].masses) if mounted else (),
                 leaf.span,
                 _purchase_of(leaf, hardware, purchases),
             )
@@ -218,10 +218,10 @@ def _purchase_of(
     return purchase
 
 
-def mass_by_source(hardware: Hardware) -> tuple[model.SourcedMass, ...]:
-    """Returns the mass of a module by source, in the order of the module document."""
+def masses_by_source(parts: Iterable[model.SourcedMass]) -> tuple[model.SourcedMass, ...]:
+    """Returns the sum of the masses of each source, in the order of the sources."""
     masses: dict[str, float] = {}
-    for part in hardware.masses:
+    for part in parts:
         masses[part.source] = masses.get(part.source, 0.0) + part.mass
     return tuple(model.SourcedMass(clean(mass), source) for source, mass in masses.items())
 

@@ -281,10 +281,15 @@ class Scope(values.ValueReader):
                 else elements
             )
         value = self.value(node)
-        if isinstance(value, str) and value is node.value and not node.quoted:
-            with contextlib.suppress(UnitError):
-                return parse_any(value)
-        return value
+        return _in_si(value, node) if value is node.value else value
+
+    def scalar(self, node: Node, otherwise: Any = None) -> Any:
+        """Returns a boolean, a number or a text; a text with a unit is a number in SI units.
+
+        ``otherwise``: instead of any other value.
+        """
+        value = _in_si(self.evaluate(node), node)
+        return value if isinstance(value, bool | int | float | str) else otherwise
 
     # -- parameters ---------------------------------------------------------------
 
@@ -479,6 +484,14 @@ class Scope(values.ValueReader):
             hint=did_you_mean(str(node.value), known),
         )
         return values.INVALID
+
+
+def _in_si(value: Any, node: Node) -> Any:
+    """Returns a value of a node; a text with a unit becomes its SI value."""
+    if isinstance(value, str) and not node.quoted:
+        with contextlib.suppress(UnitError):
+            return parse_any(value)
+    return value
 
 
 def _text(node: Node, key: str) -> str:

@@ -217,8 +217,8 @@ def raise_axles(
     """Returns the joints, with each axle raised by measured minus nominal radius.
 
     All wheels of the model then touch the ground.  The frame of a real robot bends by a few
-    millimetres until all wheels touch the ground.  A rigid robot model with different wheel radii would stand
-    on three wheels.
+    millimetres until all wheels touch the ground.  A rigid robot model with different wheel radii
+    would stand on three wheels.
     """
     raised = {joint.name: joint for joint in joints}
     for nominal, measured in zip(nominal_wheels, measured_wheels, strict=True):

@@ -8,11 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from thorvaldc.compiler.scenario import world_reader
-from thorvaldc.compiler.scenario.variations import (
-    read_variations,
-    with_changes,
-    without_variations,
-)
+from thorvaldc.compiler.scenario.variations import read_variations, with_changes, without_variations
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.compiler.values.document_section import Section, read_document

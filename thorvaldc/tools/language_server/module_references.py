@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from thorvaldc.compiler.bus.lock_file import ADDRESSES, lock_path
+from thorvaldc.compiler.bus.node_ids import ADDRESSES, lock_path
 from thorvaldc.compiler.modules.library import FILE, ModuleType
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.value_reader import entries
