@@ -124,9 +124,9 @@ def test_a_required_key_has_no_default(kind: Kind) -> None:
 
 # Files below `compiler` that name kinds of quantities for values that no `Section` reads yet.
 OWN_QUANTITIES = (
-    "bus/assemble_buses bus/device_frames bus/device_sections bus/node_ids"
-    " hardware/hardware_reader hardware/purchase_reader hardware/robot_parts"
-    " modules/module_parameters robot_settings/robot_sections values/value_reader"
+    "bus/device_frames bus/device_sections"
+    " hardware/hardware_reader hardware/purchase_reader"
+    " modules/module_parameters values/value_reader"
 )
 
 

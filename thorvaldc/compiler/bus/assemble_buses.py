@@ -36,16 +36,17 @@ from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
 from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.source import node as source
+from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Actuator, Bus, FrameDefinition, Joint, Node, Signal
 from thorvaldc.model.bus import CANOPEN
 from thorvaldc.model.bus_timing import bus_load, frame_response_times
+from thorvaldc.schema.documents import inlined
 
 __all__ = ["BusSpec", "Device", "Wire", "build_buses", "connect_actuators"]
 
 
-DEFAULT_BITRATE = 500_000  # bit/s
 DEFAULT_BUS = "main"
 
 
@@ -126,19 +127,14 @@ class Wiring(NamedTuple):
         return buses
 
     def _specs(self) -> list[BusSpec]:
-        node = self.document.get("buses")
-        if node is None or not isinstance(node.value, dict) or not node.value:
-            named = self.document.get("name") or self.document
-            return [BusSpec(DEFAULT_BUS, DEFAULT_BITRATE, named.span, stated=False)]
-        return [
-            BusSpec(
-                name,
-                round(self.scope.quantity(entry.get("bitrate"), "bitrate", DEFAULT_BITRATE)),
-                entry.where,
-                stated=entry.get("bitrate") is not None,
-            )
-            for name, entry in node.value.items()
-        ]
+        named = self.document.get("name") or self.document
+        unstated = {DEFAULT_BUS: source.Node({}, named.span)}
+        schema = inlined("robot")["properties"]["buses"]["additionalProperties"]
+        specs = []
+        for name, entry in (entries(self.document.get("buses")) or unstated).items():
+            bitrate = round(Section(entry, schema, self.scope)["bitrate"])
+            specs.append(BusSpec(name, bitrate, entry.where, entry.get("bitrate") is not None))
+        return specs
 
     def _device(self, leaf: Instance, can: source.Node) -> Device:
         wires: list[Wire] = []

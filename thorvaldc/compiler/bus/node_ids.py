@@ -29,11 +29,13 @@ from thorvaldc.compiler.bus.device_sections import (
 )
 from thorvaldc.compiler.source import node as source
 from thorvaldc.compiler.source.dimensions import EXPECTED
+from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries, items
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Channel, FrameDefinition, Node, Robot
 from thorvaldc.model.bus import CANOPEN
+from thorvaldc.schema.documents import inlined
 
 # Default number of missed heartbeats after which a CANopen node counts as lost, if the module
 # document contains no `heartbeat_timeout`.
@@ -300,10 +302,7 @@ def _node(
         )
         return None
 
-    def time(key: str, default: float | None = None) -> float | None:
-        node = can.get(key)
-        return scope.quantity(node, "time", default or 0.0) if node is not None else default
-
+    stated = Section(can, inlined("module")["properties"]["can"], scope)
     beats = [f.period for f in frames if f.kind == "heartbeat" and f.period is not None]
     return Node(
         device.name,
@@ -328,15 +327,13 @@ def _node(
         revision_number=number("revision_number"),
         device_type=number("device_type"),
         lss=scope.boolean(can.get("lss"), False),
-        heartbeat_timeout=time("heartbeat_timeout", HEARTBEATS_MISSED * beats[0])
+        heartbeat_timeout=stated.get("heartbeat_timeout", HEARTBEATS_MISSED * beats[0])
         if beats
         else None,
-        heartbeat_consumer_time=time("heartbeat_consumer_time"),
-        command_watchdog=time("command_watchdog"),
+        heartbeat_consumer_time=stated["heartbeat_consumer_time"],
+        command_watchdog=stated["command_watchdog"],
         watchdog_coasts=scope.boolean(can.get("watchdog_coasts"), False),
-        bitrates=tuple(
-            round(scope.quantity(node, "bitrate")) for node in items(can.get("bitrates"))
-        ),
+        bitrates=tuple(map(round, stated["bitrates"])),
     )
 
 

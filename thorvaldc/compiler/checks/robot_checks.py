@@ -9,13 +9,18 @@ from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.diagnostics.plain_numbers import millimetres, plain
 from thorvaldc.model import Robot, Wheel
-from thorvaldc.model.spatial import GRAVITY, float_sum
+from thorvaldc.model.spatial import GRAVITY
+from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.statics.convex_hull import Point
+from thorvaldc.model.statics.convex_hull import overlap
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.slope import SlopeStatics, holds_without_torque, standing_slopes
 from thorvaldc.model.statics.tip_over import support_of
 
 # Largest gap (m) between a wheel and the ground that suspensions and tyres compensate.
 WHEEL_OFF_GROUND = 2e-3
+
+TOUCHING = 1e-6  # Overlap (m) of two wheels that touch each other.
 
 SMALLEST_SIZE, LARGEST_SIZE = 0.1, 20.0
 """Extents (m) of the smallest and the largest robot that is not reported."""
@@ -185,7 +190,7 @@ def check_wheels_overlap(robot: Robot, report: Report) -> None:
     that are larger than any wheel.  Each wheel is then compared only with the wheels in the same
     and the neighbouring grid cells.
     """
-    cells: dict[tuple[int, int], list[Wheel]] = {}
+    cells: dict[tuple[int, int], list[tuple[Wheel, list[Point]]]] = {}
     size = 2 * max(max(w.radius, w.width) for w in robot.wheels) + 1e-6
     for wheel in robot.wheels:
         x, y = wheel.contact_point
@@ -196,7 +201,9 @@ def check_wheels_overlap(robot: Robot, report: Report) -> None:
             for dj in (-1, 0, 1)
             for neighbour in cells.get((i + di, j + dj), ())
         ]
-        overlapping = next((n for n in neighbours if _rectangles_overlap(wheel, n)), None)
+        outline = _outline(wheel)
+        overlaps = ((other, overlap(outline, corners)) for other, corners in neighbours)
+        overlapping = next((w for w, move in overlaps if move and move[0] > TOUCHING), None)
         if overlapping is not None:
             # Each wheel causes at most one diagnostic about overlapping wheels.  Without the
             # restriction, a thousand wheels in one position would cause half a million diagnostics.
@@ -208,29 +215,18 @@ def check_wheels_overlap(robot: Robot, report: Report) -> None:
                 hint="move one of the mounts",
             )
             continue
-        cells.setdefault((i, j), []).append(wheel)
+        cells.setdefault((i, j), []).append((wheel, outline))
 
 
-def _rectangles_overlap(a: Wheel, b: Wheel) -> bool:
-    """Returns whether the rectangles of two wheels overlap.
+def _outline(wheel: Wheel) -> list[Point]:
+    """Returns the corners (m) of the rectangle of a wheel on the ground, counter-clockwise.
 
-    The rectangle of a wheel has the length 2 * radius along the heading, and the width of the
-    wheel.  Two rectangles are tested for overlap with the separating axis theorem.
+    The rectangle has the length 2 * radius along the heading, and the width of the wheel.
     """
-    (ax, ay), (bx, by) = a.contact_point, b.contact_point
-    tolerance = 1e-6  # m
-    for heading in (a.heading, b.heading):
-        for axis in (heading, heading + math.pi / 2):
-            c, s = math.cos(axis), math.sin(axis)
-            distance = abs((bx - ax) * c + (by - ay) * s)
-            reach = 0.0
-            for wheel in (a, b):
-                along = abs(math.cos(wheel.heading - axis))
-                across = abs(math.sin(wheel.heading - axis))
-                reach += wheel.radius * along + wheel.width / 2 * across
-            if distance >= reach - tolerance:
-                return False
-    return True
+    x, y = wheel.contact_point
+    c, s, a, b = math.cos(wheel.heading), math.sin(wheel.heading), wheel.radius, wheel.width / 2
+    corners = ((a, b), (-a, b), (-a, -b), (a, -b))
+    return [(x + c * along - s * left, y + s * along + c * left) for along, left in corners]
 
 
 def check_stability(robot: Robot, design: DesignRequirements, report: Report) -> None:

@@ -18,12 +18,14 @@ from thorvaldc.compiler.hardware.hardware_reader import Hardware
 from thorvaldc.compiler.modules.module_parameters import hint_of_known
 from thorvaldc.compiler.modules.module_tree import Instance, References, name_prefix
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.diagnostics.plain_numbers import millimetres
 from thorvaldc.model import Purchase
 from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.joint_tree import Coordinate, Member, follow
+from thorvaldc.schema.documents import inlined
 
 Placed = TypeVar(
     "Placed", model.Link, model.Joint, model.Actuator, model.Wheel, model.Sensor, model.Battery
@@ -297,11 +299,10 @@ class _Coupler:
         leader = self._joint(instance, node.get("follows"))
         if joint is None or leader is None:
             return
-        scope = instance.scope
+        schema = inlined("robot")["properties"]["couplings"]["additionalProperties"]
+        section = Section(node, schema, instance.scope, int(joint.type == "prismatic"))
+        ratio, offset = section["ratio"], section["offset"]
         ratio_node, offset_node = node.get("ratio"), node.get("offset")
-        ratio = scope.quantity(ratio_node, "number", 1.0)
-        quantity = "length" if joint.type == "prismatic" else "angle"
-        offset = scope.quantity(offset_node, quantity, 0.0)
         problem = self._problem(joint, leader, ratio)
         if problem is not None:
             message, hint, label = problem

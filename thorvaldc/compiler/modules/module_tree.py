@@ -244,41 +244,31 @@ class References:
             if part.parent.type is not None and name in part.parent.type.section(section):
                 part, rest = part.parent, [name]
         available = part.type.section(section) if part.type is not None else {}
-        if len(rest) != 1:
-            if not rest:
-                first = next(iter(available), None)
-                message = f"`{reference}` is a module, not a {word}"
-                if first:
-                    hint = f"name its {word}: `{reference}.{first}`"
-                    hint = Proposal(hint, f"{reference}.{first}", is_example=True)
-                else:
-                    hint = _none_hint(inside, reference, section, word)
-            elif rest[0] in available:
-                message = f"`{part.path}.{rest[0]}` is a {word}; nothing can follow it"
-                shorter = reference.removesuffix("." + ".".join(rest[1:]))
-                hint = Proposal(f"write `{shorter}`", shorter)
-            else:
-                message = f"`{part.path}` has no part `{rest[0]}`"
-                hint = hint_of_known(rest[0], [*part.children, *available], reference)
-            self.report.add(f"{word}-unknown", message, node.span, hint=hint)
-            return None
-        name = rest[0]
-        if name not in available:
-            self.report.add(
-                f"{word}-unknown",
-                f"`{part.path}` ({part.type.name if part.type else ''}) has no {word} `{name}`",
-                node.span,
-                hint=hint_of_known(name, list(available), reference),
-            )
-            return None
-        if not part.is_leaf:
+        name, hint = rest[0] if rest else "", None
+        if not rest:
+            first = next(iter(available), None)
+            message = f"`{reference}` is a module, not a {word}"
+            hint = _none_hint(inside, reference, section, word)
+            if first:
+                target_name = f"{reference}.{first}"
+                hint = Proposal(f"name its {word}: `{target_name}`", target_name, is_example=True)
+        elif len(rest) > 1 and name in available:
+            message = f"`{part.path}.{name}` is a {word}; nothing can follow it"
+            shorter = reference.removesuffix("." + ".".join(rest[1:]))
+            hint = Proposal(f"write `{shorter}`", shorter)
+        elif len(rest) > 1:
+            message = f"`{part.path}` has no part `{name}`"
+            hint = hint_of_known(name, [*part.children, *available], reference)
+        elif name not in available:
+            type_name = part.type.name if part.type else ""
+            message = f"`{part.path}` ({type_name}) has no {word} `{name}`"
+            hint = hint_of_known(name, list(available), reference)
+        elif not part.is_leaf:
             target = available[name]
             return self._find_in_section(part, str(target.value), target, section, word)
-        if not part.scope.boolean(available[name].get("when"), True):
-            self.report.add(
-                f"{word}-unknown",
-                f"`{part.path}` has no {word} `{name}` with these parameters",
-                node.span,
-            )
-            return None
-        return part, name
+        elif part.scope.boolean(available[name].get("when"), True):
+            return part, name
+        else:
+            message = f"`{part.path}` has no {word} `{name}` with these parameters"
+        self.report.add(f"{word}-unknown", message, node.span, hint=hint)
+        return None

@@ -18,6 +18,7 @@ from thorvaldc.diagnostics import Label, Proposal, Report, Span
 from thorvaldc.model import Battery, CalculatorChoice, Robot, ros
 from thorvaldc.model.facts.electrics import battery_voltage
 from thorvaldc.model.robot import PARALLEL, SEPARATE
+from thorvaldc.schema.documents import inlined
 
 
 def read_calculator(document: Node, scope: Scope) -> CalculatorChoice:
@@ -94,7 +95,7 @@ def read_design(document: Node, report: Report) -> DesignRequirements:
     node = document.get("design")
     if node is None:
         return DesignRequirements()
-    reader = ValueReader(report)
+    section = Section(node, inlined("robot")["properties"]["design"], ValueReader(report))
 
     def angle(key: str, default: float) -> float:
         entry = node.get(key)
@@ -104,7 +105,7 @@ def read_design(document: Node, report: Report) -> DesignRequirements:
         if isinstance(entry.value, int | float) and not isinstance(entry.value, bool):
             value, hint = float(entry.value), f"write `{entry.value:g} deg` if degrees are meant"
         else:
-            value = reader.quantity(entry, "angle", default)
+            value = section.get(key, default)
         if 0.0 <= value < math.pi / 2:
             return value
         report.add(
