@@ -120,7 +120,7 @@ INTEGER_SUMS = frozenset(
         "sum((OBJECT_TYPES[kind][1] for _, _, kind in mapping))",
         "sum((self.executor.nodes_at[node] for node in ids))",
         "sum(groups.values())",
-        "sum(map(robots_of, entries))",
+        "sum(map(fleet_compilation.robots_of, entries))",
         "sum(base.nodes.relay_drops().values())",
         "sum(sizes)",
     ]

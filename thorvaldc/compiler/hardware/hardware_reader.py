@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from thorvaldc import model
@@ -63,6 +62,9 @@ class Hardware(NamedTuple):
     purchase: Purchase = NOT_STATED
 
 
+RGBA = tuple[float, float, float, float]
+DEFAULT_COLOR = "#9a9a9a"
+_COLOR = re.compile(r"#[0-9a-fA-F]{6}([0-9a-fA-F]{2})?")
 MAX_CACHED = 256
 """Largest number of parameter values of a module type whose hardware is cached: a study compiles
 designs without end."""
@@ -119,12 +121,7 @@ class _HardwareReader:
         self.report = report
         self.values = ModuleValues(module, scope, report)
         self.masses: list[model.SourcedMass] = []
-        self.shapes = LinkShapeReader(
-            module.folder,
-            module.display.startswith(BUILTIN_LIBRARY),
-            scope.library.palette(),
-            report,
-        )
+        self.meshes: dict[str, model.Mesh] = {}  # of all parts, by file name
 
     def read(self) -> Hardware:
         """Returns the hardware of the module and reports all errors in the module document."""
@@ -164,7 +161,7 @@ class _HardwareReader:
             self._sensor(sensor) if sensor is not None else None,
             self._battery(battery) if battery is not None else None,
             self.values.section(mount, "mount").pose() if mount is not None else model.Pose(),
-            tuple(self.shapes.meshes.values()),
+            tuple(self.meshes.values()),
             self.scope.quantity(height, "length") if is_stated else None,
             read_purchase(document.get("purchase"), self.scope, self.report),
         )
@@ -207,7 +204,7 @@ class _HardwareReader:
         for part in items(node.get("parts")):
             for scope in self._repetitions(part):
                 if scope.boolean(part.get("when"), True):
-                    mass = self.shapes.read(part, scope, visuals, collisions)
+                    mass = self._part(part, scope, visuals, collisions)
                     if mass is not None:
                         inertials.append(mass)
                         source = scope.text(part.get("source"))
@@ -292,36 +289,9 @@ class _HardwareReader:
         properties = self.values.properties(node.get("properties"))
         return model.Battery("", "", link, "" if present else None, properties, node.where)
 
+    # -- shapes, colours and masses of links -------------------------------------------------
 
-# -- shapes, colours and masses of links -------------------------------------------------
-
-RGBA = tuple[float, float, float, float]
-DEFAULT_COLOR = "#9a9a9a"
-_COLOR = re.compile(r"#[0-9a-fA-F]{6}([0-9a-fA-F]{2})?")
-
-
-class LinkShapeReader:
-    """Reads the shapes, colours and masses of the links of one module.
-
-    Attributes
-    ----------
-    folder : folder of the module.  Paths of mesh files are relative to the folder.
-    is_builtin : whether the module is one of the built-in library.
-    palette : colours by name.
-    report : collects the diagnostics.
-    meshes : meshes of all parts that were read, by file name.
-    """
-
-    def __init__(
-        self, folder: Path, is_builtin: bool, palette: dict[str, str], report: Report
-    ) -> None:
-        self.folder = folder
-        self.is_builtin = is_builtin
-        self.palette = palette
-        self.report = report
-        self.meshes: dict[str, model.Mesh] = {}
-
-    def read(
+    def _part(
         self,
         part: Node,
         scope: Scope,
@@ -427,14 +397,14 @@ class LinkShapeReader:
         name = scope.text(file)
         factors = self._mesh_scale(node.get("scale"), scope)
         mesh = load_mesh(
-            self.folder / name,
+            self.module.folder / name,
             file.span,
             self.report,
             display=name,
             scale=factors,
             collides=collides,
-            is_builtin=self.is_builtin,
-            named_in=(self.folder, file),
+            is_builtin=self.module.display.startswith(BUILTIN_LIBRARY),
+            named_in=(self.module.folder, file),
         )
         if mesh is None:
             return None
@@ -461,12 +431,13 @@ class LinkShapeReader:
         colour.
         """
         text = scope.text(node, DEFAULT_COLOR) or DEFAULT_COLOR
-        digits = self.palette.get(text, text)
+        palette = self.scope.library.palette()
+        digits = palette.get(text, text)
         if _COLOR.fullmatch(digits):
             values = [int(digits[i : i + 2], 16) / 255 for i in range(1, len(digits), 2)]
             r, g, b, a = (round(v, 4) for v in [*values, 1.0][:4])
             return (r, g, b, a)
-        known = hint_of_known(text, list(self.palette))
+        known = hint_of_known(text, list(palette))
         self.report.add(
             "color-unknown",
             f"`{text}` is not a colour",

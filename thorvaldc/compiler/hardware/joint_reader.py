@@ -79,7 +79,7 @@ def read_joints(values: ModuleValues) -> tuple[Joint, ...]:
     Joints with a false condition `when` are left out.
     """
     joints = tuple(
-        _JointReader(values, name, node).read()
+        _read_joint(values, name, node)
         for name, node in values.module.section("joints").items()
         if values.is_present(node)
     )
@@ -101,82 +101,72 @@ def read_motors(values: ModuleValues, joints: tuple[Joint, ...]) -> tuple[Actuat
     return motors
 
 
-class _JointReader:
-    """Reads one joint of a module document.
+def _read_joint(values: ModuleValues, name: str, node: Node) -> Joint:
+    """Returns a joint of a module document, and reports errors.
 
     The limits of a prismatic joint are linear quantities, such as a length and a force.  The
     limits of all other joints are rotational quantities, such as an angle and a torque, which the
     schema names first.
     """
+    joint_type = values.scope.text(node.get("type"), "fixed")
+    section = values.section(node, "joints", int(joint_type == "prismatic"))
+    axis = _axis(name, section, values.report)
+    lower, upper = _limits(name, joint_type, section, values.report)
+    spring = section["spring"]
+    is_continuous = joint_type == "continuous"
+    return Joint(
+        name=name,
+        module="",
+        type=joint_type,
+        parent=values.link_name(node.get("parent")),
+        child=values.link_name(node.get("child")),
+        pose=section.pose().clean(),
+        span=node.where,
+        axis=axis,
+        lower=None if is_continuous else lower,
+        upper=None if is_continuous else upper,
+        effort=section["effort"],
+        velocity=section["velocity"],
+        damping=spring["damping"] + section["damping"],
+        friction=section["friction"],
+        stiffness=spring["stiffness"] if "spring" in section else 0.0,
+        role=values.scope.text(node.get("role")),
+    )
 
-    def __init__(self, values: ModuleValues, name: str, node: Node) -> None:
-        self.values = values
-        self.name = name
-        self.node = node
-        self.type = values.scope.text(node.get("type"), "fixed")
-        self.section = values.section(node, "joints", int(self.type == "prismatic"))
 
-    def read(self) -> Joint:
-        """Returns the joint of a module document, and reports errors."""
-        values, node, section = self.values, self.node, self.section
-        axis = self._axis()
-        lower, upper = self._limits()
-        spring = section["spring"]
-        is_continuous = self.type == "continuous"
-        return Joint(
-            name=self.name,
-            module="",
-            type=self.type,
-            parent=values.link_name(node.get("parent")),
-            child=values.link_name(node.get("child")),
-            pose=section.pose().clean(),
-            span=node.where,
-            axis=axis,
-            lower=None if is_continuous else lower,
-            upper=None if is_continuous else upper,
-            effort=section["effort"],
-            velocity=section["velocity"],
-            damping=spring["damping"] + section["damping"],
-            friction=section["friction"],
-            stiffness=spring["stiffness"] if "spring" in section else 0.0,
-            role=values.scope.text(node.get("role")),
-        )
+def _axis(name: str, section: Section, report: Report) -> Vec3:
+    """Returns the joint axis as a unit vector in the joint frame."""
+    axis: Vec3 = section["axis"]
+    length = norm(axis)
+    if length < 1e-9:
+        span = section.entry("axis").span
+        report.add("axis-zero", f"the axis of joint `{name}` has no direction", span)
+        return (0.0, 0.0, 1.0)
+    return axis if length == 1.0 else scale(1.0 / length, axis)
 
-    def _axis(self) -> Vec3:
-        """Returns the joint axis as a unit vector in the joint frame."""
-        axis: Vec3 = self.section["axis"]
-        length = norm(axis)
-        if length < 1e-9:
-            self.values.report.add(
-                "axis-zero",
-                f"the axis of joint `{self.name}` has no direction",
-                self.section.entry("axis").span,
-            )
-            return (0.0, 0.0, 1.0)
-        return axis if length == 1.0 else scale(1.0 / length, axis)
 
-    def _limits(self) -> tuple[float | None, float | None]:
-        """Returns the lower and upper position limits (m or rad), and checks the limits."""
-        report = self.values.report
-        lower, upper = self.section["lower"], self.section["upper"]
-        if self.type in ("revolute", "prismatic"):
-            for key in ("lower", "upper"):
-                if self.node.get(key) is None:
-                    report.add(
-                        "joint-limit-missing",
-                        f"joint `{self.name}` is {self.type} and has no `{key}`",
-                        self.node.where,
-                        hint="state it, or make the joint `continuous`"
-                        if self.type == "revolute"
-                        else "state it",
-                    )
-        if lower is not None and upper is not None and lower >= upper:
+def _limits(
+    name: str, joint_type: str, section: Section, report: Report
+) -> tuple[float | None, float | None]:
+    """Returns the lower and upper position limits (m or rad), and checks the limits."""
+    lower, upper, node = section["lower"], section["upper"], section.node
+    for key in ("lower", "upper") if joint_type in ("revolute", "prismatic") else ():
+        if node.get(key) is None:
             report.add(
-                "joint-limits-reversed",
-                f"joint `{self.name}`: lower {plain(lower)} is not below upper {plain(upper)}",
-                self.node.where,
+                "joint-limit-missing",
+                f"joint `{name}` is {joint_type} and has no `{key}`",
+                node.where,
+                hint="state it, or make the joint `continuous`"
+                if joint_type == "revolute"
+                else "state it",
             )
-        return lower, upper
+    if lower is not None and upper is not None and lower >= upper:
+        report.add(
+            "joint-limits-reversed",
+            f"joint `{name}`: lower {plain(lower)} is not below upper {plain(upper)}",
+            node.where,
+        )
+    return lower, upper
 
 
 def _check_tree(joints: tuple[Joint, ...], values: ModuleValues) -> None:

@@ -59,7 +59,6 @@ def manifest(
     name: str,
     source_sha256: str,
     version: str,
-    complete: bool = True,
 ) -> bytes:
     """Returns the content of the manifest file of a build.
 
@@ -72,7 +71,7 @@ def manifest(
         "compiler": f"thorvaldc {version}",
         "name": name,
         "source_sha256": source_sha256,
-        "complete": complete,
+        "complete": True,
         "files": {path: hashlib.sha256(files[path]).hexdigest() for path in sorted(files)},
     }
     return (json.dumps(content, ensure_ascii=False, indent=1) + "\n").encode()
