@@ -9,13 +9,10 @@ from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
 from thorvaldc.diagnostics import Label, Report
 from thorvaldc.diagnostics.plain_numbers import millimetres, plain
 from thorvaldc.model import Robot, Wheel
-from thorvaldc.model.spatial import GRAVITY
-from thorvaldc.model.spatial import float_sum
-from thorvaldc.model.statics.convex_hull import Point
-from thorvaldc.model.statics.convex_hull import overlap
+from thorvaldc.model.spatial import GRAVITY, float_sum
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.slope import SlopeStatics, holds_without_torque, standing_slopes
-from thorvaldc.model.statics.tip_over import support_of
+from thorvaldc.model.statics.tip_over import Point, overlap, support_of
 
 # Largest gap (m) between a wheel and the ground that suspensions and tyres compensate.
 WHEEL_OFF_GROUND = 2e-3

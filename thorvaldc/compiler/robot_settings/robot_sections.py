@@ -15,7 +15,8 @@ from thorvaldc.compiler.source.node import Node, insertion
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import ValueReader, entries
 from thorvaldc.diagnostics import Label, Proposal, Report, Span
-from thorvaldc.model import Battery, CalculatorChoice, Robot, ros
+from thorvaldc.model import Battery, CalculatorChoice, Robot
+from thorvaldc.model import settings as ros
 from thorvaldc.model.facts.electrics import battery_voltage
 from thorvaldc.model.robot import PARALLEL, SEPARATE
 from thorvaldc.schema.documents import inlined
