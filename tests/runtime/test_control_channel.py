@@ -30,7 +30,7 @@ from thorvaldc.runtime.control_channel import (
 )
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.pace import SimulatedTime
-from thorvaldc.runtime.service_table import LOCAL, Argument, Caller, Service, ServiceError, Services
+from thorvaldc.runtime.service_table import LOCAL, Caller, Service, ServiceError, Services
 from thorvaldc.simulation.bus.bus_server import BusServer
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import Wire as CanWire
@@ -525,9 +525,10 @@ def test_a_driver_that_does_not_run_or_has_ended(running: RunningDriver) -> None
 
 
 def test_services_are_listed_with_their_arguments() -> None:
-    services = Services(
-        [Service("a", "Does a.", lambda now, n: n + now, (Argument("n", "integer"),))]
-    )
+    def add(now: float, n: int) -> float:
+        return n + now
+
+    services = Services([Service("a", "Does a.", add)])
     listed = services.call("services", {}, 0.0)
     assert listed[0] == {
         "name": "a",

@@ -140,7 +140,7 @@ def test_outputs_of_an_io_board() -> None:
     rig.base.nodes.set_output("board", "beacon_red", True)
     rig.run(0.3)
     assert board.outputs == 0b110
-    assert rig.base.nodes.boards[0].reported_output("beacon_red") is True
+    assert rig.base.nodes.boards[0].reported["beacon_red_state"] == 1
     rig.base.nodes.set_output("board", "relay_1", False)
     board.inputs = 5
     rig.run(0.3)

@@ -331,9 +331,6 @@ class DrivenRobot(ArmableRobot):
 
 # -- services, for other programs and for ROS ---------------------------------------------------
 
-FORCE = Argument("force", "flag", False)
-"""Argument that also releases the stops of other programs."""
-
 
 def robot_services(robot: ArmableRobot) -> list[Service]:
     """Returns the services that command twists, arm and stop the robot, return its state, reset the
@@ -341,18 +338,23 @@ def robot_services(robot: ArmableRobot) -> list[Service]:
 
     The service ``safety_stop`` stops the robot by software and is not a safety function.
     """
-    multiplexer = robot.multiplexer
 
-    def twist(now: float, caller: Caller, source: str, vx: float, vy: float, wz: float) -> None:
-        refusal = multiplexer.publish(source, Twist(vx, vy, wz), now - caller.age, caller.name)
-        if refusal:
+    def twist(
+        now: float,
+        caller: Caller,
+        source: str,
+        vx: float = 0.0,
+        vy: float = 0.0,
+        wz: float = 0.0,
+    ) -> None:
+        published = now - caller.age
+        if refusal := robot.multiplexer.publish(source, Twist(vx, vy, wz), published, caller.name):
             raise ServiceError(refusal)
 
-    def reset_odometry(now: float) -> None:
-        robot.driver.reset_pose()
-
     def set_drive_parameters(
-        now: float, set: str | None, radii: dict[str, float], **limits: float | None
+        set: str | None = None,
+        radii: dict[str, float] = {},  # noqa: B006
+        **limits: float | None,
     ) -> None:
         changes = {name: value for name, value in limits.items() if value is not None}
         if set is None and not radii and not changes:
@@ -361,19 +363,20 @@ def robot_services(robot: ArmableRobot) -> list[Service]:
             raise ServiceError("`set` cannot be combined; change single values in another call")
         robot.set_drive_parameters(set or None, radii=radii, limits=changes)
 
+    def lock(caller: Caller, name: str, locked: bool = True, force: bool = False) -> None:
+        if caller.void and not locked:
+            raise ServiceError(caller.void)
+        robot.lock(name, locked, owner=caller.name, force=force)
+
+    def release_safety_stop(caller: Caller, force: bool = False) -> None:
+        robot.safety_stop(False, owner=caller.name, force=force)
+
     return [
         Service(
             "twist",
             "Command the twist of a source (m/s, m/s, rad/s); it is valid until the time-out of the"
             " source, while the connection is open.",
             twist,
-            (
-                Argument("source", "text"),
-                Argument("vx", "number", 0.0),
-                Argument("vy", "number", 0.0),
-                Argument("wz", "number", 0.0),
-            ),
-            with_caller=True,
         ),
         Service(
             "state",
@@ -384,92 +387,49 @@ def robot_services(robot: ArmableRobot) -> list[Service]:
         Service(
             "description",
             "Return the robot's constants: names, top speeds, rate.",
-            lambda now: robot_description(robot),
+            lambda: robot_description(robot),
             valid_late=True,
         ),
-        Service("reset_odometry", "Set the pose of the odometry to zero.", reset_odometry),
+        Service(
+            "reset_odometry",
+            "Set the pose of the odometry to zero.",
+            lambda: robot.driver.reset_pose(),
+        ),
         Service(
             "set_drive_parameters",
             "Change to a parameter set (`set`; empty: the default values), or change radii (m, by"
             " wheel) and limits.",
             set_drive_parameters,
-            (
-                Argument("set", "text", None),
-                Argument("radii", "mapping", {}),
-                *(Argument(name, "number", None) for name in LIMITS),
-            ),
+            tuple(Argument(name, "number", None) for name in LIMITS),
         ),
-        *_arming_services(robot),
-        *_stop_services(robot),
-    ]
-
-
-def _arming_services(robot: ArmableRobot) -> list[Service]:
-    """Returns the services that let the robot move, or take this permission away."""
-
-    def arm(now: float, caller: Caller) -> str | None:
-        return robot.arm(caller.name) or None
-
-    def disarm(now: float) -> None:
-        robot.disarm()
-
-    def home_steering(now: float) -> None:
-        robot.home_steering()
-
-    def reset_faults(now: float) -> None:
-        robot.reset()
-
-    return [
         Service(
             "arm",
             "Accept motion, if all pre-arm checks pass; homes the steering first if needed, while"
             " the connection is open. Refused with every reason.",
-            arm,
-            with_caller=True,
+            lambda caller: robot.arm(caller.name) or None,
         ),
         Service(
             "disarm",
             "Accept no motion until `arm`; a moving robot ramps to rest.",
-            disarm,
+            lambda: robot.disarm(),
             valid_late=True,
         ),
-        Service("home_steering", "Home all steering joints; they turn.", home_steering),
+        Service("home_steering", "Home all steering joints; they turn.", robot.home_steering),
         Service(
             "reset_faults",
             "Leave a fault or a stop; the stop must be released, and zero commanded.",
-            reset_faults,
+            robot.reset,
         ),
-    ]
-
-
-def _stop_services(robot: ArmableRobot) -> list[Service]:
-    """Returns the services that set and release locks."""
-
-    def lock(now: float, caller: Caller, name: str, locked: bool, force: bool) -> None:
-        if caller.void and not locked:
-            raise ServiceError(caller.void)
-        robot.lock(name, locked, owner=caller.name, force=force)
-
-    def safety_stop(now: float, caller: Caller) -> None:
-        robot.safety_stop(owner=caller.name)
-
-    def release_safety_stop(now: float, caller: Caller, force: bool) -> None:
-        robot.safety_stop(False, owner=caller.name, force=force)
-
-    return [
         Service(
             "lock",
             "Set a lock, which blocks sources up to its priority, or release it.",
             lock,
-            (Argument("name", "text"), Argument("locked", "flag", True), FORCE),
-            with_caller=True,
             valid_late=True,  # the function refuses a late release
         ),
         Service(
             "safety_stop",
             "Stop all motors and switch them off, until release and reset.",
-            safety_stop,
-            with_caller=True,
+            lambda caller: robot.safety_stop(owner=caller.name),
             valid_late=True,
         ),
         Service(
@@ -477,8 +437,6 @@ def _stop_services(robot: ArmableRobot) -> list[Service]:
             "Release the safety stop of this connection (`force`: of every connection); to drive"
             " again, call `reset_faults` and `arm`.",
             release_safety_stop,
-            (FORCE,),
-            with_caller=True,
         ),
     ]
 

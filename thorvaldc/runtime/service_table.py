@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from thorvaldc.diagnostics.error import DiagnosticError
@@ -64,7 +65,14 @@ _KINDS: dict[str, tuple[tuple[type, ...], str]] = {
     "text": ((str,), "text"),
     "mapping": ((dict,), "a mapping"),
 }
-_REQUIRED = object()
+_KIND_OF = {
+    "float": "number",
+    "int": "integer",
+    "bool": "flag",
+    "str": "text",
+    "dict[str, float]": "mapping",
+}
+"""Kind of an argument by the annotation of its parameter."""
 
 
 class ServiceError(ValueError):
@@ -103,11 +111,11 @@ class Argument:
 
     name: str
     kind: str
-    default: Any = _REQUIRED
+    default: Any = inspect.Parameter.empty
 
     @property
     def required(self) -> bool:
-        return self.default is _REQUIRED
+        return self.default is inspect.Parameter.empty
 
     def check(self, value: Any) -> Any:
         """Checks the type of a service argument and returns the value.
@@ -134,11 +142,12 @@ class Argument:
 class Service:
     """Service: a function of the base driver that other programs can call by name.
 
-    The function ``call`` takes the time (s) and the service arguments by name, and returns JSON
-    values.  The function ``call`` raises ``ServiceError``, ``ValueError`` or ``DiagnosticError`` to
-    refuse a service request.
+    The function ``call`` takes the service arguments by name, and returns JSON values.  The names,
+    types and defaults of its parameters are those of the arguments; a parameter ``now`` takes the
+    time (s), and a parameter ``caller`` the ``Caller``.  It raises ``ServiceError``, ``ValueError``
+    or ``DiagnosticError`` to refuse a service request.
 
-    - ``with_caller``: ``True`` if ``call`` also takes the ``Caller`` after the time;
+    - ``more``: arguments that ``call`` takes as ``**arguments``;
     - ``valid_late``: ``True`` for a service that only reads or stops, so that its requests count
       also if they have waited or if their program has ended.
     """
@@ -146,9 +155,20 @@ class Service:
     name: str
     summary: str
     call: Callable[..., Any]
-    arguments: tuple[Argument, ...] = ()
-    with_caller: bool = False
+    more: tuple[Argument, ...] = ()
     valid_late: bool = False
+    parameters: Mapping[str, inspect.Parameter] = field(init=False)
+    arguments: tuple[Argument, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        parameters = inspect.signature(self.call).parameters
+        arguments = (
+            Argument(p.name, _KIND_OF[p.annotation.removesuffix(" | None")], p.default)
+            for p in parameters.values()
+            if p.name not in ("now", "caller") and p.kind is not p.VAR_KEYWORD
+        )
+        object.__setattr__(self, "parameters", parameters)
+        object.__setattr__(self, "arguments", (*arguments, *self.more))
 
 
 class Services:
@@ -159,9 +179,8 @@ class Services:
 
     def __init__(self, services: Iterable[Service]) -> None:
         self._services = {service.name: service for service in services}
-        self._services["services"] = Service(
-            "services", "List the services.", self._list, valid_late=True
-        )
+        listing = Service("services", "List the services.", self._list, valid_late=True)
+        self._services[listing.name] = listing
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -194,16 +213,16 @@ class Services:
                 checked[argument.name] = argument.default
         if caller.void and not service.valid_late:
             raise ServiceError(caller.void)
+        context = {"now": now, "caller": caller}
+        given = {name: value for name, value in context.items() if name in service.parameters}
         try:
-            if service.with_caller:
-                return service.call(now, caller, **checked)
-            return service.call(now, **checked)
+            return service.call(**given, **checked)
         except DiagnosticError as error:
             raise ServiceError(error.one_line) from None
         except ValueError as error:
             raise ServiceError(" ".join(str(error).split())) from None
 
-    def _list(self, now: float) -> list[dict[str, Any]]:
+    def _list(self) -> list[dict[str, Any]]:
         return [
             {
                 "name": service.name,

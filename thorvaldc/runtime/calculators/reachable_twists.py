@@ -178,11 +178,6 @@ class ReachableTwists:
         self._last = ZERO_TWIST
         self._memo: tuple[Twist, Twist, Projection] | None = None
 
-    @property
-    def limit_rows(self) -> Iterator[list[Row]]:
-        """The side-slip rows of each limited wheel at its lower and upper steering limit."""
-        return (wheel.rows for _, wheel in self._wheels)
-
     def keep(self, twist: Twist) -> None:
         """Stores the reachable twist that the wheels point along."""
         if twist != ZERO_TWIST:

@@ -171,12 +171,6 @@ class IoBoardDriver:
         """States of the inputs in the newest report of the IO board, as bits."""
         return int(self.reported.get("inputs", 0))
 
-    def reported_output(self, name: str) -> bool | None:
-        """Returns the reported state of an output of the IO board, or ``None`` if the IO board has
-        not reported the output yet."""
-        state = self.reported.get(f"{name}_state")
-        return None if state is None else bool(state)
-
     def _handle_report(self, data: bytes, time: float) -> None:
         if self._report is not None:
             self.reported, self.time = self._report.decode_named(data), time

@@ -12,7 +12,7 @@ from thorvaldc.runtime.can_base.battery_and_io_drivers import BatterySupervision
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.foreign_frame_relay import RelayedFrame
 from thorvaldc.runtime.can_base.motor_controller import MotorController
-from thorvaldc.runtime.service_table import Argument, Service, ServiceError
+from thorvaldc.runtime.service_table import Service, ServiceError
 
 
 class BusServices:
@@ -75,7 +75,7 @@ class BusServices:
         for connection in self._connections:
             connection.relay.mute(muted)
 
-    def set_output(self, board: str, output: str, on: bool) -> None:
+    def set_output(self, board: str, output: str, on: bool = True) -> None:
         """Switches an output of an IO board on or off.
 
         Raises ``RequestRefused`` if the robot has no such IO board or output.
@@ -150,10 +150,7 @@ class BusServices:
 def bus_services(services: BusServices) -> Iterator[Service]:
     """Yields the services of a robot with CAN buses, for the table of services."""
 
-    def without_time(method: Callable[..., Any]) -> Callable[..., Any]:
-        return lambda now, **arguments: method(**arguments)
-
-    def send_to_device(now: float, cob_id: int, data: str, bus: str) -> None:
+    def send_to_device(now: float, cob_id: int, data: str, bus: str = "") -> None:
         try:
             content = bytes.fromhex(data)
         except ValueError:
@@ -162,7 +159,7 @@ def bus_services(services: BusServices) -> Iterator[Service]:
             raise ServiceError("a frame has an identifier of 11 bits and at most 8 bytes")
         services.send_to_device(cob_id, content, now, bus)
 
-    def from_devices(now: float, bus: str) -> list[dict[str, Any]]:
+    def from_devices(bus: str = "") -> list[dict[str, Any]]:
         return [
             {"time": frame.time, "cob_id": frame.cob_id, "data": frame.data.hex()}
             for frame in services.from_devices(bus)
@@ -171,38 +168,28 @@ def bus_services(services: BusServices) -> Iterator[Service]:
     yield Service(
         "set_home_count_current_position_zero",
         "Make the present steering angle zero, of one controller or of all.",
-        without_time(services.set_home_count_current_position_zero),
-        (Argument("node", "text", ""),),
+        services.set_home_count_current_position_zero,
     )
     yield Service(
         "setup_motor_controller",
         "Write a setting of a motor controller, in its units.",
-        without_time(services.setup_motor_controller),
-        (Argument("node", "text"), Argument("setting", "text"), Argument("value", "number")),
+        services.setup_motor_controller,
     )
     yield Service(
         "mute_devices",
         "Stop relaying frames to foreign devices, or start it again.",
-        without_time(services.mute_devices),
-        (Argument("muted", "flag", True),),
+        services.mute_devices,
     )
-    yield Service(
-        "set_output",
-        "Switch an output of an IO board.",
-        without_time(services.set_output),
-        (Argument("board", "text"), Argument("output", "text"), Argument("on", "flag", True)),
-    )
+    yield Service("set_output", "Switch an output of an IO board.", services.set_output)
     yield Service(
         "send_to_device",
         "Relay a frame to a foreign device, `data` in hexadecimal.",
         send_to_device,
-        (Argument("cob_id", "integer"), Argument("data", "text"), Argument("bus", "text", "")),
     )
     yield Service(
         "from_devices",
         "Return the frames of foreign devices since the last call.",
         from_devices,
-        (Argument("bus", "text", ""),),
     )
 
 
