@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from tests.chaos.invariants import NOTICE, PUSHED, false_reports_notice
 from thorvaldc.can.canopen import HEARTBEAT, NMT, RPDO, SYNC, TPDO
 from thorvaldc.model import Robot
-from thorvaldc.model.bus_faults import BusFault
 from thorvaldc.model.bus_timing import reading_time
+from thorvaldc.model.scenario import BusFault
 
 MASTER_BUS_OFF = "master_bus_off"
 FALSE_REPORTS = "false_reports"

@@ -43,7 +43,7 @@ from tests.chaos.schedule import DELIVERED, POWER_ON, READY, ChaosEvent, Schedul
 from tests.chaos.true_motion import TrueMotion
 from tests.robots import SPAN
 from thorvaldc.can.frame import ErrorState, to_ns
-from thorvaldc.model.bus_faults import BusFault, BusFaults
+from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.model.settings import AUTOMATIC
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driven_robot import DrivenRobot

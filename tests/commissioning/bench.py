@@ -17,7 +17,7 @@ from thorvaldc.commissioning.planner import Plan, make_plan
 from thorvaldc.commissioning.scan_result import ScanResult
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.model import Robot
-from thorvaldc.model.bus_faults import Quirk
+from thorvaldc.model.scenario import Quirk
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.simulated_device import NODE_ID, PARAMETERS
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot, VirtualTimeInterface

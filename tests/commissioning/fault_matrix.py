@@ -15,7 +15,7 @@ from tests.commissioning.bench import NODES, SWAPPED, Bench, four_drives
 from tests.robots import SPAN
 from thorvaldc.commissioning.journal import Journal
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model.bus_faults import BusFault, BusFaults
+from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 
 PAGE = Path(__file__).parents[2] / "docs" / "commissioning.md"

@@ -12,7 +12,7 @@ from tests.slow import mostly_slow
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.verify import verify
 from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.model.bus_faults import Quirk
+from thorvaldc.model.scenario import Quirk
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 
 CANOPENNODE = (

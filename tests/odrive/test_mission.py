@@ -14,7 +14,7 @@ from tests.robots import SPAN
 from tests.runtime.can_base.simulated_rig import Rig
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
-from thorvaldc.model.bus_faults import BusFault, BusFaults
+from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.bus.fault_injection import FaultInjector

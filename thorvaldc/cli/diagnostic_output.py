@@ -150,7 +150,7 @@ def _broken(line: str, width: int) -> str:
 
 def print_json(value: Any, *, one_line: bool = False) -> None:
     """Prints the result of a command as JSON on stdout."""
-    from thorvaldc.model.finite_json import finite
+    from thorvaldc.model.spatial import finite
 
     indent = None if one_line else 1
     print(json.dumps(finite(value), indent=indent, ensure_ascii=False), flush=one_line)

@@ -14,8 +14,8 @@ from thorvaldc.compiler.bus.injected_faults import read_faults
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
-from thorvaldc.model.bus_faults import BusFault
 from thorvaldc.model.model_json import is_model_file
+from thorvaldc.model.scenario import BusFault
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 from thorvaldc.simulation.bus.simulated_robot import Memory, SimulatedRobot, read_memory
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase

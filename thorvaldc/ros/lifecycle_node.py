@@ -30,15 +30,8 @@ from std_msgs.msg import Bool, String
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.settings import FOR_FILTERS
+from thorvaldc.ros import messages
 from thorvaldc.ros.bases import NodeError, description_text, open_robot
-from thorvaldc.ros.messages import (
-    JointMessages,
-    battery_message,
-    diagnostic_statuses,
-    odometry_message,
-    optional_type,
-    transform_message,
-)
 from thorvaldc.ros.node_parameters import NodeParameters
 from thorvaldc.ros.node_services import create_services
 from thorvaldc.ros.topic_twists import ClockWatch, TwistInputs
@@ -166,8 +159,8 @@ class BaseDriverNode(GuardedLifecycleNode):
         self.owns_clock = simulated and self.values["publish_clock"]
         if self.values["publish_clock"] and not simulated:
             self.get_logger().warning("publish_clock: only the bases ideal and mujoco have a clock")
-        self._tf_type: Any = optional_type("tf2_msgs", "TFMessage")
-        self._frame_type: Any = optional_type("can_msgs", "Frame")
+        self._tf_type: Any = messages.optional_type("tf2_msgs", "TFMessage")
+        self._frame_type: Any = messages.optional_type("can_msgs", "Frame")
 
     # -- lifecycle -----------------------------------------------------------------------------
 
@@ -265,7 +258,7 @@ class BaseDriverNode(GuardedLifecycleNode):
             self.problem = str(error)
         else:
             self.problem, self._reported = "", None
-            self._joints = JointMessages(self.model)
+            self._joints = messages.JointMessages(self.model)
             self.parameters.give_all()
             return True
         self.get_logger().error(self.problem)
@@ -399,9 +392,9 @@ class BaseDriverNode(GuardedLifecycleNode):
         if values["twist_covariance"] == FOR_FILTERS:
             estimator, period = robot.driver.calculator.estimator, 1.0 / values["rate"]
             covariance = filter_covariance(estimator, state.joints, state.odometry, period)
-        self._odometry.publish(odometry_message(state, covariance, stamp, *frames))
+        self._odometry.publish(messages.odometry_message(state, covariance, stamp, *frames))
         if self._tf is not None and values["enable_odom_tf"]:
-            transform = transform_message(state, stamp, *frames)
+            transform = messages.transform_message(state, stamp, *frames)
             self._tf.publish(self._tf_type(transforms=[transform]))
         joints = self._joints.message(state, stamp)
         if joints is not None:
@@ -438,14 +431,14 @@ class BaseDriverNode(GuardedLifecycleNode):
         message = DiagnosticArray()
         message.header.stamp = stamp
         name = f"{self.get_namespace().rstrip('/')}/{NODE_NAME}".lstrip("/")
-        message.status = diagnostic_statuses(name, self, robot)
+        message.status = messages.diagnostic_statuses(name, self, robot)
         self._diagnostics.publish(message)
         if self._clock_topic is not None and robot is not None:
             self._clock_topic.publish(Clock(clock=stamp))  # also while the simulation is paused
         if robot is not None:
             for battery, reported in robot.base.batteries().items():
                 frame = self.values["base_frame_id"]
-                self._battery.publish(battery_message(battery, reported, stamp, frame))
+                self._battery.publish(messages.battery_message(battery, reported, stamp, frame))
 
     # -- supervision ---------------------------------------------------------------------------
 

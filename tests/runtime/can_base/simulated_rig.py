@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
-from thorvaldc.model.bus_faults import Quirk
+from thorvaldc.model.scenario import Quirk
 from thorvaldc.runtime.base_interface import BaseHandle
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase

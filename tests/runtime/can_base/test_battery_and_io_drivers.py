@@ -12,7 +12,7 @@ from tests.robots import SPAN
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import cia402
 from thorvaldc.model import Robot
-from thorvaldc.model.bus_faults import BusFault, BusFaults
+from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.model.settings import AUTOMATIC, BatterySettings
 from thorvaldc.runtime.base_interface import RequestRefused
 from thorvaldc.runtime.can_base.base_state_machine import BaseState

@@ -14,7 +14,7 @@ from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import ROBOTS, cia402, roboteq
 from thorvaldc.can.canopen import HEARTBEAT, NMT, SYNC, NmtCommand
 from thorvaldc.model import Robot
-from thorvaldc.model.bus_faults import BusFault, BusFaults
+from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.model.stopping import DETECTED_FAULT, DRIVER_DEAD
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist

@@ -10,7 +10,7 @@ from tests.robots import SPAN
 from tests.runtime.can_base.simulated_rig import FORWARD, Rig
 from tests.simulation.bus.robots import ROBOTS
 from thorvaldc.model import Robot
-from thorvaldc.model.bus_faults import BusFault, BusFaults
+from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.se2 import ZERO_TWIST
 from thorvaldc.simulation.bus.fault_injection import FaultInjector

@@ -11,7 +11,7 @@ from tests.robots import SPAN
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import compiled
 from thorvaldc.model import Robot
-from thorvaldc.model.bus_faults import BusFault, BusFaults
+from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.model.stopping import BUS_LOST, BUS_SILENT, DRIVER_DEAD, swerve_bounds
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.se2 import Twist

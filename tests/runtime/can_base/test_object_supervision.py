@@ -15,12 +15,12 @@ from tests.robots import SPAN
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import ROBOTS, cia402, roboteq
 from thorvaldc.model import Robot
-from thorvaldc.model.bus_faults import BusFault, BusFaults
 from thorvaldc.model.bus_timing import (
     reading_time,
     required_objects,
     written_objects,
 )
+from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.fault_injection import FaultInjector

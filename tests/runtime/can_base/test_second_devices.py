@@ -11,7 +11,7 @@ from tests.robots import SPAN
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import ROBOTS, cia402
 from thorvaldc.model import Robot
-from thorvaldc.model.bus_faults import BusFault, BusFaults
+from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.runtime.base_interface import RequestRefused
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.frame_receiver import OBSERVATION

@@ -16,7 +16,7 @@ from thorvaldc.can.canopen import NMT
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.compiler.bus.injected_faults import read_faults
 from thorvaldc.diagnostics import Report
-from thorvaldc.model.bus_faults import Quirk
+from thorvaldc.model.scenario import Quirk
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 

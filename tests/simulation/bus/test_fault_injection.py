@@ -16,7 +16,7 @@ from thorvaldc.can.frame import CanFrame, ErrorState
 from thorvaldc.compiler.bus.injected_faults import read_faults
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
-from thorvaldc.model.bus_faults import FAULT_KINDS, BusFault, BusFaults
+from thorvaldc.model.scenario import FAULT_KINDS, BusFault, BusFaults
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 

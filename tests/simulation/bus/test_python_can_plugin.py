@@ -20,7 +20,7 @@ from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can import simulated_bus_protocol as protocol
 from thorvaldc.can.local_socket import pack_json
 from thorvaldc.can.simulated_bus_client import SimulatedBusClient
-from thorvaldc.model.bus_faults import Quirk
+from thorvaldc.model.scenario import Quirk
 from thorvaldc.simulation.bus import python_can_plugin as interface
 from thorvaldc.simulation.bus.bus_server import BusServer, serving
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot, VirtualTimeInterface

@@ -16,7 +16,7 @@ from thorvaldc.cli.exits import DONE, INPUT
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
-    from thorvaldc.model.bus_faults import BusFault
+    from thorvaldc.model.scenario import BusFault
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 REPORTED_DELAY = 50_000_000

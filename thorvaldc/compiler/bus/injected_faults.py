@@ -16,7 +16,7 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Bus, Robot
 from thorvaldc.model import Node as Device
-from thorvaldc.model.bus_faults import FAULT_KINDS, BusFault, BusFaults, FaultKind, Quirk
+from thorvaldc.model.scenario import FAULT_KINDS, BusFault, BusFaults, FaultKind, Quirk
 
 _WHEN = ("fault", "bus", "at", "frame", "delay")
 _CANOPEN_FAULTS = (

@@ -10,18 +10,8 @@ from typing import Any
 from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
 from thorvaldc.model.element import once_per_model
+from thorvaldc.model.facts import electrics, masses
 from thorvaldc.model.facts.driving import Driving, Slopes, driving_of, slopes_of
-from thorvaldc.model.facts.electrics import BusFacts, Energy, Wire, buses_of, energy_of, wiring_of
-from thorvaldc.model.facts.masses import (
-    BillRow,
-    MassShare,
-    ModuleMass,
-    PurchaseFacts,
-    bill_of,
-    mass_by_source,
-    masses_of,
-    purchase_of,
-)
 from thorvaldc.model.facts.size import Size, size_of
 from thorvaldc.model.facts.stability import (
     SoilLoad,
@@ -52,8 +42,8 @@ class RobotFacts:
     description: str
     size: Size
     mass: si.Kilograms
-    modules: tuple[ModuleMass, ...]
-    mass_sources: tuple[MassShare, ...]
+    modules: tuple[masses.ModuleMass, ...]
+    mass_sources: tuple[masses.MassShare, ...]
     center_of_mass: si.Position
     wheels: tuple[WheelLoad, ...]
     soil: SoilLoad | None
@@ -61,11 +51,11 @@ class RobotFacts:
     driving: Driving
     slopes: Slopes | None
     standing: StandingSlopes | None
-    energy: Energy
-    buses: tuple[BusFacts, ...]
-    wiring: tuple[Wire, ...]
-    bill: tuple[BillRow, ...]
-    purchase: PurchaseFacts
+    energy: electrics.Energy
+    buses: tuple[electrics.BusFacts, ...]
+    wiring: tuple[electrics.Wire, ...]
+    bill: tuple[masses.BillRow, ...]
+    purchase: masses.PurchaseFacts
 
 
 _SECTIONS: dict[str, Callable[[Robot], Any]] = {
@@ -73,8 +63,8 @@ _SECTIONS: dict[str, Callable[[Robot], Any]] = {
     "description": lambda robot: robot.description,
     "size": size_of,
     "mass": lambda robot: robot.inertial.mass,
-    "modules": masses_of,
-    "mass_sources": lambda robot: mass_by_source(masses_of(robot)),
+    "modules": masses.masses_of,
+    "mass_sources": lambda robot: masses.mass_by_source(masses.masses_of(robot)),
     "center_of_mass": lambda robot: robot.inertial.com,
     "wheels": wheel_loads_of,
     "soil": soil_load_of,
@@ -82,11 +72,11 @@ _SECTIONS: dict[str, Callable[[Robot], Any]] = {
     "driving": driving_of,
     "slopes": slopes_of,
     "standing": standing_slopes,
-    "energy": energy_of,
-    "buses": buses_of,
-    "wiring": wiring_of,
-    "bill": lambda robot: bill_of(masses_of(robot)),
-    "purchase": purchase_of,
+    "energy": electrics.energy_of,
+    "buses": electrics.buses_of,
+    "wiring": electrics.wiring_of,
+    "bill": lambda robot: masses.bill_of(masses.masses_of(robot)),
+    "purchase": masses.purchase_of,
 }
 
 

@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from thorvaldc.model import Actuator, Joint, Robot, Wheel
+from thorvaldc.model import Actuator, Joint, Robot, Wheel, stopping
 from thorvaldc.model import quantities as si
 from thorvaldc.model.element import once_per_model
 from thorvaldc.model.spatial import GRAVITY, float_sum
@@ -29,18 +29,6 @@ from thorvaldc.model.statics.joint_tree import held_joints, tree_of
 from thorvaldc.model.statics.standing import standing_of
 from thorvaldc.model.statics.static_loads import Pivot, free_pivots, static_loads
 from thorvaldc.model.statics.tip_over import support_of
-from thorvaldc.model.stopping import (
-    COMMAND_TIMEOUT,
-    DRIVE_DEAD,
-    DRIVER_DEAD,
-    STOP_LOCK,
-    Ramp,
-    coasting_nodes,
-    driven_wheels,
-    motor_nodes,
-    quick_stop_ramp,
-    reaction_times,
-)
 
 _STEP, _STEEPEST = math.radians(10.0), math.radians(80.0)
 _TOLERANCE = 1e-12  # rad
@@ -69,7 +57,7 @@ class SlopeStatics:
         standing = standing_of(robot)
         stopped = held_joints(robot) | (standing.at_limit if standing is not None else frozenset())
         self._pivots: list[Pivot] = free_pivots(tree_of(robot), robot.wheels, stopped)
-        driven = driven_wheels(robot.wheels, robot.actuators)
+        driven = stopping.driven_wheels(robot.wheels, robot.actuators)
         self._motors = float_sum(motor.max_torque / wheel.radius for wheel, motor in driven)
 
     def loads(self, angle: float, *, backwards: bool = False) -> list[float]:
@@ -298,32 +286,36 @@ def _stops_of(robot: Robot) -> Iterator[SlopeStop]:
 
     Kinds of stops without a bound on level ground are left out.
     """
-    driven = driven_wheels(robot.wheels, robot.actuators)
+    driven = stopping.driven_wheels(robot.wheels, robot.actuators)
     motors = {motor.name for _, motor in driven}
     losses = []
-    for _, node in motor_nodes(robot):
+    for _, node in stopping.motor_nodes(robot):
         dead = tuple(c.actuator for c in node.channels if c.actuator in motors)
         if dead and len(dead) < len(motors):
             losses.append(tuple(name for name in dead if name is not None))
     for settings in (robot.driver, *(p.driver for p in robot.parameter_sets)):
         speed, distance = settings.max_linear_velocity, robot.driver.stopping_distance
-        for kind, reaction in reaction_times(robot, settings).items():
-            if math.isinf(reaction) or (kind == DRIVER_DEAD and coasting_nodes(robot)):
+        for kind, reaction in stopping.reaction_times(robot, settings).items():
+            if math.isinf(reaction) or (
+                kind == stopping.DRIVER_DEAD and stopping.coasting_nodes(robot)
+            ):
                 continue
             ramp = (
                 settings.max_linear_deceleration
-                if kind in (COMMAND_TIMEOUT, STOP_LOCK)
-                else quick_stop_ramp(driven, settings).deceleration
+                if kind in (stopping.COMMAND_TIMEOUT, stopping.STOP_LOCK)
+                else stopping.quick_stop_ramp(driven, settings).deceleration
             )
             way = math.inf if distance is None else distance - speed * reaction
             needed = ramp if distance is None or way <= 0.0 else min(ramp, speed**2 / (2.0 * way))
-            for dead in losses if kind == DRIVE_DEAD else [()]:
+            for dead in losses if kind == stopping.DRIVE_DEAD else [()]:
                 yield SlopeStop(kind, speed, reaction, ramp, needed, dead)
 
 
 def _brakes_of(robot: Robot) -> list[_Brake]:
     tree = tree_of(robot)
-    motors = {motor.joint: motor for _, motor in driven_wheels(robot.wheels, robot.actuators)}
+    motors = {
+        motor.joint: motor for _, motor in stopping.driven_wheels(robot.wheels, robot.actuators)
+    }
     brakes = []
     for wheel in robot.wheels:
         axle, motor = robot.joint(wheel.spin_joint), motors.get(wheel.spin_joint)
@@ -430,20 +422,22 @@ def coasting_deceleration(
     return _resistance(wheel, axle, motor, wheel.load, braked) * GRAVITY / wheel.load
 
 
-def roll_out(robot: Robot) -> Ramp:
+def roll_out(robot: Robot) -> stopping.Ramp:
     """Return the way on which all wheels roll out on level ground after all drives lost power.
 
     The wheel with the lowest deceleration counts, from the top speed of the motors. The time and
     the distance are infinite for a wheel without friction.
     """
-    stops = [Ramp(0.0, 0.0, 0.0)]
-    for wheel, motor in driven_wheels(robot.wheels, robot.actuators):
+    stops = [stopping.Ramp(0.0, 0.0, 0.0)]
+    for wheel, motor in stopping.driven_wheels(robot.wheels, robot.actuators):
         axle, brake = robot.joint(wheel.spin_joint), motor.brake
         closing = 0.0 if brake is None else brake.closing_time
         deceleration = coasting_deceleration(wheel, axle, motor, braked=True)
         speed = motor.max_velocity * wheel.radius
         seconds = speed / deceleration if deceleration > 0.0 else math.inf
-        stops.append(Ramp(speed, closing + seconds, speed * closing + 0.5 * speed * seconds))
+        stops.append(
+            stopping.Ramp(speed, closing + seconds, speed * closing + 0.5 * speed * seconds)
+        )
     return max(stops, key=lambda stop: stop.distance)
 
 

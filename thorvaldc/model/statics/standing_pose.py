@@ -45,25 +45,9 @@ from thorvaldc.model.spatial import (
     quat_multiply,
     quat_normalize,
 )
-from thorvaldc.model.statics.joint_tree import (
-    Coordinate,
-    JointTree,
-    RigidGroups,
-    coordinates_of,
-    held_joints,
-    tree_of,
-)
+from thorvaldc.model.statics import joint_tree, wheel_contact
 from thorvaldc.model.statics.mass_matrix import BranchSparse, inverse_weights
 from thorvaldc.model.statics.standing import standing_of
-from thorvaldc.model.statics.wheel_contact import (
-    SOLREF,
-    WheelContact,
-    contact_ellipsoid,
-    contact_stiffness,
-    normal_force,
-    penetration_under,
-    softened_weights,
-)
 
 _MAX_ITERATIONS = 600
 """Most robots need 5 to 10 iterations. Stiff contacts allow only small rotations of swing arms in
@@ -91,7 +75,7 @@ class Statics(NamedTuple):
     base: Pose
     positions: dict[str, float]
     inertias: dict[str, float]
-    wheels: dict[str, WheelContact]
+    wheels: dict[str, wheel_contact.WheelContact]
     settled: bool
 
 
@@ -129,7 +113,7 @@ class _Forces(NamedTuple):
         return max(abs(r) for r in self.residual)
 
 
-class _Stance(RigidGroups):
+class _Stance(joint_tree.RigidGroups):
     """The robot as rigid groups of links, connected by its compliant joints.
 
     Unknown 0 of the standing pose is the height of the base. Unknowns 1 and 2 of the standing pose
@@ -138,7 +122,10 @@ class _Stance(RigidGroups):
     """
 
     def __init__(
-        self, tree: JointTree, compliant: list[Joint], wheels: list[tuple[Wheel, Vec3, float]]
+        self,
+        tree: joint_tree.JointTree,
+        compliant: list[Joint],
+        wheels: list[tuple[Wheel, Vec3, float]],
     ) -> None:
         """Divide the links of the joint tree into rigid groups.
 
@@ -182,7 +169,7 @@ class _Stance(RigidGroups):
             x += footing.radius * ax * az / cos
             y += footing.radius * ay * az / cos
             p = 2.0 * (footing.radius * cos - z)
-            f = normal_force(p, footing.inverse_weight)
+            f = wheel_contact.normal_force(p, footing.inverse_weight)
             vertical[footing.group] += f
             about_x[footing.group] += y * f
             about_y[footing.group] -= x * f
@@ -221,7 +208,7 @@ class _Stance(RigidGroups):
             matrix.rows[g + 2][-1] = self.joints[g - 1].stiffness
         bx, by, _ = base.xyz
         for footing, p, (x, y) in zip(self.footings, forces.depths, forces.points, strict=True):
-            k = 2.0 * contact_stiffness(p, footing.inverse_weight)
+            k = 2.0 * wheel_contact.contact_stiffness(p, footing.inverse_weight)
             path = self.paths[footing.group + 2]
             lift = [1.0, y - by, bx - x]
             lift += [
@@ -281,8 +268,8 @@ class _PassiveStance(_Stance):
 
     def __init__(
         self,
-        tree: JointTree,
-        coordinates: Sequence[Coordinate],
+        tree: joint_tree.JointTree,
+        coordinates: Sequence[joint_tree.Coordinate],
         wheels: list[tuple[Wheel, Vec3, float]],
     ) -> None:
         owner = {m.joint.name: (k, m.ratio) for k, c in enumerate(coordinates) for m in c.members}
@@ -365,14 +352,15 @@ def _joint_home(joint: Joint, initial: float = 0.0) -> float:
 @once_per_model
 def solve_statics(robot: Robot) -> Statics:
     """Return the statics of a robot that stands on level ground under its own weight."""
-    tree = tree_of(robot)
+    tree = joint_tree.tree_of(robot)
     weights, inertias = inverse_weights(
         tree, robot.inertial.com, [wheel.link for wheel in robot.wheels]
     )
     weights = [max(w, 1e-9) for w in weights]
-    softened = softened_weights(weights, [wheel.load for wheel in robot.wheels])
+    softened = wheel_contact.softened_weights(weights, [wheel.load for wheel in robot.wheels])
     damping_ratios = [
-        clean(SOLREF[1] * math.sqrt(soft / w)) for soft, w in zip(softened, weights, strict=True)
+        clean(wheel_contact.SOLREF[1] * math.sqrt(soft / w))
+        for soft, w in zip(softened, weights, strict=True)
     ]
     axes = [spin_axis(tree, wheel) for wheel in robot.wheels]
     initial = {servo.joint: servo.initial for servo in robot.joint_servos}
@@ -396,7 +384,9 @@ def solve_statics(robot: Robot) -> Statics:
     else:
         base = Pose()
         tilts = [footing.axis[2] for footing in stance.footings]
-        depths = [penetration_under(wheel.load, weight) for wheel, _, weight in wheels]
+        depths = [
+            wheel_contact.penetration_under(wheel.load, weight) for wheel, _, weight in wheels
+        ]
     contacts = {}
     for (wheel, axis, weight), depth, tilt, damping_ratio in zip(
         wheels, depths, tilts, damping_ratios, strict=True
@@ -405,14 +395,16 @@ def solve_statics(robot: Robot) -> Statics:
         # The base of a standing robot is typically tilted by about 1e-5 rad. A wheel that is tilted
         # by less than 1e-4 rad counts as upright.
         camber = tilt if abs(tilt) > 1e-4 else 0.0
-        contact = contact_ellipsoid(wheel, axis, p, normal_force(p, weight), camber)
+        contact = wheel_contact.contact_ellipsoid(
+            wheel, axis, p, wheel_contact.normal_force(p, weight), camber
+        )
         contacts[wheel.name] = contact._replace(damping_ratio=damping_ratio)
     return Statics(base, positions, inertias, contacts, equilibrium is not None)
 
 
 def _equilibrium(
     robot: Robot,
-    tree: JointTree,
+    tree: joint_tree.JointTree,
     positions: dict[str, float],
     wheels: list[tuple[Wheel, Vec3, float]],
 ) -> tuple[_Stance, tuple[Pose, list[float], _Forces] | None]:
@@ -424,7 +416,9 @@ def _equilibrium(
     ground does not turn a wheel.
     """
     standing = standing_of(robot)
-    coordinates = coordinates_of(tree, robot.wheels, held_joints(robot), sprung=True)
+    coordinates = joint_tree.coordinates_of(
+        tree, robot.wheels, joint_tree.held_joints(robot), sprung=True
+    )
     is_passive = any(not c.is_sprung or len(c.members) > 1 for c in coordinates)
     start, starts = Pose(), {}
     if standing is not None and is_passive:
@@ -447,13 +441,15 @@ def _equilibrium(
     n = len(wheels)
     softness = float_sum(weight for _, _, weight in wheels) / n
     x, y, z = start.xyz
-    base = Pose((x, y, z - penetration_under(stance.weight / n, softness) / 2), start.quat)
+    base = Pose(
+        (x, y, z - wheel_contact.penetration_under(stance.weight / n, softness) / 2), start.quat
+    )
     return stance, stance.settle(
         base, [starts.get(joint.name, _joint_home(joint)) for joint in stance.joints]
     )
 
 
-def spin_axis(tree: JointTree, wheel: Wheel) -> Vec3:
+def spin_axis(tree: joint_tree.JointTree, wheel: Wheel) -> Vec3:
     """Return the spin axis of a wheel in the link frame of the wheel.
 
     The spin axis points from the right to the left side of the robot.

@@ -29,6 +29,7 @@ from typing import NamedTuple
 
 from thorvaldc.model.spatial import float_sum, symmetric_eigenvalues
 from thorvaldc.runtime.base_interface import CheckedJointStates, JointStates, NotFiniteError
+from thorvaldc.runtime.calculators import wheel_rejection
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.twist_fit import (
     ROLL_AND_SIDE,
@@ -47,18 +48,6 @@ from thorvaldc.runtime.calculators.twist_fit import (
     misfit,
     solve3,
     unweighted_normal_equations,
-)
-from thorvaldc.runtime.calculators.wheel_rejection import (
-    COMMANDED_SPEED,
-    FOLLOWING_FLOOR,
-    HypothesisFits,
-    HypothesisSearch,
-    Suspicion,
-    covering,
-    doubted_wheels,
-    faulty_wheels,
-    mixture,
-    suspicion,
 )
 from thorvaldc.runtime.se2 import Cov3, Row3, Twist
 
@@ -182,8 +171,8 @@ class TwistEstimator:
         self.gates = tuple(gate2 if w.flags == ROLL_AND_SIDE else gate1 for w in wheels)
         self._price = gate1
         largest_radius = max((w.radius for w in wheels if w.radius), default=1.0)
-        self.least_deviation = FOLLOWING_FLOOR / largest_radius
-        self.least_command = COMMANDED_SPEED / largest_radius
+        self.least_deviation = wheel_rejection.FOLLOWING_FLOOR / largest_radius
+        self.least_command = wheel_rejection.COMMANDED_SPEED / largest_radius
         self._all_measure = len(wheels) == self._n
         self.inverse = self._constant_inverse()
 
@@ -503,26 +492,30 @@ class TwistEstimator:
         a larger covariance.
         """
         yaw_rate = states.yaw_rate
-        doubts, speeds = Suspicion(False, False, (), ()), []
+        doubts, speeds = wheel_rejection.Suspicion(False, False, (), ()), []
         if commanded is not None:
             turning = [
                 (w.radius, states.speeds[w.number], commanded[w.number]) for w in self.wheels
             ]
-            doubts = suspicion([(r * v, r * target) for r, v, target in turning])
+            doubts = wheel_rejection.suspicion([(r * v, r * target) for r, v, target in turning])
             # The contact of a wheel beside its steering axis also moves with the steering joint.
             speeds = [
                 m[5] + r * (target - v)
                 for m, (r, v, target) in zip(measurements, turning, strict=True)
             ]
         steps = 1 + self.options.polish
-        fits = HypothesisFits(self._solve, self.squares, prior, self.prior, yaw_rate, steps, speeds)
+        fits = wheel_rejection.HypothesisFits(
+            self._solve, self.squares, prior, self.prior, yaw_rate, steps, speeds
+        )
         if not disagree:
-            doubted = doubted_wheels(fit, doubts)
+            doubted = wheel_rejection.doubted_wheels(fit, doubts)
             if not doubted:
                 return self._result(fit, tests, rank)
-            covered = covering(fit, [1.0], [fits.without_encoders(measurements)])
+            covered = wheel_rejection.covering(fit, [1.0], [fits.without_encoders(measurements)])
             return self._result(covered, tests, rank, (), doubted)
-        search = HypothesisSearch(self.gates, self._price, self.options.faulty, doubts, fits)
+        search = wheel_rejection.HypothesisSearch(
+            self.gates, self._price, self.options.faulty, doubts, fits
+        )
         hypotheses = search.likely_hypotheses(measurements, fit)
         if not hypotheses:
             rows = sum((m[0] & USE_ROLL > 0) + (m[0] & USE_SIDE > 0) for m in measurements)
@@ -530,11 +523,13 @@ class TwistEstimator:
             # The reduced chi-square is the factor by which the measured variance exceeds the
             # assumed variance.
             growth = max(1.0, misfit(fit) / max(freedom, 1))
-            covered = covering(fit, [growth, 1.0], [fit, fits.without_encoders(measurements)])
+            covered = wheel_rejection.covering(
+                fit, [growth, 1.0], [fit, fits.without_encoders(measurements)]
+            )
             failed = [k for k, d in enumerate(tests) if d > self.gates[k]]
             return self._result(covered, tests, rank, (), failed)
-        mean, probability = mixture(hypotheses)
-        faulty = faulty_wheels(hypotheses, probability)
+        mean, probability = wheel_rejection.mixture(hypotheses)
+        faulty = wheel_rejection.faulty_wheels(hypotheses, probability)
         suspects = () if faulty else {k for h in hypotheses for k in h.rejected}
         return self._result(mean, chi_squares(hypotheses[0].fit), rank, faulty, tuple(suspects))
 

@@ -6,40 +6,22 @@ import math
 from collections import deque
 from collections.abc import Iterator, Sequence
 
-from thorvaldc.can.canopen import (
-    NMT,
-    SYNC,
-    Emergency,
-    NmtCommand,
-    NmtState,
-    nmt_message,
-)
+from thorvaldc.can import canopen
 from thorvaldc.can.frame import CanFrame, CanInterface, ErrorState
 from thorvaldc.model import Bus, FrameDefinition, Node, Robot
 from thorvaldc.model.bus import MASTER
 from thorvaldc.model.stopping import watchdog_time, yaw_per_metre
+from thorvaldc.runtime.can_base import frame_receiver, node_watchdog
 from thorvaldc.runtime.can_base.battery_and_io_drivers import (
     BatteryDriver,
     IoBoardDriver,
     battery_driver,
 )
 from thorvaldc.runtime.can_base.foreign_frame_relay import Relay
-from thorvaldc.runtime.can_base.frame_receiver import (
-    Event,
-    FrameRates,
-    FrameReceiver,
-    second_device,
-)
 from thorvaldc.runtime.can_base.motor_controller import (
     Intent,
     MotorController,
     controller_class,
-)
-from thorvaldc.runtime.can_base.node_watchdog import (
-    NodeWatchdog,
-    ObjectReadback,
-    ObjectSupervision,
-    SupervisedNode,
 )
 
 OCCASIONAL_AT_REST, OCCASIONAL_DRIVING = 8, 1
@@ -88,9 +70,9 @@ class BusConnection:
         for node in bus.nodes:
             self._add_driver(node)
         self.relay = Relay(bus)
-        self.readbacks: dict[str, ObjectReadback] = {}
+        self.readbacks: dict[str, node_watchdog.ObjectReadback] = {}
         """Comparison of the objects of a node with the robot file, by name of the node."""
-        self.supervision = ObjectSupervision(())
+        self.supervision = node_watchdog.ObjectSupervision(())
         """Repeated reading of the required objects of the motor controllers."""
         self._unanswered: dict[str, int] = {}
         """Number of SDO requests without response by name of the node."""
@@ -138,11 +120,11 @@ class BusConnection:
             *self._sdo_responses,
             *(f.cob_id for f in bus.frames if f.kind == "heartbeat" and f.producer in by_name),
         }
-        self.receiver = FrameReceiver(interface, event_ids)
-        self.watchdog = NodeWatchdog(bus, self.controllers, self.receiver.latest)
+        self.receiver = frame_receiver.FrameReceiver(interface, event_ids)
+        self.watchdog = node_watchdog.NodeWatchdog(bus, self.controllers, self.receiver.latest)
         periods = {n: t for c in self.controllers for n, t in c.shortest_periods().items()}
         names = [*by_name, *self._device_names()]
-        self.rates = FrameRates(bus, names, self.receiver.latest, periods)
+        self.rates = frame_receiver.FrameRates(bus, names, self.receiver.latest, periods)
         if threaded and not interface.receives_by_itself:
             self.receiver.start()
 
@@ -182,13 +164,15 @@ class BusConnection:
                 self.malformed += 1
                 self.watchdog.malformed_since.setdefault(cob_id, frame.time)
 
-    def _handle_event(self, event: Event) -> None:
+    def _handle_event(self, event: frame_receiver.Event) -> None:
         time, cob_id, data = event
         if cob_id in self.watchdog.heartbeat_frames:
             self.watchdog.take_heartbeat(cob_id, data, time)
         elif cob_id in self._emergency_frames:
             if len(data) >= 2:
-                self._emergency_frames[cob_id].error_code = Emergency.unpack(data).error_code
+                self._emergency_frames[cob_id].error_code = canopen.Emergency.unpack(
+                    data
+                ).error_code
         elif cob_id in self._sdo_responses:
             self._take_sdo_response(self._sdo_responses[cob_id], data)
         elif cob_id in self.relay.from_device:
@@ -234,7 +218,7 @@ class BusConnection:
             if self._extra_responses.get(name, 0.0) > EXTRA_RESPONSES:
                 return (
                     f"{name}: more SDO responses ({self._sdo[name][1]:#05x}) than requests; "
-                    f"{second_device(controller.node.id)}"
+                    f"{frame_receiver.second_device(controller.node.id)}"
                 )
             problem = self.rates.excessive.get(name) or self.watchdog.boot_up_problem(controller)
             if problem:
@@ -313,7 +297,7 @@ class BusConnection:
     # -- sending -----------------------------------------------------------------------------------
 
     def queue_nmt(
-        self, command: NmtCommand, controllers: Sequence[MotorController] | None = None
+        self, command: canopen.NmtCommand, controllers: Sequence[MotorController] | None = None
     ) -> None:
         """Queues an NMT command for each CANopen motor controller in ``controllers``.
 
@@ -324,7 +308,9 @@ class BusConnection:
         """
         for controller in controllers if controllers is not None else self.controllers:
             if controller.node.is_canopen:
-                self.outbox.append(CanFrame(NMT, nmt_message(command, controller.node.id)))
+                self.outbox.append(
+                    CanFrame(canopen.NMT, canopen.nmt_message(command, controller.node.id))
+                )
 
     def queue_setting(self, controller: MotorController, name: str, value: float) -> None:
         """Queues the frame that changes a setting of a motor controller.
@@ -339,15 +325,17 @@ class BusConnection:
         """Starts the comparison of the object dictionaries of all motor controllers with the robot
         file."""
         self.readbacks = {
-            c.node.name: ObjectReadback(*self._sdo[c.node.name], c.expected_objects())
+            c.node.name: node_watchdog.ObjectReadback(*self._sdo[c.node.name], c.expected_objects())
             for c in self.controllers
             if c.node.name in self._sdo
         }
         self._unanswered.clear()
         self._extra_responses.clear()
-        self.supervision = ObjectSupervision(
+        self.supervision = node_watchdog.ObjectSupervision(
             [
-                SupervisedNode(c.node.name, *self._sdo[c.node.name], tuple(c.expected_objects()))
+                node_watchdog.SupervisedNode(
+                    c.node.name, *self._sdo[c.node.name], tuple(c.expected_objects())
+                )
                 for c in self.controllers
                 if c.node.name in self._sdo
             ]
@@ -437,7 +425,7 @@ class BusConnection:
         """Sends the queued NMT commands, and drops all other queued frames."""
         while self.outbox:
             frame = self.outbox.popleft()
-            if frame.id == NMT:
+            if frame.id == canopen.NMT:
                 self.send(frame)
 
     def send_sync(self, timeout: float = 0.0) -> bool:
@@ -464,7 +452,7 @@ class BusConnection:
         # Missed heartbeats of the master are not sent later.
         restart = now - self._heartbeat_due > period / 2.0
         self._heartbeat_due = (now if restart else self._heartbeat_due) + period
-        state = NmtState.OPERATIONAL if operational else NmtState.PRE_OPERATIONAL
+        state = canopen.NmtState.OPERATIONAL if operational else canopen.NmtState.PRE_OPERATIONAL
         self.send(CanFrame(frame.cob_id, bytes([state])))
 
     def close(self) -> None:
@@ -480,7 +468,7 @@ def _master_frames(bus: Bus) -> dict[int, str]:
     """
     names: dict[int, str] = {}
     if any(node.is_canopen for node in bus.nodes):
-        names = {NMT: "NMT", SYNC: "SYNC"}
+        names = {canopen.NMT: "NMT", canopen.SYNC: "SYNC"}
     for frame in bus.frames:
         if frame.producer != MASTER:
             continue

@@ -4,18 +4,7 @@ from __future__ import annotations
 
 import math
 
-from thorvaldc.can.canopen import (
-    CHANGE_IMMEDIATELY,
-    HOMING_ATTAINED,
-    HOMING_ERROR,
-    NEW_SET_POINT,
-    START_HOMING,
-    TARGET_REACHED,
-    VOLTAGE_ENABLED,
-    ControlWord,
-    DriveState,
-    Mode,
-)
+from thorvaldc.can import canopen
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Bus, Node, Robot
 from thorvaldc.runtime.can_base.motor_controller import Axis, Intent, MotorController
@@ -28,11 +17,11 @@ In these cycles a drive may still report the result of the previous homing."""
 RESET_CYCLES = 5
 """Number of cycles in which a drive must leave the state FAULT after a fault reset."""
 
-_FAULT_STATES = (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)
+_FAULT_STATES = (canopen.DriveState.FAULT, canopen.DriveState.FAULT_REACTION_ACTIVE)
 _STEPS_TO_ENABLED = {
-    DriveState.SWITCH_ON_DISABLED: ControlWord.SHUTDOWN,
-    DriveState.READY_TO_SWITCH_ON: ControlWord.SWITCH_ON,
-    DriveState.SWITCHED_ON: ControlWord.ENABLE_OPERATION,
+    canopen.DriveState.SWITCH_ON_DISABLED: canopen.ControlWord.SHUTDOWN,
+    canopen.DriveState.READY_TO_SWITCH_ON: canopen.ControlWord.SWITCH_ON,
+    canopen.DriveState.SWITCHED_ON: canopen.ControlWord.ENABLE_OPERATION,
 }
 """Control word for the next step to OPERATION_ENABLED, by power state of the drive."""
 
@@ -56,12 +45,12 @@ class _AxisStateMachine:
         self.set_point_bit = False
 
     @property
-    def state(self) -> DriveState | None:
-        return None if self.status_word is None else DriveState.of(self.status_word)
+    def state(self) -> canopen.DriveState | None:
+        return None if self.status_word is None else canopen.DriveState.of(self.status_word)
 
     @property
     def enabled(self) -> bool:
-        return self.state is DriveState.OPERATION_ENABLED
+        return self.state is canopen.DriveState.OPERATION_ENABLED
 
     @property
     def in_fault(self) -> bool:
@@ -78,53 +67,58 @@ class _AxisStateMachine:
         if mode is not None:
             self.reported_mode = mode
         homing = (
-            self.reported_mode == Mode.HOMING
+            self.reported_mode == canopen.Mode.HOMING
             and self.homing_cycles >= HOMING_SETTLED
             and self.enabled
         )
         if not homing or self.axis.homed:
             return
-        if status_word & HOMING_ERROR:
+        if status_word & canopen.HOMING_ERROR:
             self.homing_failed = True
-        elif status_word & HOMING_ATTAINED and status_word & TARGET_REACHED:
+        elif status_word & canopen.HOMING_ATTAINED and status_word & canopen.TARGET_REACHED:
             self.axis.homed = True
             self.axis.hold()
 
     def command(self, intent: Intent) -> tuple[int, int]:
         """Returns the control word and the mode of operation to send to the drive."""
         homes = intent is Intent.HOME and not self.axis.homed
-        mode = Mode.HOMING if homes else self.mode
+        mode = canopen.Mode.HOMING if homes else self.mode
         if not homes:
             self.homing_cycles = 0
-        if self.state is DriveState.FAULT:
+        if self.state is canopen.DriveState.FAULT:
             return self._reset_once(), mode
         if intent is Intent.OFF or self.in_fault:
-            return ControlWord.DISABLE_VOLTAGE, mode
+            return canopen.ControlWord.DISABLE_VOLTAGE, mode
         if intent is Intent.QUICK_STOP:
             # The control word is repeated until the drive itself ends the stop (object 0x605A).
             # `DISABLE_VOLTAGE` would take the torque from a motor that still turns.
-            stops = self.enabled or self.state is DriveState.QUICK_STOP_ACTIVE
-            return ControlWord.QUICK_STOP if stops else ControlWord.DISABLE_VOLTAGE, mode
+            stops = self.enabled or self.state is canopen.DriveState.QUICK_STOP_ACTIVE
+            return (
+                canopen.ControlWord.QUICK_STOP if stops else canopen.ControlWord.DISABLE_VOLTAGE,
+                mode,
+            )
         if self.state in _STEPS_TO_ENABLED:
             return _STEPS_TO_ENABLED[self.state], mode
         if not self.enabled:  # after a quick stop the drive must first return to SWITCH_ON_DISABLED
-            return ControlWord.DISABLE_VOLTAGE, mode
+            return canopen.ControlWord.DISABLE_VOLTAGE, mode
         self.reset_allowed, self.reset_cycles = False, 0
-        word: int = ControlWord.ENABLE_OPERATION
+        word: int = canopen.ControlWord.ENABLE_OPERATION
         if homes:
-            if self.reported_mode == Mode.HOMING:
-                word |= START_HOMING
+            if self.reported_mode == canopen.Mode.HOMING:
+                word |= canopen.START_HOMING
                 self.homing_cycles += 1
-        elif mode == Mode.PROFILE_POSITION and self.reported_mode == mode:
+        elif mode == canopen.Mode.PROFILE_POSITION and self.reported_mode == mode:
             # A CiA 402 drive accepts a new target position at a rising edge of the bit
             # NEW_SET_POINT in the control word.  The bit NEW_SET_POINT rises in every second
             # control cycle with the latest target position, so a lost CAN frame only delays the
             # target position.
             self.set_point_bit = not self.set_point_bit
-            word |= CHANGE_IMMEDIATELY | (NEW_SET_POINT if self.set_point_bit else 0)
+            word |= canopen.CHANGE_IMMEDIATELY | (
+                canopen.NEW_SET_POINT if self.set_point_bit else 0
+            )
         return word, mode
 
-    def _reset_once(self) -> ControlWord:
+    def _reset_once(self) -> canopen.ControlWord:
         """Returns the control word for a drive in the power state FAULT: ``FAULT_RESET`` or
         ``DISABLE_VOLTAGE``.
 
@@ -134,9 +128,9 @@ class _AxisStateMachine:
         """
         if self.reset_allowed:
             self.reset_allowed, self.reset_cycles = False, RESET_CYCLES
-            return ControlWord.FAULT_RESET
+            return canopen.ControlWord.FAULT_RESET
         self.reset_cycles = max(self.reset_cycles - 1, 0)
-        return ControlWord.DISABLE_VOLTAGE
+        return canopen.ControlWord.DISABLE_VOLTAGE
 
 
 class Cia402Controller(MotorController):
@@ -157,7 +151,11 @@ class Cia402Controller(MotorController):
             _AxisStateMachine(
                 axis,
                 objects.get(f"{axis.channel}_mode_of_operation")
-                or (Mode.PROFILE_POSITION if axis.steering else Mode.PROFILE_VELOCITY),
+                or (
+                    canopen.Mode.PROFILE_POSITION
+                    if axis.steering
+                    else canopen.Mode.PROFILE_VELOCITY
+                ),
             )
             for axis in self.axes
         ]
@@ -230,12 +228,15 @@ class Cia402Controller(MotorController):
     @property
     def power_loss(self) -> str:
         with_voltage = (
-            DriveState.READY_TO_SWITCH_ON,
-            DriveState.SWITCHED_ON,
-            DriveState.OPERATION_ENABLED,
+            canopen.DriveState.READY_TO_SWITCH_ON,
+            canopen.DriveState.SWITCHED_ON,
+            canopen.DriveState.OPERATION_ENABLED,
         )
         for machine in self._machines:
-            if machine.state in with_voltage and not (machine.status_word or 0) & VOLTAGE_ENABLED:
+            if (
+                machine.state in with_voltage
+                and not (machine.status_word or 0) & canopen.VOLTAGE_ENABLED
+            ):
                 return "the power stage has no voltage"
         return ""
 

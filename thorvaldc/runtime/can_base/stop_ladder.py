@@ -41,15 +41,8 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from thorvaldc.can.canopen import NmtCommand
-from thorvaldc.model import Robot
+from thorvaldc.model import Robot, stopping
 from thorvaldc.model.statics.slope import holds_without_torque
-from thorvaldc.model.stopping import (
-    DETECTED_FAULT,
-    driven_wheels,
-    quick_stop_ramp,
-    reaction_times,
-    watchdog_time,
-)
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.motor_controller import (
     STANDING,
@@ -85,11 +78,13 @@ class StopTimes(NamedTuple):
     @classmethod
     def of(cls, robot: Robot) -> StopTimes:
         settings = [robot.driver, *(p.driver for p in robot.parameter_sets)]
-        driven = driven_wheels(robot.wheels, robot.actuators)
-        ramp = max(quick_stop_ramp(driven, choice).time for choice in settings)
-        reaction = max(reaction_times(robot, choice)[DETECTED_FAULT] for choice in settings)
+        driven = stopping.driven_wheels(robot.wheels, robot.actuators)
+        ramp = max(stopping.quick_stop_ramp(driven, choice).time for choice in settings)
+        reaction = max(
+            stopping.reaction_times(robot, choice)[stopping.DETECTED_FAULT] for choice in settings
+        )
         nodes = [n for bus in robot.buses for n in bus.nodes if any(c.actuator for c in n.channels)]
-        known = [time for node in nodes if (time := watchdog_time(node)) is not None]
+        known = [time for node in nodes if (time := stopping.watchdog_time(node)) is not None]
         watchdog = max(known) if len(known) == len(nodes) else max([*known, NO_WATCHDOG])
         return cls(reaction, reaction + GRACE + ramp, watchdog)
 

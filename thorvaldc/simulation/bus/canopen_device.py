@@ -19,7 +19,7 @@ from thorvaldc.can import canopen, lss
 from thorvaldc.can.canopen import Emergency, NmtCommand, NmtState
 from thorvaldc.can.frame import CanFrame, ErrorState
 from thorvaldc.can.sdo import AbortCode
-from thorvaldc.model.bus_faults import Quirk
+from thorvaldc.model.scenario import Quirk
 from thorvaldc.simulation.bus.object_dictionary import (
     DelayedWrite,
     Entry,

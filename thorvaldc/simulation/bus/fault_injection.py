@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from thorvaldc.can.frame import CanFrame, to_ns
 from thorvaldc.can.frame_bits import frame_bits
-from thorvaldc.model.bus_faults import BusFault, BusFaults
+from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.simulated_device import SimulatedDevice
 from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel

@@ -12,7 +12,7 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.sdo import AbortCode
 from thorvaldc.model import FrameDefinition
 from thorvaldc.model.bus import OBJECT_TYPES
-from thorvaldc.model.bus_faults import Quirk
+from thorvaldc.model.scenario import Quirk
 
 _FORMATS = {
     "bool": "<?",

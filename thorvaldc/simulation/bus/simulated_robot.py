@@ -22,8 +22,8 @@ from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Actuator, Bus, Node, Robot
-from thorvaldc.model.bus_faults import Quirk
 from thorvaldc.model.plugins import PluginFailure, PluginTable
+from thorvaldc.model.scenario import Quirk
 from thorvaldc.simulation.bus.battery_and_io_devices import ForeignDevice
 from thorvaldc.simulation.bus.simulated_device import DeviceSpecification, SimulatedDevice
 from thorvaldc.simulation.bus.simulated_motors import (

@@ -14,7 +14,7 @@ from typing import Any
 from thorvaldc.compiler.scenario.scenario_reader import metric_units
 from thorvaldc.diagnostics.atomic_file import append_whole, errors_with_name, write_file
 from thorvaldc.diagnostics.text_layout import text_table
-from thorvaldc.model.finite_json import finite
+from thorvaldc.model.spatial import finite
 from thorvaldc.tools.batch.scenario_batch import Run
 
 SUFFIXES = (".csv", ".json")

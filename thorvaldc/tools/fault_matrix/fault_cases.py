@@ -10,8 +10,8 @@ from typing import Any
 
 from thorvaldc.can.canopen import NMT, SYNC, NmtCommand
 from thorvaldc.model import Bus, FrameDefinition, Node, ObjectValue, Robot
-from thorvaldc.model.bus_faults import FRAME_FORMATS
 from thorvaldc.model.bus_timing import reading_time, required_objects
+from thorvaldc.model.scenario import FRAME_FORMATS
 from thorvaldc.model.statics.slope import roll_out
 from thorvaldc.model.stopping import (
     COMMAND_TIMEOUT,

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.model import Robot
-from thorvaldc.model.bus_faults import BusFault, BusFaults
+from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.control_channel import ControlServer
