@@ -50,8 +50,7 @@ if TYPE_CHECKING:
     from thorvaldc.compiler.pipeline import CompileError, emit, load, load_fleet
     from thorvaldc.compiler.pipeline import compile_file as compile
     from thorvaldc.compiler.result import Compilation
-    from thorvaldc.diagnostics import Diagnostic, Report, Severity, Span
-    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.diagnostics import Diagnostic, DiagnosticError, Report, Severity, Span
     from thorvaldc.model import Fleet, Robot
     from thorvaldc.runtime.driver import BaseDriver, DriverState
     from thorvaldc.runtime.se2 import Pose2, Twist
@@ -65,7 +64,7 @@ else:
         "Compilation": "compiler.result",
         "CompileError": "compiler.pipeline",
         "Diagnostic": "diagnostics",
-        "DiagnosticError": "diagnostics.error",
+        "DiagnosticError": "diagnostics",
         "DriverState": "runtime.driver",
         "Fleet": "model",
         "Pose2": "runtime.se2",
@@ -89,7 +88,7 @@ else:
             # Only the error needs the list of names, and the search for a similar one.
             hint = ""
             if not name.startswith("_"):
-                from thorvaldc.diagnostics.suggest import nearest
+                from thorvaldc.diagnostics import nearest
 
                 near = nearest(name, _API)
                 hint = f"; did you mean {near!r}?" if near else ""

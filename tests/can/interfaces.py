@@ -8,7 +8,7 @@ from tests.robots import SPAN
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.open_interface import open_interface
 from thorvaldc.can.python_can_interface import PythonCanInterface
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model.bus import Bus
 
 HEARTBEAT = CanFrame(0x701, b"\x05")

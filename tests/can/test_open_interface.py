@@ -19,7 +19,7 @@ from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.open_interface import bus_lock, open_interface, open_interfaces
 from thorvaldc.can.simulated_bus_client import SimulatedBusClient
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import Bus
 from thorvaldc.simulation.bus.bus_server import serving

@@ -23,7 +23,7 @@ from tests.can.interfaces import ALL_KINDS, HEARTBEAT, bus, open_python_can
 from thorvaldc.can.frame import CanFrame, ErrorState, elapsed_ns
 from thorvaldc.can.open_interface import UDP_GROUP
 from thorvaldc.can.python_can_interface import PythonCanInterface
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model.bus import Bus
 
 __all__ = ["bus"]

@@ -13,7 +13,7 @@ from thorvaldc.commissioning.flash import Flash
 from thorvaldc.commissioning.journal import Journal
 from thorvaldc.commissioning.planner import make_plan
 from thorvaldc.commissioning.scanner import Scanner
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import Bus
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from tests.commissioning.bench import NODES, SWAPPED, Bench, four_drives
 from tests.robots import SPAN
 from thorvaldc.commissioning.journal import Journal
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 

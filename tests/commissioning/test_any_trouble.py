@@ -11,7 +11,7 @@ import pytest
 from tests.commissioning.bench import NODES, QUICK, Bench, Dead, four_drives
 from tests.slow import mostly_slow
 from thorvaldc.commissioning.journal import Journal
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 
 IDS = (1, 2, 3, 4, 112, 30, 126, 77)
 TROUBLES = 6

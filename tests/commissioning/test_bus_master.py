@@ -10,7 +10,7 @@ from tests.commissioning.bench import four_drives
 from thorvaldc.can.canopen import NmtCommand
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.bus_master import BusMaster
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import Wire

@@ -31,7 +31,7 @@ from thorvaldc.commissioning.flash import Flash
 from thorvaldc.commissioning.journal import Journal, JournalFile
 from thorvaldc.commissioning.planner import AddressStep, AttachStep, make_plan
 from thorvaldc.commissioning.verify import verify
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.simulation.bus.simulated_robot import VirtualOperator, VirtualTimeInterface
 
 

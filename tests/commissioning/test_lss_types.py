@@ -10,7 +10,7 @@ from tests.commissioning.bench import QUICK, SWAPPED, Bench, four_drives
 from tests.commissioning.robots import without_serials
 from tests.commissioning.test_flash import writes
 from thorvaldc.commissioning.bus_configuration import configuration_of
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
 
 LSS_DRIVE = "rr_controller"

@@ -17,7 +17,7 @@ from tests.simulation.bus.robots import cia402_robot
 from tests.slow import mostly_slow
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.journal import Journal
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
 
 CHUNKS = 24

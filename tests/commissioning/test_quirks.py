@@ -11,7 +11,7 @@ from tests.simulation.bus.robots import cia402_robot
 from tests.slow import mostly_slow
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.verify import verify
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model.scenario import Quirk
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 

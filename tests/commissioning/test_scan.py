@@ -15,7 +15,7 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.commissioning.planner import make_plan
 from thorvaldc.commissioning.scan_result import ScanResult
 from thorvaldc.commissioning.scanner import Scanner
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 
 
 def passive(bench: Bench) -> ScanResult:

@@ -18,8 +18,7 @@ from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.backends.can import Can
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.compiler.pipeline import compile_file, emit
-from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import RequestRefused
 from thorvaldc.runtime.can_base.base_state_machine import BaseState

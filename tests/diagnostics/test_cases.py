@@ -148,7 +148,7 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
         ScenarioSimulation(compilation.scenario, files).play(report)
         compilation.report.extend(compilation.located(report))
     if command == "sim" and compilation.model is not None:
-        from thorvaldc.diagnostics.error import DiagnosticError
+        from thorvaldc.diagnostics import DiagnosticError
         from thorvaldc.runtime.se2 import Twist
         from thorvaldc.simulation.simulation_run import Simulation
 
@@ -165,7 +165,7 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
         drive_by_its_buses(compilation.model, case.get("devices"), compilation.report)
     if command == "can" and isinstance(compilation.model, Robot):
         from tests.commissioning.situations import play
-        from thorvaldc.diagnostics.error import DiagnosticError
+        from thorvaldc.diagnostics import DiagnosticError
 
         try:
             play(compilation.model, case["situation"])
@@ -173,7 +173,7 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
             compilation.report.put(error.diagnostic)
     if command == "interface" and isinstance(compilation.model, Robot):
         from thorvaldc.can.open_interface import open_interface
-        from thorvaldc.diagnostics.error import DiagnosticError
+        from thorvaldc.diagnostics import DiagnosticError
 
         try:
             open_interface(case["bus"], compilation.model.buses[0]).close()
@@ -188,7 +188,7 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
 
 def run_on_a_bus(robot: Robot, report: Report) -> None:
     from thorvaldc.compiler.bus.injected_faults import read_faults
-    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.diagnostics import DiagnosticError
     from thorvaldc.simulation.bus.fault_injection import FaultInjector
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
@@ -208,7 +208,7 @@ def drive_by_its_buses(robot: Robot, devices: str | None, report: Report) -> Non
     """Runs the base driver for a second on simulated devices of ``robot`` or of ``devices``."""
     from thorvaldc.compiler.bus.injected_faults import read_faults
     from thorvaldc.compiler.pipeline import compile_file
-    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.diagnostics import DiagnosticError
     from thorvaldc.runtime.run_session import RunSession
     from thorvaldc.simulation.bus.fault_injection import FaultInjector
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from thorvaldc.diagnostics.plain_numbers import millimetres, plain
+from thorvaldc.diagnostics import millimetres, plain
 
 ROOT = Path(__file__).resolve().parents[2]
 LENGTH = re.compile(r":\.?\d*g\} (?:mm|m)(?![\w/^])")

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from tests.robots import FOUR_STEERED, SPAN, make_robot
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import ParameterSet, Robot
 from thorvaldc.runtime.base_interface import JointStates, ParameterError
 from thorvaldc.runtime.calculators import PLUGINS, BaseGeometry, Noise, calculator_class

@@ -12,8 +12,7 @@ import pytest
 from tests.backend_files import files_of
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.backends.mjcf import Mjcf
-from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import to_json
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Pose2, Twist, parse_twist

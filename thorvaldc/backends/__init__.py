@@ -12,8 +12,7 @@ import abc
 from collections.abc import Iterable
 from typing import ClassVar, NamedTuple
 
-from thorvaldc.diagnostics import Diagnostic
-from thorvaldc.diagnostics.suggest import nearest
+from thorvaldc.diagnostics import Diagnostic, nearest
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.plugins import PluginFailure, PluginTable
 

@@ -28,7 +28,7 @@ from thorvaldc.can.frame import CanInterface
 from thorvaldc.can.local_socket import runtime_directory, socket_path
 from thorvaldc.can.python_can_interface import PythonCanInterface, one_line
 from thorvaldc.can.simulated_bus_client import SimulatedBusClient
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Bus, Robot
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ from thorvaldc.commissioning.bus_master import BusMaster, other_master_error
 from thorvaldc.commissioning.planner import Plan, PlanStep, make_plan
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.commissioning.step_executor import Operator
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Bus, Robot
 
 UNTESTED = (

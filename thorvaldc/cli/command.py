@@ -85,7 +85,7 @@ class CommandGroup(TyperGroup):
 
     def _is_near(self, name: str) -> bool:
         """Returns whether a name is a misspelled command of this group."""
-        from thorvaldc.diagnostics.suggest import nearest
+        from thorvaldc.diagnostics import nearest
 
         return nearest(name, self.commands) is not None
 

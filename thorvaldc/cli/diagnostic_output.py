@@ -20,7 +20,7 @@ from thorvaldc.diagnostics.codes import STRUCTURE
 
 # A valid file has no diagnostics to render: the renderers are imported where they are used.
 if TYPE_CHECKING:
-    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.diagnostics import DiagnosticError
 
 FORMATS = ("text", "json", "github", "sarif")
 RESULT_FORMATS = ("text", "json", "markdown")

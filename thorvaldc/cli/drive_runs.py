@@ -12,8 +12,7 @@ from thorvaldc.cli.run_pictures import RunPictures
 from thorvaldc.cli.run_records import call_all, open_joint_logs, open_recorders, record_summary
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.compiler.result import Compilation
-from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.scenario import GROUPS
 from thorvaldc.runtime.se2 import Twist

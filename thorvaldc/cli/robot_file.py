@@ -11,8 +11,7 @@ import typer
 from thorvaldc.cli.diagnostic_output import report_of, show_report
 from thorvaldc.cli.exits import OutsideError
 from thorvaldc.cli.installation import is_runtime_only
-from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import is_model_file, load_model
 

@@ -17,9 +17,8 @@ from thorvaldc.cli.run_records import call_all, open_joint_logs, open_recorders,
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.compiler.result import Compilation
 from thorvaldc.compiler.scenario.variations import Change, Variations, plan_variations
-from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.diagnostics.atomic_file import write_file
-from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model.scenario import Scenario
 from thorvaldc.simulation.control_loop import TickCallback
 from thorvaldc.simulation.scenario_run import ScenarioSimulation, junit_report, scenario_text

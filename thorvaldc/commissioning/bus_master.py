@@ -20,7 +20,7 @@ from thorvaldc.can.canopen import (
     nmt_message,
 )
 from thorvaldc.can.frame import NANOSECONDS, CanFrame, CanInterface, ErrorState
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Bus
 from thorvaldc.model.bus_timing import worst_case_bits
 

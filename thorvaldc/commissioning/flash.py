@@ -40,7 +40,7 @@ from thorvaldc.commissioning.scan_result import ScanResult
 from thorvaldc.commissioning.scanner import Progress as ScanProgress
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.commissioning.step_executor import Operator, StepExecutor, StepFailed
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 
 Progress = Callable[[int, int, PlanStep, bool], None]
 """Called before and after each step.

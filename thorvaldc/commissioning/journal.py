@@ -38,9 +38,9 @@ from thorvaldc.commissioning.bus_configuration import (
     values_to_json,
 )
 from thorvaldc.commissioning.planner import Plan, plan_from_json, plan_to_json
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.diagnostics.atomic_file import append_whole
 from thorvaldc.diagnostics.bounded_file import check_regular
-from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.foreign_json import read_json
 
 FORMAT, VERSION = "thorvaldc-flash", 3

@@ -41,7 +41,7 @@ from thorvaldc.commissioning.scan_result import (
     ScanResult,
     identity_text,
 )
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 
 PERIODS = 3.2
 """Listening time in periods of the slowest heartbeat.

@@ -398,7 +398,7 @@ def load_fleet(
 
 
 def _load(path: Path | str, library: Sequence[Path | str], trust: bool) -> Robot | Fleet:
-    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.diagnostics import DiagnosticError
     from thorvaldc.model.model_json import is_model_file, load_model
 
     path = Path(path)

@@ -39,10 +39,19 @@ from thorvaldc.compiler.validation.document_check import (
     report_wrong_kind,
     without_invalid_values,
 )
-from thorvaldc.diagnostics import CODES, Accepted, Code, Diagnostic, Label, Report, Severity, Span
+from thorvaldc.diagnostics import (
+    CODES,
+    Accepted,
+    Code,
+    Diagnostic,
+    Label,
+    Report,
+    Severity,
+    Span,
+    did_you_mean,
+)
 from thorvaldc.diagnostics.bounded_file import MAX_LOG_BYTES
 from thorvaldc.diagnostics.codes import STRUCTURE
-from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.schema.documents import Kind
 

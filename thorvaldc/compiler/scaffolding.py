@@ -12,9 +12,8 @@ from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
 from thorvaldc.compiler.modules.library import FILE
-from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics import Report, Span, plain
 from thorvaldc.diagnostics.atomic_file import write_file
-from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Mesh
 from thorvaldc.model.plugins import data_folder
 from thorvaldc.schema.documents import schema_text

@@ -4,12 +4,17 @@ from thorvaldc.diagnostics.codes import CODES, Code
 from thorvaldc.diagnostics.report import (
     Accepted,
     Diagnostic,
+    DiagnosticError,
     Fix,
     Label,
     Proposal,
     Report,
     Severity,
     Span,
+    did_you_mean,
+    millimetres,
+    nearest,
+    plain,
 )
 
 __all__ = [
@@ -17,10 +22,15 @@ __all__ = [
     "Accepted",
     "Code",
     "Diagnostic",
+    "DiagnosticError",
     "Fix",
     "Label",
     "Proposal",
     "Report",
     "Severity",
     "Span",
+    "did_you_mean",
+    "millimetres",
+    "nearest",
+    "plain",
 ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from thorvaldc.diagnostics.codes import CODES, Code
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics.report import did_you_mean
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 

@@ -1,4 +1,7 @@
-"""Source spans, diagnostics, and the report that collects the diagnostics of a run."""
+"""Source spans, diagnostics, and the report that collects the diagnostics of a run.
+
+Also what messages and hints are made of: similar words, and numbers without exponents.
+"""
 
 from __future__ import annotations
 
@@ -316,3 +319,92 @@ class Report:
         remaining = Report()
         remaining.extend(d for d in self if d.span not in known)
         return remaining
+
+
+class DiagnosticError(Exception):
+    """Raised if an operation fails for the reason in the diagnostic.
+
+    - ``diagnostic``: diagnostic with the reason and a hint.
+
+    A function without a parameter of the type ``Report`` raises ``DiagnosticError`` instead of
+    adding to a report.  A caller that has a ``Report`` adds the diagnostic of the exception to the
+    report.
+    """
+
+    def __init__(
+        self, code: str, message: str, span: Span | None = None, *, hint: str | None = None
+    ) -> None:
+        super().__init__(message)
+        fixes = hint.fixes(span) if isinstance(hint, Proposal) and span is not None else ()
+        self.diagnostic = Diagnostic(CODES[code], message, span, hint, fixes=fixes)
+        if hint:
+            self.add_note(f"hint: {hint}")  # a traceback shows it below the message
+
+    @property
+    def one_line(self) -> str:
+        """The message and the hint in one line."""
+        return "; ".join(filter(None, (self.diagnostic.message, self.diagnostic.hint)))
+
+
+# -- hints for misspelled words ----------------------------------------------------
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """Returns the known word most similar to ``word``, or ``None`` if no word is similar.
+
+    The comparison of words ignores upper and lower case.  The comparison of words treats the
+    characters ``-``, ``_`` and space as equal.
+    """
+    candidates = list(dict.fromkeys(known))
+    by_normal = {_normal(candidate): candidate for candidate in reversed(candidates)}
+    normal = _normal(word)
+    if normal in by_normal:
+        return by_normal[normal]
+    if len(normal) > 100:
+        return None
+    import difflib
+
+    close = difflib.get_close_matches(normal, list(by_normal), n=1, cutoff=0.6)
+    return by_normal[close[0]] if close else None
+
+
+def did_you_mean(
+    word: str, known: Iterable[str], otherwise: str | None = None, *, fixable: bool = True
+) -> str | None:
+    """Returns the hint ``did you mean `x`?`` for a misspelled word.
+
+    The hint is a ``Proposal`` to replace the source span of the diagnostic by the known word.  If
+    the source span is not that of the word, ``fixable`` is false and the hint is plain text.  If no
+    known word is similar to the misspelled word, returns the text ``otherwise``.
+    """
+    known_word = nearest(word, known)
+    if known_word is None:
+        return otherwise
+    hint = f"did you mean `{known_word}`?"
+    return Proposal(hint, known_word, word=word) if fixable else hint
+
+
+def _normal(word: str) -> str:
+    return word.casefold().replace("-", "_").replace(" ", "_")
+
+
+# -- numbers in messages and tables, without exponents: nobody measures 1.05e+03 mm --
+
+
+def plain(value: float, digits: int = 6) -> str:
+    """Returns a number with ``digits`` significant digits and no exponent, such as ``1046``.
+
+    The digits before the decimal point are not rounded.  A number that no robot has, from 1e15 on
+    or below 1e-12, keeps its exponent.
+    """
+    text = f"{value:.{digits}g}"
+    if "e" not in text or not 1e-12 < abs(value) < 1e15:
+        return text
+    if abs(value) >= 1.0:
+        return f"{value:.0f}"
+    return f"{value:.15f}".rstrip("0").rstrip(".")
+
+
+def millimetres(length: float, digits: int = 3) -> str:
+    """Returns a length, given in m, in mm with its unit, such as ``1046 mm``."""
+    return f"{plain(1000.0 * length, digits)} mm"

@@ -19,11 +19,9 @@ from collections.abc import Callable, Hashable
 from pathlib import Path
 from typing import Any, cast
 
-from thorvaldc.diagnostics import Span
+from thorvaldc.diagnostics import DiagnosticError, Span, did_you_mean
 from thorvaldc.diagnostics.bounded_file import read_bounded
-from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.diagnostics.foreign_json import read_json
-from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import (
     Actuator,
     Bus,

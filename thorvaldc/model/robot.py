@@ -11,8 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from thorvaldc.diagnostics import Span
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError, Span
 from thorvaldc.model import quantities as si
 from thorvaldc.model.bus import Bus, Scalar
 from thorvaldc.model.element import Element

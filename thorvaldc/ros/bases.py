@@ -9,7 +9,7 @@ from pathlib import Path
 
 from thorvaldc.can.frame import CanInterface
 from thorvaldc.can.open_interface import lock_buses, open_interfaces
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driven_robot import DrivenRobot

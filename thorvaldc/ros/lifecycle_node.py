@@ -28,7 +28,7 @@ from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Bool, String
 
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model.settings import FOR_FILTERS
 from thorvaldc.ros import messages
 from thorvaldc.ros.bases import NodeError, description_text, open_robot

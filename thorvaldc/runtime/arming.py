@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model.settings import AUTOMATIC, SAFETY_STOP
 from thorvaldc.runtime.base_interface import BaseHandle, ParameterError, RequestRefused
 from thorvaldc.runtime.driver import BaseDriver

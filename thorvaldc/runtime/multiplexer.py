@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TypeVar
 
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import did_you_mean
 from thorvaldc.model import Robot, TwistInput
 from thorvaldc.model.settings import ZERO_FIRST
 from thorvaldc.model.spatial import float_sum

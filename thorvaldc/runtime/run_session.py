@@ -16,8 +16,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from thorvaldc.can.frame import CanInterface
-from thorvaldc.diagnostics import CODES, Diagnostic
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import CODES, Diagnostic, DiagnosticError
 from thorvaldc.model import Robot, TwistInput
 from thorvaldc.runtime.base_interface import RequestRefused
 from thorvaldc.runtime.can_base.base_state_machine import BaseState

@@ -13,8 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import DiagnosticError, did_you_mean
 from thorvaldc.model import DriverSettings, Robot
 from thorvaldc.runtime.base_interface import ParameterError
 from thorvaldc.runtime.calculators import Noise

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from thorvaldc.backends.xml_writer import Element, to_bytes
 from thorvaldc.compiler.scenario.scenario_reader import metric_units
-from thorvaldc.diagnostics import Report, Span
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError, Report, Span
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import Expectation, Scenario
 from thorvaldc.runtime.base_interface import BaseHandle

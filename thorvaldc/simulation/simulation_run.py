@@ -10,9 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.diagnostics.plain_numbers import millimetres
+from thorvaldc.diagnostics import DiagnosticError, Report, millimetres
 from thorvaldc.model import Fleet, Robot, Wheel
 from thorvaldc.model.model_json import load_model
 from thorvaldc.model.statics.mobility import roll_speeds

@@ -10,7 +10,7 @@ import pytest
 
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import CalculatorChoice, Robot, Scalar
 from thorvaldc.runtime import calculators
 from thorvaldc.runtime.calculators.general import General

@@ -9,7 +9,7 @@ import pytest
 
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.runtime.can_base.test_can_base import four_wheels
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base import battery_and_io_drivers as devices
 from thorvaldc.runtime.can_base import motor_controller as controller

@@ -14,7 +14,7 @@ import pytest
 from tests.examples import FOLDER
 from tests.runtime.can_base.simulated_rig import Rig
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.simulation.bus.battery_and_io_devices import ForeignDevice
 from thorvaldc.simulation.bus.simulated_robot import SIMULATED_DEVICES, SimulatedRobot

@@ -15,8 +15,7 @@ from tests.robots import make_robot
 from tests.simulation.bus.master import Master
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.compiler.pipeline import emit
-from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.model import Robot
 from thorvaldc.model.bus import OBJECT_TYPES
 from thorvaldc.model.model_json import from_json, to_json

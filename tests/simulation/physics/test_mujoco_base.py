@@ -13,7 +13,7 @@ import thorvaldc
 from tests.backend_files import files_of
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.backends.mjcf import Mjcf
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Fleet, Placement, Pose, Robot
 from thorvaldc.runtime.base_interface import JointCommands
 from thorvaldc.runtime.se2 import Twist

@@ -10,7 +10,7 @@ import pytest
 from tests.backend_files import files_of
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.backends.mjcf import Mjcf
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import BaseHandle, JointCommands
 from thorvaldc.runtime.se2 import Twist

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.model import Robot
 from thorvaldc.tools.provenance.explanation import Explainer
 

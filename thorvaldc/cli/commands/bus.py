@@ -58,8 +58,7 @@ def bus(
     from thorvaldc.cli.robot_file import load_robot
     from thorvaldc.cli.virtual_robot import make_mujoco_base, read_store
     from thorvaldc.compiler.bus.injected_faults import read_faults
-    from thorvaldc.diagnostics import Report
-    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.diagnostics import DiagnosticError, Report
     from thorvaldc.simulation.bus.fault_injection import FaultInjector
     from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 

@@ -110,7 +110,7 @@ def _write(
     from thorvaldc.commissioning.flash import Flash
     from thorvaldc.commissioning.journal import Journal
     from thorvaldc.commissioning.planner import plan_table
-    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.diagnostics import DiagnosticError
 
     if mode != "--apply" and not path.exists():
         raise typer.BadParameter(f"there is no journal {path}", param_hint="'--journal'")

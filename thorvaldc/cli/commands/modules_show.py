@@ -31,8 +31,7 @@ def show_module(
     )
     from thorvaldc.compiler.modules.library import Library as ModuleLibrary
     from thorvaldc.compiler.source.node import Node
-    from thorvaldc.diagnostics import Report, Span
-    from thorvaldc.diagnostics.suggest import nearest
+    from thorvaldc.diagnostics import Report, Span, nearest
 
     folders = options.library_folders(library)
     module_library = ModuleLibrary([(folder, str(folder)) for folder in folders])

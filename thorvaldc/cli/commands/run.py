@@ -81,8 +81,7 @@ def run(
     from thorvaldc.can.open_interface import lock_buses, open_interfaces
     from thorvaldc.cli.hardware_warning import is_hardware, warn_once
     from thorvaldc.cli.robot_file import load_robot
-    from thorvaldc.diagnostics import Report
-    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.diagnostics import DiagnosticError, Report
     from thorvaldc.runtime.run_session import RunSession
     from thorvaldc.runtime.se2 import parse_twist
 

@@ -23,8 +23,7 @@ from thorvaldc.compiler.bus.device_sections import (
 )
 from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
 from thorvaldc.compiler.values.value_reader import entries
-from thorvaldc.diagnostics import Label, Report, Span
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
 from thorvaldc.model import Actuator, Bus, FrameDefinition, Robot
 
 LOAD_LIMIT, LOAD_WARNING = 0.80, 0.50

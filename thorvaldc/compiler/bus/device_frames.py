@@ -21,8 +21,7 @@ from thorvaldc.compiler.source.node import Node, insertion
 from thorvaldc.compiler.source.unit_table import Dimension
 from thorvaldc.compiler.source.units import UnitError, parse_unit
 from thorvaldc.compiler.values.value_reader import entries, items
-from thorvaldc.diagnostics import Label, Proposal, Report, Span
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Label, Proposal, Report, Span, did_you_mean
 from thorvaldc.model import FrameDefinition, Signal
 from thorvaldc.model.bus import OBJECT_TYPES
 

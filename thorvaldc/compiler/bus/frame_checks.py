@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from thorvaldc.compiler.bus.device_sections import Device, Wire, listed
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.value_reader import entries
-from thorvaldc.diagnostics import Label, Report, Span
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
 from thorvaldc.model import Signal
 
 ROUNDING = 1e-9

@@ -12,8 +12,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.compiler.values.document_section import Section, read_document
-from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Report, did_you_mean
 from thorvaldc.model import Bus, Robot
 from thorvaldc.model import Node as Device
 from thorvaldc.model.scenario import FAULT_KINDS, BusFault, BusFaults, FaultKind, Quirk

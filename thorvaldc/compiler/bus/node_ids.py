@@ -31,8 +31,7 @@ from thorvaldc.compiler.source import node as source
 from thorvaldc.compiler.source.dimensions import EXPECTED
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries, items
-from thorvaldc.diagnostics import Label, Report, Span
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
 from thorvaldc.model import Channel, FrameDefinition, Node, Robot
 from thorvaldc.model.bus import CANOPEN
 from thorvaldc.schema.documents import inlined

@@ -21,8 +21,7 @@ from dataclasses import replace
 from thorvaldc.compiler.bus.device_sections import MASTER_HEARTBEAT_PERIOD
 from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Label, Proposal, Report
-from thorvaldc.diagnostics.plain_numbers import plain
+from thorvaldc.diagnostics import Label, Proposal, Report, plain
 from thorvaldc.model import DriverSettings, ParameterSet, Robot, stopping
 from thorvaldc.model.statics.slope import SlopeStops, steepest_stops
 

@@ -10,8 +10,7 @@ import math
 from dataclasses import replace
 
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Label, Report
-from thorvaldc.diagnostics.plain_numbers import millimetres
+from thorvaldc.diagnostics import Label, Report, millimetres
 from thorvaldc.model import Joint, Robot
 from thorvaldc.model.statics import mobility
 from thorvaldc.model.statics.standing import Standing, standing_of

@@ -6,8 +6,7 @@ import math
 
 from thorvaldc.compiler.checks import mobility_checks
 from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
-from thorvaldc.diagnostics import Label, Report
-from thorvaldc.diagnostics.plain_numbers import millimetres, plain
+from thorvaldc.diagnostics import Label, Report, millimetres, plain
 from thorvaldc.model import Robot, Wheel
 from thorvaldc.model.spatial import GRAVITY, float_sum
 from thorvaldc.model.statics.joint_tree import tree_of

@@ -12,8 +12,7 @@ from thorvaldc.compiler.hardware.hardware_reader import Hardware
 from thorvaldc.compiler.hardware.robot_parts import RobotParts
 from thorvaldc.compiler.modules.module_tree import Instance, References, name_prefix
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Label, Report, Span
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
 from thorvaldc.model import Joint, JointServo, Link, Mesh, Pose
 
 

@@ -42,9 +42,8 @@ from thorvaldc.compiler.source.input_file import FOLDERS, XACRO_FILES, missing_f
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.units import UnitError, parse_quantity
 from thorvaldc.compiler.values.value_reader import items
-from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
 from thorvaldc.diagnostics.grouping import grouped
-from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Joint, JointServo, Link, Mesh, Pose, Vec3
 
 

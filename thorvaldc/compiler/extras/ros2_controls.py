@@ -12,8 +12,7 @@ from xml.etree import ElementTree
 
 from thorvaldc.compiler.extras.urdf_elements import call_labels
 from thorvaldc.compiler.extras.xacro_expand import Element
-from thorvaldc.diagnostics import Label, Report, Span
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
 from thorvaldc.model import Joint, JointServo
 
 POSITION, VELOCITY = "position", "velocity"

@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from thorvaldc.compiler.extras.xacro_expand import Element
-from thorvaldc.diagnostics import Label, Report
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Label, Report, did_you_mean
 
 EXTENSIONS = ("gazebo", "transmission", "ros2_control", "sensor")
 """Child elements of <robot> that the compiler copies to the URDF output without reading them."""

@@ -31,8 +31,7 @@ from thorvaldc.compiler.source.dimensions import EXPECTED, element_of
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import INVALID, entries, items
-from thorvaldc.diagnostics import Proposal, Report
-from thorvaldc.diagnostics.plain_numbers import plain
+from thorvaldc.diagnostics import Proposal, Report, plain
 from thorvaldc.model import Purchase
 from thorvaldc.model.robot import NOT_STATED
 from thorvaldc.model.spatial import clean, combine

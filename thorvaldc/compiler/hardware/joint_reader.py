@@ -10,8 +10,7 @@ from thorvaldc.compiler.modules.module_parameters import Scope, hint_of_known
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries
-from thorvaldc.diagnostics import Label, Report
-from thorvaldc.diagnostics.plain_numbers import plain
+from thorvaldc.diagnostics import Label, Report, plain
 from thorvaldc.model import Actuator, Brake, Joint, Scalar, Vec3
 from thorvaldc.model.spatial import clean, norm, scale
 from thorvaldc.schema.documents import inlined

@@ -13,8 +13,7 @@ from thorvaldc.compiler.modules.library import Library, ModuleType
 from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.source.node import Node, describe_node, insertion
 from thorvaldc.compiler.values.value_reader import INVALID, ValueReader, entries
-from thorvaldc.diagnostics import Proposal, Report
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Proposal, Report, did_you_mean
 from thorvaldc.model import Purchase
 from thorvaldc.model.robot import NOT_STATED
 

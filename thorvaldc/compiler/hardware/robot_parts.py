@@ -20,8 +20,7 @@ from thorvaldc.compiler.modules.module_tree import Instance, References, name_pr
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries
-from thorvaldc.diagnostics import Label, Report, Span
-from thorvaldc.diagnostics.plain_numbers import millimetres
+from thorvaldc.diagnostics import Label, Report, Span, millimetres
 from thorvaldc.model import Purchase
 from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.joint_tree import Coordinate, Member, follow

@@ -20,8 +20,7 @@ from thorvaldc.compiler.source.input_file import unsaved_text
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check
-from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Report, did_you_mean
 from thorvaldc.model.plugins import data_folder
 
 Content = TypeVar("Content")

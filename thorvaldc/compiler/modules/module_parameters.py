@@ -17,9 +17,7 @@ from thorvaldc.compiler.source.node import Node, describe_node, insertion
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any
 from thorvaldc.compiler.values import value_reader as values
-from thorvaldc.diagnostics import Label, Proposal, Report
-from thorvaldc.diagnostics.plain_numbers import plain
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Label, Proposal, Report, did_you_mean, plain
 
 NONE = "none"
 # Greatest length of a chain of parameters in which the value of each parameter depends on the next

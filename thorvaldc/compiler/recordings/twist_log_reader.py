@@ -15,8 +15,7 @@ from thorvaldc.compiler.recordings.ros_bag import (
     is_bag,
     read_bag,
 )
-from thorvaldc.diagnostics import Report, Span
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Report, Span, did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import Command
 

@@ -24,8 +24,7 @@ from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
 from thorvaldc.compiler.values.document_section import Section
-from thorvaldc.diagnostics import Label, Proposal, Report
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Label, Proposal, Report, did_you_mean
 from thorvaldc.model import Actuator, DriverSettings, ParameterSet, TwistInput, Wheel
 from thorvaldc.model.settings import SAFETY_STOP, STOP_PRIORITY, BatterySettings
 from thorvaldc.model.spatial import clean

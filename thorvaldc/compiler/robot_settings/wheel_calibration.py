@@ -16,9 +16,7 @@ from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.compiler.values.document_section import Section, read_document
 from thorvaldc.compiler.values.value_reader import ValueReader
-from thorvaldc.diagnostics import Label, Proposal, Report, Span
-from thorvaldc.diagnostics.plain_numbers import millimetres
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Label, Proposal, Report, Span, did_you_mean, millimetres
 from thorvaldc.model import Actuator, Joint, Wheel
 from thorvaldc.model.spatial import add, clean
 from thorvaldc.model.statics.joint_tree import JointTree

@@ -13,8 +13,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.compiler.values.document_section import Section, read_document
 from thorvaldc.compiler.values.value_reader import ValueReader
-from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Report, did_you_mean
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model import quantities as si
 from thorvaldc.model.scenario import GROUPS, Command, Expectation, Noise, Scenario, WheelFault

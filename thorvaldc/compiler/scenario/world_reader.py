@@ -16,8 +16,7 @@ from thorvaldc import model
 from thorvaldc.compiler.source.node import Node, insertion, removal
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries, items
-from thorvaldc.diagnostics import Proposal, Report
-from thorvaldc.diagnostics.plain_numbers import plain
+from thorvaldc.diagnostics import Proposal, Report, plain
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.tip_over import Point, convex_hull, overlap
 

@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from thorvaldc.diagnostics.plain_numbers import plain
+from thorvaldc.diagnostics import plain
 from thorvaldc.model.stl import Triangle, binary_stl, stl_triangles, triangle_normal
 
 if TYPE_CHECKING:

@@ -33,9 +33,8 @@ from thorvaldc.compiler.shapes.mesh_formats import (
 )
 from thorvaldc.compiler.source.input_file import missing_file_hint, near_path
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics import Report, Span, plain
 from thorvaldc.diagnostics.bounded_file import read_bounded
-from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Mesh, Vec3
 
 # Robots with meshes of the built-in library alone need no worker process.

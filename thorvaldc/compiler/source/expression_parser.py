@@ -42,7 +42,7 @@ from thorvaldc.compiler.source.units import (
     parse_unit,
     parse_with_dimension,
 )
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import did_you_mean
 
 MAX_LENGTH = 1000
 MAX_DEPTH = 40

@@ -15,7 +15,7 @@ from thorvaldc.compiler.source.expression_parser import (
     parse,
 )
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import did_you_mean
 
 MAX_ELEMENTS = 10_000
 

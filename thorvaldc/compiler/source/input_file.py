@@ -16,9 +16,8 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from thorvaldc.compiler.source.node import Node, yaml_text
-from thorvaldc.diagnostics import Proposal, Report, Span
+from thorvaldc.diagnostics import Proposal, Report, Span, nearest
 from thorvaldc.diagnostics.bounded_file import read_bounded
-from thorvaldc.diagnostics.suggest import nearest
 
 _unsaved: ContextVar[Mapping[str, bytes]] = ContextVar("unsaved")
 

@@ -29,8 +29,7 @@ from thorvaldc.compiler.source.unit_table import (
     Quantity,
     Unit,
 )
-from thorvaldc.diagnostics import Proposal
-from thorvaldc.diagnostics.suggest import nearest
+from thorvaldc.diagnostics import Proposal, nearest
 
 __all__ = ["QUANTITIES", "UnitError", "describe", "parse_any", "parse_quantity", "parse_unit"]
 

@@ -9,8 +9,7 @@ from typing import Any
 
 from thorvaldc.compiler.source.node import Node, describe_node, insertion, yaml_text
 from thorvaldc.compiler.source.units import QUANTITIES
-from thorvaldc.diagnostics import Label, Proposal, Report, Span
-from thorvaldc.diagnostics.suggest import did_you_mean, nearest
+from thorvaldc.diagnostics import Label, Proposal, Report, Span, did_you_mean, nearest
 from thorvaldc.schema.documents import Kind
 
 _TYPE_WORDS = {

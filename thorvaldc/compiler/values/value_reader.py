@@ -18,8 +18,7 @@ from thorvaldc.compiler.source.expressions import evaluate, expression_of
 from thorvaldc.compiler.source.node import Node, describe_node
 from thorvaldc.compiler.source.unit_table import QUANTITIES, Dimension
 from thorvaldc.compiler.source.units import UnitError, is_bare_number, parse_quantity
-from thorvaldc.diagnostics import Proposal, Report
-from thorvaldc.diagnostics.plain_numbers import plain
+from thorvaldc.diagnostics import Proposal, Report, plain
 from thorvaldc.model import Pose, Vec3
 
 # Least and greatest absolute value of every physical quantity in SI units, except 0.  Squares and

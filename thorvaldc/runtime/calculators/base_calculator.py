@@ -10,9 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
-from thorvaldc.diagnostics import Proposal
-from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import DiagnosticError, Proposal, did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model.plugins import PluginFailure, PluginTable
 from thorvaldc.runtime.base_interface import JointCommands, JointStates, NotFiniteError

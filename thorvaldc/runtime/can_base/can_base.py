@@ -39,7 +39,7 @@ from typing import Any
 
 from thorvaldc.can.canopen import NmtCommand
 from thorvaldc.can.frame import CanFrame, CanInterface
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.model.settings import AT_START
 from thorvaldc.model.stopping import REPORT_TIMEOUT

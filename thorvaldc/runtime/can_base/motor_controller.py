@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple, TypeVar
 
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Actuator, Bus, Node, ObjectValue, Robot
 from thorvaldc.model.bus import MASTER
 from thorvaldc.model.bus_timing import required_objects

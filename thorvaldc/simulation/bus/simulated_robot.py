@@ -18,9 +18,8 @@ from thorvaldc.can.frame import (
     to_ns,
 )
 from thorvaldc.commissioning.planner import AttachStep
-from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.diagnostics.atomic_file import write_file
-from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Actuator, Bus, Node, Robot
 from thorvaldc.model.plugins import PluginFailure, PluginTable
 from thorvaldc.model.scenario import Quirk

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import Pose2, Twist

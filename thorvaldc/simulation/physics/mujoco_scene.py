@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
 
 SCENE = "mjcf/scene.xml"

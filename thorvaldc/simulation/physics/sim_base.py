@@ -9,8 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import DiagnosticError, did_you_mean
 from thorvaldc.model import Actuator, Robot
 from thorvaldc.model.statics.slope import coasting_deceleration
 from thorvaldc.runtime import se2

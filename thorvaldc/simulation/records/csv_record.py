@@ -20,9 +20,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from thorvaldc.compiler.recordings.csv_table import TIME, Table, read_table
-from thorvaldc.diagnostics import Report, Span
+from thorvaldc.diagnostics import Report, Span, did_you_mean
 from thorvaldc.diagnostics.atomic_file import AtomicFile
-from thorvaldc.diagnostics.suggest import did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import GROUPS
 from thorvaldc.runtime.base_interface import JointCommands, JointStates

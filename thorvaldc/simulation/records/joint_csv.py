@@ -33,8 +33,7 @@ from thorvaldc.compiler.recordings.csv_table import (
     read_columns,
     read_utf8,
 )
-from thorvaldc.diagnostics import Report, Span
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Report, Span, did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.runtime.driver import DriverState
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL

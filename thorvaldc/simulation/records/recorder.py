@@ -8,8 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from thorvaldc.diagnostics import Report, Span
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Report, Span, did_you_mean
 from thorvaldc.runtime.base_interface import JointCommands
 from thorvaldc.simulation.control_loop import ControlLoop, Sample, TickCallback
 

@@ -10,9 +10,8 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from thorvaldc.compiler.shapes.meshes import load_mesh, shared_mesh_workers
-from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics import Label, Report, Span, plain
 from thorvaldc.diagnostics.foreign_json import read_json
-from thorvaldc.diagnostics.plain_numbers import plain
 from thorvaldc.model import Inertial, Mesh, Pose
 from thorvaldc.model.spatial import float_sum
 from thorvaldc.model.statics.tip_over import convex_hull

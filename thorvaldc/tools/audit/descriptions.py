@@ -10,8 +10,7 @@ from typing import Any, ClassVar
 from xml.parsers import expat
 
 from thorvaldc.compiler.extras.xacro_expand import Element
-from thorvaldc.diagnostics import Report, Span
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Report, Span, did_you_mean
 from thorvaldc.model import Pose, Vec3
 from thorvaldc.model.spatial import scale
 from thorvaldc.tools.audit.audit_facts import (

@@ -6,8 +6,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator
 
-from thorvaldc.diagnostics import Label, Report
-from thorvaldc.diagnostics.plain_numbers import plain
+from thorvaldc.diagnostics import Label, Report, plain
 from thorvaldc.model import Pose, Vec3
 from thorvaldc.model.spatial import dot, norm, sub
 from thorvaldc.tools.audit.audit_facts import (

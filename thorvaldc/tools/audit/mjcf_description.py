@@ -11,8 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from thorvaldc.compiler.extras.xacro_expand import Element
-from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Report, did_you_mean
 from thorvaldc.model import Pose, Vec3
 from thorvaldc.model.spatial import (
     add,

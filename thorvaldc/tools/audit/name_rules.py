@@ -5,8 +5,7 @@ Each transform has one owner.
 
 from __future__ import annotations
 
-from thorvaldc.diagnostics import Label, Report
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Label, Report, did_you_mean
 from thorvaldc.tools.audit.audit_facts import (
     Description,
     Evidence,

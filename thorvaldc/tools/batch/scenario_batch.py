@@ -151,7 +151,7 @@ class _Job:
         )
 
     def __call__(self) -> Run:
-        from thorvaldc.diagnostics.error import DiagnosticError
+        from thorvaldc.diagnostics import DiagnosticError
         from thorvaldc.simulation.scenario_run import ScenarioSimulation
 
         values = {change.path: change.value.plain() for change in self.changes}

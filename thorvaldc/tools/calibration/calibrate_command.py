@@ -44,8 +44,7 @@ def calibrate(
         show_report,
         table_width,
     )
-    from thorvaldc.diagnostics import Report
-    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.diagnostics import DiagnosticError, Report
     from thorvaldc.model import Robot
     from thorvaldc.runtime.run_time_parameters import Parameters as DriverParameters
     from thorvaldc.simulation.records.joint_csv import read_log

@@ -40,8 +40,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from thorvaldc.diagnostics import Report, Span
-from thorvaldc.diagnostics.plain_numbers import plain
+from thorvaldc.diagnostics import Report, Span, plain
 from thorvaldc.model import Robot
 from thorvaldc.model.spatial import float_sum
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry

@@ -15,9 +15,8 @@ from thorvaldc.comparison.robot_comparison import compare_fleets, compare_robots
 from thorvaldc.comparison.robot_difference import Difference
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.result import Compilation
-from thorvaldc.diagnostics import Label, Report, Span
+from thorvaldc.diagnostics import DiagnosticError, Label, Report, Span
 from thorvaldc.diagnostics.bounded_file import read_bounded
-from thorvaldc.diagnostics.error import DiagnosticError
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.model_json import is_model_file, load_model
 from thorvaldc.tools.comparison.git_revision import (

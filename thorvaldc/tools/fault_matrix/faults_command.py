@@ -27,7 +27,7 @@ def faults(
     from thorvaldc.cli.diagnostic_output import message, print_json, report_of, table_width
     from thorvaldc.cli.progress import Progress
     from thorvaldc.cli.robot_file import load_robot
-    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.diagnostics import DiagnosticError
     from thorvaldc.simulation.worker_processes import processors
     from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix
     from thorvaldc.tools.fault_matrix.fault_table import markdown, matrix_json

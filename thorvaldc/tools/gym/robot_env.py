@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.scenario import Scenario
 from thorvaldc.runtime.driver import BaseDriver

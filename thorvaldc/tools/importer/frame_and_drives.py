@@ -9,8 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from thorvaldc.diagnostics import Label
-from thorvaldc.diagnostics.plain_numbers import millimetres, plain
+from thorvaldc.diagnostics import Label, millimetres, plain
 from thorvaldc.tools.importer.original_file import OriginalMapping
 from thorvaldc.tools.importer.robot_text import ROOT_MODULE, Module, Names, Value, angle
 

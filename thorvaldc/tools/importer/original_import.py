@@ -17,8 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.plain_numbers import plain
+from thorvaldc.diagnostics import Report, plain
 from thorvaldc.model.spatial import float_sum
 from thorvaldc.tools.importer import devices, frame_and_drives, original_file
 from thorvaldc.tools.importer.robot_text import ROOT_MODULE, Module, Names, Robot, as_id, render

@@ -10,8 +10,7 @@ from thorvaldc.compiler.source.node import yaml_text
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any, parse_quantity
 from thorvaldc.compiler.values.value_reader import INVALID
-from thorvaldc.diagnostics import Span
-from thorvaldc.diagnostics.plain_numbers import plain
+from thorvaldc.diagnostics import Span, plain
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.model.spatial import float_sum

@@ -58,7 +58,7 @@ def monitor(
     from thorvaldc.cli.diagnostic_output import report_of
     from thorvaldc.cli.robot_file import load_robot
     from thorvaldc.cli.selected_bus import select_bus
-    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.diagnostics import DiagnosticError
     from thorvaldc.tools.monitor.bus_monitor import BusMonitor
     from thorvaldc.tools.monitor.live_view import watch_live, watch_stream
 

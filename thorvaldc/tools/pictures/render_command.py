@@ -49,9 +49,8 @@ def render(
     from thorvaldc.cli.diagnostic_output import show_report
     from thorvaldc.cli.run_pictures import check_output, picture_errors
     from thorvaldc.compiler.pipeline import emit
-    from thorvaldc.diagnostics import Report
+    from thorvaldc.diagnostics import DiagnosticError, Report
     from thorvaldc.diagnostics.atomic_file import write_file
-    from thorvaldc.diagnostics.error import DiagnosticError
     from thorvaldc.simulation.pictures import check_pillow
     from thorvaldc.simulation.pictures.render import choose_opengl_backend, parse_size, parse_view
     from thorvaldc.simulation.pictures.render import render as draw

@@ -12,8 +12,7 @@ from thorvaldc.cli.run_pictures import RunPictures
 from thorvaldc.cli.run_records import Robots, open_recorders, record_summary, write_errors
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.compiler.result import Compilation
-from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.runtime.base_interface import JointCommands
 from thorvaldc.simulation.control_loop import Sample, result_table

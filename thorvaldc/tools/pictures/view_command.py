@@ -31,9 +31,8 @@ def view(
     from thorvaldc.cli.diagnostic_output import show_report
     from thorvaldc.cli.run_pictures import check_output
     from thorvaldc.compiler.pipeline import emit
-    from thorvaldc.diagnostics import Report
+    from thorvaldc.diagnostics import DiagnosticError, Report
     from thorvaldc.diagnostics.atomic_file import write_file
-    from thorvaldc.diagnostics.error import DiagnosticError
 
     if output:
         check_output(output, ["html", "htm"], "--output")

@@ -27,9 +27,7 @@ from thorvaldc.compiler.source.expression_parser import ExpressionError, tokeniz
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.values.value_reader import INVALID
-from thorvaldc.diagnostics import Span
-from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import DiagnosticError, Span, did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model.facts import driving, electrics, size, stability
 from thorvaldc.model.facts.robot_facts import facts_document

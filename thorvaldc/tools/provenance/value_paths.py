@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 from xml.parsers import expat
 
 from thorvaldc.comparison.leaf_differences import ORDER, ValuePath, element_names
-from thorvaldc.diagnostics.error import DiagnosticError
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import DiagnosticError, did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import from_json, to_json
 

@@ -51,7 +51,7 @@ def why(
     from thorvaldc.cli.compiling import compile_and_show
     from thorvaldc.cli.diagnostic_output import print_json, report_of, show_report
     from thorvaldc.cli.progress import Progress
-    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.diagnostics import DiagnosticError
     from thorvaldc.model import Robot
     from thorvaldc.model.model_json import is_model_file
     from thorvaldc.tools.provenance.explanation import MOST_COMPILATIONS, Explainer

@@ -65,7 +65,7 @@ def write_best(
 
 
 def _choose(objectives: tuple[Objective, ...], by: str) -> Objective:
-    from thorvaldc.diagnostics.suggest import did_you_mean
+    from thorvaldc.diagnostics import did_you_mean
 
     names = [objective.name for objective in objectives]
     if not by and len(objectives) > 1:

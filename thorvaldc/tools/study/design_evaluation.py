@@ -19,8 +19,7 @@ from thorvaldc.compiler.result import Compilation, SourceFile
 from thorvaldc.compiler.scenario.scenario_compilation import compile_scenario
 from thorvaldc.compiler.shapes.meshes import shared_mesh_workers
 from thorvaldc.compiler.source.input_file import unsaved_texts
-from thorvaldc.diagnostics import Diagnostic, Report
-from thorvaldc.diagnostics.error import DiagnosticError
+from thorvaldc.diagnostics import Diagnostic, DiagnosticError, Report
 from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
 from thorvaldc.model.facts.masses import PurchaseFacts, purchase_of

@@ -28,8 +28,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import MAX_BYTES
 from thorvaldc.compiler.source.units import UnitError, parse_any, parse_quantity
 from thorvaldc.compiler.values.value_reader import entries, items
-from thorvaldc.diagnostics import Proposal, Report
-from thorvaldc.diagnostics.suggest import did_you_mean
+from thorvaldc.diagnostics import Proposal, Report, did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
 from thorvaldc.model.facts.robot_facts import fact_quantity, facts_document, robot_facts

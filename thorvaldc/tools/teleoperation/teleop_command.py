@@ -132,7 +132,7 @@ def _start_driver(
     from thorvaldc.can.open_interface import lock_buses
     from thorvaldc.cli.diagnostic_output import report_of
     from thorvaldc.cli.robot_file import load_robot
-    from thorvaldc.diagnostics.error import DiagnosticError
+    from thorvaldc.diagnostics import DiagnosticError
 
     loaded = load_robot(file, library, trust)
     if loaded is None:
