@@ -33,164 +33,11 @@ from thorvaldc.model.facts import driving, electrics, size, stability
 from thorvaldc.model.facts.robot_facts import facts_document
 from thorvaldc.tools.provenance import influence_search, value_paths
 
-# -- the way of a parameter through defaults, assemblies and expressions ----------------
-
-MOST_STEPS = 40
-
-
-@dataclass(frozen=True)
-class Step:
-    """A node of a document on the way to a value.
-
-    Attributes
-    ----------
-    span : span of the node.
-    key_path : position of the node in its document, such as ``modules.frame.params.width``.
-    text : the node as it is written.
-    value, unit : the value of the node in SI units.
-    source : the number or expression of the node, or ``None`` for a text or a module.
-    """
-
-    span: Span
-    key_path: str
-    text: str
-    value: Any
-    unit: str
-    source: influence_search.SourceValue | None
-
-
-def find_instance(probe: influence_search.RobotProbe, text: str) -> tuple[Instance, str]:
-    """Returns the module and the name of the parameter of ``modules.MODULE.params.NAME``.
-
-    ``params`` may be left out, and the module may be inside assemblies.  Raises
-    ``DiagnosticError`` (``why-path-unknown``) if there is no such module or parameter.
-    """
-    parts = [part for part in text.split(".")[1:] if part not in ("params", "modules")]
-    instance = probe.instances
-    while len(parts) > 1 and parts[0] in instance.children:
-        instance = instance.children[parts.pop(0)]
-    if len(parts) == 1 and parts[0] in instance.children:
-        instance = instance.children[parts.pop(0)]
-    names = list(instance.type.section("params")) if instance.type is not None else []
-    if len(parts) == 1 and parts[0] in names:
-        return instance, parts[0]
-    known = names if len(parts) == 1 and instance.type is not None else list(instance.children)
-    place = f"`{instance.path}`" if instance.path else "the robot"
-    word = parts[0] if parts else ""
-    kind = "parameter" if known is names else "module"
-    message = f"{place} has no {kind} `{word}`" if word else f"`{text}` names no parameter"
-    shown = f"known: {', '.join(names or known)}"
-    raise DiagnosticError(
-        "why-path-unknown",
-        message,
-        hint=did_you_mean(word, known, shown, fixable=False) if word else shown,
-    )
-
-
-def chain_of_parameter(
-    probe: influence_search.RobotProbe, instance: Instance, name: str
-) -> Iterator[Step]:
-    """Yields the nodes that give a parameter its value: the sources first, the parameter last."""
-    yield from _chain(_Places(probe), instance.scope, name, set())
-
-
-def chain_of_type(probe: influence_search.RobotProbe, path: str) -> Iterator[Step]:
-    """Yields the nodes that choose the type of a module and of the assemblies around it."""
-    places = _Places(probe)
-    instance = probe.instances
-    for name in path.split("."):
-        child = instance.children.get(name)
-        node = child.entry.get("type") if child is not None else None
-        if child is None or node is None:
-            return
-        value = child.type.name if child.type is not None else ""
-        for scope_name in _names(node, instance.scope):
-            yield from _chain(places, instance.scope, scope_name, set())
-        yield places.step(node, value, "")
-        instance = child
-
-
-def _chain(places: _Places, scope: Scope, name: str, seen: set[Span]) -> Iterator[Step]:
-    origin = scope.origin(name)
-    if origin is None or len(seen) >= MOST_STEPS:
-        return
-    node, written_in = origin
-    if node.span in seen:
-        return
-    seen.add(node.span)
-    for used in _names(node, written_in):
-        yield from _chain(places, written_in, used, seen)
-    value = scope.get(name)
-    yield places.step(node, _shown(value), _unit(scope, name))
-
-
-def _names(node: Node, scope: Scope) -> list[str]:
-    """Returns the parameters and `let` values in the expression of a node."""
-    text = node.value
-    if not (isinstance(text, str) and text.startswith("${") and text.endswith("}")):
-        return []
-    try:
-        tokens = tokenize(text[2:-1])
-    except ExpressionError:
-        return []
-    words = [token.text for token in tokens if token.kind == "name"]
-    return list(dict.fromkeys(word for word in words if scope.origin(word) is not None))
-
-
-class _Places:
-    """The position of each node in its document."""
-
-    def __init__(self, probe: influence_search.RobotProbe) -> None:
-        self._sources = {value.span: value for value in probe.values()}
-        self._keys: dict[Span, str] = {}
-        for document in probe.documents.values():
-            self._add(document, ())
-
-    def _add(self, node: Node, keys: tuple[str | int, ...]) -> None:
-        self._keys[node.span] = influence_search.key_text(keys)
-        if isinstance(node.value, dict):
-            for key, item in node.value.items():
-                self._add(item, (*keys, key))
-        elif isinstance(node.value, tuple):
-            for index, item in enumerate(node.value):
-                self._add(item, (*keys, index))
-
-    def step(self, node: Node, value: Any, unit: str) -> Step:
-        text = node.value
-        if isinstance(text, dict):
-            text = str(node.plain())
-        elif isinstance(text, tuple):
-            text = ", ".join(str(item.value) for item in text)
-        return Step(
-            node.span,
-            self._keys.get(node.span, ""),
-            str(text),
-            value,
-            unit,
-            self._sources.get(node.span),
-        )
-
-
-def _shown(value: Any) -> Any:
-    if isinstance(value, ModuleChoice):
-        return value.module.name
-    if isinstance(value, tuple):
-        return [_shown(item) for item in value]
-    return None if value is INVALID else value
-
-
-def _unit(scope: Scope, name: str) -> str:
-    declaration = scope.module.section("params").get(name) if scope.module is not None else None
-    quantity = declaration.get("quantity") if declaration is not None else None
-    unit = QUANTITIES[str(quantity.value)].unit if quantity is not None else ""
-    return "" if unit == "1" else unit
-
-
 MOST_COMPILATIONS = 600
 MOST_EMISSIONS = 100
 """Most emissions of a target that search the values of the model behind an output value."""
 MOST_EFFECTS = 20
-MODEL_FILES = ("model.json",)
+MODEL_FILE = "model.json"
 FACTS: dict[str, Callable[[Robot], Any]] = {
     "size": size.size_of,
     "stability": stability.stability_of,
@@ -233,7 +80,6 @@ class Explanation:
         none on the value itself.
     is_varied : whether the value is a number, which can be changed a little.
     is_complete : false if the search for influences ended at its limit.
-    compilations : number of compilations.
     """
 
     path: str
@@ -248,7 +94,6 @@ class Explanation:
     source_uses: list[OutputUse] = field(default_factory=list)
     is_varied: bool = True
     is_complete: bool = True
-    compilations: int = 0
 
 
 class Explainer:
@@ -278,15 +123,12 @@ class Explainer:
         file, colon, query = text.rpartition(":")
         # The name of an object of a node contains a colon.
         if colon and file and not value_paths.is_model_path(self.document, text):
-            explanation = self._explain_output(file, query)
-        elif text.split(".")[0] == "modules":
-            explanation = self._explain_parameter(text)
-        elif text.split(".")[0] in FACTS:
-            explanation = self._explain_fact(text)
-        else:
-            explanation = self._explain_model_value(text)
-        explanation.compilations = self.probe.count
-        return explanation
+            return self._explain_output(file, query)
+        if text.split(".")[0] == "modules":
+            return self._explain_parameter(text)
+        if text.split(".")[0] in FACTS:
+            return self._explain_fact(text)
+        return self._explain_model_value(text)
 
     # -- values of the model ----------------------------------------------------------------
 
@@ -332,9 +174,8 @@ class Explainer:
 
     def _search(self, explanation: Explanation, observe: Callable[[Robot], Any]) -> None:
         search = influence_search.InfluenceSearch(self.probe, observe, MOST_COMPILATIONS)
-        result = search.run(self.probe.values())
-        explanation.influences = result.influences
-        explanation.is_complete = result.is_complete
+        explanation.influences = search.run(self.probe.values())
+        explanation.is_complete = not search.is_over
 
     def _types(self, module: str) -> list[Step]:
         return list(chain_of_type(self.probe, module)) if module else []
@@ -346,7 +187,7 @@ class Explainer:
         except Exception:  # A backend may raise anything for a robot that no compiler made.
             return
         for name, content in emit(self.robot, backends.DEFAULT_TARGETS).items():
-            if other.get(name) != content and name.rpartition("/")[2] not in MODEL_FILES:
+            if other.get(name) != content and name.rpartition("/")[2] != MODEL_FILE:
                 yield OutputUse(name, tuple(_changed_lines(content, other.get(name, b""))))
 
     # -- parameters of modules --------------------------------------------------------------
@@ -354,7 +195,7 @@ class Explainer:
     def _explain_parameter(self, text: str) -> Explanation:
         instance, name = find_instance(self.probe, text)
         explanation = Explanation(f"modules.{instance.path}.params.{name}", None)
-        explanation.chain = list(chain_of_parameter(self.probe, instance, name))
+        explanation.chain = list(_chain(_Places(self.probe), instance.scope, name, set()))
         explanation.value = explanation.chain[-1].value
         explanation.unit = explanation.chain[-1].unit
         explanation.types = self._types(instance.path)
@@ -545,6 +386,141 @@ def _module_at(document: Any, path: ValuePath) -> str:
         if isinstance(document, dict) and isinstance(document.get("module"), str):
             module = document["module"]
     return module
+
+
+# -- the way of a parameter through defaults, assemblies and expressions ----------------
+
+MOST_STEPS = 40
+
+
+@dataclass(frozen=True)
+class Step:
+    """A node of a document on the way to a value.
+
+    Attributes
+    ----------
+    span : span of the node.
+    key_path : position of the node in its document, such as ``modules.frame.params.width``.
+    text : the node as it is written.
+    value, unit : the value of the node in SI units.
+    source : the number or expression of the node, or ``None`` for a text or a module.
+    """
+
+    span: Span
+    key_path: str
+    text: str
+    value: Any
+    unit: str
+    source: influence_search.SourceValue | None
+
+
+def find_instance(probe: influence_search.RobotProbe, text: str) -> tuple[Instance, str]:
+    """Returns the module and the name of the parameter of ``modules.MODULE.params.NAME``.
+
+    ``params`` may be left out, and the module may be inside assemblies.  Raises
+    ``DiagnosticError`` (``why-path-unknown``) if there is no such module or parameter.
+    """
+    parts = [part for part in text.split(".")[1:] if part not in ("params", "modules")]
+    instance = probe.instances
+    while len(parts) > 1 and parts[0] in instance.children:
+        instance = instance.children[parts.pop(0)]
+    if len(parts) == 1 and parts[0] in instance.children:
+        instance = instance.children[parts.pop(0)]
+    names = list(instance.type.section("params")) if instance.type is not None else []
+    if len(parts) == 1 and parts[0] in names:
+        return instance, parts[0]
+    known = names if len(parts) == 1 and instance.type is not None else list(instance.children)
+    place = f"`{instance.path}`" if instance.path else "the robot"
+    word = parts[0] if parts else ""
+    kind = "parameter" if known is names else "module"
+    message = f"{place} has no {kind} `{word}`" if word else f"`{text}` names no parameter"
+    shown = f"known: {', '.join(names or known)}"
+    raise DiagnosticError(
+        "why-path-unknown",
+        message,
+        hint=did_you_mean(word, known, shown, fixable=False) if word else shown,
+    )
+
+
+def chain_of_type(probe: influence_search.RobotProbe, path: str) -> Iterator[Step]:
+    """Yields the nodes that choose the type of a module and of the assemblies around it."""
+    places = _Places(probe)
+    instance = probe.instances
+    for name in path.split("."):
+        child = instance.children.get(name)
+        node = child.entry.get("type") if child is not None else None
+        if child is None or node is None:
+            return
+        value = child.type.name if child.type is not None else ""
+        for scope_name in _names(node, instance.scope):
+            yield from _chain(places, instance.scope, scope_name, set())
+        yield places.step(node, value, "")
+        instance = child
+
+
+def _chain(places: _Places, scope: Scope, name: str, seen: set[Span]) -> Iterator[Step]:
+    """Yields the nodes that give a parameter its value: the sources first, the parameter last."""
+    origin = scope.origin(name)
+    if origin is None or len(seen) >= MOST_STEPS:
+        return
+    node, written_in = origin
+    if node.span in seen:
+        return
+    seen.add(node.span)
+    for used in _names(node, written_in):
+        yield from _chain(places, written_in, used, seen)
+    value = scope.get(name)
+    yield places.step(node, _shown(value), _unit(scope, name))
+
+
+def _names(node: Node, scope: Scope) -> list[str]:
+    """Returns the parameters and `let` values in the expression of a node."""
+    text = node.value
+    if not (isinstance(text, str) and text.startswith("${") and text.endswith("}")):
+        return []
+    try:
+        tokens = tokenize(text[2:-1])
+    except ExpressionError:
+        return []
+    words = [token.text for token in tokens if token.kind == "name"]
+    return list(dict.fromkeys(word for word in words if scope.origin(word) is not None))
+
+
+class _Places:
+    """The position of each node in its document."""
+
+    def __init__(self, probe: influence_search.RobotProbe) -> None:
+        self._sources = {value.span: value for value in probe.values()}
+        self._nodes = {
+            value.span: value
+            for document in probe.documents.values()
+            for value in influence_search.all_nodes(document)
+        }
+
+    def step(self, node: Node, value: Any, unit: str) -> Step:
+        text = node.value
+        if isinstance(text, dict):
+            text = str(node.plain())
+        elif isinstance(text, tuple):
+            text = ", ".join(str(item.value) for item in text)
+        place, source = self._nodes.get(node.span), self._sources.get(node.span)
+        key_path = place.key_path if place is not None else ""
+        return Step(node.span, key_path, str(text), value, unit, source)
+
+
+def _shown(value: Any) -> Any:
+    if isinstance(value, ModuleChoice):
+        return value.module.name
+    if isinstance(value, tuple):
+        return [_shown(item) for item in value]
+    return None if value is INVALID else value
+
+
+def _unit(scope: Scope, name: str) -> str:
+    declaration = scope.module.section("params").get(name) if scope.module is not None else None
+    quantity = declaration.get("quantity") if declaration is not None else None
+    unit = QUANTITIES[str(quantity.value)].unit if quantity is not None else ""
+    return "" if unit == "1" else unit
 
 
 # -- names for completion in a shell ----------------------------------------------------

@@ -17,6 +17,7 @@ from thorvaldc.diagnostics.text_layout import paragraph, text_list
 from thorvaldc.tools.provenance.explanation import Explanation, OutputUse, Step
 from thorvaldc.tools.provenance.influence_search import Influence, SourceValue
 
+WIDTH = 80  # columns
 MOST_WITH_EXCERPTS = 4
 MOST_ROWS = 12
 MOST_LINES = 8
@@ -31,7 +32,6 @@ class ExplanationText:
     ----------
     documents : documents of the robot by the name in spans.
     files : path of each document.
-    width : width of the text in columns.
     everything : whether long lists are written in full.
     """
 
@@ -39,18 +39,16 @@ class ExplanationText:
         self,
         documents: Mapping[str, Node],
         files: Mapping[str, Path],
-        width: int = 80,
         *,
         everything: bool = False,
     ) -> None:
         self.documents = documents
         self.files = files
-        self.width = width
         self.everything = everything
         self.most_rows = 10**9 if everything else MOST_ROWS
         self.most_numbers = 10**9 if everything else MOST_NUMBERS
         self.most_model_values = 10**9 if everything else MOST_MODEL_VALUES
-        self.excerpts = Excerpts(files, width - 4)
+        self.excerpts = Excerpts(files, WIDTH - 4)
 
     def text(self, explanation: Explanation) -> str:
         """Returns an explanation as text."""
@@ -58,7 +56,7 @@ class ExplanationText:
         if explanation.element is not None:
             lines.append(f"  at {self.place(explanation.element)}")
         lines += self._sources(explanation)
-        lines += self._section("module types", map(self._step_lines, explanation.types))
+        lines += _section("module types", map(self._step_lines, explanation.types))
         values = explanation.model_values
         if values:
             shown = values[: self.most_model_values]
@@ -66,10 +64,10 @@ class ExplanationText:
             rows = [[f"  {value}"] for value in shown]
             rows += [[f"  and {more} more (--all)"]] if more else []
             title = "goes into the model" if explanation.chain else "through the model"
-            lines += self._section(title, rows)
-        lines += self._section("goes into", self._uses(explanation.uses))
+            lines += _section(title, rows)
+        lines += _section("goes into", self._uses(explanation.uses))
         also = "its source also changes"
-        return "\n".join(lines + self._section(also, self._uses(explanation.source_uses))) + "\n"
+        return "\n".join(lines + _section(also, self._uses(explanation.source_uses))) + "\n"
 
     def place(self, span: Span) -> str:
         """Returns a span with the path of its file from the working folder."""
@@ -83,8 +81,8 @@ class ExplanationText:
     def _sources(self, explanation: Explanation) -> list[str]:
         if explanation.chain:
             steps = explanation.chain
-            lines = self._section("comes from", [self._excerpt_lines(steps[0].span, steps[0])])
-            return lines + self._section("through", map(self._step_lines, steps[1:]))
+            lines = _section("comes from", [self._excerpt_lines(steps[0].span, steps[0])])
+            return lines + _section("through", map(self._step_lines, steps[1:]))
         constants = [i for i in explanation.influences if not i.source.is_expression]
         expressions = [i for i in explanation.influences if i.source.is_expression]
         zeros = [i for i in constants if i.effect is None and _is_zero(i.source)]
@@ -93,33 +91,27 @@ class ExplanationText:
             blocks = [self._influence_lines(influence) for influence in constants]
         else:
             blocks = [list(self._table(constants))]
-        lines = self._section("comes from", blocks)
+        lines = _section("comes from", blocks)
         if zeros and self.everything:
-            lines += self._section("and of values that are 0", map(self._influence_lines, zeros))
-        if not (constants or zeros) and explanation.is_varied:
-            lines += [
-                "",
-                *paragraph(
-                    "comes from no number in a file: it is a default of thorvaldc", self.width
-                ),
-            ]
+            lines += _section("and of values that are 0", map(self._influence_lines, zeros))
         if not explanation.is_varied:
-            lines += [
-                "",
-                *paragraph("not a number: it was not varied to find its sources", self.width),
-            ]
+            text = "not a number: it was not varied to find its sources"
+            lines += ["", *paragraph(text, WIDTH)]
+        elif not (constants or zeros):
+            text = "comes from no number in a file: it is a default of thorvaldc"
+            lines += ["", *paragraph(text, WIDTH)]
         if not explanation.is_complete:
             text = "the search was ended at its limit; more values may influence it"
-            lines += paragraph(text, self.width)
+            lines += paragraph(text, WIDTH)
         rows = [self._step_lines(_step_of(i.source)) for i in expressions]
-        return lines + self._section("through", rows)
+        return lines + _section("through", rows)
 
     def _influence_lines(self, influence: Influence) -> list[str]:
         source = influence.source
         lines = self._excerpt_lines(source.span, _step_of(source))
         reason = self._reason(source)
         if reason:
-            lines += paragraph(reason, self.width, "    ")
+            lines += paragraph(reason, WIDTH, "    ")
         if influence.effect is not None:
             lines.append(f"    effect: +1 % here is {influence.effect:+.2g} % there")
         return lines
@@ -148,7 +140,7 @@ class ExplanationText:
 
     def _excerpt_lines(self, span: Span, step: Step) -> list[str]:
         lines = [f"  {self.place(span)}  {step.key_path}"]
-        if len(lines[0]) > self.width:
+        if len(lines[0]) > WIDTH:
             lines = [f"  {self.place(span)}", f"    {step.key_path}"]
         excerpt = self.excerpts.show(span, 4)
         if excerpt is not None:
@@ -158,7 +150,7 @@ class ExplanationText:
 
     def _step_lines(self, step: Step) -> list[str]:
         text = f"{step.key_path}: {step.text}"
-        return [f"  {self.place(step.span)}", *paragraph(text, self.width, "      ")]
+        return [f"  {self.place(step.span)}", *paragraph(text, WIDTH, "      ")]
 
     # -- uses ---------------------------------------------------------------------------------
 
@@ -171,16 +163,15 @@ class ExplanationText:
             more = ", ..." if len(use.lines) > self.most_numbers else ""
             noun = "lines" if len(use.lines) > 1 else "line"
             row = (f"  {use.file}", f"{noun} {numbers}{more}")
-            rows = list(text_list([row], self.width, column))
+            rows = list(text_list([row], WIDTH, column))
             if count <= MOST_LINES:
-                rows += [f"      {shortened(text, self.width - 6)}" for _, text in use.lines]
+                rows += [f"      {shortened(text, WIDTH - 6)}" for _, text in use.lines]
             yield rows
 
-    # -- layout -------------------------------------------------------------------------------
 
-    def _section(self, title: str, blocks: Iterable[list[str]]) -> list[str]:
-        lines = [line for block in blocks for line in block]
-        return ["", title, *lines] if lines else []
+def _section(title: str, blocks: Iterable[list[str]]) -> list[str]:
+    lines = [line for block in blocks for line in block]
+    return ["", title, *lines] if lines else []
 
 
 def explanation_document(explanation: Explanation, writer: ExplanationText) -> dict[str, Any]:

@@ -83,19 +83,25 @@ def key_text(keys: Iterable[Key]) -> str:
     return text
 
 
-def source_values(
+def all_nodes(
     node: Node, keys: tuple[Key, ...] = (), sections: tuple[Span, ...] = ()
 ) -> Iterator[SourceValue]:
+    """Yields all nodes of a document, a mapping or list before its content."""
+    yield SourceValue(keys, node, sections)
+    inner: Iterable[tuple[Key, Node]] = ()
+    if isinstance(node.value, dict):
+        inner = node.value.items()
+    elif isinstance(node.value, tuple):
+        inner = enumerate(node.value)
+    for key, item in inner:
+        yield from all_nodes(item, (*keys, key), (node.where, *sections))
+
+
+def source_values(document: Node) -> Iterator[SourceValue]:
     """Yields the numbers, quantities and expressions of a document."""
-    if isinstance(node.value, dict | tuple):
-        inner = (node.where, *sections)
-        is_mapping = isinstance(node.value, dict)
-        items = node.value.items() if is_mapping else enumerate(node.value)  # type: ignore[union-attr]
-        for key, item in items:
-            if key not in _TEXT_KEYS:
-                yield from source_values(item, (*keys, key), inner)
-    elif _is_numeric(node):
-        yield SourceValue(keys, node, sections)
+    for value in all_nodes(document):
+        if _is_numeric(value.node) and not any(key in _TEXT_KEYS for key in value.keys):
+            yield value
 
 
 def _is_numeric(node: Node) -> bool:
@@ -334,20 +340,6 @@ class Influence:
     effect: float | None
 
 
-@dataclass(frozen=True)
-class SearchResult:
-    """Influences on a number.
-
-    Attributes
-    ----------
-    influences : in the order of the documents.
-    is_complete : false if the search ended at the limit of compilations.
-    """
-
-    influences: list[Influence]
-    is_complete: bool
-
-
 class InfluenceSearch:
     """The search for the influences on one number."""
 
@@ -362,9 +354,10 @@ class InfluenceSearch:
         self._limit = probe.count + most_compilations
         self._influences: list[Influence] = []
 
-    def run(self, values: Sequence[SourceValue]) -> SearchResult:
+    def run(self, values: Sequence[SourceValue]) -> list[Influence]:
         """Returns the values that influence the number, in the order of ``values``.
 
+        The search ends early at the limit of compilations, see ``is_over``.
         Expressions are searched only if the number has few sources: they are steps on the way
         from a source to the number, and a sum over the robot has hundreds of them.
         """
@@ -383,7 +376,7 @@ class InfluenceSearch:
             self._search(self._scaled([value for value in values if value.is_expression]))
         order = {value: number for number, value in enumerate(values)}
         self._influences.sort(key=lambda influence: order[influence.source])
-        return SearchResult(self._influences, not self._is_over)
+        return self._influences
 
     def _search(self, changes: dict[SourceValue, Any]) -> dict[SourceValue, Any]:
         """Adds the influences among some changes, and returns the changes that are no errors."""
@@ -392,7 +385,8 @@ class InfluenceSearch:
         return accepted
 
     @property
-    def _is_over(self) -> bool:
+    def is_over(self) -> bool:
+        """Whether the search has reached the limit of compilations."""
         return self.probe.count >= self._limit
 
     def _scaled(self, values: Sequence[SourceValue]) -> dict[SourceValue, Any]:
@@ -410,7 +404,7 @@ class InfluenceSearch:
         text.
         """
         accepted = dict(changes)
-        while accepted and not self._is_over:
+        while accepted and not self.is_over:
             robot, errors = self.probe.compile(accepted)
             if robot is not None:
                 return accepted
@@ -423,7 +417,7 @@ class InfluenceSearch:
         return accepted
 
     def _accepted_by_halves(self, changes: dict[SourceValue, Any]) -> dict[SourceValue, Any]:
-        if len(changes) == 1 or self._is_over:
+        if len(changes) == 1 or self.is_over:
             return {}
         items = list(changes.items())
         middle = len(items) // 2
@@ -435,7 +429,7 @@ class InfluenceSearch:
 
         ``is_known``: whether an influence is among the changes.  Returns whether there is one.
         """
-        if not changes or self._is_over:
+        if not changes or self.is_over:
             return False
         if not is_known or len(changes) == 1:
             robot, _ = self.probe.compile(dict(changes))
@@ -500,15 +494,9 @@ def _relative_change(value: SourceValue, new: Any) -> float:
     old = value.node.value
     if isinstance(old, int | float):
         return float((new - old) / old) if old else 0.0
-    return _factor_of(value, new)
-
-
-def _factor_of(value: SourceValue, new: str) -> float:
-    """Returns the relative change of a quantity or an expression from its texts."""
-    old = str(value.node.value)
-    if old.startswith("${"):
+    if str(old).startswith("${"):
         return float(new[new.rindex("*") + 1 : -1]) - 1.0
-    first = float(parse_any(old))
+    first = float(parse_any(str(old)))
     return float(parse_any(new)) / first - 1.0 if first else 0.0
 
 

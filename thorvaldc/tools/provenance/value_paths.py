@@ -27,6 +27,8 @@ _ALIASES: dict[str, ValuePath] = {
 }
 _BUS_PARTS = ("nodes", "frames", "load", "bitrate")
 _OTHER_PARTS = (*_BUS_PARTS, "size", "stability", "driving", "slopes", "energy")
+# Keys that a path may leave out, because they only group values.
+_SECTIONS = ("inertial", "properties", "options", "battery", "noise", "pose")
 _AXES = {"x": "0", "y": "1", "z": "2"}
 MOST_SHOWN_NAMES = 12
 
@@ -51,7 +53,7 @@ def resolve_path(document: dict[str, Any], text: str) -> ValuePath:
         if len(buses) == 1:
             parts[:0] = ["buses", buses[0]]
     while parts:
-        step = _step(value, parts, _module_names(value))
+        step = _step(value, parts)
         if step is None:
             names = list(_keys(value)) + ([] if path else [*_ALIASES, *_OTHER_PARTS])
             raise _unknown(text, ".".join(path), names, parts[0])
@@ -185,20 +187,14 @@ def _keys(value: Any) -> Iterator[str]:
         yield from map(str, range(len(value)))
 
 
-def _module_names(value: Any) -> dict[str, str]:
-    """Returns the module of each element of a mapping of elements."""
-    if not isinstance(value, dict):
-        return {}
-    return {
-        key: item["module"]
-        for key, item in value.items()
-        if isinstance(item, dict) and isinstance(item.get("module"), str)
-    }
-
-
-def _step(value: Any, parts: list[str], modules: dict[str, str]) -> tuple[ValuePath, int] | None:
+def _step(value: Any, parts: list[str]) -> tuple[ValuePath, int] | None:
     """Returns the keys that the next parts name, and how many parts they are."""
     keys = list(_keys(value))
+    modules = {  # the module of each element of a mapping of elements
+        key: item["module"]
+        for key, item in (value.items() if isinstance(value, dict) else ())
+        if isinstance(item, dict) and isinstance(item.get("module"), str)
+    }
     for length in range(len(parts), 0, -1):  # a name may contain dots, such as that of a mesh
         name = ".".join(parts[:length])
         if name in keys:
@@ -216,14 +212,9 @@ def _step(value: Any, parts: list[str], modules: dict[str, str]) -> tuple[ValueP
         return (starting[0],), 1
     if isinstance(value, dict):
         deeper = [key for key in keys if isinstance(value[key], dict) and part in value[key]]
-        if len(deeper) == 1 and key_is_section(deeper[0]):
+        if len(deeper) == 1 and deeper[0] in _SECTIONS:
             return (deeper[0], part), 1
     return None
-
-
-def key_is_section(key: str) -> bool:
-    """Returns whether a path may leave a key out, because it only groups values."""
-    return key in ("inertial", "properties", "options", "battery", "noise", "pose")
 
 
 def _unknown(text: str, path: str, keys: list[str], part: str = "") -> DiagnosticError:
