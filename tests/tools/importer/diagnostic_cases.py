@@ -6,4 +6,4 @@ from pathlib import Path
 
 from thorvaldc.tools.importer.original_import import import_original
 
-COMMANDS = {"import": lambda case, entry: import_original(Path(entry))[1]}
+COMMANDS = {"import": lambda case, entry: import_original(Path(entry)).report}

@@ -16,15 +16,15 @@ from thorvaldc.backends import DEFAULT_TARGETS
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Diagnostic, Report
 from thorvaldc.model import FrameDefinition, Pose, Robot, Signal
-from thorvaldc.tools.importer.original_import import ImportResult, import_file, import_original
+from thorvaldc.tools.importer.original_import import ImportResult, import_original
 
 ORIGINALS = Path(__file__).parent / "originals"
 GOOD = sorted(path.stem for path in ORIGINALS.glob("*.yaml"))
 
 
 def convert(path: Path) -> tuple[ImportResult, Report]:
-    report = Report()
-    return import_file(path, report), report
+    result = import_original(path)
+    return result, result.report
 
 
 def convert_text(tmp_path: Path, text: str) -> tuple[ImportResult, Report]:
@@ -512,10 +512,12 @@ def test_battery_with_contradicting_keys(tmp_path: Path) -> None:
 
 
 def test_missing_file_and_folder(tmp_path: Path) -> None:
-    text, report = import_original(tmp_path / "none.yaml")
+    result = import_original(tmp_path / "none.yaml")
+    text, report = result.text, result.report
     assert text is None
     find(report, "file-not-found")
-    text, report = import_original(tmp_path)
+    result = import_original(tmp_path)
+    text, report = result.text, result.report
     assert text is None
     find(report, "file-is-a-directory")
 
@@ -533,7 +535,8 @@ def test_after_errors_assumptions_are_not_reported(tmp_path: Path) -> None:
         "  p: {x1: 0, y1: 0, x2: 0, y2: 0}\n"
         "cameras:\n"
     )
-    text, report = import_original(file)
+    result = import_original(file)
+    text, report = result.text, result.report
     assert text is None
     diagnostics = [(d.span.line, d.code.name) for d in report.sorted() if d.span is not None]
     assert diagnostics == [(4, "import-value"), (5, "import-value"), (7, "import-value")]

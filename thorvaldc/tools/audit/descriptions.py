@@ -251,7 +251,6 @@ _GEOMETRY = {
 _LEFT = ("left_joint", "leftJoint", "front_left_joint", "back_left_joint", "rear_left_joint")
 _RIGHT = ("right_joint", "rightJoint", "front_right_joint", "back_right_joint", "rear_right_joint")
 _JOINTS = (*_LEFT, *_RIGHT, "joint_name", "left_steering_joint", "right_steering_joint")
-_FRAMES = ("robot_base_frame", "robotBaseFrame", "frame_name", "frameName")
 
 
 def plugin_facts(element: Element) -> list[Fact]:
@@ -275,8 +274,6 @@ def _facts_of(plugin: Element) -> list[Fact]:
     for child in plugin.children:
         if child.tag in _JOINTS:
             facts.append(Fact("joint", subject, child.text, child.span))
-        elif child.tag in _FRAMES:
-            facts.append(Fact("frame", subject, child.text, child.span))
         elif child.tag in ("publish_odom_tf", "publishOdomTF") and child.text in ("true", "1"):
             frame = plugin.find("odometry_frame") or plugin.find("odometryFrame")
             odom = frame.text.strip("/") if frame is not None else "odom"
@@ -429,7 +426,8 @@ class _SdfReader(DescriptionReader):
         for child in self.model.children:
             if child.tag == "link":
                 self.add_body(child)
-                self.read_sensors(child)
+                sensors = (inner for inner in child.children if inner.tag == "sensor")
+                description.frames.update(s.attributes.get("name", "") for s in sensors)
             elif child.tag == "frame":
                 description.frames.add(child.attributes.get("name", ""))
             elif child.tag == "plugin":
@@ -442,16 +440,6 @@ class _SdfReader(DescriptionReader):
                 self.check_links(joint, [*self.named, "world", *nested])
                 if joint.child in self.named:
                     self.add_joint(joint)
-
-    def read_sensors(self, link: Element) -> None:
-        for sensor in link.children:
-            if sensor.tag == "sensor":
-                frame = sensor.find("gz_frame_id") or sensor.find("frame_id")
-                if frame is not None:
-                    subject = f"sensor `{sensor.attributes.get('name', '')}`"
-                    fact = Fact("frame", subject, frame.text, frame.span)
-                    self.description.facts.append(fact)
-                self.description.frames.add(sensor.attributes.get("name", ""))
 
     def value(self, element: Element, name: str) -> tuple[str, Span] | None:
         child = element.find(name)

@@ -156,7 +156,6 @@ def plain_parameters(value: Any) -> Mapping[str, Any]:
 
 
 _NODES = ("Node", "LifecycleNode", "ComposableNodeContainer", "ComposableNode")
-MAX_NESTING = 150
 
 
 def is_python_launch(data: bytes) -> bool:

@@ -6,27 +6,19 @@ import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from thorvaldc.compiler.source.units import parse_quantity
 from thorvaldc.diagnostics import Label
 from thorvaldc.model import Pose
 from thorvaldc.tools.importer.frame_and_drives import NODE_IDS, Drive, Frame
 from thorvaldc.tools.importer.original_file import OriginalMapping
-from thorvaldc.tools.importer.robot_text import ROOT_MODULE, Module, Names, Value, angle
+from thorvaldc.tools.importer.robot_text import ROOT_MODULE, Module, Mount, Names, Value
 
 # m, height of the bottom of a battery enclosure above the axis of a frame tube
 _BATTERY_HEIGHT = 0.07
 _OLD_BATTERY_IDS = 344  # in older files, the value of `node` is 344 plus the battery id
 _IO_NODE_ID = 20  # default node id of the IO board in the original system
 # Height (m) of the measurement frame of each library sensor above the foot of the sensor.
-_LIDAR_LASER = 0.085
-_LIDAR_3D_LASER = 0.038
+_OFFSETS = {"sensor/lidar_2d": 0.085, "sensor/lidar_3d": 0.038, "sensor/imu": 0.012}
 _ANTENNA_CENTER = 0.035
-_IMU_CENTER = 0.012
-_OFFSETS = {
-    "sensor/lidar_2d": _LIDAR_LASER,
-    "sensor/lidar_3d": _LIDAR_3D_LASER,
-    "sensor/imu": _IMU_CENTER,
-}
 
 
 # -- batteries ------------------------------------------------------------------------
@@ -54,9 +46,7 @@ def read_batteries(
         present = _battery_present(mapping, battery_id)
         if x is None or y is None or z is None or yaw is None:
             continue
-        mount: dict[str, Value] = {"parent": ROOT_MODULE, "xyz": [x, y, z - height]}
-        if yaw:
-            mount["rpy"] = [0.0, 0.0, angle(yaw)]
+        mount = Mount((x, y, z - height), (0.0, 0.0, yaw))
         params: dict[str, Value] = {} if present else {"with_battery": False}
         modules.append(
             Module(
@@ -231,26 +221,15 @@ class ParentFrames:
         if name == "base_link":
             return self.base
         corner = self.corners.get(name) or self.corners.get(re.sub(r"_[12]$", "", name))
-        if corner is not None:
+        if corner is not None and corner.mount is not None:
+            carrier = Pose.from_xyz_rpy(corner.mount.xyz, corner.mount.rpy)
             what = f"the origin of the corner `{corner.name}`"
-            return ParentFrame(corner.name, _pose_of(corner), Pose(), what)
+            return ParentFrame(corner.name, carrier, Pose(), what)
         drive = self.drives.get(re.sub(r"^top(?=\d+$)", "drive", name))
         if drive is not None:
             what = f"a point above the wheel of `{drive.name}`, at the height of the frame"
             return ParentFrame(ROOT_MODULE, Pose(), Pose((drive.x, drive.y, 0.0)), what)
         return None
-
-
-def _pose_of(module: Module) -> Pose:
-    """Returns the pose of a module that is mounted on the root module."""
-    mount = module.mount or {}
-    xyz, rpy = mount["xyz"], mount.get("rpy", [0.0, 0.0, 0.0])
-    x, y, z = (float(str(v)) for v in (xyz if isinstance(xyz, list) else ()))
-    roll, pitch, yaw = (
-        parse_quantity(v, "angle") if isinstance(v, str) else float(str(v))
-        for v in (rpy if isinstance(rpy, list) else ())
-    )
-    return Pose.from_xyz_rpy((x, y, z), (roll, pitch, yaw))
 
 
 def read_sensor(
@@ -305,9 +284,7 @@ def read_sensor(
         params["mast"] = mast
         offset = mast + _ANTENNA_CENTER
     mounted = (pose * Pose((0.0, 0.0, -offset))).clean()
-    mount: dict[str, Value] = {"parent": parent.module, "xyz": [*mounted.xyz]}
-    if roll or pitch or yaw:
-        mount["rpy"] = [angle(roll), angle(pitch), angle(yaw)]
+    mount = Mount(mounted.xyz, (roll, pitch, yaw), parent.module)
     return Module(name, module_type, mount, params, comments=comments)
 
 

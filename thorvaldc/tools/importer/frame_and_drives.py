@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from thorvaldc.diagnostics import Label, millimetres, plain
 from thorvaldc.tools.importer.original_file import OriginalMapping
-from thorvaldc.tools.importer.robot_text import ROOT_MODULE, Module, Names, Value, angle
+from thorvaldc.tools.importer.robot_text import Module, Mount, Names, Value
 
 NODE_IDS = (1, 127)  # least and greatest CANopen node id (CiA 301)
 _WHEEL_RADIUS, _WHEEL_WIDTH = 0.2, 0.16  # m, radius and width of the module type wheel/agri_200
@@ -167,14 +167,6 @@ def drive_modules(
     return modules
 
 
-def mount_on_root(x: float, y: float, z: float) -> dict[str, Value]:
-    """Returns a `mount` entry that mounts a module on the root module.
-
-    ``x``, ``y`` and ``z`` (m) are coordinates in the link frame of the root module.
-    """
-    return {"parent": ROOT_MODULE, "xyz": [x, y, z]}
-
-
 def _drive_module(drive: Drive, module_type: str, clearance: float, frame_height: float) -> Module:
     """Returns the module of one drive.
 
@@ -187,7 +179,7 @@ def _drive_module(drive: Drive, module_type: str, clearance: float, frame_height
     return Module(
         drive.name,
         module_type,
-        mount_on_root(drive.x, drive.y, height - frame_height),
+        Mount((drive.x, drive.y, height - frame_height)),
         params,
         comments=[drive.source.location, *drive.comments],
     )
@@ -395,9 +387,7 @@ def read_frame(
         if corner is None:
             continue
         x, y, z, quarter_turns = corner
-        mount = mount_on_root(x, y, z - height)
-        if quarter_turns:
-            mount["rpy"] = [0.0, 0.0, angle(quarter_turns * math.pi / 2)]
+        mount = Mount((x, y, z - height), (0.0, 0.0, quarter_turns * math.pi / 2))
         module = Module(name, "frame/corner", mount, comments=[mapping.location])
         frame.modules.append(module)
         frame.corners[mapping.name] = module
@@ -418,9 +408,8 @@ def _bar(
     beam.
     """
     dx, dy = end[0] - start[0], end[1] - start[1]
-    mount = mount_on_root((start[0] + end[0]) / 2, (start[1] + end[1]) / 2, z)
-    if dy or dx < 0.0:
-        mount["rpy"] = [0.0, 0.0, angle(math.atan2(dy, dx))]
+    middle = (start[0] + end[0]) / 2, (start[1] + end[1]) / 2, z
+    mount = Mount(middle, (0.0, 0.0, math.atan2(dy, dx)))
     return Module(name, module_type, mount, {"length": math.hypot(dx, dy)}, comments=comments)
 
 

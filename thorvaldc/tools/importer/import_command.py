@@ -34,14 +34,14 @@ def import_original(
             f"stdout has the diagnostics as {format}; name a file for the robot with -o",
             param_hint="'--format'",
         )
-    text, report = convert(Path(file))
+    result = convert(Path(file))
     shown = DiagnosticOutput(format, sys.stderr)
-    shown.add(report, {file: Path(file)})
-    if text is not None and output:
-        _write_new_file(Path(output), text)
+    shown.add(result.report, {file: Path(file)})
+    if result.text is not None and output:
+        _write_new_file(Path(output), result.text)
         shown.result(output)
-    elif text is not None:
-        print(text, end="")
+    elif result.text is not None:
+        print(result.text, end="")
     return shown.finish()
 
 

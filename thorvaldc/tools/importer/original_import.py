@@ -13,14 +13,22 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, plain
 from thorvaldc.model.spatial import float_sum
 from thorvaldc.tools.importer import devices, frame_and_drives, original_file
-from thorvaldc.tools.importer.robot_text import ROOT_MODULE, Module, Names, Robot, as_id, render
+from thorvaldc.tools.importer.robot_text import (
+    ROOT_MODULE,
+    Module,
+    Mount,
+    Names,
+    Robot,
+    as_id,
+    render,
+)
 
 _DRIVES = "motor_drives"
 _MAX_NESTING = 8
@@ -48,37 +56,30 @@ class ImportResult:
     """
 
     text: str | None
+    report: Report
     conversions: dict[original_file.Key, original_file.Conversion]
 
 
-def import_original(path: Path) -> tuple[str | None, Report]:
+def import_original(path: Path) -> ImportResult:
     """Converts an original configuration file to a robot.yaml.
-
-    Returns the text of the robot.yaml and the diagnostics of the conversion.  The text is ``None``
-    if the file has errors.
-    """
-    report = Report()
-    return import_file(path, report).text, report
-
-
-def import_file(path: Path, report: Report) -> ImportResult:
-    """Converts an original configuration file and adds the diagnostics to ``report``.
 
     If the file has errors, no robot.yaml is created, and diagnostics about the robot.yaml are
     dropped.
     """
-    all_diagnostics = Report()
-    result = _import(path, all_diagnostics)
-    for diagnostic in all_diagnostics:
-        if result.text is not None or diagnostic.code.name not in _RESULT_CODES:
+    result = _import(path, Report())
+    if result.text is not None:
+        return result
+    report = Report()
+    for diagnostic in result.report:
+        if diagnostic.code.name not in _RESULT_CODES:
             report.put(diagnostic)
-    return result
+    return replace(result, report=report)
 
 
 def _import(path: Path, report: Report) -> ImportResult:
     document = original_file.read_original(path, str(path), report)
     if document is None:
-        return ImportResult(None, {})
+        return ImportResult(None, report, {})
     log = original_file.ConversionLog(document, report)
     root_path_and_node = _find_root(document, ())
     if root_path_and_node is None:
@@ -88,17 +89,17 @@ def _import(path: Path, report: Report) -> ImportResult:
             document.span,
             hint="give the file with `motor_drives`, `batteries`, `pipes` and `corners`",
         )
-        return ImportResult(None, {})
+        return ImportResult(None, report, {})
     root = original_file.OriginalMapping(*root_path_and_node, log)
     robot = _convert(root, _robot_name(root, path))
     log.finish()
     if robot is None or report.has_errors:
-        return ImportResult(None, log.conversions)
+        return ImportResult(None, report, log.conversions)
     robot.comments = [
         f"Converted from {path.name}, a configuration file of the original system.",
         "Numbers that are not in this file come from the library.",
     ]
-    return ImportResult(render(robot), log.conversions)
+    return ImportResult(render(robot), report, log.conversions)
 
 
 def _find_root(node: Node, key: original_file.Key) -> tuple[original_file.Key, Node] | None:
@@ -202,7 +203,7 @@ def _base_calculator(
     plugin = re.sub(r"[^a-z0-9]", "", text.lower().rpartition(":")[2])
     drive_types = [module.type for module in wheel_modules if module.mount is not None]
     if "diff" in plugin:
-        axles = {mount_position(module)[0] for module in wheel_modules if module.mount is not None}
+        axles = {module.mount.xyz[0] for module in wheel_modules if module.mount is not None}
         if "assembly/steered_drive" in drive_types:
             reason = "has steered drives"
         elif len(axles) > 1:
@@ -284,7 +285,7 @@ def add_casters(
     ``frame_height`` (m) is the height of the robot's frame above the ground.  ``frame_center_x``
     (m) is the x coordinate of the middle of the frame in ``base_link``.
     """
-    points = [mount_position(module) for module in wheel_modules if module.mount is not None]
+    points = [module.mount.xyz[:2] for module in wheel_modules if module.mount is not None]
     if not _are_on_a_line(points):
         return []
     module_type = "caster/fixed" if len(set(points)) == 1 else "caster/swivel"
@@ -301,7 +302,7 @@ def add_casters(
         Module(
             names.make(f"support_{i}", "support"),
             module_type,
-            frame_and_drives.mount_on_root(x, y, height - frame_height),
+            Mount((x, y, height - frame_height)),
             {"height": height},
             comments=["assumed: original files do not contain passive wheels"],
         )
@@ -330,17 +331,6 @@ def _caster_positions(points: Sequence[Point], frame_center_x: float) -> list[Po
     if len(set(points)) == 1:  # a single wheel
         return [(x - 0.8, y + 0.4), (x - 0.8, y - 0.4)]
     return [(x + 0.6, y), (x - 0.6, y)]  # axle in the middle: one caster in front, one behind
-
-
-def mount_position(module: Module) -> Point:
-    """Returns the x and y coordinates (m) where a module is mounted.
-
-    Raises ``TypeError`` if the module has no mount with a position.
-    """
-    xyz = module.mount["xyz"] if module.mount is not None else None
-    if not isinstance(xyz, list) or not isinstance(xyz[0], float) or not isinstance(xyz[1], float):
-        raise TypeError(f"{module.name} has no position")
-    return xyz[0], xyz[1]
 
 
 def _are_on_a_line(points: Sequence[Point]) -> bool:

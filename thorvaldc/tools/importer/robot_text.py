@@ -8,7 +8,9 @@ import re
 import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
+from thorvaldc.model import Vec3
 from thorvaldc.model.spatial import clean
 
 Value = bool | int | float | str | list["Value"] | dict[str, "Value"]
@@ -25,6 +27,14 @@ _LETTERS = str.maketrans(
 )
 
 
+class Mount(NamedTuple):
+    """The place where a module is mounted: ``xyz`` (m) and ``rpy`` (rad) in the parent's frame."""
+
+    xyz: Vec3
+    rpy: Vec3 = (0.0, 0.0, 0.0)
+    parent: str = ROOT_MODULE
+
+
 @dataclass
 class Module:
     """A module instance of a robot.yaml.
@@ -34,7 +44,7 @@ class Module:
 
     name: str
     type: str
-    mount: dict[str, Value] | None = None
+    mount: Mount | None = None
     params: dict[str, Value] = field(default_factory=dict)
     can: int | None = None
     channels: dict[str, Value] = field(default_factory=dict)
@@ -70,7 +80,10 @@ def render(robot: Robot) -> str:
         lines += _comments(module.comments, "  ")
         entry: dict[str, Value] = {"type": module.type}
         if module.mount is not None:
-            entry["mount"] = module.mount
+            mount: dict[str, Value] = {"parent": module.mount.parent, "xyz": [*module.mount.xyz]}
+            if any(module.mount.rpy):
+                mount["rpy"] = [angle(value) for value in module.mount.rpy]
+            entry["mount"] = mount
         if module.can is not None:
             entry["can"] = module.can
         if module.params:
