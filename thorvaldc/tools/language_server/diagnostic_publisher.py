@@ -38,7 +38,7 @@ class Analysis:
 
     Attributes
     ----------
-    kind : kind of the document.
+    documents : the open documents at the time of the analysis, by URI.
     diagnostics : diagnostics with absolute paths, in the order of file and line.
     sources : path of each file name in the spans of the diagnostics, and of each file that the
         analysis has read.
@@ -47,7 +47,7 @@ class Analysis:
     library : library folders that a robot document names.
     """
 
-    kind: Kind | None = None
+    documents: Mapping[str, OpenDocument] = field(default_factory=dict)
     diagnostics: tuple[Diagnostic, ...] = ()
     sources: Mapping[str, Path] = field(default_factory=dict)
     files: frozenset[str] = frozenset()
@@ -56,28 +56,28 @@ class Analysis:
 
 
 def analyse(
-    document: OpenDocument, texts: Mapping[str, bytes], folders: tuple[Path, ...] = ()
+    document: OpenDocument, documents: Mapping[str, OpenDocument], folders: tuple[Path, ...] = ()
 ) -> Analysis:
     """Returns the diagnostics of a document, and of the files that it names.
 
-    - ``texts``: unsaved texts by real path, see ``unsaved_texts``.
+    - ``documents``: all open documents, whose unsaved texts count.
     - ``folders``: further library folders, for the modules that a module document names.
     """
     kind = document.kind
     if kind is None:
-        return Analysis()
-    with unsaved_texts(texts):
+        return Analysis(documents)
+    model = None
+    with unsaved_texts(texts_of(documents)):
         if kind in ("robot", "fleet", "scenario", "study"):
             compilation = compile_file(document.path)
             report, sources = compilation.report, compilation.sources
             model = compilation.model
         else:
-            model = None
             report, sources = _checked_alone(document, kind, folders)
     files = frozenset(os.path.realpath(path) for path in sources.values())
     diagnostics = tuple(report.sorted())
     library = library_of(document) if kind == "robot" else ()
-    return Analysis(kind, diagnostics, sources, files | {document.real_path}, model, library)
+    return Analysis(documents, diagnostics, sources, files | {document.real_path}, model, library)
 
 
 def library_of(document: OpenDocument) -> tuple[Path, ...]:
@@ -136,8 +136,6 @@ class DiagnosticPublisher:
     log: Callable[[str], Any]
     analyses: dict[str, Analysis] = field(default_factory=dict)
     _models: dict[str, Robot | Fleet] = field(default_factory=dict)
-    # The open documents at the time of the analysis of each document.
-    _documents: dict[str, dict[str, OpenDocument]] = field(default_factory=dict)
     _pending: dict[str, None] = field(default_factory=dict)  # URIs, the last change first
     _published: dict[str, set[str]] = field(default_factory=dict)  # URIs of files, by document
     _changed_at: float = 0.0
@@ -161,7 +159,7 @@ class DiagnosticPublisher:
 
     def document_closed(self, uri: str) -> None:
         """Removes the diagnostics of a closed document."""
-        for kept in (self.analyses, self._models, self._documents, self._pending):
+        for kept in (self.analyses, self._models, self._pending):
             kept.pop(uri, None)
         for file in self._published.pop(uri, set()):
             self._publish_file(file)
@@ -195,11 +193,10 @@ class DiagnosticPublisher:
             document = self.documents.get(uri)
             if document is None:
                 continue
-            documents = dict(self.documents)
-            texts, folders = texts_of(documents), self.library_folders
+            documents, folders = dict(self.documents), self.library_folders
             try:
                 analysis = await loop.run_in_executor(
-                    self._executor, analyse, document, texts, folders
+                    self._executor, analyse, document, documents, folders
                 )
             except Exception as error:
                 self.log(f"{document.path}: {type(error).__name__}: {error}")
@@ -207,7 +204,6 @@ class DiagnosticPublisher:
             is_stale = uri in self._pending or self.documents.get(uri) is not document
             if not is_stale:
                 self.analyses[uri] = analysis
-                self._documents[uri] = documents
                 if analysis.model is not None:
                     self._models[uri] = analysis.model
                 self._publish(uri, analysis)
@@ -256,34 +252,30 @@ class DiagnosticPublisher:
                 return document.uri
         return uri_of(path)
 
-    def _range(self, span: Span | None, sources: Mapping[str, Path]) -> types.Range:
-        document = self.documents.get(self._uri(span, sources)) if span is not None else None
-        if span is None:
-            return types.Range(types.Position(0, 0), types.Position(0, 0))
+    def _location(self, span: Span, sources: Mapping[str, Path]) -> types.Location:
+        uri = self._uri(span, sources)
+        document = self.documents.get(uri)
         if document is not None:
-            return document.source.range(span)
-        return types.Range(
-            types.Position(span.line - 1, span.column - 1),
-            types.Position(span.end_line - 1, span.end_column - 1),
-        )
+            return types.Location(uri, document.source.range(span))
+        start = types.Position(span.line - 1, span.column - 1)
+        end = types.Position(span.end_line - 1, span.end_column - 1)
+        return types.Location(uri, types.Range(start, end))
 
     def _converted(self, diagnostic: Diagnostic, sources: Mapping[str, Path]) -> types.Diagnostic:
         message = diagnostic.message
         if diagnostic.hint:
             message += f"\nhint: {diagnostic.hint}"
+        place = types.Range(types.Position(0, 0), types.Position(0, 0))
+        if diagnostic.span is not None:
+            place = self._location(diagnostic.span, sources).range
         return types.Diagnostic(
-            self._range(diagnostic.span, sources),
+            place,
             message,
             severity=_SEVERITIES[diagnostic.severity],
             code=diagnostic.code.number,
             source="thorvaldc",
             related_information=[
-                types.DiagnosticRelatedInformation(
-                    types.Location(
-                        self._uri(label.span, sources), self._range(label.span, sources)
-                    ),
-                    label.text,
-                )
+                types.DiagnosticRelatedInformation(self._location(label.span, sources), label.text)
                 for label in diagnostic.labels
             ],
         )
@@ -296,7 +288,7 @@ class DiagnosticPublisher:
         The changes of a diagnostic are left out if a text has changed since its analysis.
         """
         actions: list[types.CodeAction] = []
-        for uri, analysis in list(self.analyses.items()):
+        for analysis in list(self.analyses.values()):
             for diagnostic in analysis.diagnostics:
                 if not diagnostic.fixes or diagnostic.span is None:
                     continue
@@ -306,30 +298,26 @@ class DiagnosticPublisher:
                 if span_range.end < place.start or place.end < span_range.start:
                     continue
                 for fix in diagnostic.fixes:
-                    action = self._code_action(diagnostic, fix, uri, analysis)
+                    action = self._code_action(diagnostic, fix, analysis)
                     if action is not None:
                         actions.append(action)
         return actions
 
     def _code_action(
-        self, diagnostic: Diagnostic, fix: Fix, uri: str, analysis: Analysis
+        self, diagnostic: Diagnostic, fix: Fix, analysis: Analysis
     ) -> types.CodeAction | None:
-        target = self._uri(fix.span, analysis.sources)
-        document = self.documents.get(target)
-        if document is not self._documents.get(uri, {}).get(target):
+        target = self._location(fix.span, analysis.sources)
+        document = self.documents.get(target.uri)
+        if document is not analysis.documents.get(target.uri):
             return None
-        if document is not None:
-            old = document.source.span_text(fix.span)
-            edit_range = document.source.range(fix.span)
-        else:
-            old, edit_range = "", self._range(fix.span, analysis.sources)
-        edit = types.TextEdit(edit_range, fix.text)
+        old = document.source.span_text(fix.span) if document is not None else ""
+        edit = types.TextEdit(target.range, fix.text)
         return types.CodeAction(
             _title(diagnostic, fix, old),
             kind=types.CodeActionKind.QuickFix,
             diagnostics=[self._converted(diagnostic, analysis.sources)],
             is_preferred=len(diagnostic.fixes) == 1 and not fix.is_example,
-            edit=types.WorkspaceEdit({target: [edit]}),
+            edit=types.WorkspaceEdit({target.uri: [edit]}),
         )
 
 
