@@ -22,7 +22,7 @@ from thorvaldc.runtime.calculators.steering_branch import LIMIT_TOLERANCE, RESUM
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 SETTINGS = settings(
-    max_examples=60,
+    max_examples=25,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],

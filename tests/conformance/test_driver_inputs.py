@@ -71,7 +71,7 @@ changes = st.sampled_from(
 
 
 @pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=25, deadline=None, derandomize=True)
 @given(
     ticks=st.lists(
         st.tuples(corruptions, steps, st.tuples(value, value, value), st.none() | changes),

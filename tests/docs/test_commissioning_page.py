@@ -15,6 +15,7 @@ from tests.ros.environments import variables
 ROOT = Path(__file__).resolve().parents[2]
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(180)
 def test_the_steps_without_hardware(tmp_path: Path) -> None:
     page = (ROOT / "docs/commissioning.md").read_text(encoding="utf-8")

@@ -37,6 +37,7 @@ def test_the_table_has_every_case(experiment: ModuleType) -> None:
     assert sorted(shown()) == sorted(names)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["ideal", "radii", "offsets", "rough"])
 def test_the_script_prints_the_rows_of_the_table(experiment: ModuleType, case: str) -> None:
     rows, _, samples = experiment.experiment(case)

@@ -25,6 +25,8 @@ from typing import NamedTuple
 
 import pytest
 
+from tests.slow import mostly_slow
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [
     page
@@ -120,7 +122,9 @@ def run(command: list[str], folder: Path, text: str = "") -> str:
     return process.stdout
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize(
+    "page", mostly_slow(PAGES, 9), ids=lambda page: str(page.relative_to(ROOT))
+)
 def test_the_snippets_of_a_page_run(page: Path, tmp_path: Path) -> None:
     text = page.read_text(encoding="utf-8")
     blocks = blocks_of(text)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tests.mistakes.mutants import KINDS, measure, shares, total
 
 
+@pytest.mark.slow
 def test_mistakes_are_seen_at_their_line_and_once() -> None:
     tallies = measure(count=2 * len(KINDS), seed=1)
     assert len(tallies) == len(KINDS)

@@ -82,6 +82,7 @@ def test_run_on_a_virtual_bus(tmp_path: Path, odrive_package: list[str]) -> None
     assert 1.2 < json.loads(out)["pose"]["x"] < 1.6
 
 
+@pytest.mark.slow
 def test_the_faults_of_the_fault_table(tmp_path: Path, odrive_package: list[str]) -> None:
     only = ("--only", "a drive", "--jobs", "2")
     status, out, _ = thorvaldc(tmp_path, odrive_package, "faults", ROBOT, *only)

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from tests.examples import ROBOTS, example_robot
-from tests.simulation.bus.robots import cia402_robot
+from tests.simulation.bus.robots import drives
 from thorvaldc.ros.parameters import PARAMETERS
 from thorvaldc.ros.topic_twists import ClockWatch, TwistInputs
 from thorvaldc.runtime.base_interface import ParameterError
@@ -152,7 +152,7 @@ class MachineOnBuses(Machine):
         super().__init__()
 
     def make(self, clock: Callable[[], float]) -> DrivenRobot:
-        robot = cia402_robot()
+        robot = drives()
         simulated = SimulatedRobot(robot)
         simulated.power_on()
         interfaces = {bus.name: simulated.interface(bus.name) for bus in robot.buses}

@@ -9,6 +9,7 @@ import pytest
 
 from bench.filters import BOUNDED, DRIVE, MIXED, study
 from tests.examples import example_robot
+from tests.slow import mostly_slow
 from thorvaldc.model.settings import FOR_FILTERS, MEASURED
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry, Noise
@@ -60,7 +61,7 @@ def test_before_the_first_joint_states_the_covariance_is_that_of_the_estimate() 
     assert published is estimate.covariance
 
 
-@pytest.mark.parametrize("drive", BOUNDED)
+@pytest.mark.parametrize("drive", mostly_slow(BOUNDED))
 @pytest.mark.parametrize("kind", ["white", "lasting 2 s", DRIVE, MIXED])
 def test_the_filter_is_consistent_after_60_s(kind: str, drive: str) -> None:
     # White errors are as small as the error of the filter's Euler steps: they need short ones.

@@ -7,8 +7,8 @@ import threading
 import pytest
 
 from tests.runtime.can_base.simulated_rig import FORWARD, Rig
-from tests.runtime.can_base.test_can_base import drives, four_wheels
-from tests.simulation.bus.robots import compiled
+from tests.runtime.can_base.test_can_base import four_wheels
+from tests.simulation.bus.robots import compiled, drives
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
 from thorvaldc.runtime.base_interface import RequestRefused

@@ -11,8 +11,8 @@ from dataclasses import replace
 import pytest
 
 from tests.runtime.can_base.simulated_rig import FORWARD, Rig
-from tests.runtime.can_base.test_can_base import drives, four_wheels
-from tests.simulation.bus.robots import cia402_robot
+from tests.runtime.can_base.test_can_base import four_wheels
+from tests.simulation.bus.robots import cia402_robot, drives
 from thorvaldc.can.canopen import NmtState
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tests.runtime.can_base.simulated_rig import Rig
-from tests.simulation.bus.robots import cia402_robot, uneven_robot
+from tests.simulation.bus.robots import cia402_robot, drives, uneven_robot
 from thorvaldc.can.canopen import DriveState, NmtState
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
-from thorvaldc.model.bus import Node
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.bus.cia402_device import Cia402Drive
@@ -32,20 +30,6 @@ def example(name: str) -> Robot:
 
 def four_wheels() -> Robot:
     return example("4wd4ws_wide")
-
-
-@functools.cache
-def drives() -> Robot:
-    """A robot with CiA 402 drives that home where they stand: a search would take 12 s."""
-    robot = cia402_robot()
-    homing_objects = {"steering_homing_method": 35, "steering_home_offset": 0}
-
-    def at_home(node: Node) -> Node:
-        objects = [replace(o, value=homing_objects.get(o.name, o.value)) for o in node.objects]
-        return replace(node, objects=tuple(objects))
-
-    buses = [replace(bus, nodes=tuple(at_home(n) for n in bus.nodes)) for bus in robot.buses]
-    return replace(robot, buses=tuple(buses))
 
 
 ROBOTS = {

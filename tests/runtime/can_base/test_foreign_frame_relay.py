@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from tests.runtime.can_base.test_can_base import drives
+from tests.simulation.bus.robots import drives
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.runtime.can_base.foreign_frame_relay import QUEUE_LIMIT, Relay
 

@@ -8,7 +8,8 @@ from collections.abc import Callable
 import pytest
 
 from tests.runtime.can_base.simulated_rig import Rig
-from tests.runtime.can_base.test_can_base import EXAMPLES, drives, four_wheels
+from tests.runtime.can_base.test_can_base import EXAMPLES, four_wheels
+from tests.simulation.bus.robots import drives
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Robot
 from thorvaldc.runtime.can_base.base_state_machine import BaseState

@@ -6,7 +6,7 @@ import pytest
 
 from tests.examples import example_robot
 from tests.runtime.can_base.simulated_rig import Rig
-from tests.simulation.bus.robots import cia402_robot
+from tests.simulation.bus.robots import drives
 from thorvaldc.can.frame import ReceivedFrame
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.simulation.bus.simulated_robot import VirtualTimeInterface
@@ -31,7 +31,7 @@ class LateBus(VirtualTimeInterface):
 
 
 def driving(kind: str) -> tuple[Rig, LateBus]:
-    rig = Rig(cia402_robot() if kind == "cia402" else example_robot("4wd4ws_wide"))
+    rig = Rig(drives() if kind == "cia402" else example_robot("4wd4ws_wide"))
     assert isinstance(rig.interface, VirtualTimeInterface)
     rig.interface.__class__ = LateBus
     rig.drive()

@@ -156,7 +156,7 @@ def test_lost_and_late_frames_are_no_second_device(make: Make) -> None:
     rig = Rig(make())
     rig.drive(seconds=1.0)
     inject(rig, "noise", share=0.05)
-    rig.run(20.0)
+    rig.run(10.0)
     assert rig.state is BaseState.ACTIVE, rig.reason
 
 
@@ -172,7 +172,7 @@ def test_late_cycles_are_no_second_device(make: Make) -> None:
         if cycles % 7 == 0:
             rig.interface.sleep(0.017 if cycles % 2 else 0.028)
 
-    rig.driven.run(rig.now + 20.0, watch=late)
+    rig.driven.run(rig.now + 10.0, watch=late)
     assert rig.driven.timing.overruns > 10
     assert "second device" not in rig.reason
     assert "another master" not in rig.reason

@@ -12,8 +12,8 @@ import cantools.database
 import pytest
 
 from tests.robots import SPAN
-from tests.runtime.can_base.test_can_base import drives, four_wheels
-from tests.simulation.bus.robots import uneven_robot
+from tests.runtime.can_base.test_can_base import four_wheels
+from tests.simulation.bus.robots import drives, uneven_robot
 from thorvaldc.backends.can.dbc import dbc_text
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model import Robot

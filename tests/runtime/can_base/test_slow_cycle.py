@@ -7,7 +7,7 @@ import re
 import pytest
 
 from tests.runtime.can_base.simulated_rig import Rig
-from tests.simulation.bus.robots import CIA402, compiled
+from tests.simulation.bus.robots import CIA402, at_home, compiled
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
@@ -17,7 +17,7 @@ SETTINGS = "driver: {rate: 5 Hz, command_timeout: 2 s}\n"  # the lowest rate of 
 
 @pytest.mark.parametrize("text", [SCRIPT, CIA402], ids=["script", "cia402"])
 def test_the_slowest_cycle_starts_drives_stops_and_ends(text: str) -> None:
-    rig = Rig(compiled(text + SETTINGS))
+    rig = Rig(at_home(compiled(text + SETTINGS)))
     rig.until(lambda: rig.driven.ready, 90.0)
     rig.run(1.0)
     for twist in (Twist(0.8, 0.0, 0.2), Twist(-0.8, 0.0, 0.2)):

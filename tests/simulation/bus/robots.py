@@ -12,7 +12,7 @@ from pathlib import Path
 
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
-from thorvaldc.model.bus import ObjectValue
+from thorvaldc.model.bus import Node, ObjectValue
 
 CIA402 = """
 thorvaldc: 1
@@ -52,6 +52,24 @@ def compiled(text: str) -> Robot:
 def cia402_robot() -> Robot:
     """Returns a robot with four CiA 402 drives, an IO board, a battery and a foreign device."""
     return compiled(CIA402)
+
+
+@functools.cache
+def drives() -> Robot:
+    """Returns the robot with four CiA 402 drives, which home where they stand."""
+    return at_home(cia402_robot())
+
+
+def at_home(robot: Robot) -> Robot:
+    """Returns a robot whose CiA 402 drives home where they stand: a search would take 12 s."""
+    homing_objects = {"steering_homing_method": 35, "steering_home_offset": 0}
+
+    def changed(node: Node) -> Node:
+        objects = [replace(o, value=homing_objects.get(o.name, o.value)) for o in node.objects]
+        return replace(node, objects=tuple(objects))
+
+    buses = [replace(bus, nodes=tuple(map(changed, bus.nodes))) for bus in robot.buses]
+    return replace(robot, buses=tuple(buses))
 
 
 MODULES = Path(__file__).resolve().parents[3] / "modules"

@@ -14,8 +14,10 @@ import yaml
 
 from tests.backends.plans import stl
 from tests.cli.conftest import Command, thorvaldc
+from tests.examples import FLEETS, ROBOTS, example_fleet, example_robot
+from tests.slow import mostly_slow
 from thorvaldc.backends import TARGETS
-from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.compiler.pipeline import emit
 from thorvaldc.diagnostics import CODES, Report
 from thorvaldc.tools.audit.audit_run import audit
 
@@ -115,17 +117,11 @@ def test_exit_status_and_formats(thorvaldc: Command, cart: Path) -> None:
     assert thorvaldc("audit", "cart", "--format", "xml").status == 2
 
 
-@pytest.mark.parametrize(
-    "path", sorted([*ROOT.glob("examples/*/robot.yaml"), *ROOT.glob("examples/*/fleet.yaml")]),
-    ids=lambda path: path.parent.name,
-)  # fmt: skip
-def test_our_own_output_has_no_contradictions(path: Path, tmp_path: Path) -> None:
-    compilation = compile_file(str(path))
-    if compilation.model is None:
-        pytest.skip("the example needs a driver of another package")
-    targets = list(TARGETS)
-    for name, content in emit(compilation.model, targets, Report()).items():
-        file = tmp_path / "build" / name
+@pytest.mark.parametrize("name", mostly_slow([*FLEETS, *ROBOTS], 6))
+def test_our_own_output_has_no_contradictions(name: str, tmp_path: Path) -> None:
+    model = example_fleet(name) if name in FLEETS else example_robot(name)
+    for path, content in emit(model, list(TARGETS), Report()).items():
+        file = tmp_path / "build" / path
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(content)
     result = audit([str(tmp_path / "build")])
