@@ -21,10 +21,8 @@ from bench.figure import ROOT, Figure
 from thorvaldc.diagnostics import Report
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
 from thorvaldc.tools.study.design_evaluation import DesignEvaluator, StudyInputs, robot_text
-from thorvaldc.tools.study.sample_points import Design
-from thorvaldc.tools.study.study_definition import Study
-from thorvaldc.tools.study.study_execution import StudyRun
-from thorvaldc.tools.study.study_journal import StudyJournal
+from thorvaldc.tools.study.study_definition import Design, Study
+from thorvaldc.tools.study.study_run import StudyJournal, StudyRun
 
 Result = TypeVar("Result")
 EXAMPLES = ROOT / "examples"

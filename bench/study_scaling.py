@@ -20,8 +20,7 @@ from bench.figure import Figure
 from bench.study import SECONDS, example_study
 from thorvaldc.tools.study.dask_cluster import DaskCluster
 from thorvaldc.tools.study.design_evaluation import StudyInputs
-from thorvaldc.tools.study.study_execution import StudyRun
-from thorvaldc.tools.study.study_journal import StudyJournal
+from thorvaldc.tools.study.study_run import StudyJournal, StudyRun
 
 DESIGNS = 512
 DEMANDED = 1.8

@@ -173,7 +173,7 @@ def test_json_of_others_is_read_in_one_place(trees: dict[Path, ast.Module]) -> N
         "compiler/output/writer.py",
         "diagnostics/foreign_json.py",
         "schema/documents.py",
-        "comparison/leaf_differences.py",
+        "comparison/robot_difference.py",
         "tools/provenance/value_paths.py",
     }
 
@@ -186,7 +186,7 @@ def test_files_are_written_in_one_place(trees: dict[Path, ast.Module]) -> None:
         "simulation/physics/mujoco_scene.py",
         "tools/audit/audit_run.py",
         "tools/provenance/influence_search.py",
-        "tools/study/study_table.py",
+        "tools/study/study_results.py",
     }
 
 

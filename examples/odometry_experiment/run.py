@@ -25,7 +25,7 @@ from thorvaldc.simulation.physics.sim_base import WheelErrors
 from thorvaldc.simulation.records.joint_csv import JointLogWriter, read_log
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
 from thorvaldc.simulation.simulation_run import Simulation
-from thorvaldc.tools.calibration.calibration_text import overlay
+from thorvaldc.tools.calibration.calibration_file import overlay
 from thorvaldc.tools.calibration.self_calibration import CalibrationResult, calibrate
 
 HERE = Path(__file__).resolve().parent

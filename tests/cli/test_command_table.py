@@ -52,7 +52,8 @@ def test_the_help_of_the_groups_loads_no_command() -> None:
         "        sys.argv = ['thorvaldc', *words]\n"
         "        run_command()\n"
         "names = [name for name in sys.modules if name.startswith('thorvaldc.')]\n"
-        "print([n for n in names if '.cli.commands.' in n or n.endswith('_command')])\n"
+        "ends = ('_command', '_commands')\n"
+        "print([n for n in names if '.cli.commands.' in n or n.endswith(ends)])\n"
     )
     result = subprocess.run(
         [sys.executable, "-c", script],

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 import typer
 
-from thorvaldc.cli.options import parse_duration, parse_record_time, parse_time
+from thorvaldc.cli.options import parse_duration, parse_time
+from thorvaldc.tools.pictures.picture_commands import parse_record_time
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Annotated, TypeVar
 
 import typer
 
-from thorvaldc.cli.completed_values import bus_interfaces, scenario_variables
+from thorvaldc.cli.completed_values import bus_interfaces
 
 T = TypeVar("T")
 
@@ -25,20 +24,9 @@ ModelFiles = Annotated[
     list[str], typer.Argument(metavar="FILE", help="A robot.yaml or fleet.yaml.")
 ]
 ScenarioFile = Annotated[str, typer.Argument(metavar="SCENARIO", help="A scenario file.")]
-StudyFile = Annotated[str, typer.Argument(metavar="STUDY", help="A study file.")]
-StudyResults = Annotated[
-    str,
-    typer.Option("--results", metavar="DIR", help="Folder of the results (default: study/NAME)."),
-]
 ScenarioRobot = Annotated[
     str,
     typer.Option("--robot", metavar="FILE", help="Use this robot instead of the scenario's."),
-]
-ANY_MODEL = (
-    "A robot.yaml, a fleet.yaml, a build folder, or a file of a git revision: HEAD~1:robot.yaml."
-)
-ResultFormat = Annotated[
-    str, typer.Option("--format", metavar="text|json|markdown", help="Output format.")
 ]
 Format = Annotated[
     str,
@@ -121,35 +109,9 @@ Video = Annotated[
 JUnit = Annotated[
     str, typer.Option("--junit", metavar="OUT.xml", help="Write the expectations as JUnit XML.")
 ]
-Settings = Annotated[
-    list[str],
-    typer.Option(
-        "--set",
-        metavar="PATH=VALUES",
-        autocompletion=scenario_variables,
-        help="Replace values of the scenario: world.friction=0.3,0.6 makes a run with each value,"
-        " =0.3..0.9 draws values from the range.",
-        show_default=False,
-    ),
-]
-Variations = Annotated[
-    bool, typer.Option("--variations", help="Use the `variations` of the scenario as well.")
-]
-Draws = Annotated[
-    str, typer.Option("--draws", metavar="N", help="Number of draws from the ranges.")
-]
-DrawSeed = Annotated[
-    str, typer.Option("--seed", metavar="N", help="Seed for the draws from the ranges.")
-]
 Jobs = Annotated[
     str,
     typer.Option("--jobs", "-j", metavar="N", help="Number of processes (default: one per core)."),
-]
-BatchOutput = Annotated[
-    str,
-    typer.Option(
-        "--output", "-o", metavar="OUT.csv", help="Write the results of all runs (.csv or .json)."
-    ),
 ]
 
 _TIME = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-zµ]*)", re.ASCII)
@@ -189,19 +151,6 @@ def parse_duration(text: str, option: str, least: float = 0.0) -> float:
         raise typer.BadParameter(
             f"{text!r} is not between {least:g} and {LONGEST:g} s", param_hint=f"'{option}'"
         )
-    return seconds
-
-
-def parse_record_time(text: str) -> float:
-    """Returns a time in s from the start of a recorded run, or infinity for empty text.
-
-    Raises ``ValueError`` if the text is not a time or the time is negative.
-    """
-    if not text:
-        return math.inf
-    seconds = parse_time(text)
-    if not seconds >= 0.0:
-        raise ValueError(f"{text!r} is before the start of the record")
     return seconds
 
 

@@ -11,34 +11,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-from thorvaldc.comparison.fact_changes import fact_changes
-from thorvaldc.comparison.field_names import field_label, field_unit
-from thorvaldc.comparison.leaf_differences import (
-    ORDER,
-    LeafDifference,
-    leaf_differences,
-    model_document,
-)
-from thorvaldc.comparison.module_changes import (
-    EXCHANGED,
-    find_renames,
-    module_changes,
-    renamed_document,
-)
-from thorvaldc.comparison.module_outline import (
-    Outline,
-    outline_of_model,
-    top_module,
-)
-from thorvaldc.comparison.robot_difference import (
-    ADDED,
-    CHANGED,
-    REMOVED,
-    FleetDifference,
-    RobotDifference,
-    ValueChange,
-)
-from thorvaldc.comparison.type_changes import type_changes
+from thorvaldc.comparison import module_changes, robot_difference
+from thorvaldc.comparison.module_changes import Outline
+from thorvaldc.comparison.robot_difference import FleetDifference, LeafDifference, ValueChange
 from thorvaldc.model import Fleet, Robot
 
 # Fields of links and joints that a reader wants to see.  The others (shapes, poses, inertias)
@@ -47,7 +22,15 @@ _SHOWN_LINK_FIELDS = ("mass",)
 _SHOWN_JOINT_FIELDS = ("type", "role", "lower", "upper", "effort", "velocity", "mimic")
 # Fields of frames that follow from node ids, and from the frames before on the bus.
 _DERIVED_FRAME_FIELDS = (
-    *("cob_id", "consumers", "response_time", "signals", "mapping", "description", ORDER),
+    *(
+        "cob_id",
+        "consumers",
+        "response_time",
+        "signals",
+        "mapping",
+        "description",
+        robot_difference.ORDER,
+    ),
 )
 _ELEMENTS = ("wheels", "actuators", "sensors", "batteries", "joint_servos")
 
@@ -57,7 +40,7 @@ def compare_robots(
     after: Robot,
     before_modules: Outline | None = None,
     after_modules: Outline | None = None,
-) -> RobotDifference:
+) -> robot_difference.RobotDifference:
     """Returns the differences between two robots.
 
     ``before_modules``, ``after_modules``: the modules of the robot files with their types and
@@ -65,12 +48,17 @@ def compare_robots(
     are taken from the models.
     """
     if before_modules is None or after_modules is None:
-        before_modules, after_modules = outline_of_model(before), outline_of_model(after)
-    renames = find_renames(before_modules, after_modules)
-    old = renamed_document(model_document(before), renames, before_modules)
-    new = model_document(after)
-    leaves = tuple(leaf_differences(old, new))
-    changes = tuple(module_changes(before_modules, after_modules, renames))
+        before_modules, after_modules = (
+            module_changes.outline_of_model(before),
+            module_changes.outline_of_model(after),
+        )
+    renames = module_changes.find_renames(before_modules, after_modules)
+    old = module_changes.renamed_document(
+        robot_difference.model_document(before), renames, before_modules
+    )
+    new = robot_difference.model_document(after)
+    leaves = tuple(robot_difference.leaf_differences(old, new))
+    changes = tuple(module_changes.changes_of(before_modules, after_modules, renames))
     shown: list[tuple[LeafDifference, ValueChange]] = []
     derived: list[LeafDifference] = []
     kinds = {change.name: change.kinds for change in changes}
@@ -82,11 +70,13 @@ def compare_robots(
         else:
             shown.append((leaf, _value_change(leaf)))
     values = (
-        *fact_changes(before, after),
+        *robot_difference.fact_changes(before, after),
         *_collapsed(change for _, change in shown),
     )
-    types = tuple(type_changes(before_modules, after_modules))
-    return RobotDifference(before.name, after.name, changes, values, tuple(derived), types, leaves)
+    types = tuple(module_changes.type_changes(before_modules, after_modules))
+    return robot_difference.RobotDifference(
+        before.name, after.name, changes, values, tuple(derived), types, leaves
+    )
 
 
 def compare_fleets(
@@ -98,17 +88,17 @@ def compare_fleets(
 
     ``modules``: the modules of the robots of each fleet, by the name of the robot in the fleet.
     """
-    old, new = (model_document(fleet) for fleet in (before, after))
+    old, new = (robot_difference.model_document(fleet) for fleet in (before, after))
     robots = []
     for name in old["placements"]:
-        if name == ORDER or name not in new["placements"]:
+        if name == robot_difference.ORDER or name not in new["placements"]:
             continue
         pair = [_robot_of(fleet, name) for fleet in (before, after)]
         outlines = [side.get(name) for side in modules]
         robots.append((name, compare_robots(pair[0], pair[1], *outlines)))
         for side in (old, new):
             side["placements"][name].pop("robot")
-    leaves = tuple(leaf_differences(old, new))
+    leaves = tuple(robot_difference.leaf_differences(old, new))
     values = tuple(_collapsed(_value_change(leaf) for leaf in leaves))
     return FleetDifference(before.name, after.name, values, tuple(robots), leaves)
 
@@ -121,7 +111,7 @@ def _module_of(leaf: LeafDifference, old: Any, new: Any) -> str:
     """Returns the module in the robot file that an element of the model belongs to."""
     for document in (new, old):
         if leaf.path[0] == "modules":
-            return top_module(leaf.path[1])
+            return module_changes.top_module(leaf.path[1])
         element, module = document, ""
         for key in leaf.path:
             element = element.get(key) if isinstance(element, dict) else None
@@ -133,7 +123,7 @@ def _module_of(leaf: LeafDifference, old: Any, new: Any) -> str:
                 # A frame belongs to the module of its node; that to a node has it as consumer.
                 module = _module_of_frame(element, document)
         if module:
-            return top_module(module)
+            return module_changes.top_module(module)
     return ""
 
 
@@ -143,7 +133,7 @@ def _module_of_frame(frame: dict[str, Any], document: Any) -> str:
         for bus in document["buses"].values()
         if isinstance(bus, dict)
         for name, node in bus["nodes"].items()
-        if name != ORDER
+        if name != robot_difference.ORDER
     }
     names = [frame["producer"], *frame["consumers"]]
     return next((nodes[name] for name in names if name in nodes), "")
@@ -161,12 +151,12 @@ def _is_covered_by_module(leaf: LeafDifference, kinds: Sequence[str]) -> bool:
     is_bus_element = path[0] == "buses" and path[2:3] in (("nodes",), ("frames",))
     if not (path[0] in ("links", "joints", *_ELEMENTS) or is_bus_element):
         return False
-    if ADDED in kinds or REMOVED in kinds:
+    if robot_difference.ADDED in kinds or robot_difference.REMOVED in kinds:
         return True
     # The links of another module type are other bodies; its wheels and motors can be compared.
     is_whole_element = len(path) == (4 if is_bus_element else 2)
     is_name_of_joint = path[0] == "wheels" and path[-1].endswith("_joint")
-    return EXCHANGED in kinds and (
+    return robot_difference.EXCHANGED in kinds and (
         path[0] in ("links", "joints") or is_whole_element or is_name_of_joint
     )
 
@@ -174,7 +164,7 @@ def _is_covered_by_module(leaf: LeafDifference, kinds: Sequence[str]) -> bool:
 def is_derived(leaf: LeafDifference) -> bool:
     """Returns whether a value follows from others, or says little to a reader."""
     path = leaf.path
-    if path[-1] == ORDER and path[0] not in ("twist_sources", "twist_locks"):
+    if path[-1] == robot_difference.ORDER and path[0] not in ("twist_sources", "twist_locks"):
         return True
     match path:
         case ("links", _, *rest):
@@ -219,10 +209,10 @@ def _value_change(leaf: LeafDifference) -> ValueChange:
     return ValueChange(
         section.replace("_", " "),
         subjects,
-        field_label(rest),
+        robot_difference.field_label(rest),
         before,
         after,
-        field_unit(path),
+        robot_difference.field_unit(path),
     )
 
 
@@ -231,7 +221,9 @@ def _collapsed(changes: Iterable[ValueChange]) -> Iterator[ValueChange]:
     groups: dict[str, list[ValueChange]] = {}
     for change in changes:
         key = repr((change.section, change.label, change.before, change.after))
-        groups.setdefault(key if change.kind == CHANGED else repr(change), []).append(change)
+        groups.setdefault(
+            key if change.kind == robot_difference.CHANGED else repr(change), []
+        ).append(change)
     for group in groups.values():
         first = group[0]
         subjects = tuple(subject for change in group for subject in change.subjects)

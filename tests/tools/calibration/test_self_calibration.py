@@ -20,7 +20,7 @@ from thorvaldc.backends.mjcf import Mjcf
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import ParameterSet, Robot
 from thorvaldc.simulation.records.joint_csv import JointLog, read_log
-from thorvaldc.tools.calibration.calibration_text import as_json, overlay, table
+from thorvaldc.tools.calibration.calibration_file import as_json, overlay, table
 from thorvaldc.tools.calibration.self_calibration import (
     CalibrationResult,
     WheelCalibration,
@@ -411,9 +411,9 @@ def test_radii_of_a_parameter_set(tmp_path: Path) -> None:
 
 
 def test_long_logs_are_thinned(log: JointLog, monkeypatch: pytest.MonkeyPatch) -> None:
-    from thorvaldc.tools.calibration import log_intervals
+    from thorvaldc.tools.calibration import calibration_log
 
-    monkeypatch.setattr(log_intervals, "MAX_TICKS", 200)
+    monkeypatch.setattr(calibration_log, "MAX_TICKS", 200)
     wheels, _, _ = calibrated(log)
     assert errors(wheels, RADII, OFFSETS)[1] < 1e-3
 

@@ -18,9 +18,9 @@ from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
 from thorvaldc.simulation.records.joint_csv import JointLog, read_log
-from thorvaldc.tools.calibration.calibration_text import as_json, table
+from thorvaldc.tools.calibration.calibration_file import as_json, table
+from thorvaldc.tools.calibration.calibration_log import PlannedMotion, plan_text
 from thorvaldc.tools.calibration.self_calibration import CalibrationResult, calibrate
-from thorvaldc.tools.calibration.settling_log import PlannedMotion, plan_text
 
 FOUR = make_robot(FOUR_STEERED)
 CAR = make_robot([*FOUR_STEERED[:2], (-0.55, 0.45, "fixed"), (-0.55, -0.45, "fixed")])

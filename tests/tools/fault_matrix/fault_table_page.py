@@ -16,8 +16,13 @@ from typing import Any
 from tests.simulation.bus.robots import ROBOTS
 from thorvaldc.diagnostics.text_layout import markdown_table
 from thorvaldc.model import Robot
-from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix, FaultRow
-from thorvaldc.tools.fault_matrix.fault_table import HEADINGS, row_cells, row_json
+from thorvaldc.tools.fault_matrix.fault_matrix import (
+    HEADINGS,
+    FaultMatrix,
+    FaultRow,
+    row_cells,
+    row_json,
+)
 
 PAGE = Path(__file__).parents[3] / "docs" / "faults.md"
 BEGIN, END = "<!-- made by tests/tools/fault_matrix/fault_table_page.py -->\n", "<!-- end -->\n"

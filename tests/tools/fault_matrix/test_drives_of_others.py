@@ -6,8 +6,7 @@ from pathlib import Path
 
 from tests.simulation.bus.test_plugins import acme, robot_with_acme_servo
 from thorvaldc.tools.fault_matrix.fault_cases import DRIVING, STOPPING, Evidence
-from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix, FaultRow
-from thorvaldc.tools.fault_matrix.fault_table import row_cells, row_json
+from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix, FaultRow, row_cells, row_json
 
 __all__ = ["acme"]  # a fixture
 

@@ -28,10 +28,14 @@ from thorvaldc.tools.fault_matrix.fault_cases import (
     FaultCase,
     fault_cases,
 )
-from thorvaldc.tools.fault_matrix.fault_limits import broken_limits, rest_limit
-from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix
+from thorvaldc.tools.fault_matrix.fault_matrix import (
+    FaultMatrix,
+    broken_limits,
+    markdown,
+    matrix_json,
+    rest_limit,
+)
 from thorvaldc.tools.fault_matrix.fault_reaction import Reaction
-from thorvaldc.tools.fault_matrix.fault_table import markdown, matrix_json
 from thorvaldc.tools.fault_matrix.rehearsal import Rehearsal
 
 ROBOT = ROBOTS["Thorvald script"]
@@ -78,7 +82,7 @@ def test_the_limit_grows_with_the_detection() -> None:
     )
 
 
-def spin(rehearsal: Rehearsal, phase: str, evidence: Evidence) -> None:
+def spin(rehearsal: Rehearsal) -> None:
     """A wheel turns without a command, as a short circuit lets it."""
     motor, _ = rehearsal.wheels[0]
     motor.turn(5.0, rehearsal.now)
@@ -96,7 +100,7 @@ def test_a_wheel_that_turns_without_a_command_is_seen() -> None:
 
 
 def test_a_device_that_cannot_have_the_fault_is_named() -> None:
-    def impossible(rehearsal: Rehearsal, phase: str, evidence: Evidence) -> None:
+    def impossible(rehearsal: Rehearsal) -> None:
         raise ValueError("it has no watchdog")
 
     case = FaultCase("impossible", "any", (IDLE,), impossible, {IDLE: 0.1})
@@ -109,7 +113,7 @@ SAME = """
 import json, sys
 from tests.simulation.bus.robots import ROBOTS
 from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix
-from thorvaldc.tools.fault_matrix.forked_work import can_fork
+from thorvaldc.tools.fault_matrix.fault_matrix import can_fork
 
 matrix = FaultMatrix(ROBOTS["Thorvald script"]())
 names = ("EMCY message of a drive", "connection of the client closed")

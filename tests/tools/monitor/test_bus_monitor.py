@@ -15,7 +15,7 @@ from thorvaldc.can.frame import CanFrame, ReceivedFrame
 from thorvaldc.model import Robot
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot, VirtualTimeInterface
 from thorvaldc.tools.monitor.bus_monitor import MOST_UNKNOWN, BusMonitor, watch
-from thorvaldc.tools.monitor.monitor_text import monitor_lines, page
+from thorvaldc.tools.monitor.monitor_view import monitor_lines, page
 
 ROBOT = example_robot("4wd4ws_wide")
 

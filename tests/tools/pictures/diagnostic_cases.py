@@ -8,7 +8,7 @@ from typing import Any
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
-from thorvaldc.tools.pictures.replay_record import read_replay_record
+from thorvaldc.tools.pictures.replay import read_replay_record
 
 
 def _read(case: dict[str, Any], entry: str) -> Report:

@@ -17,8 +17,8 @@ from thorvaldc.model.scenario import GROUPS
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.records.mcap_writer import McapRecorder
 from thorvaldc.simulation.records.record_reader import read_record
+from thorvaldc.tools.pictures.picture_commands import has_display
 from thorvaldc.tools.pictures.replay import Replay
-from thorvaldc.tools.pictures.view_command import has_display
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 FLEET = str(EXAMPLES / "fleet_of_four/fleet.yaml")

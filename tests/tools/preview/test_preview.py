@@ -27,7 +27,7 @@ from tests.outside_tools import path_of
 from thorvaldc.comparison.robot_comparison import compare_robots
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.simulation.web_viewer import view_page
-from thorvaldc.tools.comparison.difference_page import difference_page
+from thorvaldc.tools.comparison.comparison_output import difference_page
 
 ROOT = Path(__file__).parents[3]
 GOOD = (ROOT / "examples" / "4wd4ws_wide" / "robot.yaml").read_text(encoding="utf-8")

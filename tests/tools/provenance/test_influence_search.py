@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.examples import FOLDER, ROBOTS, example_robot
-from thorvaldc.comparison.leaf_differences import leaf_differences, model_document
+from thorvaldc.comparison.robot_difference import leaf_differences, model_document
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.tools.provenance.influence_search import RobotProbe, scaled

@@ -9,7 +9,7 @@ import pytest
 
 from tests.cli.conftest import GOOD, Command
 from tests.examples import example_robot
-from thorvaldc.comparison.field_names import field_unit
+from thorvaldc.comparison.robot_difference import field_unit
 from thorvaldc.model.facts.robot_facts import facts_document
 from thorvaldc.tools.provenance.explanation import FACTS
 from thorvaldc.tools.provenance.value_paths import all_paths, value_at

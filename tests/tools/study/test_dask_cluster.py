@@ -21,7 +21,7 @@ from tests.tools.study.dask_processes import ROOT, DaskProcesses
 from tests.tools.study.kills import VICTIMS, KilledStudy
 from tests.tools.study.test_studies import DRIVE, STUDY, rows
 from thorvaldc.tools.study import dask_cluster
-from thorvaldc.tools.study.cluster_worker import Surroundings
+from thorvaldc.tools.study.dask_cluster import Surroundings
 
 pytestmark = [
     pytest.mark.xdist_group("dask"),
@@ -180,11 +180,11 @@ def test_a_difference_of_the_files_is_named(tmp_path: Path) -> None:
     for path in (same, other):
         path.write_text("a")
     surroundings = Surroundings.of([str(other), str(same)])
-    assert surroundings.difference_here() == ""
+    assert surroundings.difference() == ""
     other.write_text("b")
-    assert surroundings.difference_here() == f"has another file {other}"
+    assert surroundings.difference() == f"has another file {other}"
     other.unlink()
-    assert surroundings.difference_here() == f"has no file {other}"
+    assert surroundings.difference() == f"has no file {other}"
 
 
 KILLER = """\

@@ -14,17 +14,21 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, Locator, Page, sync_playwright
+from tests.simulation.web_viewer.test_view_page import OPTIONS
 
 import thorvaldc
 from tests.accessibility import axe_script, violations
 from tests.cli.conftest import UNPOWERED, Command
 from tests.cli.conftest import thorvaldc as thorvaldc_command
 from tests.outside_tools import path_of
-from tests.simulation.test_web_viewer import OPTIONS
-from thorvaldc.tools.study.report_content import ReportContent, fact_unit, thinned
-from thorvaldc.tools.study.report_robots import ReportRobot
-from thorvaldc.tools.study.study_report import Sensitivity, study_report
-from thorvaldc.tools.study.study_table import StudyTable
+from thorvaldc.tools.study.study_report import (
+    ReportContent,
+    ReportRobot,
+    Sensitivity,
+    study_report,
+    thinned,
+)
+from thorvaldc.tools.study.study_results import StudyTable
 
 WAIT = 30_000  # ms
 run = pytest.fixture(name="run")(thorvaldc_command.__wrapped__)  # type: ignore[attr-defined]
@@ -51,7 +55,7 @@ samples: {{method: grid, number: 5}}
 def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is drawn, to save time, also if another test has drawn before."""
     monkeypatch.setattr(
-        "thorvaldc.tools.study.report_robots.picture_fault", lambda: "MuJoCo cannot draw"
+        "thorvaldc.tools.study.study_report.picture_fault", lambda: "MuJoCo cannot draw"
     )
 
 
@@ -177,12 +181,6 @@ def test_the_sensitivity_is_a_table_and_chooses_the_variable(run: Command) -> No
     assert "0.7 &lt;b&gt;" in page
     assert "Sensitivity" in body(page)
     assert "Sensitivity" not in body(study_report(content, [ReportRobot(0)]))
-
-
-def test_every_kind_of_fact_has_a_unit_or_none() -> None:
-    assert fact_unit("mass") == "kg"
-    assert fact_unit("slopes.forwards.grip") == "rad"
-    assert fact_unit("bill.0.count") == fact_unit("purchase.price") == ""
 
 
 def test_a_large_front_is_thinned_evenly() -> None:

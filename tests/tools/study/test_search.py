@@ -16,8 +16,8 @@ from tests.cli.conftest import UNPOWERED
 from tests.tools.study.test_studies import Command, rows, run, study_run
 from thorvaldc.model import Robot
 from thorvaldc.model.facts.robot_facts import robot_facts
-from thorvaldc.tools.study.study_journal import StudyJournal, read_results
-from thorvaldc.tools.study.study_table import StudyTable
+from thorvaldc.tools.study.study_results import StudyTable
+from thorvaldc.tools.study.study_run import StudyJournal, read_results
 
 __all__ = ["run"]
 

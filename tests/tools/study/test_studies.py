@@ -30,11 +30,10 @@ from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.model.spatial import GRAVITY
 from thorvaldc.model.statics.slope import SlopeStatics
 from thorvaldc.tools.study.design_evaluation import DesignEvaluator, StudyInputs, robot_text
-from thorvaldc.tools.study.replaced_values import with_replaced_values
-from thorvaldc.tools.study.sample_points import designs_of
-from thorvaldc.tools.study.study_execution import StudyRun
-from thorvaldc.tools.study.study_journal import StudyJournal
-from thorvaldc.tools.study.study_table import StudyTable, front
+from thorvaldc.tools.study.study_compilation import with_replaced_values
+from thorvaldc.tools.study.study_definition import designs_of
+from thorvaldc.tools.study.study_results import StudyTable, front
+from thorvaldc.tools.study.study_run import StudyJournal, StudyRun
 
 ROOT = Path(__file__).parents[3]
 run = pytest.fixture(name="run")(thorvaldc_command.__wrapped__)  # type: ignore[attr-defined]

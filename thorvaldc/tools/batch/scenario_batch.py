@@ -1,25 +1,29 @@
-"""Runs many variations of a scenario in one or more processes.
+"""Runs many variations of a scenario in one or more processes, and formats their results.
 
-The results do not depend on the number of processes.
+The results do not depend on the number of processes.  They are a text table, a CSV or a JSON file.
 """
 
 from __future__ import annotations
 
+import csv
+import io
+import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from thorvaldc.backends.mjcf import simulation_files
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.result import Compilation
-from thorvaldc.compiler.scenario.variations import (
-    Change,
-    Variations,
-)
-from thorvaldc.diagnostics import Report
+from thorvaldc.compiler.scenario.scenario_reader import metric_units
+from thorvaldc.compiler.scenario.variations import Change, Variations
+from thorvaldc.diagnostics import atomic_file
+from thorvaldc.diagnostics.text_layout import text_table
+from thorvaldc.model.spatial import finite
 from thorvaldc.simulation.worker_processes import ignored_interrupts, worker_pool
 
 
@@ -72,14 +76,7 @@ class Batch:
     ) -> None:
         self.variations = variations
         self._jobs = [
-            _Job(
-                number,
-                str(scenario),
-                changes,
-                None if robot is None else str(robot),
-                library,
-                trust,
-            )
+            _Job(number, scenario, changes, robot, library, trust)
             for number, changes in enumerate(variations.runs(), 1)
         ]
 
@@ -101,7 +98,7 @@ class Batch:
                 others = (c for c in first.changes if c.path != change.path)
                 combinations.append((*others, change))
         for changes in combinations:
-            compilation = first.with_changes(changes).compile()
+            compilation = first.compile(changes)
             if compilation.model is None:
                 return compilation
         return None
@@ -132,22 +129,15 @@ class _Job:
     """The arguments of the run of one variation, passed to another process."""
 
     number: int
-    scenario: str
+    scenario: Path | str
     changes: tuple[Change, ...]
-    robot: str | None
+    robot: Path | str | None
     library: Sequence[Path]
     trust: bool
 
-    def with_changes(self, changes: tuple[Change, ...]) -> _Job:
-        return replace(self, changes=changes)
-
-    def compile(self) -> Compilation:
+    def compile(self, changes: tuple[Change, ...]) -> Compilation:
         return compile_file(
-            self.scenario,
-            library=self.library,
-            robot=self.robot,
-            changes=self.changes,
-            trust=self.trust,
+            self.scenario, library=self.library, robot=self.robot, changes=changes, trust=self.trust
         )
 
     def __call__(self) -> Run:
@@ -155,10 +145,8 @@ class _Job:
         from thorvaldc.simulation.scenario_run import ScenarioSimulation
 
         values = {change.path: change.value.plain() for change in self.changes}
-        compilation = self.compile()
-        report = Report()
-        report.extend(compilation.report)
-        result = None
+        compilation = self.compile(self.changes)
+        report, result = compilation.report, None
         if compilation.scenario is not None:
             try:
                 files = simulation_files(compilation.scenario.fleet)
@@ -169,3 +157,129 @@ class _Job:
                 report.put(error.diagnostic)
         errors = tuple(f"{d.code.severity}[{d.code.number}]: {d.message}" for d in report.errors)
         return Run(self.number, values, result, errors)
+
+
+SUFFIXES = (".csv", ".json")
+# The columns of the text table: (metric, heading, format, factor).  The text of a cell is the
+# metric times the factor.
+_COLUMNS = (
+    ("path", "true", "{:.3f} m", 1.0),
+    ("end_error", "end error", "{:.1f} mm", 1000.0),
+    ("length_ratio", "length ratio", "{:.5f}", 1.0),
+    ("tilt", "tilt", "{:.2f} deg", math.degrees(1.0)),
+    ("slip", "slip", "{:.4f} m/s", 1.0),
+    ("collisions", "collisions", "{:.0f}", 1.0),
+)
+
+
+def runs_as_json(runs: Sequence[Run]) -> str:
+    """Returns the results of all runs as a JSON list."""
+    values = [finite(run.as_json()) for run in runs]
+    return json.dumps(values, indent=1, ensure_ascii=False)
+
+
+def results_table(runs: Sequence[Run], width: int | None = None) -> str:
+    """Returns a text table of the results of the runs.
+
+    The columns are the varied values, the metrics, the verdict and the hash of each run.
+    ``width``: number of columns of the terminal, or ``None`` for one line per run.
+    """
+    has_fleet = any(run.result is not None and len(run.result["metrics"]) > 1 for run in runs)
+    headings = [heading for _, heading, _, _ in _COLUMNS]
+    rows = [["run", *runs[0].values, *(["robot"] * has_fleet), *headings, "", "hash"]]
+    for run in runs:
+        values = [_short_text(value) for value in run.values.values()]
+        verdict = "ok" if run.passed else "FAILED"
+        short_hash = run.result["hash"][:8] if run.result is not None else "-"
+        for robot, metrics in _metrics_by_robot(run):
+            cells = [
+                form.format(factor * metrics[name]) if name in metrics else "-"
+                for name, _, form, factor in _COLUMNS
+            ]
+            robot_cell = [robot] * has_fleet
+            rows.append([str(run.number), *values, *robot_cell, *cells, verdict, short_hash])
+    table = text_table(rows, width, right=range(len(rows[0])))
+    failed = sum(1 for run in runs if not run.passed)
+    verdicts = f"{failed} not as expected" if failed else "all as expected"
+    noun = "run" if len(runs) == 1 else "runs"
+    return "\n".join([table, f"{len(runs)} {noun}, {verdicts}"])
+
+
+class ResultFile:
+    """A CSV or JSON file with the results of a batch of runs.
+
+    The result of each run is written when the run ends, so that a killed process loses no result
+    of a finished run.  At the end of the batch, the file is replaced by one with the runs in order.
+    A full disk leaves the results of the runs before.  Raises ``OSError`` if the file cannot be
+    written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._is_csv = path.suffix.lower() == ".csv"
+        self._path = path
+        self._file = path.open("wb", buffering=0)
+        self._runs: list[Run] = []
+
+    def __enter__(self) -> ResultFile:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._file.close()
+        runs = sorted(self._runs, key=lambda run: run.number)
+        text = _csv_text(runs, heading=True) if self._is_csv else runs_as_json(runs) + "\n"
+        atomic_file.write_file(self._path, text)
+
+    def append(self, run: Run) -> None:
+        """Appends the result of a finished run to the file."""
+        self._runs.append(run)
+        if self._is_csv:
+            text = _csv_text([run], heading=len(self._runs) == 1)
+        else:
+            text = json.dumps(finite(run.as_json()), ensure_ascii=False) + "\n"
+        with atomic_file.errors_with_name(self._path):
+            atomic_file.append_whole(self._file.fileno(), text.encode())
+
+
+def _csv_text(runs: Sequence[Run], *, heading: bool) -> str:
+    """Returns one CSV line for each robot of each run.
+
+    The columns of the CSV file are the varied values, all metrics in SI units, the verdict and the
+    hash of the run.
+    """
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    if heading and runs:
+        verdict = ("simulated", "passed", "hash", "faults")
+        writer.writerow(["run", "robot", *runs[0].values, *metric_units(), *verdict])
+    for run in runs:
+        values = [_value_text(value) for value in run.values.values()]
+        for robot, metrics in _metrics_by_robot(run):
+            numbers = [f"{metrics[name]:.9g}" if name in metrics else "" for name in metric_units()]
+            result = run.result or {"run": {"simulated": ""}, "hash": ""}
+            simulated, passed = result["run"]["simulated"], str(run.passed).lower()
+            verdict = (simulated, passed, result["hash"], "; ".join(run.errors))
+            writer.writerow([run.number, robot, *values, *numbers, *verdict])
+    return stream.getvalue()
+
+
+def _metrics_by_robot(run: Run) -> Iterator[tuple[str, Mapping[str, float]]]:
+    yield from run.result["metrics"].items() if run.result is not None else [("", {})]
+
+
+def _value_text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+
+
+def _short_text(value: Any) -> str:
+    """Returns a value as text, with at most six significant digits for a float.
+
+    Without rounding, a random value would have up to 17 digits.
+    """
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    text = _value_text(value)
+    number, _, unit = text.partition(" ")
+    try:
+        return f"{float(number):.6g} {unit}".rstrip() if len(number) > 8 else text
+    except ValueError:
+        return text

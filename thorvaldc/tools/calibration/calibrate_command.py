@@ -36,21 +36,15 @@ def calibrate(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli.compiling import compile_and_show
-    from thorvaldc.cli.diagnostic_output import (
-        message,
-        print_json,
-        report_of,
-        show_report,
-        table_width,
-    )
-    from thorvaldc.diagnostics import DiagnosticError, Report
+    from thorvaldc.cli import compiling, diagnostic_output
+    from thorvaldc.diagnostics import Report
+    from thorvaldc.diagnostics.report import DiagnosticError
     from thorvaldc.model import Robot
     from thorvaldc.runtime.run_time_parameters import Parameters as DriverParameters
     from thorvaldc.simulation.records.joint_csv import read_log
 
     metres = _parse_distance(distance) if distance else None
-    compilation = compile_and_show(robot, library, trust=trust)
+    compilation = compiling.compile_and_show(robot, library, trust=trust)
     model = compilation.model
     if model is None:
         return INPUT
@@ -59,10 +53,11 @@ def calibrate(
     try:
         DriverParameters.from_robot(model, parameters or None)
     except DiagnosticError as error:
-        return show_report(compilation.located(report_of(error)), compilation.sources)
+        return diagnostic_output.show_report(
+            compilation.located(diagnostic_output.report_of(error)), compilation.sources
+        )
     # The calibration module is imported only in this command, because it imports numpy.
-    from thorvaldc.tools.calibration.calibration_file import overlay_text, write_calibration
-    from thorvaldc.tools.calibration.calibration_text import as_json, table
+    from thorvaldc.tools.calibration import calibration_file
     from thorvaldc.tools.calibration.self_calibration import calibrate as estimate
 
     report = Report()
@@ -70,22 +65,26 @@ def calibrate(
     result = None
     if joint_log is not None:
         result = estimate(model, joint_log, report, metres, log, parameters or None)
-    status = show_report(report, compilation.sources | {log: Path(log)})
+    status = diagnostic_output.show_report(report, compilation.sources | {log: Path(log)})
     if result is None:
         return status
     if json:
-        print_json(as_json(result))
+        diagnostic_output.print_json(calibration_file.as_json(result))
     else:
-        print(table(result, table_width()))
+        print(calibration_file.table(result, diagnostic_output.table_width()))
     if output and status == DONE:
         if not result.determines_anything:
-            message(f"{output} is not written: the log determines nothing")
+            diagnostic_output.message(f"{output} is not written: the log determines nothing")
             return INPUT
         try:
-            write_calibration(Path(output), overlay_text(result, Path(robot)))
+            calibration_file.write_calibration(
+                Path(output), calibration_file.overlay_text(result, Path(robot))
+            )
         except FileExistsError as error:
             raise OutsideError(str(error)) from None
-        message(f"{output}: include it in {robot} by `calibration: {Path(output).name}`")
+        diagnostic_output.message(
+            f"{output}: include it in {robot} by `calibration: {Path(output).name}`"
+        )
     return status
 
 

@@ -11,8 +11,8 @@ from thorvaldc.model import Robot
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.se2 import ORIGIN, Twist
-from thorvaldc.tools.calibration.error_correlation import estimate_correlation, random_spread
-from thorvaldc.tools.calibration.log_intervals import MIN_SPEED, Array, Ticks
+from thorvaldc.tools.calibration import calibration_log
+from thorvaldc.tools.calibration.calibration_log import Array, Ticks
 
 MAX_OFFSET, MAX_RATIO = math.radians(45.0), 0.2
 """Largest plausible errors of a steering offset (rad) and of a wheel radius (relative).
@@ -359,12 +359,16 @@ class Solver:
         for group in (slice(None, m), slice(m, None)):
             residuals = fit.residuals[:, group]
             redundancy = float(np.sum(fit.redundancy[group]))
-            correlation = estimate_correlation(times, residuals, fit.weights, redundancy)
+            correlation = calibration_log.estimate_correlation(
+                times, residuals, fit.weights, redundancy
+            )
             variance = 1.0
             if redundancy > 1e-6:
                 squares = float(np.sum(fit.weights[:, None] * residuals**2))
                 variance = squares / (float(np.sum(fit.weights)) * redundancy)
-            spread = spread + variance * random_spread(times, gradients[:, group], correlation)
+            spread = spread + variance * calibration_log.random_spread(
+                times, gradients[:, group], correlation
+            )
             sample_times.append(max(variance * correlation.time_per_sample(dt), 1e-3))
             lasting += [correlation.lasting] * residuals.shape[1]
         shares, per_share = self._shares(fit)
@@ -421,7 +425,7 @@ class Solver:
         is an angle in rad.  The weighted residual is the product of the conversion factor and the
         residual in physical units.
         """
-        speed = np.maximum(np.hypot(*self._ground(fit.twists)), MIN_SPEED)
+        speed = np.maximum(np.hypot(*self._ground(fit.twists)), calibration_log.MIN_SPEED)
         speed = np.concatenate([speed[:, self.roll], speed[:, self.point]], 1)
         per_share: Array = speed / fit.sigmas[:, : speed.shape[1]]
         return fit.residuals[:, : speed.shape[1]] / per_share, per_share

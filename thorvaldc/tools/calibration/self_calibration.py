@@ -24,9 +24,9 @@ steering motors may hold the wheels at wrong angles.
 
 Ticks without motion of the robot are left out.  Ticks with wheel slip get a small weight (Geman and
 McClure).  Measurement errors in successive ticks are correlated.  The random standard errors of the
-parameters follow from the autocorrelation of the residuals (see ``error_correlation``).  The
+parameters follow from the autocorrelation of the residuals (see ``calibration_log``).  The
 systematic standard errors follow from the lasting part of the residuals.  For values that are not
-settled, ``settling_log`` plans the motions of a better log.
+settled, ``calibration_log`` plans the motions of a better log.
 
 This module imports numpy.  To avoid a slow import of numpy, other modules import
 ``self_calibration`` only inside functions.
@@ -46,23 +46,11 @@ from thorvaldc.model.spatial import float_sum
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.simulation.records.joint_csv import JointLog
-from thorvaldc.tools.calibration.calibration_solver import (
-    MAX_OFFSET_ERROR,
-    MAX_RATIO,
-    MAX_RATIO_ERROR,
-    Solution,
-    Solver,
-    encoder_offset,
-)
-from thorvaldc.tools.calibration.log_intervals import Array, Ticks
-from thorvaldc.tools.calibration.settling_log import (
-    PlannedMotion,
-    plan_motions,
-    plan_text,
-    steady_motions,
-)
+from thorvaldc.tools.calibration import calibration_log, calibration_solver
+from thorvaldc.tools.calibration.calibration_log import Array, Ticks
+from thorvaldc.tools.calibration.calibration_solver import Solution, Solver
 
-MotionPlan = tuple[PlannedMotion, ...] | None
+MotionPlan = tuple[calibration_log.PlannedMotion, ...] | None
 
 MIN_MOVING_TIME = 5.0
 """The robot must move for at least this time (s) in a joint log."""
@@ -309,13 +297,13 @@ def _wheel_calibrations(
     wheels: list[WheelCalibration] = []
     for i, wheel in enumerate(BaseGeometry.from_robot(robot).wheels):
         offset = ratio = radius = None
-        present = encoder_offset(robot, i)
+        present = calibration_solver.encoder_offset(robot, i)
         if wheel.steered:
             offset = _estimate(
                 float(solution.offsets[i]),
                 present,
                 (float(solution.random.offsets[i]), float(solution.systematic.offsets[i])),
-                MAX_OFFSET_ERROR,
+                calibration_solver.MAX_OFFSET_ERROR,
                 usable=not solution.consistent,
             )
         if wheel.encoder and not wheel.swivel:
@@ -324,7 +312,7 @@ def _wheel_calibrations(
                 value,
                 1.0,
                 (float(solution.random.ratios[i]), float(solution.systematic.ratios[i])),
-                MAX_RATIO_ERROR,
+                calibration_solver.MAX_RATIO_ERROR,
                 usable=not forced,
             )
             radius = wheel.radius * (value if ratio.determined else 1.0)
@@ -404,8 +392,8 @@ def _plans(
     offsets = [None if solution.consistent else wheel.offset for wheel in wheels]
     ratios = [None if forced else wheel.ratio for wheel in wheels]
     for rows, estimates, systematic, limit in (
-        (offset_rows, offsets, solution.systematic.offsets, MAX_OFFSET_ERROR),
-        (ratio_rows, ratios, solution.systematic.ratios, MAX_RATIO_ERROR),
+        (offset_rows, offsets, solution.systematic.offsets, calibration_solver.MAX_OFFSET_ERROR),
+        (ratio_rows, ratios, solution.systematic.ratios, calibration_solver.MAX_RATIO_ERROR),
     ):
         open_wheels = [
             i
@@ -418,7 +406,7 @@ def _plans(
         if candidates is None:
             candidates = [
                 (motion.description, information)
-                for motion in steady_motions(robot, solver.lever)
+                for motion in calibration_log.steady_motions(robot, solver.lever)
                 for information in [
                     Solver(
                         robot, Ticks.steady(motion.speeds, motion.angles)
@@ -427,7 +415,9 @@ def _plans(
                 if np.all(np.isfinite(information))
             ]
         limits = limit**2 - np.square(systematic[open_wheels])
-        plans.append(plan_motions(solution.covariance, rows[open_wheels], limits, candidates))
+        plans.append(
+            calibration_log.plan_motions(solution.covariance, rows[open_wheels], limits, candidates)
+        )
     return plans[0], plans[1]
 
 
@@ -478,7 +468,7 @@ def _scale(
         scale *= math.exp(step)
         if abs(step) < 1e-9 or not 0.5 < scale < 2.0:
             break
-    if growth < _MIN_GROWTH or abs(scale - 1.0) > MAX_RATIO:
+    if growth < _MIN_GROWTH or abs(scale - 1.0) > calibration_solver.MAX_RATIO:
         hint = "give the straight distance of base_link between the log's first and last line"
         if growth < _MIN_GROWTH:
             hint = "drive straight on, 10 m or more: turns hide the scale"
@@ -517,7 +507,7 @@ def _report_open_values(result: CalibrationResult, span: Span | None, report: Re
         )
     else:
         offsets = [(w.name, w.offset) for w in result.wheels]
-        limit = (math.degrees(MAX_OFFSET_ERROR), "deg")
+        limit = (math.degrees(calibration_solver.MAX_OFFSET_ERROR), "deg")
         scaled = {name: math.degrees(e.error) for name, e in offsets if e is not None}
         _report_unsettled(
             "steering offset", offsets, scaled, limit, slips, span, report, result.offset_plan
@@ -533,7 +523,7 @@ def _report_open_values(result: CalibrationResult, span: Span | None, report: Re
         )
     else:
         ratios = [(w.name, w.ratio) for w in result.wheels]
-        limit = (100.0 * MAX_RATIO_ERROR, "%")
+        limit = (100.0 * calibration_solver.MAX_RATIO_ERROR, "%")
         scaled = {name: 100.0 * e.error for name, e in ratios if e is not None}
         _report_unsettled("radius", ratios, scaled, limit, "", span, report, result.ratio_plan)
 
@@ -571,7 +561,8 @@ def _report_unsettled(
     if plan is None:
         hints.append("no motions of this robot settle it without an external measurement")
     elif plan:
-        hints.append(f"a log with a further {plan_text(plan)} settles it (+-{largest:g} {unit})")
+        motions = calibration_log.plan_text(plan)
+        hints.append(f"a log with a further {motions} settles it (+-{largest:g} {unit})")
     else:
         hints.append("a longer log does not settle it: the errors last; use level, firm ground")
     report.add(

@@ -3,8 +3,10 @@
 from thorvaldc.tool_folders import CommandEntry
 
 COMMANDS = (
-    CommandEntry("diff", "diff_command:diff", "Compare two robots, builds or git revisions."),
     CommandEntry(
-        "info", "info_command:info", "Show size, loads, limits, wiring and parts of a robot."
+        "diff", "comparison_commands:diff", "Compare two robots, builds or git revisions."
+    ),
+    CommandEntry(
+        "info", "comparison_commands:info", "Show size, loads, limits, wiring and parts of a robot."
     ),
 )

@@ -5,7 +5,7 @@ from thorvaldc.tool_folders import CommandEntry
 COMMANDS = (
     CommandEntry(
         "demo",
-        "demo_command:demo",
+        "demo:demo",
         "Build robots, drive each in simulation, print a table.",
         hidden=True,
     ),

@@ -5,23 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 from thorvaldc.can.canopen import NMT, SYNC, NmtCommand
-from thorvaldc.model import Bus, FrameDefinition, Node, ObjectValue, Robot
+from thorvaldc.model import Robot, bus_faults, stopping
+from thorvaldc.model.bus import Bus, FrameDefinition, Node, ObjectValue
 from thorvaldc.model.bus_timing import reading_time, required_objects
 from thorvaldc.model.scenario import FRAME_FORMATS
 from thorvaldc.model.statics.slope import roll_out
-from thorvaldc.model.stopping import (
-    COMMAND_TIMEOUT,
-    DETECTED_FAULT,
-    DRIVE_DEAD,
-    DRIVER_DEAD,
-    HEARTBEAT_TIMEOUT,
-    stop_bounds,
-    swerve_bounds,
-)
 from thorvaldc.runtime.can_base.motor_controller import controller_class
 from thorvaldc.tools.fault_matrix.rehearsal import Rehearsal
 
@@ -63,8 +54,8 @@ class Evidence:
     moving: Frames = field(default_factory=dict)
 
 
-Injection = Callable[[Rehearsal, str, Evidence], None]
-"""Function that injects a fault into a rehearsal in a phase."""
+Injection = Callable[[Rehearsal], None]
+"""Function that injects a fault into a rehearsal."""
 
 
 @dataclass(frozen=True)
@@ -138,15 +129,15 @@ class _Target:
         self.robot, self.bus, self.node = robot, bus, node
         self.drives = node.protocol
         self.cycle = min(b.sync_period for b in robot.buses)
-        bounds = {bound.kind: bound for bound in stop_bounds(robot)}
+        bounds = {bound.kind: bound for bound in stopping.stop_bounds(robot)}
         heartbeats = [f.period for f in self._sent("heartbeat") if f.period]
-        self.prompt = bounds[DETECTED_FAULT].reaction + self.cycle
-        self.beats = HEARTBEAT_TIMEOUT * max(heartbeats, default=0.0) + self.prompt
-        self.silence = bounds[DRIVE_DEAD].reaction
+        self.prompt = bounds[stopping.DETECTED_FAULT].reaction + self.cycle
+        self.beats = stopping.HEARTBEAT_TIMEOUT * max(heartbeats, default=0.0) + self.prompt
+        self.silence = bounds[stopping.DRIVE_DEAD].reaction
         # Motors that coast after the watchdog have no bound.
-        coasts = math.isinf(bounds[DRIVER_DEAD].time)
-        self.watchdog = math.inf if coasts else bounds[DRIVER_DEAD].reaction
-        self.timeout = bounds[COMMAND_TIMEOUT].reaction
+        coasts = math.isinf(bounds[stopping.DRIVER_DEAD].time)
+        self.watchdog = math.inf if coasts else bounds[stopping.DRIVER_DEAD].reaction
+        self.timeout = bounds[stopping.COMMAND_TIMEOUT].reaction
         self.reading = reading_time(bus, self.cycle) + self.prompt
 
     def _sent(self, kind: str) -> list[FrameDefinition]:
@@ -209,15 +200,10 @@ class _Target:
         return self.on_node(self.node.name, kind, **values)
 
     def on_node(self, node: str | None, kind: str, **values: Any) -> Injection:
-        bus = self.bus.name
-
-        def inject(rehearsal: Rehearsal, phase: str, evidence: Evidence) -> None:
-            rehearsal.inject(kind, bus, node, **values)
-
-        return inject
+        return lambda rehearsal: rehearsal.inject(kind, self.bus.name, node, **values)
 
     def forged(
-        self, cob_id: int, data: bytes, period: float = 0.0, form: str = FRAME_FORMATS[0]
+        self, cob_id: int, data: bytes, period: float = 0.0, form: str = bus_faults.FRAME_FORMATS[0]
     ) -> Injection:
         values = {"cob_id": cob_id, "data": data, "period": period, "format": form}
         return self.on_node(None, "forged_frames", **values)
@@ -230,9 +216,8 @@ class _Target:
         """
         bus = self.bus.name
 
-        def inject(rehearsal: Rehearsal, phase: str, evidence: Evidence) -> None:
-            frames = evidence.at_rest if phase in (START, DRIVING) else evidence.moving
-            data = frames.get((bus, frame.cob_id), bytes(frame.length))
+        def inject(rehearsal: Rehearsal) -> None:
+            data = rehearsal.other_frames.get((bus, frame.cob_id), bytes(frame.length))
             rehearsal.inject("forged_frames", bus, cob_id=frame.cob_id, data=data, period=period)
 
         return inject
@@ -289,7 +274,7 @@ def _object_cases(target: _Target) -> Iterator[FaultCase]:
     def written(*changes: tuple[str, ObjectValue, int]) -> Injection:
         bus = target.bus.name
 
-        def inject(rehearsal: Rehearsal, phase: str, evidence: Evidence) -> None:
+        def inject(rehearsal: Rehearsal) -> None:
             for node, entry, value in changes:
                 key = {"index": entry.index, "subindex": entry.subindex}
                 rehearsal.inject("object_written", bus, node, **key, value=value)
@@ -341,36 +326,20 @@ def _identity_cases(target: _Target) -> Iterator[FaultCase]:
 def _encoder_cases(target: _Target) -> Iterator[FaultCase]:
     case, device = target.case, target.device
     wheel, steering = target.channel("propulsion"), target.channel("steering")
-    driving = (IDLE, *MOVING_PHASES)
+    armed = (IDLE, *MOVING_PHASES)
     if wheel is not None:
-        yield case(
-            "encoder of a wheel freezes",
-            device("frozen_encoder", channel=wheel),
-            {DRIVING: FROZEN_WHEEL},
-            phases=driving,
-            observed=2.0,
-        )
-        yield case(
-            "a wheel is blocked",
-            device("blocked_motor", channel=wheel),
-            {DRIVING: FROZEN_WHEEL},
-            phases=driving,
-            observed=2.0,
-        )
+        more: dict[str, Any] = {"phases": armed, "observed": 2.0}
+        for name, kind in (
+            ("encoder of a wheel freezes", "frozen_encoder"),
+            ("a wheel is blocked", "blocked_motor"),
+        ):
+            yield case(name, device(kind, channel=wheel), {DRIVING: FROZEN_WHEEL}, **more)
     if steering is not None:
-        yield case(
-            "encoder of a steering freezes",
-            device("frozen_encoder", channel=steering),
-            {DRIVING: FROZEN_STEERING},
-            phases=driving,
-            observed=2.6,
-        )
-        yield case(
-            "encoder of a steering jumps by 0.5 rad",
-            device("encoder_jump", channel=steering, angle=0.5),
-            target.prompt,
-            phases=driving,
-        )
+        frozen = device("frozen_encoder", channel=steering)
+        limit = {DRIVING: FROZEN_STEERING}
+        yield case("encoder of a steering freezes", frozen, limit, phases=armed, observed=2.6)
+        jump = device("encoder_jump", channel=steering, angle=0.5)
+        yield case("encoder of a steering jumps by 0.5 rad", jump, target.prompt, phases=armed)
 
 
 def _disobedience_cases(target: _Target) -> Iterator[FaultCase]:
@@ -427,7 +396,7 @@ def _forgery_cases(target: _Target) -> Iterator[FaultCase]:
     if target.command is not None:
         other = target.repeated(target.command, target.command.period or cycle)
         yield case("another master sends commands to a drive", other, target.silence)
-        for form in FRAME_FORMATS[1:]:
+        for form in bus_faults.FRAME_FORMATS[1:]:
             frames = target.forged(target.command.cob_id, bytes(8), cycle, form)
             yield case(f"{form} frames with the id of a command", frames, None)
     if target.report is not None:
@@ -447,15 +416,12 @@ def _bus_cases(target: _Target) -> Iterator[FaultCase]:
         rolls_out=True,
         observed=min(roll_out(target.robot).time + 1.0, LONGEST_ROLL),
     )
-    if swerve_bounds(target.robot):
+    if stopping.swerve_bounds(target.robot):
         name = target.bus.name
-
-        def lose(rehearsal: Rehearsal, phase: str, evidence: Evidence) -> None:
-            rehearsal.lose_bus(name)
-
         # The wheels of the other buses stop together with those of the lost bus.
         more: dict[str, Any] = {"phases": (IDLE, *MOVING_PHASES), "braking": target.watchdog}
-        yield case(f"the driver loses the bus {name} of several", lose, prompt, **more)
+        lost = f"the driver loses the bus {name} of several"
+        yield case(lost, lambda rehearsal: rehearsal.lose_bus(name), prompt, **more)
         silent = target.on_node(None, "lost_frames", share=1.0)
         yield case(f"the bus {name} of several is silent", silent, target.silence, **more)
     yield case("one frame in ten is destroyed", target.on_node(None, "noise", share=0.1), None)
@@ -505,20 +471,29 @@ def _battery_cases(target: _Target) -> Iterator[FaultCase]:
 
 def _program_cases(target: _Target) -> Iterator[FaultCase]:
     case, prompt, watchdog = target.case, target.prompt, target.watchdog
-    timeout = target.timeout
+
+    def stalls(seconds: float) -> Injection:
+        return lambda rehearsal: rehearsal.stall(seconds)
+
+    def client_ends(rehearsal: Rehearsal) -> None:
+        rehearsal.stall(0.2)
+        rehearsal.close_client()
+        rehearsal.stall(0.5)
+
     for seconds in (0.05, 0.2, 0.55, 0.7, 1.0, 5.0):
+        detected = seconds + target.cycle + prompt
         yield case(
             f"driver stalls for {seconds:g} s",
-            partial(_stall, seconds),
-            {DRIVING: seconds + target.cycle + prompt},
+            stalls(seconds),
+            {DRIVING: detected},
             starts_at=1.0,
             by_ramp=True,
-            braking=min(seconds + target.cycle + prompt, watchdog),
+            braking=min(detected, watchdog),
             observed=seconds + 1.0,
         )
     yield case(
         "driver stalls for 0.7 s, client ends meanwhile",
-        partial(_stall, 0.7, client_ends=0.2),
+        client_ends,
         {DRIVING: 0.7 + target.cycle + prompt},
         phases=MOVING_PHASES,
         braking=watchdog,
@@ -526,51 +501,14 @@ def _program_cases(target: _Target) -> Iterator[FaultCase]:
     )
     yield case(
         "driver process killed",
-        _kill,
+        Rehearsal.kill_driver,
         None,
         phases=PHASES[1:],
         braking=watchdog,
         must_stop=True,
         observed=1.5,
     )
-    yield case(
-        "client hangs",
-        _silence,
-        {DRIVING: timeout},
-        phases=MOVING_PHASES,
-        by_ramp=True,
-        observed=1.5,
-    )
-    yield case(
-        "connection of the client closed",
-        _close,
-        {DRIVING: timeout},
-        phases=MOVING_PHASES,
-        by_ramp=True,
-        observed=1.5,
-    )
-
-
-def _stall(
-    seconds: float, rehearsal: Rehearsal, phase: str, evidence: Evidence, client_ends: float = 0.0
-) -> None:
-    if client_ends:
-        rehearsal.stall(client_ends)
-        if rehearsal.client is not None:
-            rehearsal.client.close()
-    rehearsal.stall(seconds - client_ends)
-
-
-def _kill(rehearsal: Rehearsal, phase: str, evidence: Evidence) -> None:
-    rehearsal.kill_driver()
-
-
-def _silence(rehearsal: Rehearsal, phase: str, evidence: Evidence) -> None:
-    rehearsal.weave = None
-    if rehearsal.client is not None:
-        rehearsal.client.twist = None
-
-
-def _close(rehearsal: Rehearsal, phase: str, evidence: Evidence) -> None:
-    if rehearsal.client is not None:
-        rehearsal.client.close()
+    client: dict[str, Any] = {"phases": MOVING_PHASES, "by_ramp": True, "observed": 1.5}
+    yield case("client hangs", Rehearsal.silence_client, {DRIVING: target.timeout}, **client)
+    closed = "connection of the client closed"
+    yield case(closed, Rehearsal.close_client, {DRIVING: target.timeout}, **client)

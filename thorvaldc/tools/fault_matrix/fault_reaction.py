@@ -12,21 +12,9 @@ from thorvaldc.model.spatial import float_sum
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.pace import NORMAL_PERIODS
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.tools.fault_matrix.fault_cases import (
-    DRIVING,
-    IDLE,
-    MOVING_PHASES,
-    START,
-    STOPPING,
-    Evidence,
-    FaultCase,
-)
-from thorvaldc.tools.fault_matrix.rehearsal import (
-    FRESH,
-    Rehearsal,
-    RehearsalError,
-    Weave,
-)
+from thorvaldc.tools.fault_matrix import fault_cases
+from thorvaldc.tools.fault_matrix.fault_cases import Evidence, FaultCase
+from thorvaldc.tools.fault_matrix.rehearsal import FRESH, Rehearsal, RehearsalError, Weave
 
 AT_REST = 0.01
 """Speed (m/s) of a wheel at the ground below which it stands."""
@@ -93,12 +81,12 @@ def advance(rehearsal: Rehearsal, phase: str, twist: Twist) -> None:
     The phase before ``idle`` is a robot without power.  Raises ``RehearsalError`` if the robot does
     not become ready or does not drive.
     """
-    if phase == IDLE:
+    if phase == fault_cases.IDLE:
         rehearsal.power_on()
         rehearsal.become_ready()
         rehearsal.connect()
         rehearsal.arm()
-    elif phase == DRIVING:
+    elif phase == fault_cases.DRIVING:
         # The drive ends where the curve changes its side, so that the steering joints turn.
         settings = rehearsal.driven.driver.settings
         seconds = 2.0 * twist.wz / settings.max_angular_acceleration + STEADY
@@ -109,7 +97,7 @@ def advance(rehearsal: Rehearsal, phase: str, twist: Twist) -> None:
             raise RehearsalError(
                 f"the robot does not drive: {rehearsal.state.value} {rehearsal.reason}".rstrip()
             )
-    elif phase == STOPPING:
+    elif phase == fault_cases.STOPPING:
         rehearsal.weave = None
         rehearsal.connect(ZERO_TWIST)
         rehearsal.run(0.1)
@@ -121,15 +109,18 @@ def react(rehearsal: Rehearsal, case: FaultCase, phase: str, evidence: Evidence)
     In the phase ``start-up`` the rehearsal has no power yet, and the client commands the top speed
     from the first cycle on, as a joystick does that is deflected.
     """
-    if phase == START:
+    if phase == fault_cases.START:
         rehearsal.connect(top_twist(rehearsal.robot))
         rehearsal.power_on()
         rehearsal.run(case.starts_at)
-    observed = LONGEST_START if phase == START else case.observed
+    observed = LONGEST_START if phase == fault_cases.START else case.observed
+    # A robot at rest gets frames of the moving robot, and the reverse.
+    at_rest = phase not in (fault_cases.START, fault_cases.DRIVING)
+    rehearsal.other_frames = evidence.moving if at_rest else evidence.at_rest
     observation = _Observation(rehearsal, phase, observed)
     rehearsal.observe = observation.observe
     try:
-        case.inject(rehearsal, phase, evidence)
+        case.inject(rehearsal)
     except ValueError:  # the simulated device of another package cannot have the fault
         return Reaction(NOT_SIMULATED, None, "", None, None, observation.speed, 0.0)
     observation.observe()
@@ -231,7 +222,7 @@ class _Observation:
             "estop": state is BaseState.ESTOP,
             "disarmed": self._was_armed and not rehearsal.driven.armed,
         }
-        if self.phase == DRIVING:
+        if self.phase == fault_cases.DRIVING:
             present["stops"] = driver.commanded_twist == ZERO_TWIST
             self._ramped.append(driver.ramped.speed)
             fastest = max(self._ramped) if len(self._ramped) == self._ramped.maxlen else math.inf
@@ -252,7 +243,7 @@ class _Observation:
         """Returns whether nothing more is expected."""
         now = self.rehearsal.now - self.start
         times = [self.times[name] for name in STOPS if name in self.times]
-        if self.phase == START and self._ready_at is not None:
+        if self.phase == fault_cases.START and self._ready_at is not None:
             times.append(self._ready_at)
         if not times and now >= self.observed:
             return self._rest is not None or self._authority
@@ -262,10 +253,10 @@ class _Observation:
 
     def reaction(self) -> Reaction:
         name = next((name for name in _ORDER if name in self.times), "continues")
-        if self.phase == START and name not in STOPS:
+        if self.phase == fault_cases.START and name not in STOPS:
             name = "ready" if self._ready_at is not None else "waits"
         after = self._ready_at if name == "ready" else self.times.get(name)
-        moves = self.phase in MOVING_PHASES
+        moves = self.phase in fault_cases.MOVING_PHASES
         rest_time, distance = self._rest if self._rest is not None else (math.nan, math.nan)
         return Reaction(
             name,

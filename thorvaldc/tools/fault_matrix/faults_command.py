@@ -24,18 +24,16 @@ def faults(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli.diagnostic_output import message, print_json, report_of, table_width
+    from thorvaldc.cli import diagnostic_output, robot_file
     from thorvaldc.cli.progress import Progress
-    from thorvaldc.cli.robot_file import load_robot
-    from thorvaldc.diagnostics import DiagnosticError
+    from thorvaldc.diagnostics.report import DiagnosticError
     from thorvaldc.simulation.worker_processes import processors
-    from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix
-    from thorvaldc.tools.fault_matrix.fault_table import markdown, matrix_json
+    from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix, markdown, matrix_json
     from thorvaldc.tools.fault_matrix.rehearsal import RehearsalError
 
     processes = options.parse_count(jobs, "--jobs", 1) or processors()
     number = options.parse_seed(seed) or 0
-    loaded = load_robot(file, library, trust)
+    loaded = robot_file.load_robot(file, library, trust)
     if loaded is None:
         return INPUT
     gc.enable()
@@ -53,12 +51,12 @@ def faults(
         finally:
             progress.clear()
     except DiagnosticError as error:
-        return loaded.show(report_of(error))
+        return loaded.show(diagnostic_output.report_of(error))
     except RehearsalError as error:
-        message(f"error: {file}: {error}")
+        diagnostic_output.message(f"error: {file}: {error}")
         return INPUT
     if json:
-        print_json(matrix_json(matrix, rows, file))
+        diagnostic_output.print_json(matrix_json(matrix, rows, file))
     else:
-        print("\n".join(markdown(matrix, rows, file, table_width())))
+        print("\n".join(markdown(matrix, rows, file, diagnostic_output.table_width())))
     return DONE if all(row.passed for row in rows) else INPUT

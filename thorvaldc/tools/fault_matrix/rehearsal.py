@@ -18,7 +18,7 @@ import math
 import os
 import socket
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -119,6 +119,7 @@ class Rehearsal:
     - ``observe``: function that is called after each control cycle, and also in each period in
       which the base driver does not run.
     - ``frames``: data of the newest frame by name of the bus and COB-ID.
+    - ``other_frames``: data of frames from another time, which forged frames repeat.
     """
 
     def __init__(self, robot: Robot, *, parameters: str | None = None, seed: int = 0) -> None:
@@ -138,6 +139,7 @@ class Rehearsal:
         self.longest_gap = 0.0
         """Longest time (s) between two control cycles since the last call of ``forget``."""
         self.frames: dict[tuple[str, int], bytes] = {}
+        self.other_frames: Mapping[tuple[str, int], bytes] = {}
         self._server: ControlServer | None = None
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._last_cycle = math.nan
@@ -310,6 +312,16 @@ class Rehearsal:
         """Puts the CAN controller of the base driver off the bus."""
         self._interfaces[bus].controller.go_bus_off()
 
+    def silence_client(self) -> None:
+        """Lets the client send nothing more; its connection stays open."""
+        self.weave = None
+        if self.client is not None:
+            self.client.twist = None
+
+    def close_client(self) -> None:
+        if self.client is not None:
+            self.client.close()
+
     def kill_driver(self) -> None:
         """Ends the base driver without a last frame, as the signal SIGKILL does."""
         self.driver_killed = True
@@ -317,8 +329,7 @@ class Rehearsal:
 
     def close(self) -> None:
         """Closes the client and the control channel."""
-        if self.client is not None:
-            self.client.close()
+        self.close_client()
         if self._server is not None:
             self._server.close()
         if self._folder is not None:

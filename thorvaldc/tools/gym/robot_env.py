@@ -20,15 +20,165 @@ from numpy.typing import NDArray
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.scenario import Scenario
+from thorvaldc.runtime.base_interface import JointCommands, JointStates
+from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, TwistEstimate
+from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.run_time_parameters import Parameters
-from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
+from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Pose2, Twist
 from thorvaldc.simulation.control_loop import ControlLoop, Manoeuvre, Sample, Segment
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import CollisionCounter, MujocoScene
 from thorvaldc.simulation.physics.scenario_base import ScenarioBase
-from thorvaldc.tools.gym.joint_actions import DirectCommands, JointActions
-from thorvaldc.tools.gym.observation_bounds import observation_bounds
+
+if TYPE_CHECKING:
+    from thorvaldc.simulation.pictures.render import BoundingBoxes
+
+
+Array = NDArray[np.float64]
+
+_STOPPING_TIME = 0.15
+"""Time constant (s) with which a commanded steering angle approaches its target."""
+
+
+class JointActions:
+    """Converts an action of a Gymnasium environment to joint commands.
+
+    Each value of an action is between -1 and 1.  The first values of an action are the speeds of
+    the driven wheels, and the other values are the angles of the steered wheels.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        n = len(robot.wheels)
+        self.commands = JointCommands([0.0] * n, [0.0] * n)
+        # ``driven`` has (wheel, largest speed in rad/s) for each driven wheel.  ``steered`` has
+        # (wheel, scale, lower limit, upper limit) in rad for each steered wheel.
+        self.driven: list[tuple[int, float]] = []
+        self.steered: list[tuple[int, float, float, float]] = []
+        for i, wheel in enumerate(robot.wheels):
+            motor = robot.actuator_of(wheel.spin_joint)
+            if wheel.driven and motor is not None:
+                self.driven.append((i, motor.max_velocity))
+            if wheel.steering_joint is not None:
+                joint = robot.joint(wheel.steering_joint)
+                lower = -math.inf if joint.lower is None else joint.lower
+                upper = math.inf if joint.upper is None else joint.upper
+                scale = max(abs(lower), abs(upper))
+                scale = scale if math.isfinite(scale) else math.pi
+                self.steered.append((i, scale, lower, upper))
+
+    def reset(self) -> None:
+        """Sets all joint commands to zero."""
+        n = len(self.commands.speeds)
+        self.commands.speeds, self.commands.angles = [0.0] * n, [0.0] * n
+
+    def set(self, action: Array) -> None:
+        """Sets the joint commands to the values of an action."""
+        speeds, angles = list(self.commands.speeds), list(self.commands.angles)
+        values = action.tolist()
+        for (i, largest), value in zip(self.driven, values, strict=False):
+            speeds[i] = value * largest
+        for (i, scale, lower, upper), value in zip(
+            self.steered, values[len(self.driven) :], strict=True
+        ):
+            angles[i] = min(max(value * scale, lower), upper)
+        self.commands.speeds, self.commands.angles = speeds, angles
+
+
+class DirectCommands(BaseCalculator):
+    """A base calculator that returns the joint commands of an action for every twist.
+
+    The base calculator ``odometer`` computes the odometry.
+    """
+
+    name = "direct"
+    summary = "joint commands of an environment"
+
+    def __init__(self, odometer: BaseCalculator, commands: JointCommands) -> None:
+        super().__init__(odometer.geometry, odometer.options, odometer.noise)
+        self.estimator = odometer.estimator
+        self._odometer = odometer
+        self._commands = commands
+        self._angles = list(commands.angles)
+
+    def _steer(self, states: JointStates | None, dt: float | None) -> None:
+        """Moves the commanded steering angles towards the angles of the action.
+
+        The rate of a commanded angle is limited to the largest rate of the steering motor, and near
+        the target to the rate from which the motor can stop.  A step of the commanded angle would
+        make the wheel overshoot its steering limit.
+        """
+        for i, wheel in enumerate(self.geometry.wheels):
+            distance = self._commands.angles[i] - self._angles[i]
+            if dt is None or not wheel.steered:
+                step = abs(distance)
+            else:
+                step = min(wheel.max_rate, abs(distance) / _STOPPING_TIME) * dt
+            self._angles[i] += min(max(distance, -step), step)
+
+    def feasible(self, twist: Twist) -> Twist:
+        return twist
+
+    def command(
+        self, twist: Twist, states: JointStates | None = None, dt: float | None = None
+    ) -> BaseCommand:
+        self._steer(states, dt)
+        joints = JointCommands(tuple(self._commands.speeds), tuple(self._angles))
+        return BaseCommand(joints, ZERO_TWIST, ZERO_TWIST, ZERO_TWIST, 1.0, ())
+
+    def odometry(self, states: JointStates) -> TwistEstimate:
+        return self._odometer.odometry(states)
+
+    def reset(self, states: JointStates | None = None) -> None:
+        self._odometer.reset(states)
+
+
+SPEED_MARGIN = 1.5
+"""Largest wheel speed, as a multiple of the largest speed of its motor.
+
+Wheels that work against each other drag a wheel beyond the speed of its motor.
+"""
+ANGLE_MARGIN = 0.1
+"""Largest steering angle beyond a steering limit, rad."""
+
+
+def observation_bounds(
+    robot: Robot, joints: JointActions, start: Pose2, spread: Sequence[float], duration: float
+) -> NDArray[np.float64]:
+    """Returns the largest absolute value of each observation, in SI units.
+
+    - ``start``: start pose of the robot in the scene.
+    - ``spread``: largest random offset of the start pose, in m, m and rad.
+    - ``duration``: duration of an episode, s.
+
+    The twist about the centroid of the wheels is a least-squares fit to wheel speeds of at most V
+    m/s.  Its velocity is at most V, and its yaw rate at most V / L, where L is the root mean square
+    distance of the wheels from the centroid.  The pose is bounded by the twist and the duration.
+    Joints that contradict each other can give a larger estimated twist, which has no meaning.
+    """
+    geometry = BaseGeometry.from_robot(robot)
+    radii = [robot.wheels[i].radius for i, _ in joints.driven]
+    speeds = [SPEED_MARGIN * speed for _, speed in joints.driven]
+    largest = max((r * speed for r, speed in zip(radii, speeds, strict=True)), default=1.0)
+    turning = largest / geometry.length
+    linear = largest + turning * math.hypot(*geometry.centre)
+    distance = math.hypot(spread[0], spread[1]) + linear * duration
+    angles = []
+    for i, _, lower, upper in joints.steered:
+        limit = max(abs(lower), abs(upper)) + ANGLE_MARGIN
+        if not math.isfinite(limit):
+            limit = math.pi + geometry.wheels[i].max_rate * duration
+        angles.append(limit)
+    return np.array(
+        [
+            *(linear, linear, turning),
+            *(abs(start.x) + distance, abs(start.y) + distance),
+            abs(start.yaw) + spread[2] + turning * duration,
+            *speeds,
+            *angles,
+        ]
+    )
+
 
 try:
     import gymnasium
@@ -37,14 +187,10 @@ except ImportError:
         "an environment needs Gymnasium, which is not installed: pip install 'thorvaldc[gym]'"
     ) from None
 
-if TYPE_CHECKING:
-    from thorvaldc.simulation.pictures.render import BoundingBoxes
 
 ACTIONS = ("twist", "joints")
 DURATION = 20.0
 """Default duration of an episode (s)."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from thorvaldc.can.canopen import DriveState, Emergency, NmtState, heartbeat_state, nmt_state_text
+from thorvaldc.can import canopen
 from thorvaldc.can.frame import NANOSECONDS, CanFrame, CanInterface, ReceivedFrame
 from thorvaldc.can.frame_bits import frame_bits
 from thorvaldc.model import Bus, FrameDefinition, Node, Robot, Signal
@@ -195,7 +195,7 @@ class BusMonitor:
             self._start = time
 
     def _note_state(self, time: float, node: str, data: bytes) -> None:
-        if heartbeat_state(data) == NmtState.OPERATIONAL:
+        if canopen.heartbeat_state(data) == canopen.NmtState.OPERATIONAL:
             self._operational_since.setdefault(node, time)
         else:
             self._operational_since.pop(node, None)
@@ -238,7 +238,7 @@ class BusMonitor:
 
     def _emergency(self, time: float, frame: FrameDefinition, data: bytes) -> None:
         try:
-            emergency = Emergency.unpack(data)
+            emergency = canopen.Emergency.unpack(data)
         except ValueError:
             return  # the frame is counted as too short
         self._emergencies.append(
@@ -267,7 +267,7 @@ class BusMonitor:
         }
         for heartbeat in heartbeats:
             if heartbeat.count and heartbeat.data:
-                summary["nmt"] = nmt_state_text(heartbeat_state(heartbeat.data))
+                summary["nmt"] = canopen.nmt_state_text(canopen.heartbeat_state(heartbeat.data))
             timeout = node.heartbeat_timeout
             last = max(heartbeat.time, self._start)
             summary["silent"] = timeout is not None and not now - last <= timeout
@@ -382,7 +382,7 @@ def _drive_states(node: Node, records: list[_FrameRecord]) -> dict[str, str | No
 
 
 def _drive_state(status_word: int) -> str:
-    state = DriveState.of(status_word)
+    state = canopen.DriveState.of(status_word)
     return f"{status_word:#06x}" if state is None else state.name.lower().replace("_", " ")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import math
 import sys
@@ -11,13 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thorvaldc.cli import options
-from thorvaldc.cli.completed_values import bus_interfaces
+from thorvaldc.cli import completed_values, options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 
 if TYPE_CHECKING:
     from thorvaldc.can.frame import CanInterface
-    from thorvaldc.model import Bus, Robot
+    from thorvaldc.model.bus import Bus
 
 LIVE_INTERVAL = 0.25
 INTERVAL = 1.0
@@ -32,7 +32,7 @@ def monitor(
         typer.Option(
             "--bus",
             metavar="BUS",
-            autocompletion=bus_interfaces,
+            autocompletion=completed_values.bus_interfaces,
             help="sim:NAME, slcan:PORT, socketcan:can0, udp, or INTERFACE:CHANNEL of python-can;"
             " for a robot with several buses NAME=BUS.",
         ),
@@ -55,37 +55,38 @@ def monitor(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli.diagnostic_output import report_of
-    from thorvaldc.cli.robot_file import load_robot
-    from thorvaldc.cli.selected_bus import select_bus
-    from thorvaldc.diagnostics import DiagnosticError
+    from thorvaldc.cli import diagnostic_output, robot_file, selected_bus
+    from thorvaldc.diagnostics.report import DiagnosticError
+    from thorvaldc.tools.monitor import monitor_view
     from thorvaldc.tools.monitor.bus_monitor import BusMonitor
-    from thorvaldc.tools.monitor.live_view import watch_live, watch_stream
 
     live = sys.stdout.isatty() and not json
     seconds = options.parse_duration(duration, "--duration", SHORTEST) if duration else math.inf
     period = LIVE_INTERVAL if live else INTERVAL
     if interval:
         period = options.parse_duration(interval, "--interval", SHORTEST)
-    loaded = load_robot(file, library, trust)
+    loaded = robot_file.load_robot(file, library, trust)
     if loaded is None:
         return INPUT
     try:
-        model_bus, interface_name = select_bus(loaded.robot, bus)
+        model_bus, interface_name = selected_bus.select_bus(loaded.robot, bus)
         interface = _open(interface_name, model_bus)
     except DiagnosticError as error:
-        return loaded.show(report_of(error))
+        return loaded.show(diagnostic_output.report_of(error))
     gc.enable()
+    bus_monitor = BusMonitor(loaded.robot, model_bus)
     try:
         if live:
             keys = sys.stdin if sys.stdin.isatty() else None
-            bus_monitor = BusMonitor(loaded.robot, model_bus)
-            watch_live(interface, bus_monitor, period, seconds, keys, sys.stdout)
+            monitor_view.watch_live(interface, bus_monitor, period, seconds, keys, sys.stdout)
         elif json:
-            bus_monitor = BusMonitor(loaded.robot, model_bus)
-            watch_stream(interface, bus_monitor, period, seconds, _print_line)
+            show = functools.partial(diagnostic_output.print_json, one_line=True)
+            monitor_view.watch_stream(interface, bus_monitor, period, seconds, show)
         else:
-            _print_last_page(loaded.robot, model_bus, interface, period, seconds)
+            last: deque[Mapping[str, Any]] = deque(maxlen=1)
+            monitor_view.watch_stream(interface, bus_monitor, period, seconds, last.append)
+            summary = last[0] if last else bus_monitor.summary(interface.now)
+            print("\n".join(monitor_view.monitor_lines(summary)))
     except ConnectionError as error:
         raise OutsideError(f"the CAN interface is lost: {error}") from None
     finally:
@@ -103,23 +104,3 @@ def _open(name: str, bus: Bus) -> CanInterface:
             param_hint="'--bus'",
         )
     return open_interface(name, bus, listen_only=True)
-
-
-def _print_line(summary: Mapping[str, Any]) -> None:
-    from thorvaldc.cli.diagnostic_output import print_json
-
-    print_json(summary, one_line=True)
-
-
-def _print_last_page(
-    robot: Robot, bus: Bus, interface: CanInterface, period: float, seconds: float
-) -> None:
-    from thorvaldc.tools.monitor.bus_monitor import BusMonitor
-    from thorvaldc.tools.monitor.live_view import watch_stream
-    from thorvaldc.tools.monitor.monitor_text import monitor_lines
-
-    bus_monitor = BusMonitor(robot, bus)
-    summaries: deque[Mapping[str, Any]] = deque(maxlen=1)
-    watch_stream(interface, bus_monitor, period, seconds, summaries.append)
-    summary = summaries[0] if summaries else bus_monitor.summary(interface.now)
-    print("\n".join(monitor_lines(summary)))

@@ -1,9 +1,13 @@
-"""Draws and shows robots, and recorded runs again; begin at ``render_command``."""
+"""Draws and shows robots, and recorded runs again; begin at ``picture_commands``."""
 
 from thorvaldc.tool_folders import CommandEntry
 
 COMMANDS = (
-    CommandEntry("render", "render_command:render", "Draw a picture of a robot or fleet."),
-    CommandEntry("replay", "replay_command:replay", "Show a recorded run again, without physics."),
-    CommandEntry("view", "view_command:view", "Show a robot in MuJoCo's viewer or as a web page."),
+    CommandEntry("render", "picture_commands:render", "Draw a picture of a robot or fleet."),
+    CommandEntry(
+        "replay", "picture_commands:replay", "Show a recorded run again, without physics."
+    ),
+    CommandEntry(
+        "view", "picture_commands:view", "Show a robot in MuJoCo's viewer or as a web page."
+    ),
 )

@@ -28,7 +28,7 @@ def preview(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli.diagnostic_output import show_report
+    from thorvaldc.cli import diagnostic_output
     from thorvaldc.compiler.source.reader import read_file
     from thorvaldc.diagnostics import Report
 
@@ -40,7 +40,7 @@ def preview(
     if not Path(file).is_file():
         report = Report()
         read_file(Path(file), file, report)
-        return show_report(report, {})
+        return diagnostic_output.show_report(report, {})
     try:
         from thorvaldc.tools.preview.compiled_robot import CompiledRobot
         from thorvaldc.tools.preview.preview_server import HOST, PreviewServer

@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc import backends
-from thorvaldc.comparison.field_names import field_unit
-from thorvaldc.comparison.leaf_differences import (
+from thorvaldc.comparison.robot_comparison import is_derived
+from thorvaldc.comparison.robot_difference import (
     ABSENT,
     ORDER,
     ValuePath,
+    field_unit,
     leaf_differences,
     model_document,
 )
-from thorvaldc.comparison.robot_comparison import is_derived
 from thorvaldc.compiler.modules.module_parameters import ModuleChoice, Scope
 from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.pipeline import emit

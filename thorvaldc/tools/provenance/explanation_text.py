@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.comparison.difference_rows import shortened, value_text
+from thorvaldc.comparison.difference_text import shortened, value_text
 from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.value_reader import items

@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 from xml.parsers import expat
 
-from thorvaldc.comparison.leaf_differences import ORDER, ValuePath, element_names
+from thorvaldc.comparison.robot_difference import ORDER, ValuePath, element_names
 from thorvaldc.diagnostics import DiagnosticError, did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import from_json, to_json

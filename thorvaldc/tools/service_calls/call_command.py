@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thorvaldc.cli import options
-from thorvaldc.cli.completed_values import driver_names, service_names
+from thorvaldc.cli import completed_values, options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 
 if TYPE_CHECKING:
@@ -24,14 +23,16 @@ def call(
     name: Annotated[
         str,
         typer.Argument(
-            metavar="NAME", autocompletion=driver_names, help="Name of the running driver."
+            metavar="NAME",
+            autocompletion=completed_values.driver_names,
+            help="Name of the running driver.",
         ),
     ],
     service: Annotated[
         str,
         typer.Argument(
             metavar="SERVICE",
-            autocompletion=service_names,
+            autocompletion=completed_values.service_names,
             help="Without a service, all are listed.",
         ),
     ] = "",
@@ -40,7 +41,7 @@ def call(
     ] = [],  # noqa: B006
     json: options.Json = False,
 ) -> int:
-    from thorvaldc.cli.diagnostic_output import message, print_json
+    from thorvaldc.cli import diagnostic_output
     from thorvaldc.runtime.control_channel import ControlClient
     from thorvaldc.runtime.service_table import ServiceError
 
@@ -56,18 +57,18 @@ def call(
     try:
         result = client.call(service or "services", **values)
         if service == "arm" and result:
-            message(result)
+            diagnostic_output.message(result)
             _wait_until_armed(client)
             result = None
     except ServiceError as error:
-        message(f"error: {error}")
+        diagnostic_output.message(f"error: {error}")
         return INPUT
     except ConnectionError as error:
         raise OutsideError(str(error)) from None
     finally:
         client.close()
     if json:
-        print_json(result)
+        diagnostic_output.print_json(result)
     elif service:
         _print_result(result)
     else:

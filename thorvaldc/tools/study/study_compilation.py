@@ -7,10 +7,12 @@ limit of a range alone.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import math
 import os
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,30 +26,121 @@ from thorvaldc.compiler.scenario.scenario_compilation import compile_scenario
 from thorvaldc.compiler.scenario.scenario_reader import metric_units
 from thorvaldc.compiler.scenario.variations import read_range
 from thorvaldc.compiler.source.input_file import read_bytes, unsaved_texts
-from thorvaldc.compiler.source.node import Node
-from thorvaldc.compiler.source.reader import MAX_BYTES
+from thorvaldc.compiler.source.node import Node, Value, insertion, yaml_text
+from thorvaldc.compiler.source.reader import MAX_BYTES, read_text
 from thorvaldc.compiler.source.units import UnitError, parse_any, parse_quantity
 from thorvaldc.compiler.values.value_reader import entries, items
-from thorvaldc.diagnostics import Proposal, Report, did_you_mean
+from thorvaldc.diagnostics import Proposal, Report, Span
+from thorvaldc.diagnostics.report import did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
 from thorvaldc.model.facts.robot_facts import fact_quantity, facts_document, robot_facts
-from thorvaldc.tools.study.replaced_values import (
-    PathError,
-    find_value,
-    shared_spans,
-    with_replaced_values,
+from thorvaldc.tools.study import study_definition as definition
+from thorvaldc.tools.study.study_definition import Study, Variable
+
+_QUANTITY = re.compile(
+    r"[-+]?\d+(\.\d+)?(e[-+]?\d+)? [a-zA-Z%][\w/^]*( [a-zA-Z][\w/^]*)*", re.ASCII
 )
-from thorvaldc.tools.study.study_definition import (
-    DEFAULT_BATCH,
-    STATUS_COLUMNS,
-    Constraint,
-    Objective,
-    Samples,
-    Study,
-    Variable,
-    value_key,
-)
+
+
+class PathError(Exception):
+    """Exception: a path leads to no value that can be replaced."""
+
+
+def find_value(document: Node, path: str) -> tuple[Node, tuple[str, ...]]:
+    """Returns the value at a path, or the last mapping on the path and the keys that it lacks.
+
+    Raises ``PathError`` if the path continues below a single value or names no element of a list.
+    """
+    keys, node = path.split("."), document
+    for index, key in enumerate(keys):
+        if isinstance(node.value, dict):
+            if key not in node.value:
+                return node, tuple(keys[index:])
+            node = node.value[key]
+        elif isinstance(node.value, tuple):
+            if not (key.isascii() and key.isdigit() and int(key) < len(node.value)):
+                parents = ".".join(keys[:index])
+                raise PathError(f"`{parents}` is a list of {len(node.value)} and has no `{key}`")
+            node = node.value[int(key)]
+        else:
+            raise PathError(f"`{'.'.join(keys[:index])}` is a single value and has no `{key}`")
+    return node, ()
+
+
+def shared_spans(document: Node) -> set[Span]:
+    """Returns the spans of the scalars that occur several times, as aliases of an anchor."""
+    seen: set[Span] = set()
+    shared: set[Span] = set()
+    pending = [document]
+    while pending:
+        node = pending.pop()
+        if isinstance(node.value, dict):
+            pending += node.value.values()
+        elif isinstance(node.value, tuple):
+            pending += node.value
+        elif node.span in seen:
+            shared.add(node.span)
+        seen.add(node.span)
+    return shared
+
+
+def with_replaced_values(text: str, values: Iterable[tuple[str, Value]]) -> str:
+    """Returns the text of a YAML document with new values at some paths.
+
+    A missing key is added at the start of its mapping.  Raises ``PathError``, also if the text is
+    no document.
+    """
+    document = _parsed(text)
+    edits: list[tuple[Span, str]] = []
+    missing: list[tuple[str, Value]] = []
+    for path, value in values:
+        node, keys = find_value(document, path)
+        if keys:
+            missing.append((path, value))
+        else:
+            edits.append((node.span, value_text(value)))
+    text = _edited(text, edits)
+    for path, value in missing:
+        # Each addition moves the text behind it.
+        mapping, keys = find_value(_parsed(text), path)
+        if not keys or mapping.span.line == 0:
+            raise PathError(f"`{path}` cannot be added")
+        added = value_text(value)
+        for key in reversed(keys[1:]):
+            added = f"{{{key}: {added}}}"
+        proposal = insertion("", mapping, keys[0], added, is_example=False)
+        assert proposal.span is not None
+        text = _edited(text, [(proposal.span, proposal.replacements[0])])
+    return text
+
+
+def value_text(value: Value) -> str:
+    """Returns a scalar as YAML text."""
+    if isinstance(value, str) and _QUANTITY.fullmatch(value):
+        return value  # ``0.7 m``, which needs no quotes
+    return yaml_text(value)
+
+
+@functools.lru_cache(maxsize=4)
+def _parsed(text: str) -> Node:
+    """Returns the document of a text; the designs of a study replace values in the same text."""
+    document = read_text(text.encode(), "", Report())
+    if document is None:
+        raise PathError("the robot file is not a YAML document")
+    return document
+
+
+def _edited(text: str, edits: Sequence[tuple[Span, str]]) -> str:
+    starts = [0]
+    for line in text.split("\n"):
+        starts.append(starts[-1] + len(line) + 1)
+    for span, new in sorted(edits, key=lambda edit: edit[0][1:3], reverse=True):
+        start = starts[span.line - 1] + span.column - 1
+        end = starts[span.end_line - 1] + span.end_column - 1
+        text = text[:start] + new + text[end:]
+    return text
+
 
 MAX_DESIGNS = 1_000_000
 MAX_SEARCHED = 5_000
@@ -156,11 +249,11 @@ class _StudyReader:
             scenarios=scenarios,
             objectives=tuple(self._objectives()),
             currency=self.currency,
-            samples=Samples(
+            samples=definition.Samples(
                 str(method),
                 number if isinstance(number, int) else 1,
                 seed if isinstance(seed, int) else 0,
-                batch if isinstance(batch, int) else DEFAULT_BATCH,
+                batch if isinstance(batch, int) else definition.DEFAULT_BATCH,
             ),
         )
         self._check_size(study)
@@ -168,7 +261,7 @@ class _StudyReader:
 
     def _check_names(self) -> None:
         """Checks that each column of the table of designs has its own name."""
-        used = dict.fromkeys(STATUS_COLUMNS, "a column of each table of designs")
+        used = dict.fromkeys(definition.STATUS_COLUMNS, "a column of each table of designs")
         for section in ("variables", "constraints", "scenarios", "objectives"):
             for name, node in entries(self.document.get(section)).items():
                 if name in used:
@@ -319,7 +412,9 @@ class _StudyReader:
                     SourceFile(path, self.robot_source.name, self.robot_source.folder)
                 )
             self.tried_files.update(tried.files)
-            self.choice_inputs.append((variable.name, value_key(value), tried.source_sha256))
+            self.choice_inputs.append(
+                (variable.name, definition.value_key(value), tried.source_sha256)
+            )
             for diagnostic in tried.report.errors:
                 number, name = diagnostic.code.number, diagnostic.code.name
                 if number.startswith("TV2") or name in _WRONG_WITH_ALL_DESIGNS:
@@ -338,7 +433,7 @@ class _StudyReader:
 
     # -- constraints and objectives -----------------------------------------------------
 
-    def _constraints(self) -> Iterator[Constraint]:
+    def _constraints(self) -> Iterator[definition.Constraint]:
         for name, node in entries(self.document.get("constraints")).items():
             fact = self._fact(node.get("fact"))
             quantity = fact_quantity(fact).kind if fact else ""
@@ -354,7 +449,7 @@ class _StudyReader:
                     "study-value", f"no number is within the bounds of `{name}`", node.where
                 )
             if fact:
-                yield Constraint(name, fact, least, most)
+                yield definition.Constraint(name, fact, least, most)
 
     def _bound(self, node: Node | None, quantity: str) -> float | None:
         """Returns a bound in SI units.
@@ -389,7 +484,7 @@ class _StudyReader:
             self.report.add("price-invalid", message, node.span, hint=hint)
         return money.amount
 
-    def _objectives(self) -> Iterator[Objective]:
+    def _objectives(self) -> Iterator[definition.Objective]:
         scenarios = entries(self.document.get("scenarios"))
         for name, node in entries(self.document.get("objectives")).items():
             fact, metric, goal = (node.get(key) for key in ("fact", "metric", "goal"))
@@ -414,7 +509,9 @@ class _StudyReader:
                 continue
             path = self._fact(fact) if fact is not None else ""
             maximise = goal is not None and goal.value == "maximise"
-            yield Objective(name, path, "" if metric is None else str(metric.value), maximise)
+            yield definition.Objective(
+                name, path, "" if metric is None else str(metric.value), maximise
+            )
 
     def _fact(self, node: Node | None) -> str:
         """Returns the path of a fact, or an empty text and reports an unknown fact."""

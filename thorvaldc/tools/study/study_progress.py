@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from thorvaldc.cli.diagnostic_output import has_color
 from thorvaldc.cli.progress import Progress
-from thorvaldc.tools.study.report_content import objective_columns
-from thorvaldc.tools.study.study_execution import StudyRun
-from thorvaldc.tools.study.study_table import front, objective_value
+from thorvaldc.tools.study.study_results import front, objective_columns
+from thorvaldc.tools.study.study_run import StudyRun
 
 if TYPE_CHECKING:
     from rich.live import Live
@@ -80,7 +79,7 @@ class StudyProgress:
         points, keys = [], set(self._run.keys)
         for key, result in itertools.islice(results.items(), self._results_read, None):
             if key in keys and result["status"] == "ok":
-                values = [objective_value(each, dict(result)) for each in self._objectives]
+                values = [each.value_of(result) for each in self._objectives]
                 points.append(tuple(value for value in values if value is not None))
         self._results_read = len(results)
         self._points += (p for p in points if len(p) == len(self._objectives))

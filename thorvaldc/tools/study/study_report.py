@@ -6,20 +6,243 @@ import base64
 import hashlib
 import json
 import math
-from collections.abc import Sequence
+import os
+import statistics
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from thorvaldc import __version__
 from thorvaldc.backends.templates import Templates
-from thorvaldc.tools.study.replaced_values import value_text
-from thorvaldc.tools.study.report_content import Column, ReportContent, fact_unit
-from thorvaldc.tools.study.report_robots import ReportRobot
-from thorvaldc.tools.study.sample_points import MissingPackageError
-from thorvaldc.tools.study.sensitivity import sensitivities, sensitivity_notes
-from thorvaldc.tools.study.study_definition import Constraint, Objective, Variable
-from thorvaldc.tools.study.study_table import StudyTable
-from thorvaldc.tools.study.study_text import cell_text, sensitivity_rows
+from thorvaldc.comparison.difference_text import Section, sections_of
+from thorvaldc.comparison.module_changes import Outline, outline_of_file
+from thorvaldc.comparison.robot_comparison import compare_robots
+from thorvaldc.compiler.pipeline import compile_robot, emit_without_model
+from thorvaldc.compiler.result import SourceFile
+from thorvaldc.compiler.source.input_file import unsaved_texts
+from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.report import DiagnosticError
+from thorvaldc.model import Robot
+from thorvaldc.model.facts.fact_tables import FactTable, fact_tables
+from thorvaldc.model.facts.robot_facts import fact_quantity, robot_facts
+from thorvaldc.simulation.pictures import PictureError, check_pillow
+from thorvaldc.simulation.pictures.render import choose_opengl_backend
+from thorvaldc.tools.study import study_definition as definition
+from thorvaldc.tools.study import study_results
+from thorvaldc.tools.study.design_evaluation import StudyInputs, robot_text
+from thorvaldc.tools.study.study_compilation import PathError, value_text
+from thorvaldc.tools.study.study_definition import Design, Study, Variable
+from thorvaldc.tools.study.study_results import StudyTable
+
+MOST_PICTURES = 20
+LEAST_PICTURES = 5
+"""Number of designs with pictures if the front is smaller."""
+
+TableDesign = Mapping[str, Any]
+"""A row of the table of designs."""
+
+
+@dataclass(frozen=True, slots=True)
+class StatusCount:
+    """Number of the designs with a status and a code, and the first of them with its message."""
+
+    status: str
+    code: str
+    count: int
+    sample: int
+    message: str
+
+
+class ReportContent:
+    """The designs of a study for its report.
+
+    Attributes
+    ----------
+    planned : number of designs of the study, also those without a result.
+    columns : variables, constraints and objectives, in the order of the study file.
+    designs : rows of the table, by number of the design.
+    front : numbers of the designs that no other design surpasses in every objective.
+    shown : numbers of the designs with a picture, the front first in the order of the first
+        objective.
+    chosen : number of the design that the report shows first: the best one, or with several
+        objectives the one of the front whose normalised distance from the best values is the
+        smallest.  0 if no design has the status ``ok``.
+    """
+
+    def __init__(self, study: Study, table: StudyTable, planned: int = 0) -> None:
+        self.study = study
+        self.planned = planned
+        self.columns = study_results.columns_of(study)
+        self.designs: Sequence[TableDesign] = table.designs()
+        best = study_results.summary(table)["best"]
+        self.front = [design["sample"] for design in best if design["front"]]
+        shown = thinned([d for d in best if d["front"]], MOST_PICTURES)
+        shown += best[len(self.front) :][: max(LEAST_PICTURES - len(shown), 0)]
+        self.shown = [design["sample"] for design in shown]
+        self.chosen = _chosen(study.objectives, shown[: len(self.front)])
+        self._best = best
+
+    def statuses(self) -> list[StatusCount]:
+        """Returns the counts by status and code, in the order of ``STATUSES``."""
+        counts = Counter((design["status"], design["code"]) for design in self.designs)
+        first: dict[tuple[str, str], TableDesign] = {}
+        for design in self.designs:
+            first.setdefault((design["status"], design["code"]), design)
+        places = {status: place for place, status in enumerate(definition.STATUSES)}
+        order = sorted(
+            counts, key=lambda key: (places.get(key[0], len(places)), -counts[key], key[1])
+        )
+        return [
+            StatusCount(*key, counts[key], first[key]["sample"], first[key]["message"])
+            for key in order
+        ]
+
+    def axes(self, influences: Mapping[str, float]) -> tuple[str, str]:
+        """Returns the names of the columns on the axes of the plot at first.
+
+        With one objective, the first axis is the variable with the largest influence, or an empty
+        text for the number of the design.  ``influences``: influence of variables on the first
+        objective, for example Sobol indices; without any, their correlations with it are used.
+        """
+        objectives = [objective.name for objective in self.study.objectives]
+        if len(objectives) > 1:
+            return objectives[0], objectives[1]
+        influences = influences or self._correlations(objectives[0])
+        if not influences:
+            return "", objectives[0]
+        return max(influences, key=lambda name: influences[name]), objectives[0]
+
+    def _correlations(self, objective: str) -> dict[str, float]:
+        """Returns the absolute linear correlation of each variable with an objective."""
+        correlations = {}
+        for variable in self.study.variables:
+            values = [design[variable.name] for design in self._best]
+            if not all(isinstance(value, float) for value in values):
+                continue
+            try:
+                correlations[variable.name] = abs(
+                    statistics.correlation(values, [design[objective] for design in self._best])
+                )
+            except statistics.StatisticsError:  # constant, or fewer than two designs
+                continue
+        return correlations
+
+
+def thinned(designs: Sequence[TableDesign], most: int) -> list[TableDesign]:
+    """Returns at most ``most`` designs, evenly from the first to the last."""
+    if len(designs) <= most:
+        return list(designs)
+    step = (len(designs) - 1) / (most - 1)
+    return [designs[round(index * step)] for index in range(most)]
+
+
+def _chosen(objectives: Sequence[definition.Objective], designs: Sequence[TableDesign]) -> int:
+    if not designs:
+        return 0
+    ranks = [[o.rank(design[o.name]) for o in objectives] for design in designs]
+    least = [min(column) for column in zip(*ranks, strict=True)]
+    width = [max(column) - min(column) or 1.0 for column in zip(*ranks, strict=True)]
+
+    def distance(index: int) -> float:
+        parts = zip(ranks[index], least, width, strict=True)
+        return math.hypot(*((rank - best) / size for rank, best, size in parts))
+
+    return int(designs[min(range(len(designs)), key=distance)]["sample"])
+
+
+PICTURE_SIZE = (480, 336)  # pixels
+_LONG_TABLES = ("modules", "sources")  # hundreds of rows; the bill of modules sums them up
+
+
+@dataclass(frozen=True, slots=True)
+class ReportRobot:
+    """A robot in a report.
+
+    - ``number``: number of the design, or 0 for the start robot.
+    - ``picture``: PNG as a ``data:`` address, or empty without OpenGL.
+    - ``differences``: tables of the differences from the start robot.
+    - ``error``: why the robot cannot be compiled, or empty.
+    """
+
+    number: int
+    picture: str = ""
+    facts: tuple[FactTable, ...] = ()
+    differences: tuple[Section, ...] = ()
+    error: str = ""
+
+
+def picture_fault() -> str:
+    """Returns why this computer draws no pictures, or an empty text if it does.
+
+    Call it before MuJoCo is imported, if possible.
+    """
+    try:
+        check_pillow()
+        choose_opengl_backend()
+    except PictureError as error:
+        return str(error)
+    return ""
+
+
+class RobotCompiler:
+    """Compiles robots of a study for its report.
+
+    ``draws``: whether the robots have pictures.
+    """
+
+    def __init__(self, inputs: StudyInputs, *, draws: bool) -> None:
+        self._inputs = inputs
+        self._draws = draws
+        self._start: tuple[Robot, Outline] | None = None
+
+    def robots(
+        self, designs: Sequence[tuple[int, Design]], progress: Callable[[int], None]
+    ) -> list[ReportRobot]:
+        """Returns the start robot and the robots of designs with their numbers.
+
+        ``progress`` gets the number of finished robots.  A robot that cannot be compiled has an
+        error instead of a picture and facts.
+        """
+        robots = [self._robot(0, self._inputs.text)]
+        for number, design in designs:
+            progress(len(robots))
+            try:
+                robots.append(self._robot(number, robot_text(self._inputs, design)))
+            except PathError as error:
+                robots.append(ReportRobot(number, error=str(error)))
+        return robots
+
+    def _robot(self, number: int, text: str) -> ReportRobot:
+        path, library = self._inputs.study.robot, self._inputs.library
+        with unsaved_texts({os.path.realpath(path): text.encode()}):
+            source = SourceFile(path, path.name, path.parent)
+            compilation = compile_robot(source, library, self._inputs.trust)
+            robot = compilation.model
+            if not isinstance(robot, Robot):
+                return ReportRobot(number, error=compilation.report.errors[0].message)
+            outline = outline_of_file(path, library, robot)
+        if number == 0:
+            self._start = (robot, outline)
+        differences: tuple[Section, ...] = ()
+        if number and self._start is not None:
+            before, before_modules = self._start
+            difference = compare_robots(before, robot, before_modules, outline)
+            differences = tuple(sections_of(difference))
+        facts = tuple(t for t in fact_tables(robot_facts(robot)) if t.key not in _LONG_TABLES)
+        return ReportRobot(number, self._picture(robot), facts, differences)
+
+    def _picture(self, robot: Robot) -> str:
+        if not self._draws:
+            return ""
+        from thorvaldc.simulation.pictures.render import render
+
+        try:
+            files = emit_without_model(robot, ["mjcf"], Report())
+            picture = render(robot, files, PICTURE_SIZE)
+        except (DiagnosticError, PictureError):
+            return ""  # facts without a picture are better than no report
+        return "data:image/png;base64," + base64.b64encode(picture).decode("ascii")
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,24 +262,14 @@ class Sensitivity:
     @classmethod
     def of(cls, table: StudyTable) -> Sensitivity | None:
         """Returns the indices of a table, or ``None`` if its study has another method."""
-        shares = sensitivities(table)
+        shares = study_results.sensitivities(table)
         if not shares:
             return None
-        columns, *rows = sensitivity_rows(shares)
+        columns, *rows = study_results.sensitivity_rows(shares)
         meaning = "Shares of the variance of the objective, with intervals of 95 % confidence."
-        notes = [note for each in shares for note in sensitivity_notes(each)]
+        notes = [note for each in shares for note in study_results.sensitivity_notes(each)]
         influences = {index.variable: index.total for index in shares[0].indices}
         return cls(columns, tuple(rows), influences, ((meaning, *notes) if rows else tuple(notes)))
-
-
-def load_plotly_script() -> str:
-    """Returns plotly.js.  Raises ``MissingPackageError`` if plotly is not installed."""
-    try:
-        from plotly.offline import get_plotlyjs
-    except ImportError:
-        raise MissingPackageError("plotly") from None
-    script: str = get_plotlyjs()
-    return script
 
 
 def study_report(
@@ -75,7 +288,10 @@ def study_report(
     no script but its own.  Raises ``MissingPackageError`` if plotly is not installed.
     """
     templates = Templates("study", escapes_html=True)
-    plotly, script = load_plotly_script(), templates.texts["report.js"]
+    plotly, script = (
+        definition.required("plotly.offline").get_plotlyjs(),
+        templates.texts["report.js"],
+    )
     study, start, *designs = content.study, *robots
     return templates.render(
         "report.html",
@@ -84,11 +300,11 @@ def study_report(
         content=content,
         variables=[(v.name, _range_text(v), v.paths) for v in study.variables],
         constraints=[(c.name, _bound_text(c), c.fact) for c in study.constraints],
-        objectives=[(o.name, _goal_text(o), o.fact or o.metric) for o in study.objectives],
+        objectives=[(o.name, o.goal, o.fact or o.metric) for o in study.objectives],
         start=start,
         robots=designs,
         by_number={design["sample"]: design for design in content.designs},
-        value=value_with_unit,
+        value=lambda value, column: quantity_text(value, column.unit),
         picture_fault=picture_fault,
         sensitivity=sensitivity,
         data=_script_json(_data(content, sensitivity)),
@@ -139,13 +355,9 @@ def _hash(script: str) -> str:
     return f"sha256-{base64.b64encode(digest).decode('ascii')}"
 
 
-def value_with_unit(value: Any, column: Column) -> str:
-    """Returns a value of a column as text, angles also in degrees."""
-    return _quantity(value, column.unit)
-
-
-def _quantity(value: Any, unit: str) -> str:
-    text = cell_text(value)
+def quantity_text(value: Any, unit: str) -> str:
+    """Returns a value in an SI unit as text, angles also in degrees."""
+    text = study_results.cell_text(value)
     if not isinstance(value, float) or not unit:
         return text
     degrees = f" ({math.degrees(value):.1f}°)" if unit == "rad" else ""
@@ -160,14 +372,10 @@ def _range_text(variable: Variable) -> str:
     return " to ".join(value.replace(" ", no_break) for value in values)
 
 
-def _bound_text(constraint: Constraint) -> str:
-    unit, bounds = fact_unit(constraint.fact), []
+def _bound_text(constraint: definition.Constraint) -> str:
+    unit, bounds = fact_quantity(constraint.fact).unit, []
     if constraint.at_least is not None:
-        bounds.append(f"at least {_quantity(float(constraint.at_least), unit)}")
+        bounds.append(f"at least {quantity_text(float(constraint.at_least), unit)}")
     if constraint.at_most is not None:
-        bounds.append(f"at most {_quantity(float(constraint.at_most), unit)}")
+        bounds.append(f"at most {quantity_text(float(constraint.at_most), unit)}")
     return ", ".join(bounds)
-
-
-def _goal_text(objective: Objective) -> str:
-    return "maximise" if objective.maximise else "minimise"

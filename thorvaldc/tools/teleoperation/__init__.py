@@ -1,4 +1,4 @@
-"""A person drives a robot with a keyboard or a joystick; begin at ``console``."""
+"""A person drives a robot with a keyboard or a joystick; begin at ``keyboard``."""
 
 from thorvaldc.tool_folders import CommandEntry
 

@@ -1,4 +1,4 @@
-"""Converts the keys of a keyboard to twists.
+"""Drives a robot from a terminal: the keys of a keyboard as twists, and a joystick beside them.
 
 A terminal reports when a key is pressed and repeated, but not when the key is released. Pressing a
 key therefore moves the robot for ``FIRST_HOLD`` s, and each repeat of the key moves the robot for
@@ -13,10 +13,15 @@ key therefore moves the robot for ``FIRST_HOLD`` s, and each repeat of the key m
 
 from __future__ import annotations
 
+import gc
+import sys
 from collections.abc import Callable, Sequence
 
+from thorvaldc.cli.terminal import Terminal
+from thorvaldc.runtime import teleop_loop
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.runtime.teleop_loop import FIRST_SHARE, SMALLEST_SHARE, Limits, Request
+from thorvaldc.runtime.teleop_loop import Limits, Request, Vehicle
+from thorvaldc.tools.teleoperation import joystick
 
 FIRST_HOLD = 0.7
 """Time in s for which the press of a key drives.
@@ -94,7 +99,7 @@ class Keyboard:
         self,
         limits: Limits,
         read: Callable[[], list[str]],
-        share: float = FIRST_SHARE,
+        share: float = teleop_loop.FIRST_SHARE,
         sets: Sequence[str] = (),
         close: Callable[[], None] = lambda: None,
     ) -> None:
@@ -178,5 +183,43 @@ class Keyboard:
         self.message = ""
 
     def _set_share(self, share: float) -> None:
-        self.share = min(max(share, SMALLEST_SHARE), 1.0)
+        self.share = min(max(share, teleop_loop.SMALLEST_SHARE), 1.0)
         self.message = ""
+
+
+def drive_from_console(
+    vehicle: Vehicle,
+    source: str,
+    share: float,
+    search: joystick.Search | None,
+    end_requested: Callable[[], bool],
+) -> None:
+    """Drives the robot until the operator quits or ``end_requested`` returns true.
+
+    Raises ``ConnectionError`` if the process of the base driver ends.
+
+    - ``source``: name of the twist source of the operator.
+    - ``share``: initial share of the top speed, 0 to 1.
+    - ``search``: function that finds the joystick, or ``None`` if the operator drives only with the
+      keyboard.
+    """
+    description = vehicle.call("description")
+    limits = Limits.of(description)
+    keys = sys.stdin if sys.stdin.isatty() else None
+    print(f"{description['robot']}, as {source}")
+    help_texts = [HELP] * (keys is not None) + [joystick.HELP] * (search is not None)
+    print(*help_texts, "", sep="\n", flush=True)
+    # A pause for Python's garbage collection would delay the control cycle. ``gc.freeze`` shortens
+    # the pauses for garbage collection, because frozen objects are not examined again.
+    gc.collect()
+    gc.freeze()
+    with Terminal(keys, sys.stdout) as terminal:
+        operator: teleop_loop.Operator = Keyboard(
+            limits, terminal.read, share, description["parameter_sets"]
+        )
+        if search is not None:
+            operator = joystick.OperatorPair(operator, joystick.Joystick(limits, search, share))
+        try:
+            teleop_loop.operate(vehicle, operator, source, terminal.show, end_requested)
+        finally:
+            operator.close()

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thorvaldc.cli import options
-from thorvaldc.cli.completed_values import base_names, driver_names
+from thorvaldc.cli import completed_values, options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 from thorvaldc.cli.installation import check_full_installation
 
@@ -32,7 +31,7 @@ def teleop(
         typer.Option(
             "--on",
             metavar="BASE",
-            autocompletion=base_names,
+            autocompletion=completed_values.base_names,
             help="sim: MuJoCo; ideal: ideal joints; virtual: a simulated bus; or a bus as for"
             " `run --bus`.",
         ),
@@ -42,7 +41,7 @@ def teleop(
         typer.Option(
             "--to",
             metavar="NAME",
-            autocompletion=driver_names,
+            autocompletion=completed_values.driver_names,
             help="Drive the running driver of this name.",
         ),
     ] = "",
@@ -79,7 +78,7 @@ def teleop(
     trust: options.Trust = False,
 ) -> int:
     from thorvaldc.runtime.pace import end_signals
-    from thorvaldc.tools.teleoperation.console import drive_from_console
+    from thorvaldc.tools.teleoperation.keyboard import drive_from_console
 
     if bool(file) == bool(to):
         raise typer.BadParameter("name a robot's FILE, or a running driver with --to NAME")
@@ -130,11 +129,10 @@ def _start_driver(
     If the robot file has errors, the function prints the errors and returns ``None``.
     """
     from thorvaldc.can.open_interface import lock_buses
-    from thorvaldc.cli.diagnostic_output import report_of
-    from thorvaldc.cli.robot_file import load_robot
-    from thorvaldc.diagnostics import DiagnosticError
+    from thorvaldc.cli import diagnostic_output, robot_file
+    from thorvaldc.diagnostics.report import DiagnosticError
 
-    loaded = load_robot(file, library, trust)
+    loaded = robot_file.load_robot(file, library, trust)
     if loaded is None:
         return None
     robot = loaded.robot
@@ -146,7 +144,7 @@ def _start_driver(
             lock_buses(on, robot, locks)
         return _bus_vehicle(robot, file, on, channel)
     except DiagnosticError as error:
-        raise typer.Exit(loaded.show(report_of(error))) from None
+        raise typer.Exit(loaded.show(diagnostic_output.report_of(error))) from None
     except OSError as error:  # the control channel is in use
         raise OutsideError(f"{error}; --name selects another name") from None
 

@@ -1,9 +1,13 @@
-"""The facts about a robot as text for a terminal and as Markdown."""
+"""What the commands write: facts as text and as Markdown, and a comparison as a web page."""
 
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Iterator
+from html import escape
 
+from thorvaldc.comparison.difference_text import EQUAL, headline, sections_of, summaries_of
+from thorvaldc.comparison.robot_difference import Difference
 from thorvaldc.diagnostics.text_layout import (
     GAP,
     markdown_table,
@@ -11,6 +15,7 @@ from thorvaldc.diagnostics.text_layout import (
     paragraph,
     text_table,
 )
+from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.facts.fact_tables import FactTable, fact_tables
 from thorvaldc.model.facts.robot_facts import RobotFacts
 
@@ -53,3 +58,30 @@ def _rows(table: FactTable) -> list[tuple[str, ...]]:
 
 def _markdown(text: str) -> str:
     return markdown_text(text, code=True)
+
+
+def difference_page(difference: Difference, before: Robot | Fleet, after: Robot | Fleet) -> str:
+    """Returns an HTML document with both robots in 3D and a table of their differences.
+
+    The robot ``before`` is translucent.  Both models must contain the data of their meshes.
+    """
+    # The page is imported only when it is used, because it imports numpy.
+    from thorvaldc.simulation.web_viewer import view_page
+
+    return view_page(after, before, "\n".join(_panel(difference)))
+
+
+def _panel(difference: Difference) -> Iterator[str]:
+    title = escape(headline(difference))
+    if difference.is_equal:
+        yield f"<p>{title}: {EQUAL}</p>"
+        return
+    yield f"<p>{title}. The robot before is translucent.</p>"
+    for section in sections_of(difference):
+        yield f'<details open class="difference"><summary>{escape(section.title)}</summary><table>'
+        for row in section.rows:
+            cells = (row.mark, row.name, row.text)
+            yield f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>"
+        yield "</table></details>"
+    for summary in summaries_of(difference):
+        yield f"<p>{escape(summary)}</p>"

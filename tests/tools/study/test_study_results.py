@@ -7,11 +7,17 @@ import math
 from pathlib import Path
 from typing import Any
 
+import duckdb
+
 from tests.cli.conftest import GOOD
 from tests.tools.study.test_search import write_study
 from tests.tools.study.test_studies import Command, run
-from thorvaldc.tools.study.sensitivity import sensitivities
-from thorvaldc.tools.study.study_table import DESCRIPTION, TABLE, StudyTable, load_duckdb
+from thorvaldc.tools.study.study_results import (
+    DESCRIPTION,
+    TABLE,
+    StudyTable,
+    sensitivities,
+)
 
 __all__ = ["run"]
 
@@ -48,7 +54,7 @@ def table_of(folder: Path, number: int, missing: int) -> StudyTable:
             lines.append({"sample": sample, "status": status, "out": ishigami(*point)})
     folder.mkdir(exist_ok=True)
     (folder / "rows.json").write_text("\n".join(map(json.dumps, lines)))
-    with load_duckdb().connect() as connection:
+    with duckdb.connect() as connection:
         connection.execute(f"COPY (FROM '{folder}/rows.json') TO '{folder / TABLE}'")
     description: dict[str, Any] = {"study": "ishigami", "method": "saltelli"}
     description |= {"variables": ["x", "y", "z"], "objectives": {"out": "minimise"}}

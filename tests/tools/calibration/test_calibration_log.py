@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from thorvaldc.tools.calibration.error_correlation import (
+from thorvaldc.tools.calibration.calibration_log import (
     TIME_CONSTANTS,
     WHITE,
     Correlation,

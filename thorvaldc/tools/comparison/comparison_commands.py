@@ -1,0 +1,122 @@
+"""The commands ``thorvaldc diff`` and ``info``: two robots compared, and the facts of one."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thorvaldc.cli import options
+from thorvaldc.cli.exits import DONE, INPUT
+
+ANY_MODEL = (
+    "A robot.yaml, a fleet.yaml, a build folder, or a file of a git revision: HEAD~1:robot.yaml."
+)
+ResultFormat = Annotated[
+    str, typer.Option("--format", metavar="text|json|markdown", help="Output format.")
+]
+
+
+def diff(
+    before: Annotated[
+        str,
+        typer.Argument(metavar="A", help=ANY_MODEL),
+    ],
+    after: Annotated[str, typer.Argument(metavar="B", help="The robot to compare with A.")],
+    format: ResultFormat = "text",
+    json: options.Json = False,
+    everything: Annotated[
+        bool, typer.Option("--all", help="List derived values as well, such as poses and shapes.")
+    ] = False,
+    html: Annotated[
+        str,
+        typer.Option("--html", metavar="OUT.html", help="Write a page that shows both robots."),
+    ] = "",
+    exit_code: Annotated[
+        bool, typer.Option("--exit-code", help="End with the exit status 1 if A and B differ.")
+    ] = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
+) -> int:
+    from thorvaldc.cli import diagnostic_output
+    from thorvaldc.cli.run_pictures import check_output
+    from thorvaldc.comparison import difference_text
+    from thorvaldc.diagnostics.atomic_file import write_file
+    from thorvaldc.tools.comparison import compared_inputs, comparison_output
+
+    diagnostic_output.check_format(format, diagnostic_output.RESULT_FORMATS)
+    if html:
+        check_output(html, ["html", "htm"], "--html")
+    folders = options.library_folders(library)
+    inputs = []
+    models = []
+    with ExitStack() as temporary:
+        for name in (before, after):
+            compared = compared_inputs.read_input(name, temporary, folders, trust=trust)
+            status = diagnostic_output.show_report(compared.report, compared.sources)
+            if compared.model is None:
+                hint = compared_inputs.revision_hint(before, after)
+                if hint is not None:
+                    diagnostic_output.message(f"hint: {hint}")
+                return status or INPUT
+            inputs.append(compared)
+            models.append(compared.model)
+    try:
+        difference = compared_inputs.compare(*inputs)
+    except compared_inputs.InputKindError as error:
+        raise typer.BadParameter(str(error), param_hint="'A' / 'B'") from None
+    if html:
+        write_file(Path(html), comparison_output.difference_page(difference, *models))
+        diagnostic_output.message(html)
+    if json or format == "json":
+        diagnostic_output.print_json(difference_text.difference_document(difference))
+    elif format == "markdown":
+        sys.stdout.write(difference_text.difference_markdown(difference, everything=everything))
+    else:
+        sys.stdout.write(difference_text.difference_text(difference, everything=everything))
+    return INPUT if exit_code and not difference.is_equal else DONE
+
+
+def info(
+    file: Annotated[
+        str,
+        typer.Argument(metavar="ROBOT", help=ANY_MODEL),
+    ],
+    format: ResultFormat = "text",
+    json: options.Json = False,
+    everything: Annotated[
+        bool, typer.Option("--all", help="List every module with the source of its mass.")
+    ] = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
+) -> int:
+    from thorvaldc.cli import diagnostic_output
+    from thorvaldc.model import Fleet
+    from thorvaldc.model.facts.robot_facts import facts_document, robot_facts
+    from thorvaldc.tools.comparison.compared_inputs import read_input
+    from thorvaldc.tools.comparison.comparison_output import facts_markdown, facts_text
+
+    diagnostic_output.check_format(format, diagnostic_output.RESULT_FORMATS)
+    with ExitStack() as temporary:
+        loaded = read_input(file, temporary, options.library_folders(library), trust=trust)
+        status = diagnostic_output.show_report(loaded.report, loaded.sources)
+    model = loaded.model
+    if model is None:
+        return status or INPUT
+    if isinstance(model, Fleet):
+        facts = {place.name: robot_facts(place.robot) for place in model.placements}
+    else:
+        facts = {"": robot_facts(model)}
+    if json or format == "json":
+        documents = {name: facts_document(each) for name, each in facts.items()}
+        document = documents.get("") or {"name": model.name, "robots": documents}
+        diagnostic_output.print_json(document)
+    elif format == "markdown":
+        sys.stdout.write("\n".join(map(facts_markdown, facts.values())))
+    else:
+        texts = (facts_text(each, everything=everything) for each in facts.values())
+        sys.stdout.write("\n".join(texts))
+    return status

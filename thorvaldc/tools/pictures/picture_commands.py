@@ -1,0 +1,196 @@
+"""The commands ``thorvaldc render``, ``replay`` and ``view``: robots and runs to look at."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thorvaldc.cli import completed_values, options
+from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+
+
+def render(
+    file: options.ModelFile,
+    output: Annotated[
+        str,
+        typer.Option(
+            "--output", "-o", metavar="OUT.png", help="File to write.", show_default="<name>.png"
+        ),
+    ] = "",
+    size: Annotated[
+        str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")
+    ] = "1000x700",
+    view: Annotated[
+        str,
+        typer.Option(
+            "--view",
+            metavar="VIEW",
+            autocompletion=completed_values.view_names,
+            help="corner, front, rear, left, right, top, or azimuth,elevation in degrees.",
+        ),
+    ] = "corner",
+    replay: Annotated[
+        str,
+        typer.Option("--replay", metavar="RECORD", help="Take the poses of the robots from it."),
+    ] = "",
+    at: Annotated[
+        str,
+        typer.Option(
+            "--at", metavar="TIME", help="Time in the record: 5, or '5 s'.", show_default="its end"
+        ),
+    ] = "",
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
+) -> int:
+    from thorvaldc.cli import compiling, diagnostic_output, run_pictures
+    from thorvaldc.compiler.pipeline import emit
+    from thorvaldc.diagnostics import Report
+    from thorvaldc.diagnostics.atomic_file import write_file
+    from thorvaldc.diagnostics.report import DiagnosticError
+    from thorvaldc.simulation.pictures import check_pillow
+    from thorvaldc.simulation.pictures.render import choose_opengl_backend, parse_size, parse_view
+    from thorvaldc.simulation.pictures.render import render as draw
+    from thorvaldc.tools.pictures.replay import arrangement
+
+    with run_pictures.picture_errors():  # before MuJoCo is imported
+        check_pillow()
+        choose_opengl_backend()
+    pixels = options.parsed(size, parse_size, "--size")
+    camera = options.parsed(view, parse_view, "--view")
+    if not replay:
+        options.refuse_options({"--at": at}, "this is a time of --replay")
+    time = options.parsed(at, parse_record_time, "--at")
+    if output:
+        run_pictures.check_output(output, ["png"], "--output")
+    compilation = compiling.compile_and_show(file, library, trust=trust)
+    model = compilation.model
+    if model is None:
+        return INPUT
+    path = output or f"{model.name}.png"
+    if not output:
+        run_pictures.check_output(path, ["png"], "--output")
+    arrange = None
+    if replay:
+        arrange = arrangement(model, replay, time)
+        if arrange is None:
+            return INPUT
+    report = Report()
+    try:
+        with run_pictures.picture_errors():
+            files = emit(model, ["mjcf"], report)
+            picture = draw(model, files, pixels, camera, arrange=arrange)
+    except DiagnosticError as error:
+        report.put(error.diagnostic)
+    else:
+        write_file(Path(path), picture)
+        print(path)
+    return diagnostic_output.show_report(compilation.located(report), compilation.sources)
+
+
+def parse_record_time(text: str) -> float:
+    """Returns a time in s from the start of a recorded run, or infinity for empty text.
+
+    Raises ``ValueError`` if the text is not a time or the time is negative.
+    """
+    if not text:
+        return math.inf
+    seconds = options.parse_time(text)
+    if not seconds >= 0.0:
+        raise ValueError(f"{text!r} is before the start of the record")
+    return seconds
+
+
+def replay(
+    file: Annotated[
+        str, typer.Argument(metavar="FILE", help="The robot.yaml, fleet.yaml or scenario that ran.")
+    ],
+    source: Annotated[
+        str, typer.Argument(metavar="RECORD", help="A record of `sim --record` or `scenario`.")
+    ],
+    robot: options.ScenarioRobot = "",
+    record: Annotated[
+        str,
+        typer.Option("--record", metavar="OUT", help="Convert the record: OUT.mcap, or CSV files."),
+    ] = "",
+    plot: options.Plot = "",
+    video: options.Video = "",
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
+) -> int:
+    from thorvaldc.cli import compiling, run_pictures
+    from thorvaldc.tools.pictures.replay import replay_run
+
+    pictures = run_pictures.RunPictures(plot, video)
+    compilation = compiling.compile_and_show(file, library, robot or None, trust=trust)
+    if compilation.model is None:
+        return INPUT
+    return replay_run(compilation, compilation.model, source, pictures, record, json)
+
+
+def view(
+    file: options.ModelFile,
+    html: Annotated[
+        bool, typer.Option("--html", help="Write a web page even if there is a display.")
+    ] = False,
+    output: Annotated[
+        str,
+        typer.Option(
+            "--output", "-o", metavar="OUT.html", help="Page to write.", show_default="<name>.html"
+        ),
+    ] = "",
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
+) -> int:
+    from thorvaldc.cli import compiling, diagnostic_output, run_pictures
+    from thorvaldc.compiler.pipeline import emit
+    from thorvaldc.diagnostics import Report
+    from thorvaldc.diagnostics.atomic_file import write_file
+    from thorvaldc.diagnostics.report import DiagnosticError
+
+    if output:
+        run_pictures.check_output(output, ["html", "htm"], "--output")
+    compilation = compiling.compile_and_show(file, library, trust=trust)
+    model = compilation.model
+    if model is None:
+        return INPUT
+    if html or output or not has_display():
+        # The web viewer is imported only when it is used, because it imports numpy.
+        from thorvaldc.simulation.web_viewer import view_page
+
+        path = output or f"{model.name}.html"
+        run_pictures.check_output(path, ["html", "htm"], "--output")
+        write_file(Path(path), view_page(model))
+        print(path)
+        return DONE
+    report = Report()
+    try:
+        _open_viewer(emit(model, ["mjcf"], report))
+    except DiagnosticError as error:
+        report.put(error.diagnostic)
+    return diagnostic_output.show_report(compilation.located(report), compilation.sources)
+
+
+def has_display() -> bool:
+    """Returns whether this process can probably open a window."""
+    if sys.platform in ("darwin", "win32"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _open_viewer(files: dict[str, bytes]) -> None:
+    from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
+
+    scene = MujocoScene(files, visuals=True)
+    import mujoco.viewer
+
+    try:
+        mujoco.viewer.launch(scene.model, scene.data)  # returns when the window is closed
+    except RuntimeError as error:
+        reason = " ".join(str(error).split())
+        raise OutsideError(f"MuJoCo's viewer does not open: {reason}; try --html") from None
