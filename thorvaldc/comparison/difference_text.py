@@ -318,16 +318,8 @@ def difference_document(difference: Difference) -> dict[str, Any]:
 
 
 def _module_document(change: robot_difference.ModuleChange) -> dict[str, Any]:
-    return {
-        "kinds": list(change.kinds),
-        "name": change.name,
-        "old_name": change.old_name,
-        "old_type": change.old_type,
-        "type": change.type,
-        "old_place": change.old_place,
-        "place": change.place,
-        "parameters": [_change_document(parameter) for parameter in change.parameters],
-    }
+    parameters = [_change_document(parameter) for parameter in change.parameters]
+    return {**vars(change), "kinds": list(change.kinds), "parameters": parameters}
 
 
 def _change_document(change: ValueChange) -> dict[str, Any]:

@@ -13,7 +13,12 @@ from typing import Any
 
 from thorvaldc.comparison import module_changes, robot_difference
 from thorvaldc.comparison.module_changes import Outline
-from thorvaldc.comparison.robot_difference import FleetDifference, LeafDifference, ValueChange
+from thorvaldc.comparison.robot_difference import (
+    Difference,
+    FleetDifference,
+    LeafDifference,
+    ValueChange,
+)
 from thorvaldc.model import Fleet, Robot
 
 # Fields of links and joints that a reader wants to see.  The others (shapes, poses, inertias)
@@ -101,6 +106,22 @@ def compare_fleets(
     leaves = tuple(robot_difference.leaf_differences(old, new))
     values = tuple(_collapsed(_value_change(leaf) for leaf in leaves))
     return FleetDifference(before.name, after.name, values, tuple(robots), leaves)
+
+
+def compare_models(
+    before: Robot | Fleet,
+    after: Robot | Fleet,
+    modules: Sequence[dict[str, Outline]] = ({}, {}),
+) -> Difference | None:
+    """Returns the differences between two robots or two fleets, or ``None`` for one of each.
+
+    ``modules``: the modules of each model, as for ``compare_fleets``; a robot has an empty name.
+    """
+    if isinstance(before, Robot) and isinstance(after, Robot):
+        return compare_robots(before, after, *(side.get("") for side in modules))
+    if isinstance(before, Fleet) and isinstance(after, Fleet):
+        return compare_fleets(before, after, modules)
+    return None
 
 
 def _robot_of(fleet: Fleet, name: str) -> Robot:

@@ -17,6 +17,7 @@ from tests.backend_files import files_of
 from tests.recording import TURNS, record
 from tests.robots import FOUR_STEERED, make_robot
 from thorvaldc.backends.mjcf import Mjcf
+from thorvaldc.compiler.robot_settings.wheel_calibration import Calibration, Measured
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import ParameterSet, Robot
 from thorvaldc.simulation.records.joint_csv import JointLog, read_log
@@ -375,10 +376,11 @@ def test_table_and_json(log: JointLog) -> None:
 
 def test_overlay_keeps_undetermined_values(tmp_path: Path) -> None:
     _, result, _ = calibrated(joint_log(tmp_path, ROBOT, record(ROBOT, radii=RADII)))
-    previous = {
-        "w1": {"steering_offset": 0.1, "radius": 0.3, "radii": {"rail": 0.15}},
-        "gone": {"radius": 0.1},
-    }
+    previous = Calibration(
+        radii={"w1": Measured(0.3, ROBOT.span), "gone": Measured(0.1, ROBOT.span)},
+        named_radii={"w1": {"rail": Measured(0.15, ROBOT.span)}},
+        steering_offsets={"w1": Measured(0.1, ROBOT.span)},
+    )
     wheels = yaml.safe_load(overlay(result, previous))["wheels"]
     assert list(wheels) == ["w0", "w1", "w2", "w3"]
     assert wheels["w1"]["steering_offset"] == "5.72958 deg"
@@ -401,7 +403,8 @@ def test_radii_of_a_parameter_set(tmp_path: Path) -> None:
     log = joint_log(tmp_path, robot, record(rail_robot, radii=RADII, offsets=OFFSETS))
     result = calibrate(robot, log, Report(), parameters="rails")
     assert result is not None
-    wheels = yaml.safe_load(overlay(result, {"w0": {"radius": 0.2}}))["wheels"]
+    previous = Calibration(radii={"w0": Measured(0.2, ROBOT.span)})
+    wheels = yaml.safe_load(overlay(result, previous))["wheels"]
     scale = math.prod(RADII.get(w.name, 1.0) for w in ROBOT.wheels) ** 0.25
     assert list(wheels["w0"]["radii"]) == ["rail"]
     assert wheels["w0"]["radius"] == "200.0000 mm"

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.compiler.robot_settings.wheel_calibration import load_calibration
+from thorvaldc.compiler.robot_settings.wheel_calibration import Calibration, load_calibration
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.atomic_file import write_file
@@ -105,31 +105,21 @@ def _cell(estimate: Estimate | None, format_value: Any, unit: str, convert: Any)
     return text if estimate.determined else f"({text}) {_UNCHANGED}"
 
 
-Values = Mapping[str, Any]
-"""Calibration values of a wheel, in SI units.
+def overlay(result: CalibrationResult, present: Calibration | None = None) -> str:
+    """Returns the text of a calibration file that ``robot.yaml`` can include.
 
-The keys of the dictionary are ``radius``, ``radii`` (radii by name) and ``steering_offset``.
-"""
-
-
-def overlay(
-    result: CalibrationResult,
-    previous: Mapping[str, Values] | None = None,
-    previous_noise: Mapping[str, float] | None = None,
-) -> str:
-    """Returns the text of a calibration document that ``robot.yaml`` can include.
-
-    ``previous`` and ``previous_noise`` contain the calibration that ``robot.yaml`` includes now.
-    Values that the joint log does not determine are copied from them.
+    ``present``: the calibration that ``robot.yaml`` includes now.  Values that the joint log does
+    not determine are copied from it.
     """
+    present = present or Calibration()
     lines = []
     for wheel in result.wheels:
-        old = (previous or {}).get(wheel.name, {})
-        entry = [*_radii(wheel, old, scaled=result.scale is not None), *_offset(wheel, old)]
+        scaled = result.scale is not None
+        entry = [*_radii(wheel, present, scaled=scaled), *_offset(wheel, present)]
         if entry:
             lines += [f"  {wheel.name}:", *(f"    {line}" for line in entry)]
     header = ["thorvaldc: 1", f"robot: {result.robot}"]
-    noise = dict(previous_noise or {})
+    noise = dict(present.noise)
     if not any(wheel.named for wheel in result.wheels):
         noise |= result.remaining_errors
     if noise:
@@ -141,9 +131,11 @@ def overlay(
     return "\n".join([*header, *(["wheels:", *lines] if lines else ["wheels: {}"])]) + "\n"
 
 
-def _radii(wheel: WheelCalibration, old: Values, *, scaled: bool) -> Iterator[str]:
-    values = {"": old["radius"]} if "radius" in old else {}
-    values |= old.get("radii", {})
+def _radii(wheel: WheelCalibration, present: Calibration, *, scaled: bool) -> Iterator[str]:
+    ordinary = present.radii.get(wheel.name)
+    measured = {"": ordinary} if ordinary is not None else {}
+    measured |= present.named_radii.get(wheel.name, {})
+    values = {name: value for name, (value, _) in measured.items()}
     notes = dict.fromkeys(values, _UNCHANGED)
     if wheel.radius is not None and wheel.ratio is not None:
         determined = wheel.ratio.determined
@@ -164,13 +156,14 @@ def _errors(random: float, systematic: float, unit: str) -> str:
     return f"+- {random:.3f} {unit} random, +- {systematic:.3f} {unit} systematic"
 
 
-def _offset(wheel: WheelCalibration, old: Values) -> Iterator[str]:
+def _offset(wheel: WheelCalibration, present: Calibration) -> Iterator[str]:
     offset = wheel.offset
     if offset is not None and offset.determined:
         errors = _errors(math.degrees(offset.random), math.degrees(offset.systematic), "deg")
         yield f"steering_offset: {math.degrees(offset.value):.4f} deg  # {errors}"
-    elif "steering_offset" in old:
-        yield f"steering_offset: {math.degrees(old['steering_offset']):.6g} deg  # {_UNCHANGED}"
+    elif wheel.name in present.steering_offsets:
+        value, _ = present.steering_offsets[wheel.name]
+        yield f"steering_offset: {math.degrees(value):.6g} deg  # {_UNCHANGED}"
 
 
 def overlay_text(result: CalibrationResult, robot: Path) -> str:
@@ -179,27 +172,9 @@ def overlay_text(result: CalibrationResult, robot: Path) -> str:
     Radii and offsets that were not estimated are copied from the calibration file that the robot
     file includes.
     """
-    return overlay(result, *_present_values(robot))
-
-
-def _present_values(robot: Path) -> tuple[dict[str, dict[str, Any]], dict[str, float]]:
-    """Returns the present calibration of each wheel by its name, and the noise, in SI units.
-
-    The calibration is read from the calibration file that the robot file includes.  Both
-    dictionaries are empty if the robot file includes no calibration file.
-    """
     document = read_file(robot, robot.name, Report())
-    calibration = load_calibration(document, robot.parent, Report(), {}) if document else None
-    if calibration is None:
-        return {}, {}
-    wheels: dict[str, dict[str, Any]] = {name: {} for name in calibration.names}
-    for name, (value, _) in calibration.radii.items():
-        wheels[name]["radius"] = value
-    for name, named_radii in calibration.named_radii.items():
-        wheels[name]["radii"] = {key: value for key, (value, _) in named_radii.items()}
-    for name, (value, _) in calibration.steering_offsets.items():
-        wheels[name]["steering_offset"] = value
-    return wheels, calibration.noise
+    present = load_calibration(document, robot.parent, Report(), {}) if document else None
+    return overlay(result, present)
 
 
 def write_calibration(path: Path, text: str) -> None:
@@ -215,8 +190,4 @@ def write_calibration(path: Path, text: str) -> None:
 
 def _is_calibration(path: Path) -> bool:
     document = read_file(path, path.name, Report())
-    return (
-        document is not None
-        and document.get("robot") is not None
-        and document.get("wheels") is not None
-    )
+    return document is not None and all(document.get(key) for key in ("robot", "wheels"))

@@ -13,8 +13,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from thorvaldc.comparison.module_changes import Outline, outline_of_file
-from thorvaldc.comparison.robot_comparison import compare_fleets, compare_robots
-from thorvaldc.comparison.robot_difference import Difference
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.result import Compilation
 from thorvaldc.diagnostics import DiagnosticError, Label, Report, Span
@@ -209,10 +207,6 @@ class ComparedInput:
     sources: dict[str, Path] = field(default_factory=dict)
 
 
-class InputKindError(ValueError):
-    """Two inputs cannot be compared, because one is a robot and the other a fleet."""
-
-
 def read_input(
     name: str, temporary: ExitStack, library: Sequence[Path] = (), *, trust: bool = False
 ) -> ComparedInput:
@@ -247,24 +241,6 @@ def revision_hint(before: str, after: str) -> str | None:
             path = Path(file).as_posix()
             return f"write `{revision}:{path}` for the file in the revision `{revision}`"
     return None
-
-
-def compare(before: ComparedInput, after: ComparedInput) -> Difference:
-    """Returns the differences of two inputs that have a model.
-
-    Raises ``InputKindError`` for a robot and a fleet.
-    """
-    if isinstance(before.model, Robot) and isinstance(after.model, Robot):
-        return compare_robots(
-            before.model, after.model, before.modules.get(""), after.modules.get("")
-        )
-    if isinstance(before.model, Fleet) and isinstance(after.model, Fleet):
-        return compare_fleets(before.model, after.model, (before.modules, after.modules))
-    kinds = [
-        f"{each.name} is a {'fleet' if isinstance(each.model, Fleet) else 'robot'}"
-        for each in (before, after)
-    ]
-    raise InputKindError(" and ".join(kinds))
 
 
 def _read(compared: ComparedInput, path: Path, library: Sequence[Path], trust: bool) -> None:

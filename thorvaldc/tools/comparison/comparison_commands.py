@@ -44,15 +44,16 @@ def diff(
     from thorvaldc.cli import diagnostic_output
     from thorvaldc.cli.run_pictures import check_output
     from thorvaldc.comparison import difference_text
+    from thorvaldc.comparison.robot_comparison import compare_models
     from thorvaldc.diagnostics.atomic_file import write_file
+    from thorvaldc.model import Fleet
     from thorvaldc.tools.comparison import compared_inputs, comparison_output
 
     diagnostic_output.check_format(format, diagnostic_output.RESULT_FORMATS)
     if html:
         check_output(html, ["html", "htm"], "--html")
     folders = options.library_folders(library)
-    inputs = []
-    models = []
+    models, outlines = [], []
     with ExitStack() as temporary:
         for name in (before, after):
             compared = compared_inputs.read_input(name, temporary, folders, trust=trust)
@@ -62,12 +63,15 @@ def diff(
                 if hint is not None:
                     diagnostic_output.message(f"hint: {hint}")
                 return status or INPUT
-            inputs.append(compared)
             models.append(compared.model)
-    try:
-        difference = compared_inputs.compare(*inputs)
-    except compared_inputs.InputKindError as error:
-        raise typer.BadParameter(str(error), param_hint="'A' / 'B'") from None
+            outlines.append(compared.modules)
+    difference = compare_models(models[0], models[1], outlines)
+    if difference is None:
+        kinds = [
+            f"{name} is a {'fleet' if isinstance(model, Fleet) else 'robot'}"
+            for name, model in zip((before, after), models, strict=True)
+        ]
+        raise typer.BadParameter(" and ".join(kinds), param_hint="'A' / 'B'")
     if html:
         write_file(Path(html), comparison_output.difference_page(difference, *models))
         diagnostic_output.message(html)

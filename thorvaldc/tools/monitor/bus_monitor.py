@@ -35,6 +35,8 @@ SETTLING, SETTLING_PERIODS = 1.0, 3
 periods.
 
 Before, the monitor has not listened for long enough, or the node is still being started."""
+POLL_TIME = 0.05
+"""Longest time (s) until a key or a termination signal ends the monitoring."""
 MOST_EMERGENCIES = 100
 """Largest number of stored EMCY messages."""
 MOST_UNKNOWN = 200
@@ -322,14 +324,12 @@ def watch(
     *,
     until: float = math.inf,
     ended: Callable[[], bool] = lambda: False,
-    poll_time: float = 0.05,
 ) -> None:
     """Receives CAN frames, and calls ``show`` with a summary of the bus in regular intervals.
 
     - ``interval``: time (s) between two calls of ``show``;
     - ``until``: time (s) on the clock of the interface at which the function returns;
-    - ``ended``: function that returns ``True`` to end the monitoring;
-    - ``poll_time``: longest time (s) between two calls of ``ended``.
+    - ``ended``: function that returns ``True`` to end the monitoring.
 
     Raises ``ConnectionError`` if the connection to the CAN interface is lost.
     """
@@ -344,7 +344,7 @@ def watch(
             next_summary = max(next_summary + interval, now)
             if now >= until - 1e-9:
                 return
-        timeout = max(min(poll_time, min(next_summary, until) - now), 0.0)
+        timeout = max(min(POLL_TIME, min(next_summary, until) - now), 0.0)
         received = interface.receive(timeout)
         while received is not None:
             monitor.take(received)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.comparison.difference_text import difference_text
-from thorvaldc.comparison.robot_comparison import compare_fleets, compare_robots
+from thorvaldc.comparison.robot_comparison import compare_models
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.renderers import render_text
@@ -111,25 +111,22 @@ class CompiledRobot:
 
     def details(self) -> dict[str, Any]:
         """Returns the facts about the last model without errors, and what changed in it."""
-        tables: list[dict[str, Any]] = []
-        if isinstance(self.model, Robot):
-            tables = [asdict(table) for table in fact_tables(robot_facts(self.model))]
-        elif isinstance(self.model, Fleet):
-            for placed in self.model.placements:
-                for table in fact_tables(robot_facts(placed.robot)):
-                    title = f"{placed.name}: {table.title}"
-                    tables.append(
-                        {**asdict(table), "key": f"{placed.name}.{table.key}", "title": title}
-                    )
-        difference = ""
-        before, after = self._before, self.model
-        if isinstance(before, Robot) and isinstance(after, Robot):
-            robots = compare_robots(before, after)
-            difference = "" if robots.is_equal else difference_text(robots, DIAGNOSTIC_WIDTH)
-        elif isinstance(before, Fleet) and isinstance(after, Fleet):
-            fleets = compare_fleets(before, after)
-            difference = "" if fleets.is_equal else difference_text(fleets, DIAGNOSTIC_WIDTH)
-        return {"kind": "details", "tables": tables, "difference": difference}
+        if isinstance(self.model, Fleet):
+            robots = [(f"{place.name}.", place.robot) for place in self.model.placements]
+        else:
+            robots = [] if self.model is None else [("", self.model)]
+        tables = []
+        for prefix, robot in robots:
+            for table in fact_tables(robot_facts(robot)):
+                title = f"{prefix[:-1]}: {table.title}" if prefix else table.title
+                tables.append({**asdict(table), "key": f"{prefix}{table.key}", "title": title})
+        difference = None
+        if self._before is not None and self.model is not None:
+            difference = compare_models(self._before, self.model)
+        text = ""
+        if difference is not None and not difference.is_equal:
+            text = difference_text(difference, DIAGNOSTIC_WIDTH)
+        return {"kind": "details", "tables": tables, "difference": text}
 
 
 def _key(mesh: MeshData) -> str:

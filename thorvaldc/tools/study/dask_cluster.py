@@ -369,19 +369,19 @@ class DaskCluster:
 
     def _check_versions(self, versions: dict[str, Any]) -> None:
         """Checks the versions that Dask itself needs before any function of ours can run."""
+
+        def version_of(part: dict[str, Any], package: str) -> str:
+            text = str(part["packages"].get(package))
+            return ".".join(text.split(".")[:2]) if package == "python" else text
+
         others = {f"the scheduler {self.address}": versions["scheduler"]}
         others |= {f"the worker {name}": part for name, part in versions["workers"].items()}
         for computer, part in others.items():
             if not isinstance(part, dict):
                 continue
             for package in ("python", "dask", "distributed"):
-                expected, present = (
-                    str(p["packages"].get(package)) for p in (versions["client"], part)
-                )
-                if package == "python":
-                    expected, present = (
-                        ".".join(text.split(".")[:2]) for text in (expected, present)
-                    )
+                expected = version_of(versions["client"], package)
+                present = version_of(part, package)
                 if expected != present:
                     text = f"has {package} {present}; the study has {package} {expected}"
                     raise ClusterError(_differs(computer, text))

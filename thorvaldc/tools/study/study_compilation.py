@@ -13,7 +13,7 @@ import math
 import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -160,10 +160,9 @@ def compile_study(source: SourceFile, compile_robot: Compile) -> Compilation:
     tried_files: dict[str, Path] = {}
     if source.document is not None:
         document = source.check_shape(source.document)
-        robot = _compile_robot(document, source, compile_robot, report)
-        if robot is not None:
-            robot_source, part = robot
-            parts[robot_source.name] = part
+        robot_source = _opened(source, document.get("robot"), "robot", "fleet-in-fleet", report)
+        if robot_source is not None:
+            part = parts[robot_source.name] = compile_robot(robot_source)
             if isinstance(part.model, Robot):
                 reader = _StudyReader(source, document, robot_source, part, compile_robot, report)
                 compilation.tool_document = reader.read(parts)
@@ -174,20 +173,21 @@ def compile_study(source: SourceFile, compile_robot: Compile) -> Compilation:
     return compilation
 
 
-def _compile_robot(
-    document: Node, source: SourceFile, compile_robot: Compile, report: Report
-) -> tuple[SourceFile, Compilation] | None:
-    node = document.get("robot")
+def _opened(
+    source: SourceFile, node: Node | None, kind: str, code: str, report: Report
+) -> SourceFile | None:
+    """Opens the file of a kind that a node names.
+
+    Returns ``None`` and reports an error, ``code`` for a file of another kind.
+    """
     if node is None or not isinstance(node.value, str):
         return None
-    robot_source = open_named_file(source, node, report)
-    if robot_source is None:
+    opened = open_named_file(source, node, report)
+    if opened is not None and opened.kind != kind:
+        message = f"`{opened.name}` is a {opened.kind}; a {kind} is needed"
+        report.add(code, message, node.span)
         return None
-    if robot_source.kind != "robot":
-        message = f"`{robot_source.name}` is a {robot_source.kind}; a robot is needed"
-        report.add("fleet-in-fleet", message, node.span)
-        return None
-    return robot_source, compile_robot(robot_source)
+    return opened
 
 
 def fact_values(document: Any, path: str = "") -> Iterator[tuple[str, float]]:
@@ -202,26 +202,20 @@ def fact_values(document: Any, path: str = "") -> Iterator[tuple[str, float]]:
             yield from fact_values(value, f"{path}.{key}" if path else str(key))
 
 
+@dataclass
 class _StudyReader:
     """Reads the sections of a study document."""
 
-    def __init__(
-        self,
-        source: SourceFile,
-        document: Node,
-        robot_source: SourceFile,
-        robot: Compilation,
-        compile_robot: Compile,
-        report: Report,
-    ) -> None:
-        self.source = source
-        self.document = document
-        self.robot_source = robot_source
-        self.robot = robot
-        self.compile_robot = compile_robot
-        self.report = report
-        assert isinstance(robot.model, Robot)
-        self.facts_document = facts_document(robot_facts(robot.model))
+    source: SourceFile
+    document: Node
+    robot_source: SourceFile
+    robot: Compilation
+    compile_robot: Compile
+    report: Report
+
+    def __post_init__(self) -> None:
+        assert isinstance(self.robot.model, Robot)
+        self.facts_document = facts_document(robot_facts(self.robot.model))
         self.facts = dict(fact_values(self.facts_document))
         self.currency: str = self.facts_document["purchase"]["currency"]
         self.choice_inputs: list[tuple[str, str, str]] = []
@@ -234,27 +228,25 @@ class _StudyReader:
         digest = hashlib.sha256()
         for name in sorted(parts):
             digest.update(f"{name}\0{parts[name].source_sha256}\0".encode())
-        samples = self.document.get("samples")
-        method, number, seed, batch = (
-            entry.value if samples is not None and (entry := samples.get(key)) is not None else None
-            for key in ("method", "number", "seed", "batch")
+        samples = {key: node.value for key, node in entries(self.document.get("samples")).items()}
+        number, seed, batch = (
+            value if isinstance(value := samples.get(key), int) else default
+            for key, default in (("number", 1), ("seed", 0), ("batch", definition.DEFAULT_BATCH))
         )
-        title, description = (self.document.get(key) for key in ("study", "description"))
+        title, description = (
+            "" if node is None else str(node.value)
+            for node in map(self.document.get, ("study", "description"))
+        )
         study = Study(
-            name="" if title is None else str(title.value),
-            description="" if description is None else str(description.value),
+            name=title,
+            description=description,
             robot=self.robot_source.path,
             variables=tuple(self._variables()),
             constraints=tuple(self._constraints()),
             scenarios=scenarios,
             objectives=tuple(self._objectives()),
             currency=self.currency,
-            samples=definition.Samples(
-                str(method),
-                number if isinstance(number, int) else 1,
-                seed if isinstance(seed, int) else 0,
-                batch if isinstance(batch, int) else definition.DEFAULT_BATCH,
-            ),
+            samples=definition.Samples(str(samples.get("method")), number, seed, batch),
         )
         self._check_size(study)
         return replace(study, inputs=digest.hexdigest(), choice_inputs=tuple(self.choice_inputs))
@@ -277,15 +269,10 @@ class _StudyReader:
         # The diagnostics of the robot are already in the report.
         silent = replace(self.robot, report=Report())
         for name, node in entries(self.document.get("scenarios")).items():
-            file = node.get("scenario")
-            if file is None or not isinstance(file.value, str):
-                continue
-            opened = open_named_file(self.source, file, self.report)
+            opened = _opened(
+                self.source, node.get("scenario"), "scenario", "study-name", self.report
+            )
             if opened is None:
-                continue
-            if opened.kind != "scenario":
-                message = f"`{opened.name}` is a {opened.kind}; a scenario is needed"
-                self.report.add("study-name", message, file.span)
                 continue
             parts[opened.name] = compile_scenario(
                 opened, lambda part: silent, self.robot_source.path, ()

@@ -8,7 +8,6 @@ import json
 import math
 import os
 import statistics
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -43,17 +42,6 @@ TableDesign = Mapping[str, Any]
 """A row of the table of designs."""
 
 
-@dataclass(frozen=True, slots=True)
-class StatusCount:
-    """Number of the designs with a status and a code, and the first of them with its message."""
-
-    status: str
-    code: str
-    count: int
-    sample: int
-    message: str
-
-
 class ReportContent:
     """The designs of a study for its report.
 
@@ -82,21 +70,15 @@ class ReportContent:
         self.shown = [design["sample"] for design in shown]
         self.chosen = _chosen(study.objectives, shown[: len(self.front)])
         self._best = best
+        self._table = table
 
-    def statuses(self) -> list[StatusCount]:
+    def statuses(self) -> list[study_results.StatusCount]:
         """Returns the counts by status and code, in the order of ``STATUSES``."""
-        counts = Counter((design["status"], design["code"]) for design in self.designs)
-        first: dict[tuple[str, str], TableDesign] = {}
-        for design in self.designs:
-            first.setdefault((design["status"], design["code"]), design)
         places = {status: place for place, status in enumerate(definition.STATUSES)}
-        order = sorted(
-            counts, key=lambda key: (places.get(key[0], len(places)), -counts[key], key[1])
+        return sorted(
+            self._table.counts(),
+            key=lambda row: (places.get(row.status, len(places)), -row.count, row.code),
         )
-        return [
-            StatusCount(*key, counts[key], first[key]["sample"], first[key]["message"])
-            for key in order
-        ]
 
     def axes(self, influences: Mapping[str, float]) -> tuple[str, str]:
         """Returns the names of the columns on the axes of the plot at first.

@@ -129,6 +129,17 @@ def _description(study: Study) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True)
+class StatusCount:
+    """Number of the designs with a status and a code, and the first of them with its message."""
+
+    status: str
+    code: str
+    count: int
+    sample: int
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
 class StudyTable:
     """The table of designs in a folder.
 
@@ -152,6 +163,17 @@ class StudyTable:
         """Returns the rows of the table in the order of the designs."""
         names, rows = self.query("SELECT * FROM designs ORDER BY sample")
         return [dict(zip(names, row, strict=True)) for row in rows]
+
+    def counts(self, condition: str = "true") -> list[StatusCount]:
+        """Returns the statuses and codes of the designs with a condition in SQL.
+
+        They are in the order of their first designs.
+        """
+        _, rows = self.query(
+            "SELECT status, code, count(*), min(sample), arg_min(message, sample) FROM designs"
+            f" WHERE {condition} GROUP BY status, code ORDER BY 4"
+        )
+        return [StatusCount(*row) for row in rows]
 
     def query(self, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
         """Returns the names of the columns and the rows of an SQL query.
@@ -425,7 +447,10 @@ def summary_text(table: StudyTable, width: int | None) -> str:
     result, description = summary(table), table.description
     counts = ", ".join(f"{count} {status}" for status, count in result["statuses"].items())
     lines = [f"{result['study']}: {result['designs']} designs: {counts or 'none'}"]
-    lines += _reasons(table, "status = 'error'" if result["best"] else "true")
+    for reason in table.counts("status = 'error'" if result["best"] else "true"):
+        code, more = reason.code and f" {reason.code}", reason.count - 1
+        others = f" (and {more} more)" if more else ""
+        lines.append(f"design {reason.sample}: {reason.status}{code}: {reason.message}{others}")
     goals = result["objectives"]
     names = [*description["variables"], *description["constraints"], *goals]
     is_front = len(goals) > 1
@@ -480,16 +505,3 @@ def cell_text(value: Any) -> str:
     if not isinstance(value, float):
         return str(value)
     return f"{value:.4g}" if abs(value) < 1e4 or abs(value) >= 1e7 else f"{value:.0f}"
-
-
-def _reasons(table: StudyTable, condition: str) -> list[str]:
-    """Returns the first message of each status and code of the designs with a condition in SQL."""
-    _, rows = table.query(
-        "SELECT status, code, min(sample), arg_min(message, sample), count(*) FROM designs"
-        f" WHERE {condition} GROUP BY status, code ORDER BY 3"
-    )
-    return [
-        f"design {sample}: {status}{f' {code}' if code else ''}: {message}"
-        + (f" (and {number - 1} more)" if number > 1 else "")
-        for status, code, sample, message, number in rows
-    ]

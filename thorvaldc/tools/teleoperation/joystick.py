@@ -164,12 +164,7 @@ class Joystick:
     must press the dead-man button again to drive.
     """
 
-    def __init__(
-        self,
-        limits: Limits,
-        search: Search,
-        share: float = FIRST_SHARE,
-    ) -> None:
+    def __init__(self, limits: Limits, search: Search, share: float = FIRST_SHARE) -> None:
         self.limits = limits
         self.share = share
         self.message = ""
@@ -234,23 +229,19 @@ class Joystick:
         elif event.type == EV_KEY:
             was_pressed = self._pressed.get(event.code, False)
             self._pressed[event.code] = bool(event.value)
-            if event.value and not was_pressed:
-                self._request(event.code, requests)
+            layout = self._layout
+            services = {
+                layout.arm: "arm",
+                layout.reset: "reset_faults",
+                layout.release: "release_safety_stop",
+                layout.stop: "safety_stop",  # also if another function has the same button
+            }
+            if event.value and not was_pressed and event.code in services:
+                requests.append(Request(services[event.code], {}))
         elif event.type == EV_SYN and event.code == SYN_DROPPED:
             # The event SYN_DROPPED means that the kernel has dropped joystick events. The release
             # of the dead-man button may be one of the dropped events.
             self._release_all()
-
-    def _request(self, button: int, requests: list[Request]) -> None:
-        layout = self._layout
-        if button == layout.stop:
-            requests.append(Request("safety_stop", {}))
-        elif button == layout.release:
-            requests.append(Request("release_safety_stop", {}))
-        elif button == layout.reset:
-            requests.append(Request("reset_faults", {}))
-        elif button == layout.arm:
-            requests.append(Request("arm", {}))
 
     def _release_all(self) -> None:
         """Sets all axes of the joystick to zero and all buttons to released.
@@ -273,16 +264,8 @@ class OperatorPair:
 
     def __init__(self, first: Operator, second: Operator) -> None:
         self.finished = False
+        self.share = first.share
         self._operators = (first, second)
-
-    @property
-    def share(self) -> float:
-        return self._operators[0].share
-
-    @share.setter
-    def share(self, share: float) -> None:
-        for operator in self._operators:
-            operator.share = share
 
     @property
     def message(self) -> str:
@@ -291,7 +274,7 @@ class OperatorPair:
     def poll(self, now: float) -> list[Request]:
         requests = [request for operator in self._operators for request in operator.poll(now)]
         self.finished = any(operator.finished for operator in self._operators)
-        self._operators[1].share = self._operators[0].share
+        self.share = self._operators[1].share = self._operators[0].share
         return requests
 
     def twist(self, now: float) -> Twist | None:

@@ -101,13 +101,11 @@ class Keyboard:
         read: Callable[[], list[str]],
         share: float = teleop_loop.FIRST_SHARE,
         sets: Sequence[str] = (),
-        close: Callable[[], None] = lambda: None,
     ) -> None:
         self.limits = limits
         self.share = share
         self.message = ""
         self.finished = False
-        self.close = close
         self._sets = ("", *sets)
         self._set = 0
         self._read = read
@@ -144,6 +142,9 @@ class Keyboard:
             return ZERO_TWIST
         self._driving = False
         return None
+
+    def close(self) -> None:
+        """Does nothing: the terminal belongs to the caller."""
 
     def _press(self, key: str, now: float, requests: list[Request]) -> None:
         if key in MOTIONS:
