@@ -1,4 +1,30 @@
-"""Converts a joint log to arrays of the mean joint states between successive lines of the log."""
+"""The joint log of a calibration: its intervals, its errors over time, and the log that is missing.
+
+``Ticks`` are the mean joint states between successive lines of the log.
+
+Errors from ground and tyres last longer than a tick.  The sum of n correlated errors has a larger
+variance than the sum of n independent errors, so that the standard error of an estimate is larger.
+The autocorrelation rho(t) of the errors, from the residuals of the fit, is a mixture of known
+shapes:
+
+    rho(t) = sum_j share_j shape_j(t) + lasting exp(-t / LASTING_TIME)
+
+- Three shapes for errors without memory: white, and the correlations +0.5 and -0.5 between
+  neighbouring ticks.  A tick contains the mean of two successive angles (+0.5), or the difference
+  of two successive positions (-0.5).
+- Exponential shapes exp(-t / tau) with the time constants ``TIME_CONSTANTS``.
+- A lasting part, which changes with the motion of the robot, in seconds.
+
+Errors of the first two kinds are random: a longer log reduces them.  Errors of the lasting part are
+systematic, such as the side slip of a wheel in a turn: they return with each turn, and a longer log
+does not reduce them.
+
+``plan_motions`` plans a log that settles the values that a first log leaves open.  The information
+of a steady motion about the parameters does not depend on measured values, only on the directions
+of the wheels.  The plan adds seconds of simple motions to the information of the log, always of the
+motion that reduces the largest open standard error most, until all values are settled (greedy
+E-optimal design).  The noise is that of the log.
+"""
 
 from __future__ import annotations
 
