@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from thorvaldc.can.canopen import NMT, SYNC, NmtCommand
-from thorvaldc.model import Robot, bus_faults, stopping
+from thorvaldc.model import Robot, scenario, stopping
 from thorvaldc.model.bus import Bus, FrameDefinition, Node, ObjectValue
 from thorvaldc.model.bus_timing import reading_time, required_objects
-from thorvaldc.model.scenario import FRAME_FORMATS
 from thorvaldc.model.statics.slope import roll_out
 from thorvaldc.runtime.can_base.motor_controller import controller_class
 from thorvaldc.tools.fault_matrix.rehearsal import Rehearsal
@@ -203,7 +202,7 @@ class _Target:
         return lambda rehearsal: rehearsal.inject(kind, self.bus.name, node, **values)
 
     def forged(
-        self, cob_id: int, data: bytes, period: float = 0.0, form: str = bus_faults.FRAME_FORMATS[0]
+        self, cob_id: int, data: bytes, period: float = 0.0, form: str = scenario.FRAME_FORMATS[0]
     ) -> Injection:
         values = {"cob_id": cob_id, "data": data, "period": period, "format": form}
         return self.on_node(None, "forged_frames", **values)
@@ -396,7 +395,7 @@ def _forgery_cases(target: _Target) -> Iterator[FaultCase]:
     if target.command is not None:
         other = target.repeated(target.command, target.command.period or cycle)
         yield case("another master sends commands to a drive", other, target.silence)
-        for form in bus_faults.FRAME_FORMATS[1:]:
+        for form in scenario.FRAME_FORMATS[1:]:
             frames = target.forged(target.command.cob_id, bytes(8), cycle, form)
             yield case(f"{form} frames with the id of a command", frames, None)
     if target.report is not None:
