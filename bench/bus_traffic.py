@@ -23,7 +23,7 @@ from thorvaldc.can.frame import CanFrame, to_ns
 from thorvaldc.can.frame_bits import INTERFRAME_BITS
 from thorvaldc.can.frame_bits import frame_bits as exact_bits
 from thorvaldc.diagnostics import Span
-from thorvaldc.model.bus import Bus, FrameDefinition
+from thorvaldc.model import Bus, FrameDefinition
 from thorvaldc.model.bus_timing import MASTER, bus_load, frame_response_times
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import CanController, Wire

@@ -20,8 +20,7 @@ from tempfile import TemporaryDirectory
 
 from bench.figure import ROOT, Figure
 from thorvaldc.compiler.pipeline import compile_file, emit
-from thorvaldc.model import Fleet, Robot
-from thorvaldc.model.bus import ObjectValue
+from thorvaldc.model import Fleet, ObjectValue, Robot
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driven_robot import DrivenRobot

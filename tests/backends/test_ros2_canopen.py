@@ -16,8 +16,8 @@ from tests.outside_tools import path_of_dcfgen
 from tests.simulation.bus.master import Master
 from tests.simulation.bus.robots import cia402_robot, uneven_robot
 from thorvaldc.backends.can import Can
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import OBJECT_TYPES, Node
+from thorvaldc.model import Node, Robot
+from thorvaldc.model.bus import OBJECT_TYPES
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 

@@ -9,7 +9,7 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.open_interface import open_interface
 from thorvaldc.can.python_can_interface import PythonCanInterface
 from thorvaldc.diagnostics import DiagnosticError
-from thorvaldc.model.bus import Bus
+from thorvaldc.model import Bus
 
 HEARTBEAT = CanFrame(0x701, b"\x05")
 ALL_KINDS = (

@@ -9,7 +9,7 @@ import pytest
 from tests.can.interfaces import bus as bus
 from tests.can.interfaces import open_python_can
 from thorvaldc.can.frame import NANOSECONDS, counting_clock, elapsed, elapsed_ns
-from thorvaldc.model.bus import Bus
+from thorvaldc.model import Bus
 
 BOOTTIME = getattr(time, "CLOCK_BOOTTIME", None)
 

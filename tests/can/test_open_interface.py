@@ -20,8 +20,7 @@ from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.open_interface import bus_lock, open_interface, open_interfaces
 from thorvaldc.can.simulated_bus_client import SimulatedBusClient
 from thorvaldc.diagnostics import DiagnosticError
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus
+from thorvaldc.model import Bus, Robot
 from thorvaldc.simulation.bus.bus_server import serving
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import Wire

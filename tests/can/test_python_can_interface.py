@@ -24,7 +24,7 @@ from thorvaldc.can.frame import CanFrame, ErrorState, elapsed_ns
 from thorvaldc.can.open_interface import UDP_GROUP
 from thorvaldc.can.python_can_interface import PythonCanInterface
 from thorvaldc.diagnostics import DiagnosticError
-from thorvaldc.model.bus import Bus
+from thorvaldc.model import Bus
 
 __all__ = ["bus"]
 

@@ -14,8 +14,7 @@ from thorvaldc.commissioning.journal import Journal
 from thorvaldc.commissioning.planner import make_plan
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.diagnostics import DiagnosticError
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus
+from thorvaldc.model import Bus, Robot
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 
 if TYPE_CHECKING:

@@ -8,8 +8,7 @@ from dataclasses import replace
 
 from tests.simulation.bus.robots import cia402 as steered_cia402
 from tests.simulation.bus.robots import compiled
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Node, ObjectValue
+from thorvaldc.model import Node, ObjectValue, Robot
 from thorvaldc.model.settings import AUTOMATIC
 
 _STEERED_SCRIPT = """

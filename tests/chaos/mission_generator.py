@@ -14,8 +14,7 @@ from tests.chaos.chaos_robots import LOUD_SOURCE, ROBOTS, chaos_robot
 from tests.chaos.focused_missions import FOCUSED, TWIST, call
 from tests.chaos.invariants import PUSHED
 from tests.chaos.schedule import DELIVERED, POWER_ON, READY, ChaosEvent, Schedule
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus, Node, ObjectValue
+from thorvaldc.model import Bus, Node, ObjectValue, Robot
 from thorvaldc.model.bus_timing import required_objects
 
 POWER_ON_SHARE = 0.05

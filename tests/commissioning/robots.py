@@ -5,8 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Node
+from thorvaldc.model import Node, Robot
 
 
 def without_serials(robot: Robot, names: Sequence[str]) -> Robot:

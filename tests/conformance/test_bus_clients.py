@@ -16,8 +16,8 @@ from tests.examples import ROBOTS, example_robot
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import cia402_robot, uneven_robot
 from thorvaldc.backends.can import Can
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import OBJECT_TYPES, Node
+from thorvaldc.model import Node, Robot
+from thorvaldc.model.bus import OBJECT_TYPES
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.bus import python_can_plugin as interface

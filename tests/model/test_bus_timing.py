@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import pytest
 
 from tests.robots import SPAN
-from thorvaldc.model.bus import Bus, FrameDefinition
+from thorvaldc.model import Bus, FrameDefinition
 from thorvaldc.model.bus_timing import (
     Stream,
     bus_load,

@@ -30,8 +30,7 @@ import math
 import struct
 
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus, Node
+from thorvaldc.model import Bus, Node, Robot
 from thorvaldc.runtime.can_base.motor_controller import Intent, MotorController
 from thorvaldc_odrive.protocol import (
     PASSTHROUGH,

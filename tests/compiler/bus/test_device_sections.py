@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.devices import CIA_402, MOTORS, Bench, line
-from thorvaldc.model.bus import Node, ObjectValue
+from thorvaldc.model import Node, ObjectValue
 
 WIRES = {"propulsion": MOTORS[0], "steering": MOTORS[1]}
 TEXT = """

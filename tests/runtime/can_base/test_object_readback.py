@@ -7,7 +7,7 @@ import struct
 import pytest
 
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.model.bus import ObjectValue
+from thorvaldc.model import ObjectValue
 from thorvaldc.runtime.can_base.node_watchdog import (
     ANSWER_TIME,
     TRIES,

@@ -16,8 +16,8 @@ from tests.runtime.can_base.test_can_base import four_wheels
 from tests.simulation.bus.robots import drives, uneven_robot
 from thorvaldc.backends.can.dbc import dbc_text
 from thorvaldc.compiler.pipeline import emit
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import FLOAT32_MAX, Bus, FrameDefinition, Signal
+from thorvaldc.model import Bus, FrameDefinition, Robot, Signal
+from thorvaldc.model.bus import FLOAT32_MAX
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
 

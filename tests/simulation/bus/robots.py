@@ -11,8 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Node, ObjectValue
+from thorvaldc.model import Node, ObjectValue, Robot
 
 CIA402 = """
 thorvaldc: 1

@@ -37,8 +37,7 @@ def calibrate(
     trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli import compiling, diagnostic_output
-    from thorvaldc.diagnostics import Report
-    from thorvaldc.diagnostics.report import DiagnosticError
+    from thorvaldc.diagnostics import DiagnosticError, Report
     from thorvaldc.model import Robot
     from thorvaldc.runtime.run_time_parameters import Parameters as DriverParameters
     from thorvaldc.simulation.records.joint_csv import read_log

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from thorvaldc.can.canopen import NMT, SYNC, NmtCommand
-from thorvaldc.model import Robot, scenario, stopping
-from thorvaldc.model.bus import Bus, FrameDefinition, Node, ObjectValue
+from thorvaldc.model import Bus, FrameDefinition, Node, ObjectValue, Robot, scenario, stopping
 from thorvaldc.model.bus_timing import reading_time, required_objects
 from thorvaldc.model.statics.slope import roll_out
 from thorvaldc.runtime.can_base.motor_controller import controller_class

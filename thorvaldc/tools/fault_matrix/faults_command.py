@@ -26,7 +26,7 @@ def faults(
 ) -> int:
     from thorvaldc.cli import diagnostic_output, robot_file
     from thorvaldc.cli.progress import Progress
-    from thorvaldc.diagnostics.report import DiagnosticError
+    from thorvaldc.diagnostics import DiagnosticError
     from thorvaldc.simulation.worker_processes import processors
     from thorvaldc.tools.fault_matrix.fault_matrix import FaultMatrix, markdown, matrix_json
     from thorvaldc.tools.fault_matrix.rehearsal import RehearsalError

@@ -17,7 +17,7 @@ from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 
 if TYPE_CHECKING:
     from thorvaldc.can.frame import CanInterface
-    from thorvaldc.model.bus import Bus
+    from thorvaldc.model import Bus
 
 LIVE_INTERVAL = 0.25
 INTERVAL = 1.0
@@ -56,7 +56,7 @@ def monitor(
     trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli import diagnostic_output, robot_file, selected_bus
-    from thorvaldc.diagnostics.report import DiagnosticError
+    from thorvaldc.diagnostics import DiagnosticError
     from thorvaldc.tools.monitor import monitor_view
     from thorvaldc.tools.monitor.bus_monitor import BusMonitor
 

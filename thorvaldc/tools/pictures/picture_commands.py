@@ -49,9 +49,8 @@ def render(
 ) -> int:
     from thorvaldc.cli import compiling, diagnostic_output, run_pictures
     from thorvaldc.compiler.pipeline import emit
-    from thorvaldc.diagnostics import Report
+    from thorvaldc.diagnostics import DiagnosticError, Report
     from thorvaldc.diagnostics.atomic_file import write_file
-    from thorvaldc.diagnostics.report import DiagnosticError
     from thorvaldc.simulation.pictures import check_pillow
     from thorvaldc.simulation.pictures.render import choose_opengl_backend, parse_size, parse_view
     from thorvaldc.simulation.pictures.render import render as draw
@@ -149,9 +148,8 @@ def view(
 ) -> int:
     from thorvaldc.cli import compiling, diagnostic_output, run_pictures
     from thorvaldc.compiler.pipeline import emit
-    from thorvaldc.diagnostics import Report
+    from thorvaldc.diagnostics import DiagnosticError, Report
     from thorvaldc.diagnostics.atomic_file import write_file
-    from thorvaldc.diagnostics.report import DiagnosticError
 
     if output:
         run_pictures.check_output(output, ["html", "htm"], "--output")

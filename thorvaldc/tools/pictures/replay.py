@@ -14,8 +14,7 @@ from thorvaldc.cli.run_pictures import RunPictures
 from thorvaldc.cli.run_records import Robots, open_recorders, record_summary, write_errors
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.compiler.result import Compilation
-from thorvaldc.diagnostics import Report, Span
-from thorvaldc.diagnostics.report import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError, Report, Span
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.spatial import float_sum, quat_from_rpy
 from thorvaldc.runtime import se2

@@ -248,7 +248,7 @@ def write_best(
 
 
 def _choose(objectives: tuple[Objective, ...], by: str) -> Objective:
-    from thorvaldc.diagnostics.report import did_you_mean
+    from thorvaldc.diagnostics import did_you_mean
 
     names = [objective.name for objective in objectives]
     if not by and len(objectives) > 1:

@@ -30,8 +30,7 @@ from thorvaldc.compiler.source.node import Node, Value, insertion, yaml_text
 from thorvaldc.compiler.source.reader import MAX_BYTES, read_text
 from thorvaldc.compiler.source.units import UnitError, parse_any, parse_quantity
 from thorvaldc.compiler.values.value_reader import entries, items
-from thorvaldc.diagnostics import Proposal, Report, Span
-from thorvaldc.diagnostics.report import did_you_mean
+from thorvaldc.diagnostics import Proposal, Report, Span, did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
 from thorvaldc.model.facts.robot_facts import fact_quantity, facts_document, robot_facts

@@ -20,8 +20,7 @@ from thorvaldc.comparison.robot_comparison import compare_robots
 from thorvaldc.compiler.pipeline import compile_robot, emit_without_model
 from thorvaldc.compiler.result import SourceFile
 from thorvaldc.compiler.source.input_file import unsaved_texts
-from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.report import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.model import Robot
 from thorvaldc.model.facts.fact_tables import FactTable, fact_tables
 from thorvaldc.model.facts.robot_facts import fact_quantity, robot_facts

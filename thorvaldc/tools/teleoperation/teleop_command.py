@@ -130,7 +130,7 @@ def _start_driver(
     """
     from thorvaldc.can.open_interface import lock_buses
     from thorvaldc.cli import diagnostic_output, robot_file
-    from thorvaldc.diagnostics.report import DiagnosticError
+    from thorvaldc.diagnostics import DiagnosticError
 
     loaded = robot_file.load_robot(file, library, trust)
     if loaded is None:
