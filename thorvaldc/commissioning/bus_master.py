@@ -5,20 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from thorvaldc.can import lss, sdo
-from thorvaldc.can.canopen import (
-    HEARTBEAT,
-    HIGHEST_NODE_ID,
-    NMT,
-    SDO_REQUEST,
-    SDO_RESPONSE,
-    SYNC,
-    TIME_STAMP,
-    NmtCommand,
-    NmtState,
-    heartbeat_state,
-    nmt_message,
-)
+from thorvaldc.can import canopen, lss, sdo
 from thorvaldc.can.frame import NANOSECONDS, CanFrame, CanInterface, ErrorState
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Bus
@@ -116,11 +103,11 @@ class BusMaster:
                 hint="do the devices have power, and do they use this bitrate?",
             )
 
-        if SDO_REQUEST < identifier <= SDO_REQUEST + HIGHEST_NODE_ID:
-            self._open_requests.add(identifier - SDO_REQUEST)
+        if canopen.SDO_REQUEST < identifier <= canopen.SDO_REQUEST + canopen.HIGHEST_NODE_ID:
+            self._open_requests.add(identifier - canopen.SDO_REQUEST)
 
-    def nmt(self, command: NmtCommand, node: int) -> None:
-        self.send(NMT, nmt_message(command, node))
+    def nmt(self, command: canopen.NmtCommand, node: int) -> None:
+        self.send(canopen.NMT, canopen.nmt_message(command, node))
 
     # -- waiting ----------------------------------------------------------------------------
 
@@ -223,13 +210,16 @@ class BusMaster:
         if frame.extended:
             return
         self.received.setdefault(frame.id, []).append(time)
-        if HEARTBEAT < frame.id <= HEARTBEAT + HIGHEST_NODE_ID and len(frame.data) == 1:
-            node = frame.id - HEARTBEAT
-            self.states[node] = heartbeat_state(frame.data)
-            if frame.data[0] == NmtState.INITIALISING:
+        if (
+            canopen.HEARTBEAT < frame.id <= canopen.HEARTBEAT + canopen.HIGHEST_NODE_ID
+            and len(frame.data) == 1
+        ):
+            node = frame.id - canopen.HEARTBEAT
+            self.states[node] = canopen.heartbeat_state(frame.data)
+            if frame.data[0] == canopen.NmtState.INITIALISING:
                 self.boots.append(node)
-        elif SDO_RESPONSE < frame.id <= SDO_RESPONSE + HIGHEST_NODE_ID:
-            node = frame.id - SDO_RESPONSE
+        elif canopen.SDO_RESPONSE < frame.id <= canopen.SDO_RESPONSE + canopen.HIGHEST_NODE_ID:
+            node = frame.id - canopen.SDO_RESPONSE
             if node not in self._open_requests and frame.id not in self._other_frames:
                 self.surplus[node] = self.surplus.get(node, 0) + 1
             self._open_requests.discard(node)
@@ -247,11 +237,11 @@ class BusMaster:
             return ""
         if identifier in self._from_master:
             return self._from_master[identifier]
-        if identifier in (NMT, SYNC, TIME_STAMP, lss.REQUEST):
+        if identifier in (canopen.NMT, canopen.SYNC, canopen.TIME_STAMP, lss.REQUEST):
             return f"{identifier:#05x}"
-        if SDO_REQUEST < identifier <= SDO_REQUEST + HIGHEST_NODE_ID:
-            return f"an SDO request to node {identifier - SDO_REQUEST}"
-        if identifier == HEARTBEAT + self.bus.master_id:
+        if canopen.SDO_REQUEST < identifier <= canopen.SDO_REQUEST + canopen.HIGHEST_NODE_ID:
+            return f"an SDO request to node {identifier - canopen.SDO_REQUEST}"
+        if identifier == canopen.HEARTBEAT + self.bus.master_id:
             return "a master's heartbeat"
         return ""
 
@@ -446,14 +436,14 @@ class SdoClient:
         settle: float,
         segment: bool = False,
     ) -> list[CanFrame]:
-        response_id, multiplexer = SDO_RESPONSE + node, request[1:4]
+        response_id, multiplexer = canopen.SDO_RESPONSE + node, request[1:4]
 
         def fits(frame: CanFrame) -> bool:
             if frame.id != response_id or len(frame.data) != 8:
                 return False
             return segment or frame.data[1:4] == multiplexer
 
-        return self.master.request(SDO_REQUEST + node, request, fits, timeout, settle)
+        return self.master.request(canopen.SDO_REQUEST + node, request, fits, timeout, settle)
 
 
 def _upload_response(data: bytes) -> UploadResponse:

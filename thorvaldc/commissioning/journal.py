@@ -32,11 +32,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from thorvaldc.commissioning.bus_configuration import (
-    ParameterValue,
-    values_from_json,
-    values_to_json,
-)
+from thorvaldc.commissioning import bus_configuration
 from thorvaldc.commissioning.planner import Plan, plan_from_json, plan_to_json
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.diagnostics.atomic_file import append_whole
@@ -138,11 +134,11 @@ class Run:
         execution."""
         return [record["step"] for record in self.records if record["record"] == "begin"]
 
-    def previous_values(self) -> list[tuple[str, tuple[ParameterValue, ...]]]:
+    def previous_values(self) -> list[tuple[str, tuple[bus_configuration.ParameterValue, ...]]]:
         """Returns the node and the previous object values for each journal record of a step that
         writes object values."""
         return [
-            (record["node"], values_from_json(record["old"]))
+            (record["node"], bus_configuration.values_from_json(record["old"]))
             for record in self.records
             if "old" in record
         ]
@@ -210,7 +206,11 @@ class Journal:
         )
 
     def begin(
-        self, step: int, node: str, description: str, old: Sequence[ParameterValue] = ()
+        self,
+        step: int,
+        node: str,
+        description: str,
+        old: Sequence[bus_configuration.ParameterValue] = (),
     ) -> None:
         """Writes a record to the journal at the start of a step.
 
@@ -223,7 +223,7 @@ class Journal:
             "what": description,
         }
         if old:
-            record["old"] = values_to_json(old)
+            record["old"] = bus_configuration.values_to_json(old)
         self._append(record)
 
     def done(self, step: int, node: str, read: Any) -> None:
@@ -323,7 +323,7 @@ class Journal:
                 raise ValueError(kind)
             if not isinstance(record["node"], str):
                 raise ValueError(kind)
-            values_from_json(record.get("old", []))
+            bus_configuration.values_from_json(record.get("old", []))
         elif kind not in ("stopped", "end"):
             raise ValueError(kind)
 

@@ -25,19 +25,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from thorvaldc.can.lss import UNCONFIGURED, Identity
-from thorvaldc.commissioning import scan_result
-from thorvaldc.commissioning.bus_configuration import (
-    PARKING,
-    BusConfiguration,
-    NodeConfiguration,
-    ParameterValue,
-    check_node_id,
-    digest,
-    from_json,
-    to_json,
-    values_from_json,
-    values_to_json,
-)
+from thorvaldc.commissioning import bus_configuration, scan_result
 from thorvaldc.commissioning.scan_result import FoundDevice, ScanEntry, ScanResult
 from thorvaldc.diagnostics.text_layout import text_table
 from thorvaldc.model.model_json import typed_value
@@ -74,7 +62,7 @@ class AddressStep:
             return f"give {self.node} the id {self.after}"
         if self.after == UNCONFIGURED:
             return f"remove the id {self.before} of {self.node}"
-        parked = " (parked)" if self.after in PARKING else ""
+        parked = " (parked)" if self.after in bus_configuration.PARKING else ""
         return f"move {self.node} from {self.before} to {self.after}{parked}"
 
 
@@ -94,7 +82,7 @@ class ConfigureStep:
     node: str
     id: int
     identity: Identity | None
-    values: tuple[ParameterValue, ...]
+    values: tuple[bus_configuration.ParameterValue, ...]
     differing: int | None
     back_end: str = DOWNLOAD
 
@@ -142,7 +130,7 @@ class Plan:
     - ``notes``: messages that do not prevent the execution of the plan.
     """
 
-    configuration: BusConfiguration
+    configuration: bus_configuration.BusConfiguration
     start: tuple[tuple[str, int], ...]
     identities: tuple[tuple[str, Identity], ...]
     steps: tuple[PlanStep, ...]
@@ -154,7 +142,7 @@ class Plan:
     def hash(self) -> str:
         """SHA-256 hash of the required configuration, the node ids, the identities and the steps of
         the plan."""
-        return digest(plan_to_json(self))
+        return bus_configuration.digest(plan_to_json(self))
 
     @property
     def ids(self) -> dict[str, set[int]]:
@@ -174,7 +162,7 @@ class Plan:
 def step_to_json(step: PlanStep) -> dict[str, Any]:
     entry = {"kind": step.kind, **{name: getattr(step, name) for name in step.__slots__}}
     if isinstance(step, ConfigureStep):
-        entry["values"] = values_to_json(step.values)
+        entry["values"] = bus_configuration.values_to_json(step.values)
     return entry
 
 
@@ -194,7 +182,7 @@ def step_from_json(value: Mapping[str, Any]) -> PlanStep:
             node,
             _node_id_from_json(value["id"]),
             None if identity is None else _identity_from_json(identity),
-            values_from_json(value["values"]),
+            bus_configuration.values_from_json(value["values"]),
             typed_value(int | None, value["differing"]),
         )
     return AttachStep(node, _node_id_from_json(value["after"]))
@@ -202,7 +190,7 @@ def step_from_json(value: Mapping[str, Any]) -> PlanStep:
 
 def _node_id_from_json(value: Any) -> int:
     number: int = typed_value(int, value)
-    check_node_id(number)
+    bus_configuration.check_node_id(number)
     return number
 
 
@@ -215,7 +203,7 @@ def _identity_from_json(value: Any) -> Identity:
 
 def plan_to_json(plan: Plan) -> dict[str, Any]:
     return {
-        "target": to_json(plan.configuration),
+        "target": bus_configuration.to_json(plan.configuration),
         "start": [list(pair) for pair in plan.start],
         "identities": [[name, list(identity)] for name, identity in plan.identities],
         "steps": [step_to_json(step) for step in plan.steps],
@@ -229,7 +217,7 @@ def plan_from_json(value: Mapping[str, Any]) -> Plan:
     plan.
     """
     return Plan(
-        from_json(value["target"]),
+        bus_configuration.from_json(value["target"]),
         tuple((typed_value(str, n), _node_id_from_json(i)) for n, i in value["start"]),
         tuple((typed_value(str, n), _identity_from_json(i)) for n, i in value["identities"]),
         tuple(step_from_json(step) for step in value["steps"]),
@@ -276,7 +264,7 @@ def plan_as_json(plan: Plan) -> dict[str, Any]:
 # -- planning --------------------------------------------------------------------------------------
 
 
-def make_plan(configuration: BusConfiguration, scan: ScanResult) -> Plan:
+def make_plan(configuration: bus_configuration.BusConfiguration, scan: ScanResult) -> Plan:
     """Returns the commissioning plan that changes the scanned nodes to the required configuration.
 
     ``Plan.problems`` contains the reasons why the plan cannot be executed.
@@ -340,8 +328,8 @@ def make_plan(configuration: BusConfiguration, scan: ScanResult) -> Plan:
 
 
 def _nodes_set_by_hand(
-    configuration: BusConfiguration, scan: ScanResult
-) -> list[NodeConfiguration]:
+    configuration: bus_configuration.BusConfiguration, scan: ScanResult
+) -> list[bus_configuration.NodeConfiguration]:
     """Returns the nodes whose id must be set with the tool of the manufacturer."""
     return [
         node
@@ -354,7 +342,7 @@ def _nodes_set_by_hand(
 
 
 def _find_obstacles(
-    configuration: BusConfiguration, scan: ScanResult
+    configuration: bus_configuration.BusConfiguration, scan: ScanResult
 ) -> tuple[list[str], list[str], list[str]]:
     """Returns the unknown devices (strangers), the problems and the notes of a commissioning
     plan."""
@@ -389,7 +377,7 @@ def _find_obstacles(
 
 
 def _unknown_device(
-    configuration: BusConfiguration, scan: ScanResult, entry: ScanEntry
+    configuration: bus_configuration.BusConfiguration, scan: ScanResult, entry: ScanEntry
 ) -> tuple[list[str], list[str]]:
     """Returns the unknown devices (strangers) and the problems for a device that is not in the
     robot file."""
@@ -418,7 +406,9 @@ def _unknown_device(
     return [], [entry.detail]
 
 
-def _duplicate_problem(node: NodeConfiguration, entry: ScanEntry, scan: ScanResult) -> list[str]:
+def _duplicate_problem(
+    node: bus_configuration.NodeConfiguration, entry: ScanEntry, scan: ScanResult
+) -> list[str]:
     device = entry.device
     at = Counter(scan.ids().values())
     known = node.lss and entry.identity is not None
@@ -431,7 +421,7 @@ def _duplicate_problem(node: NodeConfiguration, entry: ScanEntry, scan: ScanResu
 
 
 def _candidates(
-    configuration: BusConfiguration, scan: ScanResult, device: FoundDevice
+    configuration: bus_configuration.BusConfiguration, scan: ScanResult, device: FoundDevice
 ) -> list[str]:
     """Returns the names of the missing nodes to which an unknown device can be assigned.
 
@@ -450,7 +440,7 @@ def _candidates(
 
 
 def _suggest_serial(
-    configuration: BusConfiguration, scan: ScanResult, device: FoundDevice | None
+    configuration: bus_configuration.BusConfiguration, scan: ScanResult, device: FoundDevice | None
 ) -> str:
     if device is None or device.identity is None or not device.identity.serial:
         return ""
@@ -465,11 +455,11 @@ def _suggest_serial(
 
 
 def _address_steps(
-    moving: Sequence[NodeConfiguration],
+    moving: Sequence[bus_configuration.NodeConfiguration],
     ids: Mapping[str, int],
     identities: Mapping[str, Identity],
     occupied: Counter[int],
-    by_hand: Sequence[NodeConfiguration],
+    by_hand: Sequence[bus_configuration.NodeConfiguration],
 ) -> tuple[list[AddressStep], list[str]]:
     """Returns the steps that change node ids, and a problem for each node whose id cannot be
     changed.
@@ -482,7 +472,7 @@ def _address_steps(
     steps: list[AddressStep] = []
     reserved = {node.id for node in (*moving, *by_hand)}
 
-    def move(node: NodeConfiguration, after: int) -> None:
+    def move(node: bus_configuration.NodeConfiguration, after: int) -> None:
         before = present[node.name]
         back_end = LSS_SERIAL if node.serial is not None else LSS_FASTSCAN
         steps.append(AddressStep(node.name, identities[node.name], before, after, back_end))
@@ -504,11 +494,14 @@ def _address_steps(
             (
                 node
                 for node in remaining
-                if present[node.name] in required and present[node.name] not in PARKING
+                if present[node.name] in required
+                and present[node.name] not in bus_configuration.PARKING
             ),
             None,
         )
-        parking_id = next((p for p in PARKING if occupied[p] == 0 and p not in reserved), None)
+        parking_id = next(
+            (p for p in bus_configuration.PARKING if occupied[p] == 0 and p not in reserved), None
+        )
         if blocker is None or parking_id is None:
             return steps, [
                 f"{node.name} cannot get the id {node.id}: a device that keeps its id has it"
@@ -519,7 +512,7 @@ def _address_steps(
 
 
 def _configure_steps(
-    nodes: Sequence[NodeConfiguration],
+    nodes: Sequence[bus_configuration.NodeConfiguration],
     scan: ScanResult,
     ids: Mapping[str, int],
     identities: Mapping[str, Identity],

@@ -21,6 +21,7 @@ from collections.abc import Callable, Sequence
 from thorvaldc.can.canopen import HEARTBEAT, SDO_REQUEST, SDO_RESPONSE, DriveState, NmtState
 from thorvaldc.can.lss import UNCONFIGURED, Identity
 from thorvaldc.can.sdo import upload_request
+from thorvaldc.commissioning import scan_result
 from thorvaldc.commissioning.bus_configuration import BusConfiguration, NodeConfiguration
 from thorvaldc.commissioning.bus_master import (
     BusMaster,
@@ -30,17 +31,6 @@ from thorvaldc.commissioning.bus_master import (
     other_master_error,
 )
 from thorvaldc.commissioning.lss_master import LssError, LssMaster
-from thorvaldc.commissioning.scan_result import (
-    OK,
-    WITHOUT_ID,
-    WRONG_IDENTITY,
-    Findings,
-    FoundDevice,
-    ScanEntry,
-    ScanEvaluation,
-    ScanResult,
-    identity_text,
-)
 from thorvaldc.diagnostics import DiagnosticError
 
 PERIODS = 3.2
@@ -78,14 +68,14 @@ class Scanner:
         self.sdo = SdoClient(master)
         self.lss = LssMaster(master)
         self._progress = progress or (lambda activity, completed, total: None)
-        self._findings = Findings()
+        self._findings = scan_result.Findings()
 
-    def passive(self) -> ScanResult:
+    def passive(self) -> scan_result.ScanResult:
         """Scans the CAN bus without sending frames."""
         self._listen()
         return self._result(False, self._evaluation().passive_entries())
 
-    def active(self, *, values: bool = True, texts: bool = True) -> ScanResult:
+    def active(self, *, values: bool = True, texts: bool = True) -> scan_result.ScanResult:
         """Scans the CAN bus by receiving frames and by sending requests to every node id.
 
         If ``values`` is ``True``, the scan also reads the object values that the required
@@ -124,7 +114,9 @@ class Scanner:
                 "--active and `can monitor` show the frames of the nodes",
             )
 
-    def again(self, previous: ScanResult, *, values: bool = True) -> ScanResult:
+    def again(
+        self, previous: scan_result.ScanResult, *, values: bool = True
+    ) -> scan_result.ScanResult:
         """Scans again the devices in the scan result ``previous``, after a reset of the nodes."""
         findings = self._findings
         findings.evidence = dict(previous.duplicates)
@@ -206,7 +198,7 @@ class Scanner:
 
     def _add_responding(self, node: int, responses: int) -> None:
         if responses:
-            self._findings.by_id[node] = FoundDevice(node)
+            self._findings.by_id[node] = scan_result.FoundDevice(node)
         if responses > 1:
             self._findings.evidence[node] = f"{responses} answers to one request"
 
@@ -227,7 +219,7 @@ class Scanner:
             read_texts: tuple[str, ...] = ()
             if texts and node not in self._findings.evidence:
                 read_texts = tuple(self._read_text(node, index) for index in TEXTS)
-            by_id[node] = FoundDevice(node, identity, device_type, read_texts)
+            by_id[node] = scan_result.FoundDevice(node, identity, device_type, read_texts)
         self._progress("reading identities", len(ids), len(ids))
 
     def _read_all(self, node: int, index: int, subindex: int, rounds: int) -> list[int | None]:
@@ -270,11 +262,11 @@ class Scanner:
             if count > 1:
                 node_id = self.configuration.node(name).id
                 self._findings.evidence[node_id] = (
-                    f"{count} devices have the identity {identity_text(identity)}"
+                    f"{count} devices have the identity {scan_result.identity_text(identity)}"
                 )
                 continue
             try:
-                self._findings.by_name[name] = FoundDevice(self.lss.node_id(), identity)
+                self._findings.by_name[name] = scan_result.FoundDevice(self.lss.node_id(), identity)
             except LssError:
                 continue  # a device that does not respond correctly is ignored
         if identities:
@@ -300,22 +292,26 @@ class Scanner:
         except LssError:
             identities = [None]  # a device without id is there, and its identity is unknown
         without_id = self._findings.without_id
-        without_id += [FoundDevice(UNCONFIGURED, identity) for identity in identities]
+        without_id += [scan_result.FoundDevice(UNCONFIGURED, identity) for identity in identities]
         self._progress("looking for devices without id", 1, 1)
 
     # -- result -----------------------------------------------------------------------------
 
-    def _evaluation(self) -> ScanEvaluation:
+    def _evaluation(self) -> scan_result.ScanEvaluation:
         known = {frame.cob_id for frame in self.master.bus.frames}
-        return ScanEvaluation(self.configuration, self._findings, self.master.received, known)
+        return scan_result.ScanEvaluation(
+            self.configuration, self._findings, self.master.received, known
+        )
 
-    def _evaluate(self, values: bool) -> ScanResult:
+    def _evaluate(self, values: bool) -> scan_result.ScanResult:
         for node_id in sorted(self.master.surplus):
             self._findings.evidence.setdefault(node_id, SURPLUS)
         entries = self._evaluation().active_entries()
         read: dict[str, dict[tuple[int, int], int | None]] = {}
         if values:
-            readable = [entry for entry in entries if entry.node and entry.verdict == OK]
+            readable = [
+                entry for entry in entries if entry.node and entry.verdict == scan_result.OK
+            ]
             for position, entry in enumerate(readable):
                 self._progress("reading values", position, len(readable))
                 node = self.configuration.node(entry.node)
@@ -336,9 +332,9 @@ class Scanner:
     def _result(
         self,
         active: bool,
-        entries: Sequence[ScanEntry],
+        entries: Sequence[scan_result.ScanEntry],
         values: dict[str, dict[tuple[int, int], int | None]] | None = None,
-    ) -> ScanResult:
+    ) -> scan_result.ScanResult:
         enabled: list[tuple[str, str]] = []
         for entry in entries:
             node = self.configuration.node(entry.node) if entry.node else None
@@ -347,12 +343,16 @@ class Scanner:
                 continue
             if self.master.states.get(node_id) == NmtState.OPERATIONAL:
                 enabled.append((node.name, "it is operational"))
-            elif active and entry.verdict in (OK, WRONG_IDENTITY, WITHOUT_ID):
+            elif active and entry.verdict in (
+                scan_result.OK,
+                scan_result.WRONG_IDENTITY,
+                scan_result.WITHOUT_ID,
+            ):
                 enabled += [(node.name, reason) for reason in self._enabled(node, node_id)]
         evidence = self._findings.evidence
         # Surplus SDO responses that arrived while values were read are added as duplicates.
         late = [(i, SURPLUS) for i in sorted(self.master.surplus) if i not in evidence]
-        return ScanResult(
+        return scan_result.ScanResult(
             active,
             tuple(entries),
             tuple(self.master.masters),

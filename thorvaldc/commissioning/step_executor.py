@@ -29,16 +29,11 @@ from typing import Protocol
 
 from thorvaldc.can.canopen import NmtCommand
 from thorvaldc.can.lss import UNCONFIGURED, Identity
-from thorvaldc.commissioning.bus_configuration import (
-    BusConfiguration,
-    NodeConfiguration,
-    ParameterValue,
-)
+from thorvaldc.commissioning import bus_configuration, scan_result
 from thorvaldc.commissioning.bus_master import BusMaster, SdoAborted, SdoClient
 from thorvaldc.commissioning.journal import Journal
 from thorvaldc.commissioning.lss_master import LssMaster
 from thorvaldc.commissioning.planner import AddressStep, AttachStep, ConfigureStep, Plan, PlanStep
-from thorvaldc.commissioning.scan_result import DUPLICATE, MISSING, OK, identity_text
 from thorvaldc.commissioning.scanner import DEVICE_TYPE, IDENTITY, Scanner
 
 # -- object dictionary -----------------------------------------------------------------------------
@@ -65,7 +60,7 @@ class ObjectWriter:
         self.sdo = sdo
 
     def read(
-        self, node: int, values: Sequence[ParameterValue]
+        self, node: int, values: Sequence[bus_configuration.ParameterValue]
     ) -> dict[tuple[int, int], int | None]:
         """Reads the present values of the objects in ``values`` from a node.
 
@@ -81,7 +76,9 @@ class ObjectWriter:
                 present[value.key] = None
         return present
 
-    def write(self, node: int, values: Sequence[ParameterValue], present: PresentValues) -> None:
+    def write(
+        self, node: int, values: Sequence[bus_configuration.ParameterValue], present: PresentValues
+    ) -> None:
         """Writes all object values that differ from ``present`` to a node, and reads each written
         value back.
 
@@ -111,7 +108,7 @@ class ObjectWriter:
         self,
         node: int,
         base: int,
-        changed: Sequence[ParameterValue],
+        changed: Sequence[bus_configuration.ParameterValue],
         present: PresentValues,
     ) -> None:
         """Writes the mapping and the communication parameters of a PDO.
@@ -142,9 +139,9 @@ class ObjectWriter:
         index: int,
         subindex: int,
         type_name: str,
-        changed: Sequence[ParameterValue],
+        changed: Sequence[bus_configuration.ParameterValue],
         present: PresentValues,
-    ) -> ParameterValue:
+    ) -> bus_configuration.ParameterValue:
         """Returns the value that an object has after all ``changed`` values are written.
 
         The present value is returned for an object that is not in ``changed``.
@@ -155,9 +152,9 @@ class ObjectWriter:
         number = present.get((index, subindex))
         if number is None:
             number = self.sdo.read_number(node, index, subindex, type_name)
-        return ParameterValue("", index, subindex, type_name, number)
+        return bus_configuration.ParameterValue("", index, subindex, type_name, number)
 
-    def _write(self, node: int, value: ParameterValue) -> None:
+    def _write(self, node: int, value: bus_configuration.ParameterValue) -> None:
         self.sdo.write_number(node, *value.key, value.type, value.value)
         read_back = self.sdo.read_number(node, *value.key, value.type)
         if read_back != value.value:
@@ -167,7 +164,7 @@ class ObjectWriter:
 class WriteIgnored(SdoAborted):
     """Error: a node has accepted a write request, but the object has another value afterwards."""
 
-    def __init__(self, value: ParameterValue, read_back: int) -> None:
+    def __init__(self, value: bus_configuration.ParameterValue, read_back: int) -> None:
         Exception.__init__(
             self, f"{value.label} was written as {value.value:#x} and reads {read_back:#x}"
         )
@@ -214,7 +211,9 @@ class StepExecutor:
         self.writer = ObjectWriter(self.sdo)
         self.nodes_at: Counter[int] = Counter()
 
-    def run(self, number: int, step: PlanStep, configuration: BusConfiguration) -> None:
+    def run(
+        self, number: int, step: PlanStep, configuration: bus_configuration.BusConfiguration
+    ) -> None:
         """Executes the step with the index ``number`` in the commissioning plan.
 
         Raises ``StepFailed`` if a check of the step fails.  Raises ``LssError``, ``SdoAborted``,
@@ -253,7 +252,9 @@ class StepExecutor:
         if self.sdo.upload_all(node_id, DEVICE_TYPE, 0, timeout=self.master.timing.absent):
             raise StepFailed(f"another device already has the id {node_id}")
 
-    def _set_address(self, step: AddressStep, configuration: BusConfiguration) -> None:
+    def _set_address(
+        self, step: AddressStep, configuration: bus_configuration.BusConfiguration
+    ) -> None:
         lss = self.lss
         self._select(step.identity)
         present_id = lss.node_id()
@@ -289,9 +290,9 @@ class StepExecutor:
         count = self.lss.select(identity)
         if count != 1:
             devices = "no device answers" if count == 0 else f"{count} devices answer"
-            raise StepFailed(f"{devices} as {identity_text(identity)}")
+            raise StepFailed(f"{devices} as {scan_result.identity_text(identity)}")
 
-    def _check_type(self, step: AddressStep, node: NodeConfiguration) -> None:
+    def _check_type(self, step: AddressStep, node: bus_configuration.NodeConfiguration) -> None:
         """Checks the type of a device whose node id is not stored, and takes the id away again if
         the type is wrong."""
         if node.device_type is None:
@@ -354,7 +355,7 @@ class StepExecutor:
             if self.lss.select(identity) == 1:
                 break
             if self.master.now >= limit:
-                raise StepFailed(f"no device answers as {identity_text(identity)}")
+                raise StepFailed(f"no device answers as {scan_result.identity_text(identity)}")
         node_id = self.lss.node_id()
         self.lss.switch_to_waiting()
         if node_id != UNCONFIGURED:
@@ -388,7 +389,9 @@ class StepExecutor:
 
     # -- steps of the operator ---------------------------------------------------------------
 
-    def _attach(self, number: int, step: AttachStep, configuration: BusConfiguration) -> None:
+    def _attach(
+        self, number: int, step: AttachStep, configuration: bus_configuration.BusConfiguration
+    ) -> None:
         node = configuration.node(step.node)
         if self.operator is None:
             raise StepFailed("this step needs an operator")
@@ -406,7 +409,7 @@ class StepExecutor:
             devices = "no device answers" if not answering else "more than one device answers"
             raise StepFailed(f"{devices}; {node.module} alone should")
         entry = answering[0]
-        if entry.verdict in (MISSING, DUPLICATE) or entry.node != node.name:
+        if entry.verdict in (scan_result.MISSING, scan_result.DUPLICATE) or entry.node != node.name:
             raise StepFailed(
                 f"a device answers at id {entry.device_id}, not at {step.after} as {node.name}"
             )
@@ -427,5 +430,5 @@ class StepExecutor:
         scan = Scanner(self.master, plan.configuration).active(values=False, texts=False)
         for step in plan.steps[: number + 1]:
             entry = scan.entry(step.node)
-            if isinstance(step, AttachStep) and entry.verdict != OK:
+            if isinstance(step, AttachStep) and entry.verdict != scan_result.OK:
                 raise StepFailed(f"{step.node} is {entry.verdict}: {entry.detail}")

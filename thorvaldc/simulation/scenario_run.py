@@ -15,13 +15,7 @@ from thorvaldc.model import Robot
 from thorvaldc.model.scenario import Expectation, Scenario
 from thorvaldc.runtime.base_interface import BaseHandle
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation.control_loop import (
-    ControlLoop,
-    Segment,
-    SimulationResult,
-    TickCallback,
-    result_table,
-)
+from thorvaldc.simulation import control_loop
 from thorvaldc.simulation.physics.scenario_base import ScenarioBase
 from thorvaldc.simulation.records.recorder import Recorder, RunHash
 from thorvaldc.simulation.simulation_run import Simulation
@@ -90,7 +84,7 @@ class ScenarioResult:
     """
 
     scenario: str
-    run: SimulationResult
+    run: control_loop.SimulationResult
     metrics: Mapping[str, Mapping[str, float]]
     checks: tuple[Check, ...]
     hash: str
@@ -175,7 +169,7 @@ class ScenarioSimulation(Simulation):
         self,
         report: Report,
         recorders: Sequence[Recorder] = (),
-        on_tick: TickCallback | None = None,
+        on_tick: control_loop.TickCallback | None = None,
         *,
         hashed: bool = True,
         ends_early: bool = False,
@@ -200,7 +194,7 @@ class ScenarioSimulation(Simulation):
         metrics: dict[str, ScenarioMetrics] = {}
         limited = [e for e in self.scenario.expectations if ends_early and e.most is not None]
 
-        def measure(loop: ControlLoop) -> None:
+        def measure(loop: control_loop.ControlLoop) -> None:
             robot_metrics = metrics.get(loop.name)
             if robot_metrics is None:
                 robot_metrics = metrics[loop.name] = ScenarioMetrics(loop)
@@ -217,7 +211,7 @@ class ScenarioSimulation(Simulation):
                 on_tick(loop)
 
         manoeuvres = {
-            name: tuple(Segment(c.time, Twist(c.vx, c.vy, c.wz)) for c in commands)
+            name: tuple(control_loop.Segment(c.time, Twist(c.vx, c.vy, c.wz)) for c in commands)
             for name, commands in self.scenario.commands
         }
         self._bases: list[ScenarioBase] = []
@@ -245,7 +239,7 @@ class ScenarioSimulation(Simulation):
             self.scenario.name, run, values, checks, run_hash.hexdigest() if hashed else ""
         )
 
-    def _change_parameters(self, loop: ControlLoop) -> None:
+    def _change_parameters(self, loop: control_loop.ControlLoop) -> None:
         """Switches the driver to another parameter set at the times of the script.
 
         The driver applies a requested parameter change at the next tick.  The function requests a
@@ -274,7 +268,7 @@ class ScenarioSimulation(Simulation):
 
 
 def _check_least_values(
-    loop: ControlLoop, metrics: ScenarioMetrics, limited: Sequence[Expectation]
+    loop: control_loop.ControlLoop, metrics: ScenarioMetrics, limited: Sequence[Expectation]
 ) -> None:
     """Raises ``DiagnosticError`` if a metric that never falls is above an upper bound."""
     for expectation in limited:
@@ -298,7 +292,7 @@ def scenario_text(result: ScenarioResult, width: int | None = None) -> str:
     ``width``: number of columns of the terminal, or ``None`` for one line per robot.
     """
     run = result.run
-    lines = [result_table([run], width)]
+    lines = [control_loop.result_table([run], width)]
     for check in result.checks:
         verdict = "ok    " if check.passed else "FAILED"
         lines.append(

@@ -21,17 +21,7 @@ from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.lasting_difference import is_axle_swing
 from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import Pose2, Twist, twist_text
-from thorvaldc.simulation.control_loop import (
-    NEGLIGIBLE_TWIST,
-    ControlLoop,
-    Manoeuvre,
-    Segment,
-    SimulationResult,
-    TickCallback,
-    default_manoeuvre,
-    fleet_manoeuvres,
-    largest_component,
-)
+from thorvaldc.simulation import control_loop
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import CollisionCounter, MujocoScene
 from thorvaldc.simulation.physics.sim_base import GroundTruthBase, RollingBase, SimBase, WheelErrors
@@ -47,7 +37,10 @@ _START_DURATION = 0.5
 
 
 def report_run(
-    loops: Sequence[ControlLoop], result: SimulationResult, report: Report, fastest_joint: str = ""
+    loops: Sequence[control_loop.ControlLoop],
+    result: control_loop.SimulationResult,
+    report: Report,
+    fastest_joint: str = "",
 ) -> None:
     """Adds the problems of a finished run to ``report``.
 
@@ -86,7 +79,7 @@ def report_run(
         if loop.unreachable:
             wheels = ", ".join(loop.robot.wheels[i].name for i in loop.unreachable)
             reachable = loop.driver.calculator.feasible(loop.unreachable_twist)
-            stands = largest_component(reachable) <= NEGLIGIBLE_TWIST
+            stands = control_loop.largest_component(reachable) <= control_loop.NEGLIGIBLE_TWIST
             motion = "stands" if stands else f"moves with {twist_text(reachable)} instead"
             report.add(
                 "steering-unreachable",
@@ -113,7 +106,7 @@ def report_run(
             )
         limited = loop.driver.calculator.limiting_wheels(loop.infeasible_twist)
         if (
-            largest_component(loop.infeasible) > NEGLIGIBLE_TWIST
+            control_loop.largest_component(loop.infeasible) > control_loop.NEGLIGIBLE_TWIST
             and not limited
             and not is_axle_swing(loop.infeasible_twist, loop.infeasible)
         ):
@@ -138,7 +131,7 @@ def _turned_wheel(robot: Robot, twist: Twist) -> Wheel | None:
     return blocking[0] if 0 < len(blocking) < len(fixed) else None
 
 
-def _direction(loop: ControlLoop) -> str:
+def _direction(loop: control_loop.ControlLoop) -> str:
     direction = loop.base.leaning() if isinstance(loop.base, GroundTruthBase) else ""
     return f" {direction}" if direction else ""
 
@@ -275,12 +268,12 @@ class Simulation:
     def run(
         self,
         duration: float,
-        motion: Twist | Manoeuvre | Mapping[str, Manoeuvre],
+        motion: Twist | control_loop.Manoeuvre | Mapping[str, control_loop.Manoeuvre],
         report: Report | None = None,
-        on_tick: TickCallback | None = None,
+        on_tick: control_loop.TickCallback | None = None,
         *,
         sampled: bool = True,
-    ) -> SimulationResult:
+    ) -> control_loop.SimulationResult:
         """Simulates a run of ``duration`` s from rest and returns the result of the run.
 
         ``motion`` is one twist, a manoeuvre for all robots, or a mapping from robot names to
@@ -301,7 +294,7 @@ class Simulation:
         # The odometry of a large group of robots is computed as a batch in each tick.
         sampled = (sampled and on_tick is not None) or len(self.robots) >= MIN_GROUP_SIZE
         loops = [
-            ControlLoop(
+            control_loop.ControlLoop(
                 name,
                 robot,
                 self._base(name, robot),
@@ -340,7 +333,7 @@ class Simulation:
             stopped = loop.tipped or (self.scene is not None and self.scene.diverged)
         wall = time.perf_counter() - started
         diverged = self.scene is not None and self.scene.diverged
-        result = SimulationResult(
+        result = control_loop.SimulationResult(
             "ideal" if self.scene is None else "mujoco",
             duration,
             simulated,
@@ -364,8 +357,8 @@ class Simulation:
         self,
         report: Report | None = None,
         duration: float | None = None,
-        on_tick: TickCallback | None = None,
-    ) -> SimulationResult:
+        on_tick: control_loop.TickCallback | None = None,
+    ) -> control_loop.SimulationResult:
         """Simulates the default manoeuvre and returns the result of the run.
 
         The run lasts ``duration`` s, or until the end of the manoeuvre if ``duration`` is
@@ -374,13 +367,15 @@ class Simulation:
         manoeuvres, end = self.demonstration()
         return self.run(duration or end, manoeuvres, report, on_tick)
 
-    def demonstration(self) -> tuple[Mapping[str, Manoeuvre], float]:
+    def demonstration(self) -> tuple[Mapping[str, control_loop.Manoeuvre], float]:
         """Returns the default manoeuvres by robot name, and the duration of the manoeuvres (s)."""
         if len(self.robots) == 1:
             name, robot = self.robots[0]
-            manoeuvre, end = default_manoeuvre(robot)
+            manoeuvre, end = control_loop.default_manoeuvre(robot)
             return {name: manoeuvre}, end
-        return fleet_manoeuvres([(name, robot, self.starts[name]) for name, robot in self.robots])
+        return control_loop.fleet_manoeuvres(
+            [(name, robot, self.starts[name]) for name, robot in self.robots]
+        )
 
     def _report_radii(self, report: Report) -> None:
         """Reports a parameter set whose wheel radii differ from the wheel radii of the scene.
@@ -418,14 +413,16 @@ class Simulation:
         return SimBase(robot)
 
 
-def _manoeuvre(motion: Twist | Manoeuvre | Mapping[str, Manoeuvre], robot: str) -> Manoeuvre:
+def _manoeuvre(
+    motion: Twist | control_loop.Manoeuvre | Mapping[str, control_loop.Manoeuvre], robot: str
+) -> control_loop.Manoeuvre:
     """Returns the manoeuvre of a robot.
 
     Raises ``DiagnosticError`` if a start time or a twist is not finite.
     """
-    manoeuvre: Manoeuvre
+    manoeuvre: control_loop.Manoeuvre
     if isinstance(motion, Twist):
-        manoeuvre = (Segment(0.0, motion),)
+        manoeuvre = (control_loop.Segment(0.0, motion),)
     elif isinstance(motion, Mapping):
         manoeuvre = motion.get(robot, ())
     else:
@@ -438,7 +435,7 @@ def _manoeuvre(motion: Twist | Manoeuvre | Mapping[str, Manoeuvre], robot: str) 
     return manoeuvre
 
 
-def drive_build(build: Path, report: Report) -> SimulationResult | None:
+def drive_build(build: Path, report: Report) -> control_loop.SimulationResult | None:
     """Simulates the default manoeuvre of the robots of a build folder in MuJoCo.
 
     The function reads only the generated ``model.json``, ``mjcf/`` and ``meshes/``.  If the run

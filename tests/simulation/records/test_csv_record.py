@@ -59,10 +59,10 @@ def test_columns_of_all_groups(tmp_path: Path) -> None:
     expected |= {"true_z": 19.0, "true_roll": 20.0, "true_pitch": 21.0}
     for k, wheel in enumerate(ROBOT.wheels):
         spin, steering = wheel.spin_joint, wheel.steering_joint
-        expected[f"{spin}_position"], expected[f"{spin}_velocity"] = 5.0 + k, 1.0 + k
-        expected[f"{spin}_command"] = 1.5 + k
-        expected[f"{steering}_position"] = pytest.approx(0.1 + 0.1 * k)
-        expected[f"{steering}_command"] = pytest.approx(0.15 + 0.1 * k)
+        expected[f"{spin}.position"], expected[f"{spin}.velocity"] = 5.0 + k, 1.0 + k
+        expected[f"{spin}.velocity_command"] = 1.5 + k
+        expected[f"{steering}.position"] = pytest.approx(0.1 + 0.1 * k)
+        expected[f"{steering}.position_command"] = pytest.approx(0.15 + 0.1 * k)
     assert cells == expected
 
 

@@ -17,11 +17,12 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from thorvaldc.can import simulated_bus_protocol as protocol
-from thorvaldc.can.frame import NEVER, SEND_LIMIT, CanFrame, ErrorState
+from thorvaldc.can.frame import NEVER, SEND_LIMIT, CanFrame
 from thorvaldc.can.local_socket import Unpacker, listen, pack, pack_json, socket_path
 from thorvaldc.diagnostics.foreign_json import read_json
 from thorvaldc.simulation.bus.timeline import Timeline
@@ -41,25 +42,25 @@ BACKLOG = 1 << 20
 _MAXIMUM_RATE = 10_000_000
 
 
+@dataclass(eq=False)
 class _Connection:
     """A client program that is connected to the server by a socket."""
 
-    def __init__(self, stream: socket.socket, wire: Wire) -> None:
-        self.stream = stream
-        self.wire = wire
-        self.unpacker = Unpacker()
-        self.out = bytearray()
-        self.controller: CanController | None = None
-        self.lockstep = False
-        self.waits_until: int | None = None
-        self.has_frame = False
-        self.lost = 0
-        self.pending = 0
-        """Number of frames of the client that were not yet reported as sent or dropped."""
-        self.sent_at = 0
-        """Time (ns) of the newest message of the client."""
-        self.told_time = 0
-        """Time (ns) of the newest TIME message."""
+    stream: socket.socket
+    wire: Wire
+    unpacker: Unpacker = field(default_factory=Unpacker)
+    out: bytearray = field(default_factory=bytearray)
+    controller: CanController | None = None
+    lockstep: bool = False
+    waits_until: int | None = None
+    has_frame: bool = False
+    lost: int = 0
+    pending: int = 0
+    """Number of frames of the client that were not yet reported as sent or dropped."""
+    sent_at: int = 0
+    """Time (ns) of the newest message of the client."""
+    told_time: int = 0
+    """Time (ns) of the newest TIME message."""
 
     def send_state(self) -> None:
         """Sends the error state of the CAN controller to the client program.
@@ -359,14 +360,8 @@ class BusServer:
                 now = self.timeline.now
                 connection.put(protocol.pack_frame(protocol.FRAME, frame, now, own=True))
 
-        def on_state(_: ErrorState) -> None:
-            connection.send_state()
-
-        controller.on_frame, controller.on_sent, controller.on_state = (
-            on_frame,
-            on_sent,
-            on_state,
-        )
+        controller.on_frame, controller.on_sent = on_frame, on_sent
+        controller.on_state = lambda _: connection.send_state()
         connection.controller = controller
         wire.attach(controller)
         controller.switch_on()

@@ -20,6 +20,7 @@ from thorvaldc.can.canopen import Emergency, NmtCommand, NmtState
 from thorvaldc.can.frame import CanFrame, ErrorState
 from thorvaldc.can.sdo import AbortCode
 from thorvaldc.model.scenario import Quirk
+from thorvaldc.simulation.bus import simulated_device
 from thorvaldc.simulation.bus.object_dictionary import (
     DelayedWrite,
     Entry,
@@ -28,15 +29,6 @@ from thorvaldc.simulation.bus.object_dictionary import (
     SdoAbort,
 )
 from thorvaldc.simulation.bus.sdo_server import LssSlave, SdoServer
-from thorvaldc.simulation.bus.simulated_device import (
-    BITRATE,
-    NODE_ID,
-    PARAMETERS,
-    DeviceDescription,
-    DeviceSpecification,
-    SimulatedDevice,
-    commissioned_memory,
-)
 from thorvaldc.simulation.bus.wire import Wire
 
 BOOT_TIME = 0.1
@@ -52,7 +44,7 @@ GENERIC_ERROR, COMMUNICATION_ERROR = 0x01, 0x10
 """Bits of the error register (0x1001)."""
 
 
-class CanopenDevice(SimulatedDevice):
+class CanopenDevice(simulated_device.SimulatedDevice):
     """A simulated CANopen device.  A subclass adds object dictionary entries, PDOs and the
     behaviour of the device.
 
@@ -74,12 +66,16 @@ class CanopenDevice(SimulatedDevice):
         wire: Wire,
         bitrate: int,
         node_id: int,
-        description: DeviceDescription,
+        description: simulated_device.DeviceDescription,
         *,
         seed: int = 0,
         nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
-        memory = {NODE_ID: node_id, PARAMETERS: {}, **(nonvolatile or {})}
+        memory = {
+            simulated_device.NODE_ID: node_id,
+            simulated_device.PARAMETERS: {},
+            **(nonvolatile or {}),
+        }
         super().__init__(name, wire, bitrate, seed=seed, nonvolatile=memory)
         self.description = description
         self.node_id = lss.UNCONFIGURED
@@ -107,17 +103,17 @@ class CanopenDevice(SimulatedDevice):
         self.controller.on_state = self._error_state_changed
 
     @classmethod
-    def from_specification(cls, specification: DeviceSpecification) -> Self:
+    def from_specification(cls, specification: simulated_device.DeviceSpecification) -> Self:
         return cls(
             specification.name,
             specification.wire,
             specification.bus.bitrate,
             specification.node.id,
-            DeviceDescription.from_specification(
+            simulated_device.DeviceDescription.from_specification(
                 specification, cls.device_name or cls.__name__, cls.device_type
             ),
             seed=specification.seed,
-            nonvolatile=commissioned_memory(specification),
+            nonvolatile=simulated_device.commissioned_memory(specification),
         )
 
     # -- for subclasses -----------------------------------------------------------------------
@@ -159,8 +155,8 @@ class CanopenDevice(SimulatedDevice):
 
     def start(self) -> None:
         self.node_id = lss.UNCONFIGURED
-        self._pending_id = self.nonvolatile.get(NODE_ID, lss.UNCONFIGURED)
-        self._pending_rate = self.nonvolatile.get(BITRATE, self.controller.bitrate)
+        self._pending_id = self.nonvolatile.get(simulated_device.NODE_ID, lss.UNCONFIGURED)
+        self._pending_rate = self.nonvolatile.get(simulated_device.BITRATE, self.controller.bitrate)
         self.state = NmtState.INITIALISING
         self._error_register = 0
         self._history = []
@@ -175,7 +171,7 @@ class CanopenDevice(SimulatedDevice):
 
     def change_node_id(self, node_id: int) -> None:
         """Stores a new node id in non-volatile memory and resets the node."""
-        self.nonvolatile[NODE_ID] = node_id
+        self.nonvolatile[simulated_device.NODE_ID] = node_id
         if self.powered:
             self.reset_node()
 
@@ -230,7 +226,7 @@ class CanopenDevice(SimulatedDevice):
         self.pdos = self.make_pdos(objects)
         if self.pdos is not None:
             self.pdos.apply_quirks(quirks)
-        objects.restore(self.nonvolatile.get(PARAMETERS, {}))
+        objects.restore(self.nonvolatile.get(simulated_device.PARAMETERS, {}))
         self._sdo = SdoServer(
             objects,
             self._respond,
@@ -311,7 +307,7 @@ class CanopenDevice(SimulatedDevice):
         if value != SAVE:
             raise SdoAbort(AbortCode.STORE_REFUSED)
         parameters = self.objects.parameters()
-        return lambda on_stored: self.store({PARAMETERS: parameters}, on_stored)
+        return lambda on_stored: self.store({simulated_device.PARAMETERS: parameters}, on_stored)
 
     def _load_defaults(self, value: Any) -> DelayedWrite:
         """Handles a write to object 0x1011, "restore default parameters".
@@ -320,7 +316,7 @@ class CanopenDevice(SimulatedDevice):
         """
         if value != LOAD:
             raise SdoAbort(AbortCode.STORE_REFUSED)
-        return lambda on_stored: self.store({PARAMETERS: {}}, on_stored)
+        return lambda on_stored: self.store({simulated_device.PARAMETERS: {}}, on_stored)
 
     # -- SDO and PDO ---------------------------------------------------------------------------
 
@@ -493,7 +489,10 @@ class CanopenDevice(SimulatedDevice):
         return True
 
     def _store_lss(self, on_stored: Callable[[int], None]) -> None:
-        pending = {NODE_ID: self._pending_id, BITRATE: self._pending_rate}
+        pending = {
+            simulated_device.NODE_ID: self._pending_id,
+            simulated_device.BITRATE: self._pending_rate,
+        }
         self.store(pending, lambda: on_stored(0))
 
     def _lss_left(self) -> None:

@@ -7,25 +7,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
-from thorvaldc.can.canopen import (
-    HOMING_ATTAINED,
-    HOMING_ERROR,
-    TARGET_REACHED,
-    DriveState,
-    Mode,
-    NmtState,
-)
+from thorvaldc.can import canopen
 from thorvaldc.model import Actuator
 from thorvaldc.model.bus import FIRST_INDEX, STRIDE, motor_numbers
+from thorvaldc.simulation.bus import cia402_motion
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
-from thorvaldc.simulation.bus.cia402_motion import (
-    PRESENT_POSITION,
-    Bounds,
-    Homing,
-    Motion,
-    StateMachine,
-    ramp,
-)
 from thorvaldc.simulation.bus.object_dictionary import (
     DelayedWrite,
     Entry,
@@ -54,7 +40,7 @@ SERVO_LAG = 0.15
 """Accepted delay (s) of the speed of a loaded motor behind the commanded ramp."""
 VELOCITY_ERROR_TIME = 0.3
 """Time (s) for which the speed may differ from the set-point by more than 10 % of the top speed."""
-_MODES = tuple(Mode)
+_MODES = tuple(canopen.Mode)
 STANDING = 1e-3
 """Speed (rad/s) below which a motor reports the speed zero."""
 INTERNAL_LIMIT, MODE_BIT = 1 << 11, 1 << 12
@@ -105,12 +91,12 @@ class Axis:
         self.encoder = Encoder(settings.gear_ratio, settings.encoder_pulses)
         self._units = self.encoder.counts_per_radian
         """Number of position units per rad of the joint, and of speed units per rad/s."""
-        self.states = StateMachine()
+        self.states = cia402_motion.StateMachine()
         self.position = 0.0
         self.velocity = 0.0
         self.error_code = 0
-        self.motion = Motion()
-        self.homing: Homing | None = None
+        self.motion = cia402_motion.Motion()
+        self.homing: cia402_motion.Homing | None = None
         self._report_error = report_error
         self._entries: dict[tuple[int, int], Entry] = {}
         self._joint_position = 0.0
@@ -183,7 +169,7 @@ class Axis:
         add(0xF4, Entry("i32", read=self._following_error))
         add(0xFD, Entry("u32", read=lambda: self.switches[0] | self.switches[1] << 1))
         add(0xFF, Entry("i32", 0, "rw"))
-        objects.add(base + 0x502, 0, Entry("u32", sum(1 << m - 1 for m in Mode), "const"))
+        objects.add(base + 0x502, 0, Entry("u32", sum(1 << m - 1 for m in canopen.Mode), "const"))
 
     def number(self, index: int, subindex: int = 0) -> int:
         """Returns the value of an object dictionary entry of the motor.
@@ -230,7 +216,7 @@ class Axis:
     def _control(self, word: Any) -> DelayedWrite | None:
         previous = self.states.state
         self.states.command(word, self.number(0x5A), self.number(0x5C))
-        if previous is DriveState.FAULT and self.states.state is not previous:
+        if previous is canopen.DriveState.FAULT and self.states.state is not previous:
             self.error_code = 0
             self._report_error(0)
         self.motion.control(word)
@@ -245,17 +231,21 @@ class Axis:
         low, high = self.limits
         beyond = self.position < low - 1e-3 or self.position > high + 1e-3
         word = self.states.statusword()
-        word |= TARGET_REACHED * motion.reached | INTERNAL_LIMIT * (motion.limited or beyond)
-        if motion.mode == Mode.HOMING:
+        word |= canopen.TARGET_REACHED * motion.reached | INTERNAL_LIMIT * (
+            motion.limited or beyond
+        )
+        if motion.mode == canopen.Mode.HOMING:
             if homing is not None:
-                word |= HOMING_ATTAINED * homing.attained | HOMING_ERROR * homing.failed
-        elif motion.mode == Mode.PROFILE_POSITION:
+                word |= (
+                    canopen.HOMING_ATTAINED * homing.attained | canopen.HOMING_ERROR * homing.failed
+                )
+        elif motion.mode == canopen.Mode.PROFILE_POSITION:
             word |= MODE_BIT * motion.acknowledged
-        elif motion.mode == Mode.PROFILE_VELOCITY:
+        elif motion.mode == canopen.Mode.PROFILE_VELOCITY:
             word |= MODE_BIT * (abs(self.velocity) < STANDING)
-        elif motion.mode in (Mode.CYCLIC_POSITION, Mode.CYCLIC_VELOCITY):
-            word |= MODE_BIT * (self.states.state is DriveState.OPERATION_ENABLED)
-        if motion.mode in (Mode.PROFILE_POSITION, Mode.CYCLIC_POSITION):
+        elif motion.mode in (canopen.Mode.CYCLIC_POSITION, canopen.Mode.CYCLIC_VELOCITY):
+            word |= MODE_BIT * (self.states.state is canopen.DriveState.OPERATION_ENABLED)
+        if motion.mode in (canopen.Mode.PROFILE_POSITION, canopen.Mode.CYCLIC_POSITION):
             word |= FOLLOWING_ERROR_BIT * (self._error_since is not None)
         return word
 
@@ -293,15 +283,15 @@ class Axis:
         """
         self.error_code, self.homing = 0, None
         self.encoder.set_zero(self.motor.read(now))
-        self.states = StateMachine()
-        self.states.state = DriveState.SWITCH_ON_DISABLED
+        self.states = cia402_motion.StateMachine()
+        self.states.state = canopen.DriveState.SWITCH_ON_DISABLED
         self._measure(now)
-        self.motion = Motion()
+        self.motion = cia402_motion.Motion()
         self.motion.rest(self.position, self._mode())
 
     def stop(self, now: float) -> None:
         """Stops the motor after a loss of power."""
-        self.states = StateMachine()
+        self.states = cia402_motion.StateMachine()
         self._relax(now)
 
     # -- the loop ------------------------------------------------------------------------------
@@ -328,7 +318,7 @@ class Axis:
         if self.states.reaction is not None:
             self._react(now, dt)
             return
-        if self.states.state is DriveState.QUICK_STOP_ACTIVE:
+        if self.states.state is canopen.DriveState.QUICK_STOP_ACTIVE:
             return  # at rest, until the next control word
         if motion.mode != self._mode():
             motion.change(self._mode(), self.position, self.velocity)
@@ -350,10 +340,10 @@ class Axis:
         commanded = self.number(0x60)
         return commanded if commanded in _MODES else self.motion.mode
 
-    def _bounds(self, acceleration: int = 0x83, deceleration: int = 0x84) -> Bounds:
+    def _bounds(self, acceleration: int = 0x83, deceleration: int = 0x84) -> cia402_motion.Bounds:
         top = self.settings.max_acceleration
         motor_speed = self.number(0x80) * math.pi / 30.0 / self.settings.gear_ratio
-        return Bounds(
+        return cia402_motion.Bounds(
             *self.limits,
             min(self._speed(0x7F), motor_speed, self.settings.max_velocity),
             min(self._speed(acceleration), top),
@@ -363,32 +353,32 @@ class Axis:
     def _move(self, now: float, dt: float) -> None:
         """Computes the next set-point in the present mode of operation and commands the motor."""
         motion = self.motion
-        if motion.mode == Mode.PROFILE_POSITION:
+        if motion.mode == canopen.Mode.PROFILE_POSITION:
             bounds = self._bounds()
             bounds = bounds._replace(velocity=min(self._speed(0x81), bounds.velocity))
             motion.profile_position(self._angle(0x7A), bounds, dt)
             self._hold(now)
             motion.settle(self.position, self._angle(0x67), self.number(0x68) / 1000.0, dt)
             self._check_position(now)
-        elif motion.mode == Mode.CYCLIC_POSITION:
+        elif motion.mode == canopen.Mode.CYCLIC_POSITION:
             cycle = self.number(0xC2, 1) * 10.0 ** self.number(0xC2, 2)
             motion.cyclic_position(self._angle(0x7A), self._bounds(), cycle, dt)
             self._hold(now)
             self._check_position(now)
-        elif motion.mode in (Mode.PROFILE_VELOCITY, Mode.CYCLIC_VELOCITY):
-            profiled = motion.mode == Mode.PROFILE_VELOCITY
+        elif motion.mode in (canopen.Mode.PROFILE_VELOCITY, canopen.Mode.CYCLIC_VELOCITY):
+            profiled = motion.mode == canopen.Mode.PROFILE_VELOCITY
             bounds = self._bounds() if profiled else self._bounds(0xC5, 0xC5)
             goal = motion.velocity(self._speed(0xFF), self.position, bounds, dt)
             self.motor.turn(motion.move.speed, now)
             motion.reached = profiled and abs(goal - self.velocity) <= self._speed(0x6D)
             self._check_velocity(now, dt)
-        elif motion.mode == Mode.HOMING:
+        elif motion.mode == canopen.Mode.HOMING:
             self._home(now, dt)
 
     def _home(self, now: float, dt: float) -> None:
         motion = self.motion
         if motion.take_start():
-            self.homing = Homing(self.number(0x98))
+            self.homing = cia402_motion.Homing(self.number(0x98))
             motion.reached = False
         homing = self.homing
         if homing is None or not motion.start or homing.failed or motion.reached:
@@ -400,7 +390,7 @@ class Axis:
             # The zero position of the drive is the home position plus the home offset (object
             # 0x607C), as CiA 402 defines.
             state = self.motor.read(now)
-            if homing.method not in PRESENT_POSITION:
+            if homing.method not in cia402_motion.PRESENT_POSITION:
                 state = state._replace(position=state.position + self.settings.zero)
             self.encoder.set_zero(state, -self._angle(0x7C) * self.encoder.counts_per_radian)
             self._measure(now)
@@ -412,7 +402,7 @@ class Axis:
             self._stand(now)
             self._report_error(HOMING_FAILED)
         else:
-            motion.move.speed = ramp(motion.move.speed, speed, limit, dt)
+            motion.move.speed = cia402_motion.ramp(motion.move.speed, speed, limit, dt)
             self.motor.turn(motion.move.speed, now)
 
     def _react(self, now: float, dt: float) -> None:
@@ -541,7 +531,7 @@ class Cia402Drive(CanopenDevice):
 
     def initialised(self) -> None:
         for axis in self.axes:
-            if axis.states.state is DriveState.NOT_READY:
+            if axis.states.state is canopen.DriveState.NOT_READY:
                 axis.start(self.now)
         self.every(lambda: self.control_period, self._tick, first=self.control_period)
 
@@ -550,11 +540,11 @@ class Cia402Drive(CanopenDevice):
         for axis in self.axes:
             axis.stop(self.now)
 
-    def nmt_state_changed(self, state: NmtState) -> None:
-        if state is NmtState.INITIALISING:
+    def nmt_state_changed(self, state: canopen.NmtState) -> None:
+        if state is canopen.NmtState.INITIALISING:
             for axis in self.axes:
                 axis.power_stage_off(self.now)
-        elif state is not NmtState.OPERATIONAL:
+        elif state is not canopen.NmtState.OPERATIONAL:
             self._connection_lost()
 
     def communication_error(self) -> None:
@@ -569,7 +559,7 @@ class Cia402Drive(CanopenDevice):
         now = self.now
         for axis in self.axes:
             axis.tick(now, self.control_period)
-        if self.pdos is not None and self.state is NmtState.OPERATIONAL:
+        if self.pdos is not None and self.state is canopen.NmtState.OPERATIONAL:
             self.pdos.tick(now)
 
     def _report_error(self, code: int) -> None:

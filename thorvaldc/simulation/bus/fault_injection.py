@@ -4,19 +4,28 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
+from functools import partial
 
 from thorvaldc.can.frame import CanFrame, to_ns
 from thorvaldc.can.frame_bits import frame_bits
 from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.simulated_device import SimulatedDevice
-from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.bus.timeline import Action
 from thorvaldc.simulation.bus.wire import CanController
 
-_CANOPEN_FLAGS = ("commands_ignored", "sync_ignored", "nmt_ignored", "frozen_reports")
-"""Kinds of faults that are switched on and off by a flag of a ``CanopenDevice``."""
+_CANOPEN_FLAGS = {
+    "heartbeat_stop": "heartbeat_stopped",
+    **{
+        kind: kind for kind in ("commands_ignored", "sync_ignored", "nmt_ignored", "frozen_reports")
+    },
+}
+"""Flags of a ``CanopenDevice`` by the kind of the fault that sets them."""
+_DISTURBANCES = {"pushed_motor": "push", "runaway_motor": "runaway"}
+"""Arguments of ``MotorModel.disturb`` by the kind of the fault."""
+Removal = Callable[[], object]
+"""Function that ends a fault."""
 Listener = Callable[[float, BusFault, bool], None]
 """Function with the arguments time (s), injected fault, and ``True`` at the start of the fault.
 
@@ -62,7 +71,7 @@ class FaultInjector:
 
         return act
 
-    def _end(self, fault: BusFault, remove: Action) -> None:
+    def _end(self, fault: BusFault, remove: Removal) -> None:
         self.active = [f for f in self.active if f is not fault]
         remove()
         self._report(fault, False)
@@ -73,7 +82,7 @@ class FaultInjector:
 
     # -- kinds of faults ----------------------------------------------------------------------
 
-    def _start(self, fault: BusFault) -> Action:
+    def _start(self, fault: BusFault) -> Removal:
         """Starts an injected fault and returns a function that removes the injected fault."""
         wire = self.simulated.wires[fault.bus]
         devices = self._devices(fault)
@@ -88,23 +97,18 @@ class FaultInjector:
 
             return restore_power
         if fault.kind == "noise":
-            wire.noise = fault.share
-
-            def end_noise() -> None:
-                wire.noise = 0.0
-
-            return end_noise
+            return _set(wire, "noise", fault.share, 0.0)
         if fault.kind in ("lost_frames", "late_frames", "repeated_frames"):
             return self._filter_frames(fault, None if fault.node is None else devices[0])
         if fault.kind == "forged_frames":
             return self._forge(fault)
         return self._start_device_fault(fault, devices[0])
 
-    def _start_device_fault(self, fault: BusFault, device: SimulatedDevice) -> Action:
+    def _start_device_fault(self, fault: BusFault, device: SimulatedDevice) -> Removal:
         if fault.kind == "mute":
-            return _set_flag(device, "muted")
-        if fault.kind == "heartbeat_stop" and isinstance(device, CanopenDevice):
-            return _set_flag(device, "heartbeat_stopped")
+            return _set(device, "muted")
+        if isinstance(device, CanopenDevice) and fault.kind in _CANOPEN_FLAGS:
+            return _set(device, _CANOPEN_FLAGS[fault.kind])
         if fault.kind == "emcy" and isinstance(device, CanopenDevice):
             device.emergency(fault.code, fault.register)
         elif fault.kind == "duplicate_id":
@@ -116,62 +120,41 @@ class FaultInjector:
         elif fault.kind == "object_written":
             key = fault.index, fault.subindex
             previous = device.overwrite_object(*key, fault.value)
-
-            def restore_object() -> None:
-                if previous is not None:
-                    device.overwrite_object(*key, previous)
-
-            return restore_object
+            if previous is not None:
+                return partial(device.overwrite_object, *key, previous)
         elif fault.kind == "battery_charge":
             charge = device.set_charge(fault.charge)
-
-            def restore_charge() -> None:
-                device.set_charge(charge)
-
-            return restore_charge
-        elif fault.kind == "encoder_jump":
-            encoder, _ = self._channel_motor(device, fault.channel)
-            if encoder is not None:
-                encoder.jump(fault.angle)
+            return partial(device.set_charge, charge)
         elif fault.kind == "bus_off":
             device.controller.go_bus_off()
         elif fault.kind == "wrong_bitrate":
             bitrate = device.controller.bitrate
             device.change_bitrate(fault.bitrate)
             return lambda: device.change_bitrate(bitrate)
-        elif fault.kind == "frozen_encoder":
-            encoder, _ = self._channel_motor(device, fault.channel)
-            return _set_flag(encoder, "frozen") if encoder is not None else _nothing
-        elif fault.kind == "blocked_motor":
-            _, motor = self._channel_motor(device, fault.channel)
-            return _set_flag(motor, "blocked") if motor is not None else _nothing
-        elif fault.kind == "pushed_motor":
-            return self._set_motor(device, fault, "push")
-        elif fault.kind == "runaway_motor":
-            return self._set_motor(device, fault, "runaway")
-        elif fault.kind in _CANOPEN_FLAGS and isinstance(device, CanopenDevice):
-            return _set_flag(device, fault.kind)
         elif fault.kind == "babble":
             return self._babble(fault, device)
+        elif fault.channel:
+            return self._start_channel_fault(fault, device)
         return _nothing
 
-    def _set_motor(self, device: SimulatedDevice, fault: BusFault, name: str) -> Action:
-        _, motor = self._channel_motor(device, fault.channel)
-        if motor is None:
-            return _nothing
-        motor.disturb(device.now, **{name: fault.speed})
-        return lambda: motor.disturb(device.now)
+    def _start_channel_fault(self, fault: BusFault, device: SimulatedDevice) -> Removal:
+        encoder, motor = device.channel_motor(self._channel_index(device.name, fault.channel))
+        if encoder is not None and fault.kind == "encoder_jump":
+            encoder.jump(fault.angle)
+        elif encoder is not None and fault.kind == "frozen_encoder":
+            return _set(encoder, "frozen")
+        elif motor is not None and fault.kind == "blocked_motor":
+            return _set(motor, "blocked")
+        elif motor is not None and fault.kind in _DISTURBANCES:
+            motor.disturb(device.now, **{_DISTURBANCES[fault.kind]: fault.speed})
+            return lambda: motor.disturb(device.now)
+        return _nothing
 
     def _devices(self, fault: BusFault) -> list[SimulatedDevice]:
         if fault.node is not None:
             return [self.simulated.devices[fault.node]]
         wire = self.simulated.wires[fault.bus]
         return [d for d in self.simulated.devices.values() if d.wire is wire]
-
-    def _channel_motor(
-        self, device: SimulatedDevice, channel: str
-    ) -> tuple[Encoder | None, MotorModel | None]:
-        return device.channel_motor(self._channel_index(device.name, channel))
 
     def _channel_index(self, node_name: str, channel: str) -> int:
         for bus in self.simulated.robot.buses:
@@ -180,7 +163,7 @@ class FaultInjector:
                     return [c.name for c in node.channels].index(channel)
         raise KeyError(node_name)
 
-    def _clone(self, device: SimulatedDevice) -> Action:
+    def _clone(self, device: SimulatedDevice) -> Removal:
         """Adds a device with the id and the behaviour of ``device`` to the CAN bus."""
         simulated = self.simulated
         name = f"{device.name}_clone"
@@ -196,7 +179,7 @@ class FaultInjector:
 
         return remove_clone
 
-    def _filter_frames(self, fault: BusFault, device: SimulatedDevice | None) -> Action:
+    def _filter_frames(self, fault: BusFault, device: SimulatedDevice | None) -> Removal:
         """Lets receivers lose CAN frames, or receive CAN frames late or twice.
 
         If ``device`` is ``None``, the fault affects every receiver on the CAN bus.
@@ -223,7 +206,7 @@ class FaultInjector:
         wire.filters.append(accepts)
         return lambda: wire.filters.remove(accepts)
 
-    def _forge(self, fault: BusFault) -> Action:
+    def _forge(self, fault: BusFault) -> Removal:
         """Sends CAN frames from an additional CAN controller on the CAN bus."""
         wire = self.simulated.wires[fault.bus]
         sender = CanController(wire, "foreign_sender", wire.bitrate)
@@ -253,7 +236,7 @@ class FaultInjector:
                     return frame.length
         return 8
 
-    def _babble(self, fault: BusFault, device: SimulatedDevice) -> Action:
+    def _babble(self, fault: BusFault, device: SimulatedDevice) -> Removal:
         frame = CanFrame(fault.cob_id or 0, bytes(8))
         babbling = True
 
@@ -270,9 +253,10 @@ class FaultInjector:
         return stop
 
 
-def _set_flag(device: object, name: str) -> Action:
-    setattr(device, name, True)
-    return lambda: setattr(device, name, False)
+def _set(target: object, name: str, value: object = True, end: object = False) -> Removal:
+    """Sets an attribute, and returns the function that sets its value at the end of the fault."""
+    setattr(target, name, value)
+    return lambda: setattr(target, name, end)
 
 
 def _nothing() -> None:

@@ -6,6 +6,7 @@ import contextlib
 import math
 import struct
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, NamedTuple
 
 from thorvaldc.can.frame import CanFrame
@@ -38,6 +39,7 @@ class SdoAbort(Exception):
         self.code = code
 
 
+@dataclass(slots=True, eq=False)
 class Entry:
     """One entry of a CANopen object dictionary.
 
@@ -51,28 +53,15 @@ class Entry:
     * ``stored``: true if object 0x1010 stores the value of the entry in non-volatile memory.
     """
 
-    __slots__ = ("access", "kind", "lower", "read", "stored", "upper", "value", "write")
-
-    def __init__(
-        self,
-        kind: str,
-        value: Any = 0,
-        access: str = "ro",
-        *,
-        read: Callable[[], Any] | None = None,
-        write: Callable[[Any], DelayedWrite | None] | None = None,
-        lower: float | None = None,
-        upper: float | None = None,
-        stored: bool = False,
-    ) -> None:
-        self.kind = kind
-        self.value = value
-        self.access = access
-        self.read = read
-        self.write = write
-        self.lower = lower
-        self.upper = upper
-        self.stored = stored
+    kind: str
+    value: Any = 0
+    access: str = "ro"
+    _: KW_ONLY
+    read: Callable[[], Any] | None = None
+    write: Callable[[Any], DelayedWrite | None] | None = None
+    lower: float | None = None
+    upper: float | None = None
+    stored: bool = False
 
     @property
     def size(self) -> int:

@@ -8,14 +8,7 @@ from collections.abc import Callable
 
 from thorvaldc.can import lss, sdo
 from thorvaldc.can.lss import UNCONFIGURED, Identity
-from thorvaldc.can.sdo import (
-    EXPEDITED,
-    HEADER,
-    SEGMENT_LENGTH,
-    SIZE_INDICATED,
-    AbortCode,
-    ClientCommand,
-)
+from thorvaldc.can.sdo import SEGMENT_LENGTH, AbortCode, ClientCommand
 from thorvaldc.simulation.bus.object_dictionary import DelayedWrite, ObjectDictionary, SdoAbort
 
 # -- block transfers -------------------------------------------------------------------------------
@@ -95,7 +88,9 @@ class BlockTransfer:
         self._set_block_size(data[4])
         self._upload, self._sent = self._objects.upload(*self._object), 0
         command = BLOCK_DOWNLOAD << 5 | _CRC | _SIZE
-        self._respond(HEADER.pack(command, *self._object) + struct.pack("<I", len(self._upload)))
+        self._respond(
+            sdo.HEADER.pack(command, *self._object) + struct.pack("<I", len(self._upload))
+        )
 
     def _set_block_size(self, size: int) -> None:
         if not 1 <= size <= 127:
@@ -131,7 +126,7 @@ class BlockTransfer:
             self._objects.check_length(entry, struct.unpack_from("<I", data, 4)[0])
         self._next_segment, self.download_pending = 1, True
         command = BLOCK_UPLOAD << 5 | _CRC
-        self._respond(HEADER.pack(command, *self._object) + bytes([BLOCK_SIZE, 0, 0, 0]))
+        self._respond(sdo.HEADER.pack(command, *self._object) + bytes([BLOCK_SIZE, 0, 0, 0]))
 
     def segment(self, data: bytes) -> None:
         """Handles a segment of a download.
@@ -245,16 +240,16 @@ class SdoServer:
     def _initiate_download(self, data: bytes) -> None:
         self._upload = self._download = None
         index, subindex = self._object = struct.unpack_from("<HB", data, 1)
-        if data[0] & EXPEDITED:
+        if data[0] & sdo.EXPEDITED:
             if self._segmented:
                 raise SdoAbort(AbortCode.COMMAND_UNKNOWN)
             value = sdo.expedited_data(data)
-            if not data[0] & SIZE_INDICATED and self._object in self._objects:
+            if not data[0] & sdo.SIZE_INDICATED and self._object in self._objects:
                 value = value[: self._objects[self._object].size or 4]
             delayed = self._objects.download(index, subindex, value)
         else:
             entry = self._objects[self._object]
-            size_indicated = data[0] & SIZE_INDICATED
+            size_indicated = data[0] & sdo.SIZE_INDICATED
             self._size = struct.unpack_from("<I", data, 4)[0] if size_indicated else None
             if self._size is not None:
                 self._objects.check_length(entry, self._size)
@@ -294,8 +289,8 @@ class SdoServer:
         if self._upload is None:
             raise SdoAbort(AbortCode.COMMAND_UNKNOWN)
         self._check_toggle(data)
-        segment = self._upload[: sdo.SEGMENT_LENGTH]
-        rest = self._upload[sdo.SEGMENT_LENGTH :]
+        segment = self._upload[:SEGMENT_LENGTH]
+        rest = self._upload[SEGMENT_LENGTH:]
         self._upload = rest or None
         self._respond(sdo.upload_segment_response(self._toggle, segment, last=not rest))
         self._toggle ^= 1

@@ -23,14 +23,9 @@ from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.model import Actuator, Bus, Node, Robot
 from thorvaldc.model.plugins import PluginFailure, PluginTable
 from thorvaldc.model.scenario import Quirk
+from thorvaldc.simulation.bus import simulated_motors
 from thorvaldc.simulation.bus.battery_and_io_devices import ForeignDevice
 from thorvaldc.simulation.bus.simulated_device import DeviceSpecification, SimulatedDevice
-from thorvaldc.simulation.bus.simulated_motors import (
-    BaseMotors,
-    DrivenWheels,
-    MotorModel,
-    ideal_motor,
-)
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import CanController, Wire
 from thorvaldc.simulation.physics.sim_base import SimulatedJoints
@@ -230,9 +225,9 @@ class SimulatedRobot:
         self.timeline = Timeline()
         self.wires: dict[str, Wire] = {}
         self.devices: dict[str, SimulatedDevice] = {}
-        self.motors: dict[str, MotorModel] = {}
-        self._base_motors = None if base is None else BaseMotors(robot, base)
-        self._driven_wheels = DrivenWheels()
+        self.motors: dict[str, simulated_motors.MotorModel] = {}
+        self._base_motors = None if base is None else simulated_motors.BaseMotors(robot, base)
+        self._driven_wheels = simulated_motors.DrivenWheels()
         self._delivered = delivered
         self._quirks = frozenset(quirks)
         for bus in robot.buses:
@@ -292,13 +287,13 @@ class SimulatedRobot:
         nonvolatile: Mapping[str, Any],
         ideal_motors: bool = False,
     ) -> SimulatedDevice:
-        def motor(actuator: Actuator) -> MotorModel:
+        def motor(actuator: Actuator) -> simulated_motors.MotorModel:
             model = None
             if self._base_motors is not None and not ideal_motors:
                 model = self._base_motors.motor(actuator)
             if model is None:
                 wheels = None if ideal_motors else self._driven_wheels
-                model = ideal_motor(self.robot, actuator, wheels)
+                model = simulated_motors.ideal_motor(self.robot, actuator, wheels)
             if not ideal_motors:
                 self.motors[actuator.name] = model
             return model

@@ -7,7 +7,7 @@ Groups of the other columns:
 ``odometry``  ``odometry_x`` .. ``_yaw`` and ``odometry_vx`` .. ``_wz``: pose and twist
 ``truth``     ``true_*``: true pose and twist, also ``true_z``, roll and pitch
 ``twist``     ``asked_*``: commanded twist; ``aimed_*``: twist after limits and ramps
-``joints``    ``<joint>_position``, ``_velocity`` and ``_command``
+``joints``    the columns of ``joint_csv``, and ``<steering joint>.position_command``
 ============  ==========================================================================
 
 An empty cell of a CSV file means that the value is unknown.
@@ -16,40 +16,48 @@ An empty cell of a CSV file means that the value is unknown.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from thorvaldc.compiler.recordings.csv_table import TIME, Table, read_table
+from thorvaldc.compiler.recordings import csv_table
 from thorvaldc.diagnostics import Report, Span, did_you_mean
 from thorvaldc.diagnostics.atomic_file import AtomicFile
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import GROUPS
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
+from thorvaldc.runtime.ros_numbers import recorded_joints
 from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.simulation.control_loop import Sample
+from thorvaldc.simulation.records.joint_csv import (
+    COMMAND,
+    POSITION,
+    POSITION_COMMAND,
+    VELOCITY,
+    joint_column,
+)
 from thorvaldc.simulation.records.recorder import RecordedRun, SampleInterval, report_missing_robot
 
 _TWIST = ("vx", "vy", "wz")
 _POSE = ("x", "y", "yaw")
-_POSTURE = ("z", "roll", "pitch")
+COLUMNS = {
+    "odometry": tuple(f"odometry_{part}" for part in (*_POSE, *_TWIST)),
+    "truth": tuple(f"true_{part}" for part in (*_POSE, *_TWIST, "z", "roll", "pitch")),
+    "twist": tuple(f"{twist}_{part}" for twist in ("asked", "aimed") for part in _TWIST),
+}
+"""Columns of the groups that have the same columns for every robot."""
 
 
 def columns(robot: Robot, groups: Sequence[str]) -> list[str]:
     """Returns the column names of the record of a robot."""
-    names = [TIME]
-    if "odometry" in groups:
-        names += [f"odometry_{part}" for part in (*_POSE, *_TWIST)]
-    if "truth" in groups:
-        names += [f"true_{part}" for part in (*_POSE, *_TWIST, *_POSTURE)]
-    if "twist" in groups:
-        names += [f"{twist}_{part}" for twist in ("asked", "aimed") for part in _TWIST]
+    names = [csv_table.TIME]
+    for group, group_columns in COLUMNS.items():
+        names += group_columns if group in groups else ()
     if "joints" in groups:
-        for wheel in robot.wheels:
-            if wheel.driven:
-                joint = wheel.spin_joint
-                names += [f"{joint}_position", f"{joint}_velocity", f"{joint}_command"]
-            if wheel.steering_joint is not None:
-                names += [f"{wheel.steering_joint}_position", f"{wheel.steering_joint}_command"]
+        drives, steering = recorded_joints(robot)
+        for joint in drives:
+            names += [joint_column(joint, q) for q in (POSITION, VELOCITY, COMMAND)]
+        for joint in steering:
+            names += [joint_column(joint, q) for q in (POSITION, POSITION_COMMAND)]
     return names
 
 
@@ -83,6 +91,10 @@ class CsvRecorder:
         self._interval = SampleInterval(every)
         self._files: dict[str, AtomicFile] = {}
         self._robots = dict(robots)
+        self._joints = {
+            name: (list(drives.values()), list(steering.values()))
+            for name, (drives, steering) in ((n, recorded_joints(robot)) for n, robot in robots)
+        }
         if path.suffix == ".csv":
             self._paths = dict.fromkeys(self._robots, path)
         else:
@@ -101,7 +113,7 @@ class CsvRecorder:
     def record(self, robot: str, sample: Sample, commands: JointCommands | None) -> None:
         if not self._interval.is_due(robot, sample.time):
             return
-        values = _values(self._robots[robot], sample, commands, self._groups)
+        values = _values(self._joints[robot], sample, commands, self._groups)
         self._files[robot].write(",".join(map(_text, values)) + "\n")
 
     def close(self) -> None:
@@ -121,34 +133,32 @@ class CsvRecorder:
 
 
 def _values(
-    robot: Robot, sample: Sample, commands: JointCommands | None, groups: Sequence[str]
+    wheels: tuple[Sequence[int], Sequence[int]],
+    sample: Sample,
+    commands: JointCommands | None,
+    groups: Sequence[str],
 ) -> Iterator[float]:
-    """Yields the numbers of one line of the CSV file, in the order of ``columns``."""
+    """Yields the numbers of one line of the CSV file, in the order of ``columns``.
+
+    ``wheels`` has the wheel indices of the drive joints and of the steering joints.
+    """
+    drives, steering = wheels
     yield sample.time
     if "odometry" in groups:
-        yield from sample.pose_estimated
-        yield from sample.estimated
+        yield from (*sample.pose_estimated, *sample.estimated)
     if "truth" in groups:
-        yield from sample.pose_true
-        yield from sample.true
-        yield from sample.posture
+        yield from (*sample.pose_true, *sample.true, *sample.posture)
     if "twist" in groups:
-        yield from sample.commanded
-        yield from sample.limited
+        yield from (*sample.commanded, *sample.limited)
     if "joints" in groups:
-        joints, unknown = sample.joints, [math.nan] * len(robot.wheels)
-        positions = (joints.positions if joints is not None else None) or unknown
-        speeds, angles = (
-            (joints.speeds, joints.angles) if joints is not None else (unknown, unknown)
-        )
-        for i, wheel in enumerate(robot.wheels):
-            if wheel.driven:
-                yield positions[i]
-                yield speeds[i]
-                yield commands.speeds[i] if commands is not None else math.nan
-            if wheel.steered:
-                yield angles[i]
-                yield commands.angles[i] if commands is not None else math.nan
+        unknown = [math.nan] * (1 + max((*drives, *steering), default=0))
+        joints = sample.joints or JointStates(sample.time, unknown, unknown, unknown)
+        positions = joints.positions or unknown
+        commanded = commands or JointCommands(unknown, unknown)
+        for i in drives:
+            yield from (positions[i], joints.speeds[i], commanded.speeds[i])
+        for i in steering:
+            yield from (joints.angles[i], commanded.angles[i])
 
 
 def _text(value: float) -> str:
@@ -201,7 +211,7 @@ def read_csv_record(
 
 def _read_run(path: Path, robot: Robot, report: Report) -> RecordedRun | None:
     display = str(path)
-    table = read_table(path, display, report)
+    table = csv_table.read_table(path, display, report)
     if table is None:
         return None
     groups = tuple(g for g in GROUPS if any(c in table.columns for c in columns(robot, [g])[1:]))
@@ -209,7 +219,7 @@ def _read_run(path: Path, robot: Robot, report: Report) -> RecordedRun | None:
         report.add(
             "record-unreadable",
             f"`{display}` is not a record: a record has no column "
-            f"`{next(c for c in table.columns if c != TIME)}`",
+            f"`{next(c for c in table.columns if c != csv_table.TIME)}`",
             Span(display, 1, 1, 1, 1),
             hint="`thorvaldc sim --record` writes records",
         )
@@ -217,18 +227,16 @@ def _read_run(path: Path, robot: Robot, report: Report) -> RecordedRun | None:
     if not _columns_match(table, robot, groups, report):
         return None
     run = RecordedRun(groups, [], [])
-    for row in range(len(table)):
-
-        def cell(name: str, row: int = row) -> float:
-            column = table.columns.get(name)
-            return column[row] if column is not None else math.nan
-
-        run.samples.append(_sample(cell, robot, "joints" in groups))
-        run.commands.append(_commands(cell, robot) if "joints" in groups else None)
+    for row in zip(*table.columns.values(), strict=True):
+        cells = dict(zip(table.columns, row, strict=True))
+        run.samples.append(sample_of(cells, robot, "joints" in groups))
+        run.commands.append(commands_of(cells, robot) if "joints" in groups else None)
     return run
 
 
-def _columns_match(table: Table, robot: Robot, groups: Sequence[str], report: Report) -> bool:
+def _columns_match(
+    table: csv_table.Table, robot: Robot, groups: Sequence[str], report: Report
+) -> bool:
     """Checks that a CSV file has exactly the columns of the recorded groups of a robot."""
     known = columns(robot, GROUPS)
     unknown = next((column for column in table.columns if column not in known), None)
@@ -251,25 +259,28 @@ def _columns_match(table: Table, robot: Robot, groups: Sequence[str], report: Re
     return unknown is missing is None
 
 
-def _sample(cell: Callable[[str], float], robot: Robot, has_joints: bool) -> Sample:
+def sample_of(cells: Mapping[str, float], robot: Robot, has_joints: bool) -> Sample:
+    """Returns the sample of a record from its values by column; others are unknown."""
+
     def twist(name: str) -> Twist:
-        return Twist(cell(f"{name}_vx"), cell(f"{name}_vy"), cell(f"{name}_wz"))
+        return Twist(*(cells.get(f"{name}_{part}", math.nan) for part in _TWIST))
 
     def pose(name: str) -> Pose2:
-        return Pose2(cell(f"{name}_x"), cell(f"{name}_y"), cell(f"{name}_yaw"))
+        return Pose2(*(cells.get(f"{name}_{part}", math.nan) for part in _POSE))
 
+    time = cells[csv_table.TIME]
     joints = None
     if has_joints:
-        wheels = robot.wheels
         joints = JointStates(
-            cell(TIME),
-            [cell(f"{w.spin_joint}_velocity") if w.driven else 0.0 for w in wheels],
-            [cell(f"{w.steering_joint}_position") if w.steered else 0.0 for w in wheels],
-            [0.0] * len(wheels),
-            [cell(f"{w.spin_joint}_position") if w.driven else 0.0 for w in wheels],
+            time,
+            _drives(cells, robot, VELOCITY),
+            _steering(cells, robot, POSITION),
+            _steering(cells, robot, VELOCITY),
+            _drives(cells, robot, POSITION),
         )
+    z, roll, pitch = (cells.get(f"true_{part}", math.nan) for part in ("z", "roll", "pitch"))
     return Sample(
-        cell(TIME),
+        time,
         twist("asked"),
         twist("aimed"),
         twist("odometry"),
@@ -277,12 +288,20 @@ def _sample(cell: Callable[[str], float], robot: Robot, has_joints: bool) -> Sam
         pose("odometry"),
         pose("true"),
         joints,
-        (cell("true_z"), cell("true_roll"), cell("true_pitch")),
+        (z, roll, pitch),
     )
 
 
-def _commands(cell: Callable[[str], float], robot: Robot) -> JointCommands:
-    return JointCommands(
-        [cell(f"{w.spin_joint}_command") if w.driven else 0.0 for w in robot.wheels],
-        [cell(f"{w.steering_joint}_command") if w.steered else 0.0 for w in robot.wheels],
-    )
+def commands_of(cells: Mapping[str, float], robot: Robot) -> JointCommands:
+    """Returns the joint commands of a record from its values by column."""
+    return JointCommands(_drives(cells, robot, COMMAND), _steering(cells, robot, POSITION_COMMAND))
+
+
+def _drives(cells: Mapping[str, float], robot: Robot, quantity: str) -> list[float]:
+    joints = (wheel.spin_joint if wheel.driven else "" for wheel in robot.wheels)
+    return [cells.get(joint_column(joint, quantity), 0.0) for joint in joints]
+
+
+def _steering(cells: Mapping[str, float], robot: Robot, quantity: str) -> list[float]:
+    joints = (wheel.steering_joint or "" for wheel in robot.wheels)
+    return [cells.get(joint_column(joint, quantity), 0.0) for joint in joints]

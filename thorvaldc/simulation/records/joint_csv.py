@@ -18,25 +18,18 @@ data.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from thorvaldc.compiler.recordings.csv_table import (
-    TIME,
-    RowRules,
-    cell_span,
-    column_names,
-    first_line,
-    read_columns,
-    read_utf8,
-)
+from thorvaldc.compiler.recordings import csv_table
 from thorvaldc.diagnostics import Report, Span, did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.runtime.driver import DriverState
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL
+from thorvaldc.runtime.ros_numbers import recorded_joints
 
 if TYPE_CHECKING:
     from _typeshed import SupportsWrite
@@ -44,12 +37,19 @@ if TYPE_CHECKING:
     from thorvaldc.simulation.control_loop import ControlLoop
 
 POSITION, VELOCITY, COMMAND = "position", "velocity", "velocity_command"
-_ROW_RULES = RowRules(
+POSITION_COMMAND = "position_command"
+"""Quantities of a joint; a joint log has no commanded positions, the record of a run has."""
+_ROW_RULES = csv_table.RowRules(
     "joint-log-value",
     "joint-log-time",
     "times must increase; write each run to a file of its own",
     complete=True,
 )
+
+
+def joint_column(joint: str, quantity: str) -> str:
+    """Returns the column of a joint in a joint log or in the CSV record of a run."""
+    return f"{joint}.{quantity}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,24 +64,14 @@ class _Joint:
     offset: float = 0.0
 
 
-def drive_joints(robot: Robot) -> list[_Joint]:
-    """Returns the spin joints that have a motor with an encoder, without duplicates."""
-    joints: dict[str, _Joint] = {}
-    for i, wheel in enumerate(robot.wheels):
-        if robot.actuator_of(wheel.spin_joint) is not None:
-            joints.setdefault(wheel.spin_joint, _Joint(wheel.spin_joint, i))
-    return list(joints.values())
-
-
-def steering_joints(robot: Robot) -> list[_Joint]:
-    """Returns the steering joints that have a motor, without duplicates."""
-    joints: dict[str, _Joint] = {}
-    for i, wheel in enumerate(robot.wheels):
-        name = wheel.steering_joint
-        motor = robot.actuator_of(name) if name is not None else None
-        if name is not None and motor is not None:
-            joints.setdefault(name, _Joint(name, i, motor.encoder_offset))
-    return list(joints.values())
+def _joints(robot: Robot) -> tuple[list[_Joint], list[_Joint]]:
+    """Returns the drive joints and the steering joints of a robot."""
+    drives, steering = recorded_joints(robot)
+    motors = {name: robot.actuator_of(name) for name in steering}
+    return [_Joint(name, wheel) for name, wheel in drives.items()], [
+        _Joint(name, steering[name], motor.encoder_offset if motor is not None else 0.0)
+        for name, motor in motors.items()
+    ]
 
 
 class JointLogWriter:
@@ -89,8 +79,7 @@ class JointLogWriter:
 
     def __init__(self, robot: Robot, stream: SupportsWrite[str]) -> None:
         self._stream = stream
-        self._drives = drive_joints(robot)
-        self._steering = steering_joints(robot)
+        self._drives, self._steering = _joints(robot)
         self._time = -math.inf
         self._quantities: tuple[str, ...] = ()
 
@@ -122,10 +111,10 @@ class JointLogWriter:
         self.record(loop.driver.state)
 
     def _write_header(self) -> None:
-        columns = [TIME]
+        columns = [csv_table.TIME]
         for joint in self._drives:
-            columns += [f"{joint.name}.{quantity}" for quantity in self._quantities]
-        columns += [f"{joint.name}.{POSITION}" for joint in self._steering]
+            columns += [joint_column(joint.name, quantity) for quantity in self._quantities]
+        columns += [joint_column(joint.name, POSITION) for joint in self._steering]
         self._stream.write(",".join(columns) + "\n")
 
 
@@ -156,40 +145,40 @@ def read_log(path: Path, display: str, robot: Robot, report: Report) -> JointLog
     If the joint log is invalid, the function adds the problems with line and column to ``report``
     and returns ``None``.  ``display`` is the name of the file for the diagnostics.
     """
-    data = read_utf8(path, display, report)
+    data = csv_table.read_utf8(path, display, report)
     if data is None:
         return None
-    header = _header(first_line(data), display, report)
+    header = _header(csv_table.first_line(data), display, report)
     if header is None or not _joints_match(header, display, robot, report):
         return None
-    columns = read_columns(data, header, display, report, _ROW_RULES)
+    columns = csv_table.read_columns(data, header, display, report, _ROW_RULES)
     if columns is None:
         return None
-    times = columns[TIME]
+    times = columns[csv_table.TIME]
     _report_gaps(times, display, report)
-    positions: dict[str, Sequence[float]] = {}
-    velocities: dict[str, Sequence[float]] = {}
-    commands: dict[str, Sequence[float]] = {}
-    for joint in drive_joints(robot):
-        if f"{joint.name}.{POSITION}" in columns:
-            positions[joint.name] = columns[f"{joint.name}.{POSITION}"]
-        else:
-            velocities[joint.name] = columns[f"{joint.name}.{VELOCITY}"]
-        if f"{joint.name}.{COMMAND}" in columns:
-            commands[joint.name] = columns[f"{joint.name}.{COMMAND}"]
-    angles = {j.name: columns[f"{j.name}.{POSITION}"] for j in steering_joints(robot)}
-    return JointLog(times, positions, velocities, commands, angles)
+    drives, steering = recorded_joints(robot)
+
+    def of(joints: Iterable[str], quantity: str) -> dict[str, Sequence[float]]:
+        return {
+            name: columns[joint_column(name, quantity)]
+            for name in joints
+            if joint_column(name, quantity) in columns
+        }
+
+    positions = of(drives, POSITION)
+    velocities = of([name for name in drives if name not in positions], VELOCITY)
+    return JointLog(times, positions, velocities, of(drives, COMMAND), of(steering, POSITION))
 
 
 def _header(line: str, display: str, report: Report) -> list[str] | None:
     """Returns the column names, or ``None`` if the file is not a joint log."""
-    names = column_names(line)
+    names = csv_table.column_names(line)
     for i, name in enumerate(names):
-        span = cell_span(display, 1, line, i)
+        span = csv_table.cell_span(display, 1, line, i)
         joint, _, quantity = name.rpartition(".")
         if name in names[:i]:
             report.add("joint-log-header", f"two columns have the name `{name}`", span)
-        elif name != TIME and not (joint and quantity in (POSITION, VELOCITY, COMMAND)):
+        elif name != csv_table.TIME and not (joint and quantity in (POSITION, VELOCITY, COMMAND)):
             report.add(
                 "joint-log-header",
                 f"a joint log has no column `{name}`",
@@ -200,7 +189,7 @@ def _header(line: str, display: str, report: Report) -> list[str] | None:
         else:
             continue
         return None  # after one unknown column, this is probably another kind of file
-    if TIME not in names:
+    if csv_table.TIME not in names:
         report.add("joint-log-header", "the log has no column `time`", Span(display, 1, 1, 1, 1))
         return None
     return names
@@ -213,14 +202,16 @@ def _joints_match(header: Sequence[str], display: str, robot: Robot, report: Rep
     """
     line = ",".join(header)
     known = {joint.name for joint in robot.joints}
-    logged = list(dict.fromkeys(name.rpartition(".")[0] for name in header if name != TIME))
-    drives, steering = drive_joints(robot), steering_joints(robot)
-    needed = [joint.name for joint in (*drives, *steering)]
+    logged = list(
+        dict.fromkeys(name.rpartition(".")[0] for name in header if name != csv_table.TIME)
+    )
+    drives, steering = recorded_joints(robot)
+    needed = [*drives, *steering]
     if logged and not known.intersection(logged):
         report.add(
             "joint-log-joint",
             f"{robot.name} has none of the {len(logged)} joints in the log",
-            cell_span(display, 1, line, 1),
+            csv_table.cell_span(display, 1, line, 1),
             hint=f"is it the log of another robot? {robot.name} has {', '.join(needed[:3])} ..",
         )
         return False
@@ -231,15 +222,15 @@ def _joints_match(header: Sequence[str], display: str, robot: Robot, report: Rep
             report.add(
                 "joint-log-joint",
                 f"{robot.name} has no joint `{joint}`",
-                cell_span(display, 1, line, first),
+                csv_table.cell_span(display, 1, line, first),
                 hint=did_you_mean(joint, needed, "is it the log of another robot?", fixable=False),
             )
             matches = False
     for name, quantities in (
-        *((joint.name, (POSITION, VELOCITY)) for joint in drives),
-        *((joint.name, (POSITION,)) for joint in steering),
+        *((name, (POSITION, VELOCITY)) for name in drives),
+        *((name, (POSITION,)) for name in steering),
     ):
-        if not any(f"{name}.{quantity}" in header for quantity in quantities):
+        if not any(joint_column(name, quantity) in header for quantity in quantities):
             report.add(
                 "joint-log-joint",
                 f"the log has no {' and no '.join(quantities)} of the joint `{name}`",

@@ -31,26 +31,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.compiler.recordings.ros_bag import (
-    COMMANDED_TWIST,
-    COMMANDS,
-    JOINTS,
-    LIMITED_TWIST,
-    ODOM,
-    TRUE_ODOM,
-    TYPES,
-    require_rosbags,
-)
+from thorvaldc.compiler.recordings import ros_bag
 from thorvaldc.diagnostics.atomic_file import INCOMPLETE, errors_with_name
 from thorvaldc.diagnostics.interrupts import uninterrupted
 from thorvaldc.model import Robot
+from thorvaldc.runtime import ros_numbers
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
-from thorvaldc.runtime.ros_numbers import (
-    covariance_numbers,
-    pose_numbers,
-    recorded_joints,
-    twist_numbers,
-)
 from thorvaldc.runtime.se2 import ZERO_COV, Pose2
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.records.recorder import SampleInterval
@@ -240,10 +226,10 @@ def latched_qos() -> Any:
 
 _TF = "tf2_msgs/msg/TFMessage"
 _GROUPS = {
-    "odometry": (ODOM,),
-    "truth": (TRUE_ODOM,),
-    "twist": (COMMANDED_TWIST, LIMITED_TWIST),
-    "joints": (JOINTS, COMMANDS),
+    "odometry": (ros_bag.ODOM,),
+    "truth": (ros_bag.TRUE_ODOM,),
+    "twist": (ros_bag.COMMANDED_TWIST, ros_bag.LIMITED_TWIST),
+    "joints": (ros_bag.JOINTS, ros_bag.COMMANDS),
 }
 OURS = "thorvaldc"
 """Key in the custom data of a bag that marks a record of thorvaldc."""
@@ -274,7 +260,7 @@ class McapRecorder:
         Raises ``MissingPackageError`` if rosbags is not installed.  Raises ``OSError`` if the file
         cannot be written.
         """
-        require_rosbags()
+        ros_bag.require_rosbags()
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
         self.path = path
@@ -298,9 +284,9 @@ class McapRecorder:
                 self._writer.open()
             topics = [topic for group in _GROUPS if group in groups for topic in _GROUPS[group]]
             self._robots = {name: self._open(robot, topics) for name, robot in robots}
-            if ODOM in topics or TRUE_ODOM in topics:
+            if ros_bag.ODOM in topics or ros_bag.TRUE_ODOM in topics:
                 self._tf = self._connect("/tf", _TF)
-            if ODOM in topics:
+            if ros_bag.ODOM in topics:
                 self._tf_static = self._connect("/tf_static", _TF, latched=True)
         except BaseException:
             self._remove_folder()
@@ -359,7 +345,8 @@ class McapRecorder:
 
     def _open(self, robot: Robot, topics: Sequence[str]) -> _RobotTopics:
         connections = {
-            topic: self._connect(f"/{robot.prefix}{topic}", TYPES[topic]) for topic in topics
+            topic: self._connect(f"/{robot.prefix}{topic}", ros_bag.TYPES[topic])
+            for topic in topics
         }
         return _RobotTopics(robot, connections, self)
 
@@ -388,13 +375,13 @@ class _RobotTopics:
         self._recorder = recorder
         odom, base = f"{robot.prefix}odom", f"{robot.prefix}base_link"
         true_base = f"{base}_true"
-        drives, steering = recorded_joints(robot)
+        drives, steering = ros_numbers.recorded_joints(robot)
         self._drives, self._steering = list(drives.values()), list(steering.values())
         self._odometry = odometry_template(odom, base)
         self._truth = odometry_template("map", true_base)
         self._start_frame = transforms_template([("map", odom)])
-        frames = [(odom, base)] if ODOM in connections else []
-        frames += [("map", true_base)] if TRUE_ODOM in connections else []
+        frames = [(odom, base)] if ros_bag.ODOM in connections else []
+        frames += [("map", true_base)] if ros_bag.TRUE_ODOM in connections else []
         self._frames = transforms_template(frames)
         self._twist = twist_template(base)
         self._joints = joints_template([*drives, *steering])
@@ -405,37 +392,44 @@ class _RobotTopics:
         connections, send = self._connections, self._recorder.send
         time = round(sample.time * 1e9)
         poses: tuple[float, ...] = ()
-        if ODOM in connections:
+        if ros_bag.ODOM in connections:
             if self._start is None:
                 self._start = sample.pose_estimated
-                data = self._start_frame.encode(time, pose_numbers(self._start))
+                data = self._start_frame.encode(time, ros_numbers.pose_numbers(self._start))
                 self._recorder.send_tf(time, data, static=True)
             local = sample.pose_estimated.relative_to(self._start)
-            poses = pose_numbers(local)
+            poses = ros_numbers.pose_numbers(local)
             numbers = (
                 *poses,
-                *covariance_numbers(sample.pose_covariance, local.yaw),
-                *twist_numbers(sample.estimated),
-                *covariance_numbers(sample.twist_covariance),
+                *ros_numbers.covariance_numbers(sample.pose_covariance, local.yaw),
+                *ros_numbers.twist_numbers(sample.estimated),
+                *ros_numbers.covariance_numbers(sample.twist_covariance),
             )
-            send(connections[ODOM], time, self._odometry.encode(time, numbers))
-        if TRUE_ODOM in connections:
-            true_pose = pose_numbers(sample.pose_true, sample.posture)
+            send(connections[ros_bag.ODOM], time, self._odometry.encode(time, numbers))
+        if ros_bag.TRUE_ODOM in connections:
+            true_pose = ros_numbers.pose_numbers(sample.pose_true, sample.posture)
             poses += true_pose
-            unknown = covariance_numbers(ZERO_COV)
-            numbers = (*true_pose, *unknown, *twist_numbers(sample.true), *unknown)
-            send(connections[TRUE_ODOM], time, self._truth.encode(time, numbers))
+            unknown = ros_numbers.covariance_numbers(ZERO_COV)
+            numbers = (*true_pose, *unknown, *ros_numbers.twist_numbers(sample.true), *unknown)
+            send(connections[ros_bag.TRUE_ODOM], time, self._truth.encode(time, numbers))
         if poses:
             self._recorder.send_tf(time, self._frames.encode(time, poses))
-        for topic, twist in ((COMMANDED_TWIST, sample.commanded), (LIMITED_TWIST, sample.limited)):
+        for topic, twist in (
+            (ros_bag.COMMANDED_TWIST, sample.commanded),
+            (ros_bag.LIMITED_TWIST, sample.limited),
+        ):
             if topic in connections:
-                send(connections[topic], time, self._twist.encode(time, twist_numbers(twist)))
-        if JOINTS in connections and sample.joints is not None:
+                send(
+                    connections[topic],
+                    time,
+                    self._twist.encode(time, ros_numbers.twist_numbers(twist)),
+                )
+        if ros_bag.JOINTS in connections and sample.joints is not None:
             data = self._joints.encode(time, self._state_numbers(sample.joints))
-            send(connections[JOINTS], time, data)
-        if COMMANDS in connections and commands is not None:
+            send(connections[ros_bag.JOINTS], time, data)
+        if ros_bag.COMMANDS in connections and commands is not None:
             data = self._joints.encode(time, self._command_numbers(commands))
-            send(connections[COMMANDS], time, data)
+            send(connections[ros_bag.COMMANDS], time, data)
 
     def _state_numbers(self, joints: JointStates) -> list[float]:
         """Returns the numbers of a JointState message from joint states.

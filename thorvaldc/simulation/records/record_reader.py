@@ -7,27 +7,22 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.compiler.recordings.ros_bag import (
-    COMMANDED_TWIST,
-    COMMANDS,
-    JOINTS,
-    LIMITED_TWIST,
-    ODOM,
-    TRUE_ODOM,
-    TYPES,
-    Bag,
-    is_bag,
-    read_bag,
-)
+from thorvaldc.compiler.recordings import ros_bag
+from thorvaldc.compiler.recordings.csv_table import TIME
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import GROUPS
 from thorvaldc.model.spatial import matrix_to_rpy, quat_to_matrix
-from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.ros_numbers import recorded_joints
 from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
-from thorvaldc.simulation.control_loop import Sample
-from thorvaldc.simulation.records.csv_record import read_csv_record
+from thorvaldc.simulation.records.csv_record import COLUMNS, commands_of, read_csv_record, sample_of
+from thorvaldc.simulation.records.joint_csv import (
+    COMMAND,
+    POSITION,
+    POSITION_COMMAND,
+    VELOCITY,
+    joint_column,
+)
 from thorvaldc.simulation.records.recorder import RecordedRun, report_missing_robot
 
 
@@ -45,7 +40,7 @@ def read_record(
     if not path.exists():
         report.add("file-not-found", f"`{display}` does not exist", Span(display))
         return None
-    read = read_mcap_record if is_bag(path) else read_csv_record
+    read = read_mcap_record if ros_bag.is_bag(path) else read_csv_record
     runs = read(path, robots, report)
     if runs is None or report.has_errors:
         return None
@@ -58,9 +53,6 @@ def read_record(
 
 # -- MCAP files and bags ------------------------------------------------------------------------
 
-_NO_POSE = Pose2(math.nan, math.nan, math.nan)
-_NO_TWIST = Twist(math.nan, math.nan, math.nan)
-
 
 def read_mcap_record(
     path: Path, robots: Sequence[tuple[str, Robot]], report: Report
@@ -71,27 +63,28 @@ def read_mcap_record(
     Raises ``MissingPackageError`` if rosbags is not installed.
     """
     display = str(path)
-    bag = read_bag(path, display, Span(display), _record_topics, report)
+    bag = ros_bag.read_bag(path, display, Span(display), _record_topics, report)
     if bag is None:
         return None
     topics_of: dict[str, dict[str, str]] = {}  # by name space: the topics by their last part
     for topic in bag.messages:
-        for kind in TYPES:
+        for kind in ros_bag.TYPES:
             if topic.endswith(f"/{kind}") and not (
-                kind == ODOM and topic.endswith(f"/{TRUE_ODOM}")
+                kind == ros_bag.ODOM and topic.endswith(f"/{ros_bag.TRUE_ODOM}")
             ):
                 namespace = topic.removesuffix(f"/{kind}").strip("/")
                 topics_of.setdefault(namespace, {})[kind] = topic
     topics_of = {
         namespace: topics
         for namespace, topics in topics_of.items()
-        if {ODOM, TRUE_ODOM} & set(topics)
+        if {ros_bag.ODOM, ros_bag.TRUE_ODOM} & set(topics)
     }
     if not topics_of:
         names = ", ".join(sorted(bag.topics)[:6]) or "none"
         report.add(
             "record-unreadable",
-            f"`{display}` is not a record of a run: it has no topic `{TRUE_ODOM}` or `{ODOM}`",
+            f"`{display}` is not a record of a run: it has no topic `{ros_bag.TRUE_ODOM}` or "
+            f"`{ros_bag.ODOM}`",
             Span(display),
             hint=f"its topics: {names}",
         )
@@ -118,7 +111,9 @@ def _record_topics(topics: Mapping[str, str]) -> set[str]:
     of_robots = {
         topic
         for topic, type_ in topics.items()
-        if any(topic.endswith(f"/{kind}") and type_ == TYPES[kind] for kind in TYPES)
+        if any(
+            topic.endswith(f"/{kind}") and type_ == ros_bag.TYPES[kind] for kind in ros_bag.TYPES
+        )
     }
     return of_robots | ({"/tf_static"} & set(topics))
 
@@ -131,7 +126,12 @@ class _BagRun:
     """
 
     def __init__(
-        self, bag: Bag, topics: Mapping[str, str], namespace: str, robot: Robot, display: str
+        self,
+        bag: ros_bag.Bag,
+        topics: Mapping[str, str],
+        namespace: str,
+        robot: Robot,
+        display: str,
     ) -> None:
         self._by_time: dict[str, dict[float, Any]] = {
             kind: dict(bag.messages[topic]) for kind, topic in topics.items()
@@ -152,10 +152,10 @@ class _BagRun:
         Returns ``None`` if ROS messages are missing or belong to another robot.
         """
         topic_of = {
-            "odometry": ODOM,
-            "truth": TRUE_ODOM,
-            "twist": COMMANDED_TWIST,
-            "joints": JOINTS,
+            "odometry": ros_bag.ODOM,
+            "truth": ros_bag.TRUE_ODOM,
+            "twist": ros_bag.COMMANDED_TWIST,
+            "joints": ros_bag.JOINTS,
         }
         groups = tuple(group for group in GROUPS if topic_of[group] in self._by_time)
         if not self._joints_match(report):
@@ -175,13 +175,15 @@ class _BagRun:
                     Span(self._display),
                 )
                 return None
-            run.samples.append(self._sample(time, last_yaws))
-            run.commands.append(self._commands(time))
+            cells = self._cells(time, last_yaws)
+            run.samples.append(sample_of(cells, self._robot, "joints" in groups))
+            has_commands = self._message(ros_bag.COMMANDS, time) is not None
+            run.commands.append(commands_of(cells, self._robot) if has_commands else None)
         return run
 
     def _joints_match(self, report: Report) -> bool:
         """Checks that the recorded joint names are the joint names of the robot."""
-        first = next(iter(self._by_time.get(JOINTS, {}).values()), None)
+        first = next(iter(self._by_time.get(ros_bag.JOINTS, {}).values()), None)
         if first is None:
             return True
         drives, steering = recorded_joints(self._robot)
@@ -201,64 +203,45 @@ class _BagRun:
             return False
         return True
 
-    def _sample(self, time: float, last_yaws: list[float]) -> Sample:
-        """Returns the recorded sample at the time ``time``.
+    def _cells(self, time: float, last_yaws: list[float]) -> dict[str, float]:
+        """Returns the recorded values at the time ``time``, by their column in a CSV record.
 
         ``last_yaws`` are the estimated and the true yaw (rad) of the previous sample.  The function
         replaces the yaw angles in ``last_yaws`` by the yaw angles of the returned sample.
         """
-        estimated, pose, true, pose_true = _NO_TWIST, _NO_POSE, _NO_TWIST, _NO_POSE
-        posture = (math.nan, math.nan, math.nan)
-        message = self._message(ODOM, time)
+        cells = {TIME: time}
+        values: tuple[float, ...]
+        message = self._message(ros_bag.ODOM, time)
         if message is not None:
             pose_message = message.pose.pose
             local, _ = _pose(pose_message.position, pose_message.orientation, last_yaws[0])
             last_yaws[0] = local.yaw
-            pose, estimated = self._start.moved(local), _twist(message.twist.twist)
-        message = self._message(TRUE_ODOM, time)
+            values = (*self._start.moved(local), *_twist(message.twist.twist))
+            cells |= zip(COLUMNS["odometry"], values, strict=True)
+        message = self._message(ros_bag.TRUE_ODOM, time)
         if message is not None:
             pose_message = message.pose.pose
-            pose_true, posture = _pose(
-                pose_message.position, pose_message.orientation, last_yaws[1]
-            )
-            last_yaws[1] = pose_true.yaw
-            true = _twist(message.twist.twist)
-        commanded, limited = (
-            _twist(message.twist) if message is not None else _NO_TWIST
-            for message in (
-                self._message(COMMANDED_TWIST, time),
-                self._message(LIMITED_TWIST, time),
-            )
-        )
-        joints = self._joints(time)
-        return Sample(time, commanded, limited, estimated, true, pose, pose_true, joints, posture)
-
-    def _joints(self, time: float) -> JointStates | None:
-        message = self._message(JOINTS, time)
-        if message is None:
-            return None
-        positions = dict(zip(message.name, message.position.tolist(), strict=False))
-        speeds = dict(zip(message.name, message.velocity.tolist(), strict=False))
-        drives = [w.spin_joint if w.driven else "" for w in self._robot.wheels]
-        steering = [w.steering_joint or "" for w in self._robot.wheels]
-        return JointStates(
-            time,
-            [speeds.get(name, 0.0) for name in drives],
-            [positions.get(name, 0.0) for name in steering],
-            [speeds.get(name, 0.0) for name in steering],
-            [positions.get(name, 0.0) for name in drives],
-        )
-
-    def _commands(self, time: float) -> JointCommands | None:
-        message = self._message(COMMANDS, time)
-        if message is None:
-            return None
-        positions = dict(zip(message.name, message.position.tolist(), strict=False))
-        speeds = dict(zip(message.name, message.velocity.tolist(), strict=False))
-        return JointCommands(
-            [speeds.get(w.spin_joint, 0.0) if w.driven else 0.0 for w in self._robot.wheels],
-            [positions.get(w.steering_joint or "", 0.0) for w in self._robot.wheels],
-        )
+            pose, posture = _pose(pose_message.position, pose_message.orientation, last_yaws[1])
+            last_yaws[1] = pose.yaw
+            values = (*pose, *_twist(message.twist.twist), *posture)
+            cells |= zip(COLUMNS["truth"], values, strict=True)
+        twists = [self._message(t, time) for t in (ros_bag.COMMANDED_TWIST, ros_bag.LIMITED_TWIST)]
+        for name, message in zip(("asked", "aimed"), twists, strict=True):
+            if message is not None:
+                names = [f"{name}_{part}" for part in Twist._fields]
+                cells |= zip(names, _twist(message.twist), strict=True)
+        for topic, quantities in (
+            (ros_bag.JOINTS, (POSITION, VELOCITY)),
+            (ros_bag.COMMANDS, (POSITION_COMMAND, COMMAND)),
+        ):
+            message = self._message(topic, time)
+            if message is not None:
+                for quantity, numbers in zip(
+                    quantities, (message.position, message.velocity), strict=True
+                ):
+                    names = [joint_column(joint, quantity) for joint in message.name]
+                    cells |= zip(names, numbers.tolist(), strict=False)
+        return cells
 
     def _message(self, topic: str, time: float) -> Any:
         return self._by_time[topic].get(time) if topic in self._by_time else None

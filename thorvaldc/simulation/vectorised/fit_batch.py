@@ -13,17 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from thorvaldc.runtime.calculators import twist_fit
 from thorvaldc.runtime.calculators.twist_estimator import RANK_TOLERANCE, TwistEstimator
-from thorvaldc.runtime.calculators.twist_fit import (
-    ROLL_AND_SIDE,
-    STILL,
-    TEST_SIDE,
-    UNTESTABLE,
-    USE_ROLL,
-    USE_SIDE,
-    WheelConstants,
-    solve3,
-)
+from thorvaldc.runtime.calculators.twist_fit import solve3
 
 Array = NDArray[np.float64]
 Value = Array | float
@@ -49,7 +41,7 @@ class MeasurementBatch(NamedTuple):
     A field is an array with one value per robot state, or a number that applies to all states.
     """
 
-    wheel: WheelConstants
+    wheel: twist_fit.WheelConstants
     c: Value
     s: Value
     x: Value
@@ -64,7 +56,7 @@ class WeightedBatch(NamedTuple):
     The fields are the same as in ``twist_fit.WeightedMeasurement``.
     """
 
-    wheel: WheelConstants
+    wheel: twist_fit.WheelConstants
     c: Value
     s: Value
     x: Value
@@ -129,7 +121,7 @@ def measure(
     return measurements
 
 
-def _cosine_and_sine(wheel: WheelConstants, angles: Array) -> tuple[Array, Array]:
+def _cosine_and_sine(wheel: twist_fit.WheelConstants, angles: Array) -> tuple[Array, Array]:
     """Returns the rolling direction of a steered wheel.
 
     Both numbers are computed from a single tangent, which is five times as fast as a cosine and a
@@ -163,7 +155,7 @@ def unweighted_fit(
     b1, b2, b3 = np.zeros(n), np.zeros(n), np.zeros(n)
     if estimator.inverse is not None and yaw_rates is None:
         for m in measurements:
-            if not m.wheel.flags & USE_ROLL:
+            if not m.wheel.flags & twist_fit.USE_ROLL:
                 continue
             zx, zy = m.c * m.z_l, m.s * m.z_l
             b1 += zx
@@ -177,7 +169,7 @@ def unweighted_fit(
     a11, a12, a13, a22, a23, a33 = (np.zeros(n) for _ in range(6))
     for wheel, c, s, x, y, z_l, z_t in measurements:
         l3, t3 = s * x - c * y, c * x + s * y
-        if wheel.flags & USE_ROLL:
+        if wheel.flags & twist_fit.USE_ROLL:
             a11 += c * c
             a12 += c * s
             a13 += c * l3
@@ -187,7 +179,7 @@ def unweighted_fit(
             b1 += c * z_l
             b2 += s * z_l
             b3 += l3 * z_l
-        if wheel.flags & USE_SIDE:
+        if wheel.flags & twist_fit.USE_SIDE:
             a11 += s * s
             a12 -= s * c
             a13 -= s * t3
@@ -252,7 +244,7 @@ def fit_twists(
         v_t += slip2
         if wheel.steered:
             t2 = across * across
-            near = t2 < 0.25 * a2 - STILL
+            near = t2 < 0.25 * a2 - twist_fit.STILL
             k = np.sqrt(a2)
             np.copysign(k, c * ux + s * uy, out=k)
             c, s = np.array(c), np.array(s)
@@ -278,7 +270,7 @@ def fit_twists(
             mx, my = c * z_l, s * z_l
         weighted.append(WeightedBatch(wheel, c, s, x, y, mx, my, v_l, v_t))
         w_t = 1.0 / v_t
-        k = 1.0 / v_l - w_t if wheel.flags & USE_ROLL else -w_t
+        k = 1.0 / v_l - w_t if wheel.flags & twist_fit.USE_ROLL else -w_t
         kc = k * c
         w11, w12 = kc * c, kc * s
         w11 += w_t
@@ -309,31 +301,31 @@ def chi_squares(fit: FitBatch, result: Array) -> None:
     vx, vy, wz = fit.twist
     p11, p12, p13, p22, p23, p33 = fit.covariance
     for d, (wheel, c, s, x, y, mx, my, v_l, v_t) in zip(result, fit.measurements, strict=True):
-        if not wheel.flags & TEST_SIDE:
+        if not wheel.flags & twist_fit.TEST_SIDE:
             d[:] = 0.0
             continue
         u11 = p11 + y * (y * p33 - 2.0 * p13)
         u12 = p12 + x * p13 - y * (p23 + x * p33)
         u22 = p22 + x * (x * p33 + 2.0 * p23)
         rx, ry = mx - vx + wz * y, my - vy - wz * x
-        if wheel.flags != ROLL_AND_SIDE:
+        if wheel.flags != twist_fit.ROLL_AND_SIDE:
             r_t = c * ry - s * rx
             s_t = v_t - (s * s * u11 - 2.0 * c * s * u12 + c * c * u22)
             d[:] = 0.0
-            np.divide(r_t * r_t, s_t, out=d, where=s_t > UNTESTABLE * v_t)
+            np.divide(r_t * r_t, s_t, out=d, where=s_t > twist_fit.UNTESTABLE * v_t)
             continue
         k = v_l - v_t
         kc = k * c
         s11, s12, s22 = v_t + kc * c - u11, kc * s - u12, v_t + k * s * s - u22
         det = s11 * s22 - s12 * s12
-        regular = det > UNTESTABLE * v_l * v_t
+        regular = det > twist_fit.UNTESTABLE * v_l * v_t
         if not regular.all():
             # The covariance S of the residual has rank 1 at most.
             # The function ``twist_fit.compare_with_others`` explains covariances of rank 1.
             h_l = c * c * u11 + 2.0 * c * s * u12 + s * s * u22
             scale = (v_l - h_l) / v_l + (v_t - (u11 + u22 - h_l)) / v_t
             r_l, r_t = c * rx + s * ry, c * ry - s * rx
-            scale = np.where(scale > UNTESTABLE, scale, np.inf)
+            scale = np.where(scale > twist_fit.UNTESTABLE, scale, np.inf)
             singular = (r_l * r_l / v_l + r_t * r_t / v_t) / scale
             det = np.where(regular, det, 1.0)
         d[:] = ((s22 * rx - 2.0 * s12 * ry) * rx + s11 * ry * ry) / det
