@@ -11,7 +11,7 @@ from tests.chaos.chaos_robots import steered_script as two_buses
 from tests.model.stops import stop_bound
 from tests.robots import SPAN
 from tests.runtime.can_base.simulated_rig import Rig
-from tests.simulation.bus.robots import ROBOTS, cia402, roboteq
+from tests.simulation.bus.robots import cia402, each_drive, roboteq
 from thorvaldc.can.canopen import HEARTBEAT, NMT, SYNC, NmtCommand
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import BusFault, BusFaults
@@ -24,7 +24,7 @@ FAST = Twist(0.8, 0.0, 0.0)
 NOTICED = 0.95
 """Longest time (s) until a motor that does not follow its target is noticed."""
 FL = "fl_controller"
-every_drive = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
+every_drive = each_drive("robot")
 
 
 def inject(rig: Rig, kind: str, **values: Any) -> None:

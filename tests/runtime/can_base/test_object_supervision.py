@@ -13,7 +13,7 @@ from tests.examples import ROBOTS as EXAMPLES
 from tests.examples import example_robot
 from tests.robots import SPAN
 from tests.runtime.can_base.simulated_rig import Rig
-from tests.simulation.bus.robots import ROBOTS, cia402, roboteq
+from tests.simulation.bus.robots import cia402, each_drive, roboteq
 from thorvaldc.model import Robot
 from thorvaldc.model.bus_timing import (
     reading_time,
@@ -25,7 +25,7 @@ from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 
-both = pytest.mark.parametrize("make", ROBOTS.values(), ids=ROBOTS)
+both = each_drive("make")
 Make = Callable[[], Robot]
 NODE = "fl_controller"
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.robots import SPAN
 from tests.runtime.can_base.simulated_rig import Rig
-from tests.simulation.bus.robots import ROBOTS, cia402
+from tests.simulation.bus.robots import cia402, each_drive
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.runtime.base_interface import RequestRefused
@@ -18,7 +18,7 @@ from thorvaldc.runtime.can_base.frame_receiver import OBSERVATION
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.fault_injection import FaultInjector
 
-both = pytest.mark.parametrize("make", ROBOTS.values(), ids=ROBOTS)
+both = each_drive("make")
 Make = Callable[[], Robot]
 PERIOD = 0.02
 

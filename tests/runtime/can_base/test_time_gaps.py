@@ -9,6 +9,7 @@ import pytest
 from tests.robots import FOUR_STEERED, make_robot
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import ROBOTS
+from tests.slow import mostly_slow
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model.stopping import shortest_watchdog
 from thorvaldc.runtime.base_interface import RequestRefused
@@ -22,7 +23,7 @@ FAST = Twist(SPEED, 0.0, 0.0)
 NOISE = 0.01
 """Largest rise (m/s) of a wheel speed that is no acceleration: whole revolutions per minute."""
 
-both = pytest.mark.parametrize("kind", ROBOTS)
+both = pytest.mark.parametrize("kind", mostly_slow(reversed(ROBOTS)))
 
 
 def driving(kind: str) -> Rig:

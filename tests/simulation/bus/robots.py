@@ -9,7 +9,11 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import pytest
+
+from tests.slow import mostly_slow
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Node, ObjectValue, Robot
 
@@ -160,3 +164,9 @@ def roboteq() -> Robot:
 
 
 ROBOTS: dict[str, Callable[[], Robot]] = {"CiA 402": cia402, "Thorvald script": roboteq}
+
+
+def each_drive(argument: str) -> Any:
+    """Runs a test with both robots of ``ROBOTS``; CiA 402, which takes longer, is marked slow."""
+    names = list(reversed(ROBOTS))
+    return pytest.mark.parametrize(argument, mostly_slow(map(ROBOTS.get, names)), ids=names)

@@ -73,6 +73,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_package_contains_the_extension_alone(package: Path) -> None:
     with zipfile.ZipFile(package / "t.vsix") as archive:
         names = {n for n in archive.namelist() if n.startswith("extension/")}
@@ -85,6 +86,7 @@ def test_the_package_contains_the_extension_alone(package: Path) -> None:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "languages"),
     [("thorvaldc: 1", "thorvaldc"), ("", "thorvaldc"), ("services: {}", ""), ("robot: x", "")],
