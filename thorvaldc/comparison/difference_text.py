@@ -7,13 +7,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 from thorvaldc.comparison import robot_difference
-from thorvaldc.comparison.robot_difference import (
-    ABSENT,
-    Difference,
-    FleetDifference,
-    LeafDifference,
-    ValueChange,
-)
+from thorvaldc.comparison.robot_difference import ABSENT, Difference, FleetDifference, ValueChange
 from thorvaldc.diagnostics.text_layout import markdown_table, markdown_text, paragraph, text_list
 
 LONGEST_TEXT = 48
@@ -82,7 +76,7 @@ def derived_summary(difference: robot_difference.RobotDifference) -> str:
     return f"{len(difference.derived)} derived {noun}: {groups}"
 
 
-def _group_of(leaf: LeafDifference) -> str:
+def _group_of(leaf: robot_difference.LeafDifference) -> str:
     if leaf.path[0] == "buses" and len(leaf.path) > 2:
         return f"bus {leaf.path[2]}"
     return leaf.path[0].replace("_", " ")
@@ -141,7 +135,7 @@ def _value_row(change: ValueChange) -> Row:
     return Row(_MARKS[change.kind], name, change_text(change))
 
 
-def _leaf_row(leaf: LeafDifference) -> Row:
+def _leaf_row(leaf: robot_difference.LeafDifference) -> Row:
     change = ValueChange("", (), "", leaf.before, leaf.after)
     return Row(_MARKS[change.kind], leaf.text_path, change_text(change))
 

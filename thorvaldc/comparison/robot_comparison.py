@@ -13,12 +13,7 @@ from typing import Any
 
 from thorvaldc.comparison import module_changes, robot_difference
 from thorvaldc.comparison.module_changes import Outline
-from thorvaldc.comparison.robot_difference import (
-    Difference,
-    FleetDifference,
-    LeafDifference,
-    ValueChange,
-)
+from thorvaldc.comparison.robot_difference import Difference, LeafDifference, ValueChange
 from thorvaldc.model import Fleet, Robot
 
 # Fields of links and joints that a reader wants to see.  The others (shapes, poses, inertias)
@@ -88,7 +83,7 @@ def compare_fleets(
     before: Fleet,
     after: Fleet,
     modules: Sequence[dict[str, Outline]] = ({}, {}),
-) -> FleetDifference:
+) -> robot_difference.FleetDifference:
     """Returns the differences between two fleets.
 
     ``modules``: the modules of the robots of each fleet, by the name of the robot in the fleet.
@@ -105,7 +100,7 @@ def compare_fleets(
             side["placements"][name].pop("robot")
     leaves = tuple(robot_difference.leaf_differences(old, new))
     values = tuple(_collapsed(_value_change(leaf) for leaf in leaves))
-    return FleetDifference(before.name, after.name, values, tuple(robots), leaves)
+    return robot_difference.FleetDifference(before.name, after.name, values, tuple(robots), leaves)
 
 
 def compare_models(

@@ -12,20 +12,15 @@ from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.atomic_file import write_file
 from thorvaldc.diagnostics.text_layout import text_table
-from thorvaldc.tools.calibration.self_calibration import (
-    CalibrationResult,
-    Estimate,
-    MotionPlan,
-    WheelCalibration,
-)
+from thorvaldc.tools.calibration import self_calibration as calibration
 
 _UNCHANGED = "as before"
 
 
-def as_json(result: CalibrationResult) -> dict[str, Any]:
+def as_json(result: calibration.CalibrationResult) -> dict[str, Any]:
     """Returns the calibration result as a dictionary for JSON, in rad and m."""
 
-    def plain(estimate: Estimate | None) -> dict[str, Any] | None:
+    def plain(estimate: calibration.Estimate | None) -> dict[str, Any] | None:
         if estimate is None:
             return None
         return {
@@ -37,7 +32,7 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
             "settled": estimate.settled,
         }
 
-    def motions(plan: MotionPlan) -> list[dict[str, Any]] | None:
+    def motions(plan: calibration.MotionPlan) -> list[dict[str, Any]] | None:
         if plan is None:
             return None
         return [{"motion": motion.description, "seconds": motion.seconds} for motion in plan]
@@ -67,7 +62,7 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
     }
 
 
-def table(result: CalibrationResult, width: int | None = None) -> str:
+def table(result: calibration.CalibrationResult, width: int | None = None) -> str:
     """Returns the calibration result as a text table with one line per wheel.
 
     Each value has a random and a systematic standard error.  Radii and steering offsets that the
@@ -94,7 +89,7 @@ def table(result: CalibrationResult, width: int | None = None) -> str:
     return "\n".join([text_table(lines, width, right=(1, 2, 3)), noise])
 
 
-def _cell(estimate: Estimate | None, format_value: Any, unit: str, convert: Any) -> str:
+def _cell(estimate: calibration.Estimate | None, format_value: Any, unit: str, convert: Any) -> str:
     if estimate is None:
         return ""
     if not (estimate.determined or estimate.coarse):
@@ -105,7 +100,7 @@ def _cell(estimate: Estimate | None, format_value: Any, unit: str, convert: Any)
     return text if estimate.determined else f"({text}) {_UNCHANGED}"
 
 
-def overlay(result: CalibrationResult, present: Calibration | None = None) -> str:
+def overlay(result: calibration.CalibrationResult, present: Calibration | None = None) -> str:
     """Returns the text of a calibration file that ``robot.yaml`` can include.
 
     ``present``: the calibration that ``robot.yaml`` includes now.  Values that the joint log does
@@ -131,7 +126,9 @@ def overlay(result: CalibrationResult, present: Calibration | None = None) -> st
     return "\n".join([*header, *(["wheels:", *lines] if lines else ["wheels: {}"])]) + "\n"
 
 
-def _radii(wheel: WheelCalibration, present: Calibration, *, scaled: bool) -> Iterator[str]:
+def _radii(
+    wheel: calibration.WheelCalibration, present: Calibration, *, scaled: bool
+) -> Iterator[str]:
     ordinary = present.radii.get(wheel.name)
     measured = {"": ordinary} if ordinary is not None else {}
     measured |= present.named_radii.get(wheel.name, {})
@@ -156,7 +153,7 @@ def _errors(random: float, systematic: float, unit: str) -> str:
     return f"+- {random:.3f} {unit} random, +- {systematic:.3f} {unit} systematic"
 
 
-def _offset(wheel: WheelCalibration, present: Calibration) -> Iterator[str]:
+def _offset(wheel: calibration.WheelCalibration, present: Calibration) -> Iterator[str]:
     offset = wheel.offset
     if offset is not None and offset.determined:
         errors = _errors(math.degrees(offset.random), math.degrees(offset.systematic), "deg")
@@ -166,7 +163,7 @@ def _offset(wheel: WheelCalibration, present: Calibration) -> Iterator[str]:
         yield f"steering_offset: {math.degrees(value):.6g} deg  # {_UNCHANGED}"
 
 
-def overlay_text(result: CalibrationResult, robot: Path) -> str:
+def overlay_text(result: calibration.CalibrationResult, robot: Path) -> str:
     """Returns the text of a calibration file with the estimated radii and steering offsets.
 
     Radii and offsets that were not estimated are copied from the calibration file that the robot

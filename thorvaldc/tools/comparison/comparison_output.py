@@ -8,13 +8,7 @@ from html import escape
 
 from thorvaldc.comparison.difference_text import EQUAL, headline, sections_of, summaries_of
 from thorvaldc.comparison.robot_difference import Difference
-from thorvaldc.diagnostics.text_layout import (
-    GAP,
-    markdown_table,
-    markdown_text,
-    paragraph,
-    text_table,
-)
+from thorvaldc.diagnostics import text_layout
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.facts.fact_tables import FactTable, fact_tables
 from thorvaldc.model.facts.robot_facts import RobotFacts
@@ -31,10 +25,10 @@ def facts_text(facts: RobotFacts, width: int = 80, *, everything: bool = False) 
     lines = [facts.name, *textwrap.wrap(facts.description, width)]
     for table in fact_tables(facts):
         if everything or table.key not in _LONG:
-            text = text_table(_rows(table), width - len(GAP), table.numeric)
-            lines += ["", table.title, textwrap.indent(text, GAP)]
+            text = text_layout.text_table(_rows(table), width - len(text_layout.GAP), table.numeric)
+            lines += ["", table.title, textwrap.indent(text, text_layout.GAP)]
             for note in table.notes:
-                lines += paragraph(note, width, GAP)
+                lines += text_layout.paragraph(note, width, text_layout.GAP)
     return "\n".join(lines) + "\n"
 
 
@@ -45,7 +39,7 @@ def facts_markdown(facts: RobotFacts) -> str:
         lines += ["", _markdown(facts.description)]
     for table in fact_tables(facts):
         rows = [[_markdown(cell.strip()) for cell in row] for row in _rows(table)]
-        lines += ["", f"## {table.title}", "", *markdown_table(rows, table.numeric)]
+        lines += ["", f"## {table.title}", "", *text_layout.markdown_table(rows, table.numeric)]
         for note in table.notes:
             lines += ["", _markdown(note)]
     return "\n".join(lines) + "\n"
@@ -57,7 +51,7 @@ def _rows(table: FactTable) -> list[tuple[str, ...]]:
 
 
 def _markdown(text: str) -> str:
-    return markdown_text(text, code=True)
+    return text_layout.markdown_text(text, code=True)
 
 
 def difference_page(difference: Difference, before: Robot | Fleet, after: Robot | Fleet) -> str:
