@@ -43,6 +43,17 @@ class ParameterValue:
         return f"{self.index:04x}:{self.subindex}"
 
 
+PresentValues = Mapping[tuple[int, int], int | None]
+"""Values of objects by index and subindex; ``None`` for an object that could not be read."""
+
+
+def differing_values(
+    values: Sequence[ParameterValue], present: PresentValues
+) -> list[ParameterValue]:
+    """Returns the required values that differ from the present ones."""
+    return [value for value in values if present.get(value.key) != value.value]
+
+
 @dataclass(frozen=True, slots=True)
 class NodeConfiguration:
     """Required configuration (node id, identity and object values) of a node.

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from thorvaldc.can import canopen, lss, sdo
 from thorvaldc.can.frame import NANOSECONDS, CanFrame, CanInterface, ErrorState
+from thorvaldc.commissioning.bus_configuration import ParameterValue
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Bus
 from thorvaldc.model.bus_timing import worst_case_bits
@@ -358,6 +359,22 @@ class SdoClient:
         response = self._single_response(node, sdo.upload_request(index, subindex))
         _raise_abort(response)
         return sdo.decode_number(type_name, self._value(node, response))
+
+    def read_values(
+        self, node: int, values: Sequence[ParameterValue], ignored: type[SdoError] = SdoAborted
+    ) -> dict[tuple[int, int], int | None]:
+        """Reads the present values of the objects in ``values`` from a node.
+
+        The value is ``None`` after an error of the type ``ignored``, by default if the node refuses
+        to read the object.  Raises other errors as the method ``read_number``.
+        """
+        present: dict[tuple[int, int], int | None] = {}
+        for value in values:
+            try:
+                present[value.key] = self.read_number(node, *value.key, value.type)
+            except ignored:
+                present[value.key] = None
+        return present
 
     def read_text(self, node: int, index: int) -> str:
         """Reads an object that is a text from a node.

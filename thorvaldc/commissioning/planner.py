@@ -530,7 +530,7 @@ def _configure_steps(
         differing = None
         present = scan.values.get(node.name)
         if present is not None and ids.get(node.name) == node.id:
-            differing = sum(1 for value in node.values if present.get(value.key) != value.value)
+            differing = len(bus_configuration.differing_values(node.values, present))
             if differing == 0:
                 continue
         steps.append(

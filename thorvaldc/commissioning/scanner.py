@@ -316,18 +316,9 @@ class Scanner:
                 self._progress("reading values", position, len(readable))
                 node = self.configuration.node(entry.node)
                 if node.sdo and node.values and node.id != UNCONFIGURED:
-                    read[node.name] = self._read_values(node)
+                    read[node.name] = self.sdo.read_values(node.id, node.values, SdoError)
             self._progress("reading values", len(readable), len(readable))
         return self._result(True, entries, read)
-
-    def _read_values(self, node: NodeConfiguration) -> dict[tuple[int, int], int | None]:
-        numbers: dict[tuple[int, int], int | None] = {}
-        for value in node.values:
-            try:
-                numbers[value.key] = self.sdo.read_number(node.id, *value.key, value.type)
-            except SdoError:
-                numbers[value.key] = None
-        return numbers
 
     def _result(
         self,

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -49,35 +49,18 @@ PDOS = range(0x1400, 0x1C00)
 """Indices of PDO objects: communication (from 0x1400, 0x1800) and mapping (with bit 0x200)."""
 MAPPING = 0x200
 
-PresentValues = Mapping[tuple[int, int], int | None]
-"""Values of objects by index and subindex; ``None`` if the node refuses to read an object."""
-
 
 class ObjectWriter:
-    """Reads and writes the object dictionary of nodes by SDO."""
+    """Writes the object dictionary of nodes by SDO."""
 
     def __init__(self, sdo: SdoClient) -> None:
         self.sdo = sdo
 
-    def read(
-        self, node: int, values: Sequence[bus_configuration.ParameterValue]
-    ) -> dict[tuple[int, int], int | None]:
-        """Reads the present values of the objects in ``values`` from a node.
-
-        The returned value is ``None`` if the node refuses to read the object.  Raises
-        ``SdoTimeout`` if no node responds, or ``SdoMultipleResponses`` if more than one node
-        responds.
-        """
-        present: dict[tuple[int, int], int | None] = {}
-        for value in values:
-            try:
-                present[value.key] = self.sdo.read_number(node, *value.key, value.type)
-            except SdoAborted:
-                present[value.key] = None
-        return present
-
     def write(
-        self, node: int, values: Sequence[bus_configuration.ParameterValue], present: PresentValues
+        self,
+        node: int,
+        values: Sequence[bus_configuration.ParameterValue],
+        present: bus_configuration.PresentValues,
     ) -> None:
         """Writes all object values that differ from ``present`` to a node, and reads each written
         value back.
@@ -87,7 +70,7 @@ class ObjectWriter:
         refuses a value that is written.  Raises ``SdoTimeout`` if no node responds, or
         ``SdoMultipleResponses`` if more than one node responds.
         """
-        differing = [value for value in values if present.get(value.key) != value.value]
+        differing = bus_configuration.differing_values(values, present)
         for value in differing:
             if value.index not in PDOS:
                 self._write(node, value)
@@ -109,7 +92,7 @@ class ObjectWriter:
         node: int,
         base: int,
         changed: Sequence[bus_configuration.ParameterValue],
-        present: PresentValues,
+        present: bus_configuration.PresentValues,
     ) -> None:
         """Writes the mapping and the communication parameters of a PDO.
 
@@ -140,7 +123,7 @@ class ObjectWriter:
         subindex: int,
         type_name: str,
         changed: Sequence[bus_configuration.ParameterValue],
-        present: PresentValues,
+        present: bus_configuration.PresentValues,
     ) -> bus_configuration.ParameterValue:
         """Returns the value that an object has after all ``changed`` values are written.
 
@@ -366,8 +349,8 @@ class StepExecutor:
     def _configure(self, number: int, step: ConfigureStep) -> None:
         self._check_identity(step.id, step.identity)
         writer = self.writer
-        present = writer.read(step.id, step.values)
-        differing = [value for value in step.values if present.get(value.key) != value.value]
+        present = self.sdo.read_values(step.id, step.values)
+        differing = bus_configuration.differing_values(step.values, present)
         if not differing:
             self.journal.begin(number, step.node, step.description)
             self.journal.done(number, step.node, {"written": 0})
@@ -381,8 +364,8 @@ class StepExecutor:
         writer.save(step.id)
         self._restart(step.id, step.id)
         self._check_identity(step.id, step.identity)
-        present = writer.read(step.id, step.values)
-        wrong = [value.label for value in step.values if present.get(value.key) != value.value]
+        present = self.sdo.read_values(step.id, step.values)
+        wrong = [value.label for value in bus_configuration.differing_values(step.values, present)]
         if wrong:
             raise StepFailed(f"after a reset {', '.join(wrong)} differs from the written value")
         self.journal.done(number, step.node, {"written": len(differing)})

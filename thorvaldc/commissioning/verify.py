@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import Any
 
 from thorvaldc.can.canopen import HEARTBEAT
-from thorvaldc.commissioning.bus_configuration import BusConfiguration
+from thorvaldc.commissioning.bus_configuration import BusConfiguration, differing_values
 from thorvaldc.commissioning.bus_master import BusMaster
 from thorvaldc.commissioning.scan_result import OK, ScanResult
 from thorvaldc.commissioning.scanner import Scanner
@@ -113,7 +113,7 @@ def verify(
         read = scan.values.get(node.name)
         if read is None:
             continue
-        differing = [value for value in node.values if read.get(value.key) != value.value]
+        differing = differing_values(node.values, read)
         for value in differing:
             actual = read.get(value.key)
             actual_text = "unreadable" if actual is None else str(actual)
