@@ -12,7 +12,8 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from thorvaldc.compiler.source.reader import read_text
-from thorvaldc.compiler.source.units import QUANTITIES, parse_any, parse_quantity
+from thorvaldc.compiler.source.unit_table import QUANTITIES
+from thorvaldc.compiler.source.units import parse_any, parse_quantity
 from thorvaldc.compiler.validation.document_check import check
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import ValueReader

@@ -13,9 +13,11 @@ In CANopen the default COB-ID of a message is the base COB-ID of its service plu
     0x580  SDO      + id  node -> master    response
     0x600  SDO      + id  master -> node    request
     0x700  heartbeat + id node -> all       NMT state (bits 0 to 6)
+    0x7E4  LSS            slave -> master   response
+    0x7E5  LSS            master -> slaves  request
 
 The module ``thorvaldc.can.sdo`` encodes and decodes SDO messages.  The module ``thorvaldc.can.lss``
-defines the constants of the layer setting services (LSS).
+defines the other constants of the layer setting services (LSS).
 """
 
 from __future__ import annotations
@@ -36,6 +38,7 @@ RPDO = (0x200, 0x300, 0x400, 0x500)
 SDO_RESPONSE = 0x580
 SDO_REQUEST = 0x600
 HEARTBEAT = 0x700
+LSS_RESPONSE, LSS_REQUEST = 0x7E4, 0x7E5
 
 
 class NmtCommand(enum.IntEnum):

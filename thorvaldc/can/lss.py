@@ -9,9 +9,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-# COB-ID of the requests of the LSS master, and COB-ID of the responses of the LSS slaves.
-REQUEST, RESPONSE = 0x7E5, 0x7E4
-
 # LSS command specifiers.  The response of an LSS slave to a configuration request has the same
 # command specifier as the request.
 SWITCH_STATE_GLOBAL = 0x04

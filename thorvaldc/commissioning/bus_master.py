@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from thorvaldc.can import canopen, lss, sdo
+from thorvaldc.can import canopen, sdo
 from thorvaldc.can.frame import NANOSECONDS, CanFrame, CanInterface, ErrorState
 from thorvaldc.commissioning.bus_configuration import ParameterValue
 from thorvaldc.diagnostics import DiagnosticError
@@ -238,7 +238,7 @@ class BusMaster:
             return ""
         if identifier in self._from_master:
             return self._from_master[identifier]
-        if identifier in (canopen.NMT, canopen.SYNC, canopen.TIME_STAMP, lss.REQUEST):
+        if identifier in (canopen.NMT, canopen.SYNC, canopen.TIME_STAMP, canopen.LSS_REQUEST):
             return f"{identifier:#05x}"
         if canopen.SDO_REQUEST < identifier <= canopen.SDO_REQUEST + canopen.HIGHEST_NODE_ID:
             return f"an SDO request to node {identifier - canopen.SDO_REQUEST}"

@@ -39,6 +39,7 @@ from collections.abc import Collection, Iterator
 from itertools import islice
 
 from thorvaldc.can import lss
+from thorvaldc.can.canopen import LSS_REQUEST, LSS_RESPONSE
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.can.lss import Identity
 from thorvaldc.commissioning.bus_master import BusMaster
@@ -219,10 +220,10 @@ class LssMaster:
         """
 
         def fits(frame: CanFrame) -> bool:
-            return frame.id == lss.RESPONSE and len(frame.data) == 8 and frame.data[0] == response
+            return frame.id == LSS_RESPONSE and len(frame.data) == 8 and frame.data[0] == response
 
         limit = timeout or self.master.timing.lss
-        return self.master.request(lss.REQUEST, request.ljust(8, b"\0"), fits, limit, settle)
+        return self.master.request(LSS_REQUEST, request.ljust(8, b"\0"), fits, limit, settle)
 
     def _send(self, request: bytes) -> None:
-        self.master.send(lss.REQUEST, request.ljust(8, b"\0"))
+        self.master.send(LSS_REQUEST, request.ljust(8, b"\0"))

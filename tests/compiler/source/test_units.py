@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from thorvaldc.compiler.source.units import QUANTITIES, UnitError, parse_any, parse_quantity
+from thorvaldc.compiler.source.unit_table import QUANTITIES
+from thorvaldc.compiler.source.units import UnitError, parse_any, parse_quantity
 from thorvaldc.diagnostics import Proposal
 
 

@@ -10,9 +10,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from thorvaldc.can.canopen import TIME_STAMP
-from thorvaldc.can.lss import REQUEST as LSS_REQUEST
-from thorvaldc.can.lss import RESPONSE as LSS_RESPONSE
+from thorvaldc.can.canopen import LSS_REQUEST, LSS_RESPONSE, TIME_STAMP
 from thorvaldc.compiler.bus.device_sections import (
     MASTER,
     Device,

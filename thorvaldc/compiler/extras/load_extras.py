@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from thorvaldc.compiler.extras import xacro_expand
 from thorvaldc.compiler.extras.join_extras import (
     Attachments,
     ExtrasJoiner,
@@ -22,17 +23,6 @@ from thorvaldc.compiler.extras.join_extras import (
 from thorvaldc.compiler.extras.ros2_controls import check_controls, servos_of
 from thorvaldc.compiler.extras.urdf_elements import call_labels
 from thorvaldc.compiler.extras.urdf_reader import UrdfParts, read_urdf
-from thorvaldc.compiler.extras.xacro_expand import (
-    DisplayPaths,
-    Element,
-    ExpandedFile,
-    ExpansionFailure,
-    ExpansionRequest,
-    Macro,
-    expand,
-    readable_folders,
-    search_paths,
-)
 from thorvaldc.compiler.extras.xacro_rules import find_package, is_below
 from thorvaldc.compiler.hardware.hardware_reader import Hardware
 from thorvaldc.compiler.hardware.robot_parts import RobotParts
@@ -151,14 +141,20 @@ def _load(
 ) -> ExtraParts:
     relative_dir, base_dir = base_dir, base_dir.absolute()
     display = str(Path(entries[0].span.file).parent)
-    paths = DisplayPaths(base_dir, "" if display == "." else display, {})
+    paths = xacro_expand.DisplayPaths(base_dir, "" if display == "." else display, {})
     all_entries = [_Entry.read(node, base_dir, paths, report) for node in entries]
     valid_entries = [entry for entry in all_entries if entry is not None]
     joiner = ExtrasJoiner(dict(links), dict(joints), attach, report)
-    requests = [ExpansionRequest(e.file, e.args, e.packages, e.env) for e in valid_entries]
-    folders = None if trust else readable_folders(requests, base_dir, search_paths())
+    requests = [
+        xacro_expand.ExpansionRequest(e.file, e.args, e.packages, e.env) for e in valid_entries
+    ]
+    folders = (
+        None
+        if trust
+        else xacro_expand.readable_folders(requests, base_dir, xacro_expand.search_paths())
+    )
     files: dict[str, Path] = {}
-    expanded_files = expand(requests, paths, trust=trust)
+    expanded_files = xacro_expand.expand(requests, paths, trust=trust)
     for entry, expanded_file in zip(valid_entries, expanded_files, strict=True):
         for name, file in expanded_file.files.items():
             installed = name.startswith("package://")
@@ -201,7 +197,9 @@ class _Entry:
         return Placement(self.span, self.parent, self.pose, self.placement_node, arguments)
 
     @staticmethod
-    def read(node: Node, base_dir: Path, paths: DisplayPaths, report: Report) -> _Entry | None:
+    def read(
+        node: Node, base_dir: Path, paths: xacro_expand.DisplayPaths, report: Report
+    ) -> _Entry | None:
         file_node = node.get("xacro")
         if file_node is None or not isinstance(file_node.value, str):
             return None  # reported by the schema check
@@ -238,7 +236,7 @@ class _Entry:
 
 
 def _package_folders(
-    packages: Node | None, base_dir: Path, paths: DisplayPaths, report: Report
+    packages: Node | None, base_dir: Path, paths: xacro_expand.DisplayPaths, report: Report
 ) -> dict[str, str]:
     if packages is None or not isinstance(packages.value, dict):
         return {}
@@ -345,7 +343,10 @@ _FAILURES = {
 
 
 def _read_parts(
-    entry: _Entry, expanded: ExpandedFile, readable: Sequence[str] | None, report: Report
+    entry: _Entry,
+    expanded: xacro_expand.ExpandedFile,
+    readable: Sequence[str] | None,
+    report: Report,
 ) -> UrdfParts | None:
     """Returns the parts of an expanded file, or ``None`` if there are none.
 
@@ -363,9 +364,9 @@ def _read_parts(
         _report_empty(entry, expanded.macros, report)
         return None
     stem = re.sub(r"\W+", "_", entry.file.name.split(".")[0].lower())
-    search = search_paths()
+    search = xacro_expand.search_paths()
 
-    def load(name: str, element: Element, scale: Vec3, is_visual: bool) -> Mesh | None:
+    def load(name: str, element: xacro_expand.Element, scale: Vec3, is_visual: bool) -> Mesh | None:
         path = _mesh_path(name, element, entry, search, report)
         if path is None:
             return None
@@ -405,7 +406,7 @@ def _read_parts(
     return replace(parts, extensions=extensions)
 
 
-def _report_unused(entry: _Entry, expanded: ExpandedFile, report: Report) -> None:
+def _report_unused(entry: _Entry, expanded: xacro_expand.ExpandedFile, report: Report) -> None:
     """Reports arguments and environment variables of the entry that the xacro file does not use."""
     for key, noun, unused, known in (
         ("args", "argument", expanded.unused_arguments, expanded.known_arguments),
@@ -424,7 +425,10 @@ def _report_unused(entry: _Entry, expanded: ExpandedFile, report: Report) -> Non
 
 
 def _report_failure(
-    entry: _Entry, expanded: ExpandedFile, failure: ExpansionFailure, report: Report
+    entry: _Entry,
+    expanded: xacro_expand.ExpandedFile,
+    failure: xacro_expand.ExpansionFailure,
+    report: Report,
 ) -> None:
     code, message, hint = _FAILURES[failure.kind]
     labels = [Label(span, text) for span, text in failure.trail]
@@ -439,7 +443,9 @@ def _report_failure(
     )
 
 
-def _without_folders(xml: str, packages: Mapping[str, str], paths: DisplayPaths) -> str:
+def _without_folders(
+    xml: str, packages: Mapping[str, str], paths: xacro_expand.DisplayPaths
+) -> str:
     """Replaces the absolute paths of ROS packages in a URDF extension by ``package://`` URLs."""
     for name in sorted(packages, key=lambda n: -len(packages[n])):
         for folder in (f"file://{packages[name]}", packages[name]):
@@ -448,7 +454,11 @@ def _without_folders(xml: str, packages: Mapping[str, str], paths: DisplayPaths)
 
 
 def _mesh_path(
-    name: str, element: Element, entry: _Entry, search: dict[str, Sequence[str]], report: Report
+    name: str,
+    element: xacro_expand.Element,
+    entry: _Entry,
+    search: dict[str, Sequence[str]],
+    report: Report,
 ) -> Path | None:
     scheme, separator, rest = name.partition("://")
     if not separator:
@@ -478,7 +488,7 @@ def _mesh_path(
     return None
 
 
-def _expression_hint(text: str, macros: Sequence[Macro]) -> str | None:
+def _expression_hint(text: str, macros: Sequence[xacro_expand.Macro]) -> str | None:
     unknown = re.search(r"unknown macro name: xacro:(\S+)", text)
     if unknown is None:
         return None
@@ -490,7 +500,7 @@ def _expression_hint(text: str, macros: Sequence[Macro]) -> str | None:
     return "no macro is defined; include the file that defines it first"
 
 
-def _report_empty(entry: _Entry, macros: Sequence[Macro], report: Report) -> None:
+def _report_empty(entry: _Entry, macros: Sequence[xacro_expand.Macro], report: Report) -> None:
     uncalled = [macro for macro in macros if not macro.called]
     if not uncalled:
         report.add("extra-empty", "the xacro file adds no links and no joints", entry.span)

@@ -15,23 +15,9 @@ import re
 from collections.abc import Iterable
 from typing import NoReturn
 
-from thorvaldc.compiler.source.unit_table import (
-    BASE_UNITS,
-    COMMON,
-    LONG_PREFIXABLE,
-    LONG_PREFIXES,
-    PLAIN,
-    PREFIXABLE,
-    PREFIXES,
-    QUANTITIES,
-    UNITS,
-    Dimension,
-    Quantity,
-    Unit,
-)
+from thorvaldc.compiler.source import unit_table
+from thorvaldc.compiler.source.unit_table import PLAIN, Dimension, Quantity, Unit
 from thorvaldc.diagnostics import Proposal, nearest
-
-__all__ = ["QUANTITIES", "UnitError", "describe", "parse_any", "parse_quantity", "parse_unit"]
 
 _MAX_TEXT = 100
 _MAX_EXPONENT = 350
@@ -71,7 +57,7 @@ def parse_quantity(text: str, quantity: str) -> float:
 
     Raises ``UnitError`` if the text is not a quantity of the expected kind.
     """
-    kind = QUANTITIES[quantity]
+    kind = unit_table.QUANTITIES[quantity]
     value, unit = _parse(text, kind)
     if unit is None or unit.dimension in kind.dimensions:
         return value
@@ -118,10 +104,12 @@ def describe(dimension: Dimension) -> str:
 
     If the physical dimension has no name, returns its base units, such as ``in m kg``.
     """
-    for quantity in QUANTITIES.values():
+    for quantity in unit_table.QUANTITIES.values():
         if dimension == quantity.dimensions[0]:
             return str(quantity)
-    powers = [(base, power) for base, power in zip(BASE_UNITS, dimension, strict=True) if power]
+    powers = [
+        (base, power) for base, power in zip(unit_table.BASE_UNITS, dimension, strict=True) if power
+    ]
     return "in " + " ".join(base if power == 1 else f"{base}^{power}" for base, power in powers)
 
 
@@ -382,16 +370,16 @@ def _find_unit_or_raise(name: str, text: str) -> Unit:
 
 
 def _find_unit(name: str) -> Unit | None:
-    unit = UNITS.get(name)
+    unit = unit_table.UNITS.get(name)
     if unit is not None:
         return unit
     for length in (1, 2):
         prefix, stem = name[:length], name[length:]
-        if prefix in PREFIXES and stem in PREFIXABLE:
-            return _scale(UNITS[stem], PREFIXES[prefix])
-    for prefix, power in LONG_PREFIXES.items():
-        if name.startswith(prefix) and name[len(prefix) :] in LONG_PREFIXABLE:
-            return _scale(UNITS[name[len(prefix) :]], power)
+        if prefix in unit_table.PREFIXES and stem in unit_table.PREFIXABLE:
+            return _scale(unit_table.UNITS[stem], unit_table.PREFIXES[prefix])
+    for prefix, power in unit_table.LONG_PREFIXES.items():
+        if name.startswith(prefix) and name[len(prefix) :] in unit_table.LONG_PREFIXABLE:
+            return _scale(unit_table.UNITS[name[len(prefix) :]], power)
     return None
 
 
@@ -475,9 +463,12 @@ def _unit_hint(name: str, kind: Quantity | None = None) -> str | None:
     - ``kind``: expected kind of quantity.  The hint proposes only units of this kind.  Without a
       similar one, the hint is ``None``.
     """
-    common: Iterable[str] = COMMON
+    common: Iterable[str] = unit_table.COMMON
     if kind is not None:
-        common = [kind.unit, *(u for u in COMMON if _parse_unit(u).dimension in kind.dimensions)]
+        common = [
+            kind.unit,
+            *(u for u in unit_table.COMMON if _parse_unit(u).dimension in kind.dimensions),
+        ]
     for known in common:
         if known.casefold() == name.casefold():
             return Proposal(f"did you mean `{known}`?", known, word=name)
@@ -485,7 +476,11 @@ def _unit_hint(name: str, kind: Quantity | None = None) -> str | None:
     if joined:
         spaced = f"{joined[1]} {joined[2]}"
         return Proposal(f"put a space between units: `{spaced}`", spaced, word=name)
-    if kind is not None and name in PREFIXES and kind.unit.partition("/")[0] in PREFIXABLE:
+    if (
+        kind is not None
+        and name in unit_table.PREFIXES
+        and kind.unit.partition("/")[0] in unit_table.PREFIXABLE
+    ):
         return Proposal(f"did you mean `{name}{kind.unit}`?", name + kind.unit, word=name)
     similar = _one_letter_off(name, common) if kind is not None else None
     similar = similar or nearest(name, common)

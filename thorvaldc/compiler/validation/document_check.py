@@ -16,7 +16,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.compiler.source.units import QUANTITIES, UnitError, parse_any, parse_quantity
+from thorvaldc.compiler.source.unit_table import QUANTITIES
+from thorvaldc.compiler.source.units import UnitError, parse_any, parse_quantity
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.schema.documents import Kind, inlined, matches, passes
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from thorvaldc.compiler.source.node import Node, describe_node, insertion, yaml_text
-from thorvaldc.compiler.source.units import QUANTITIES
+from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.diagnostics import Label, Proposal, Report, Span, did_you_mean, nearest
 from thorvaldc.schema.documents import Kind
 
@@ -484,67 +484,40 @@ def _actual(node: Node) -> str:
 
 # -- keys that were meant by unknown keys ------------------------------------------
 
-# Keys of other tools and formats, and the keys of this language with the same meaning.
-_SYNONYMS: dict[str, tuple[str, ...]] = {
-    "name": ("scenario",),
-    "version": ("thorvaldc",),
-    "robot_name": ("name",),
-    "id": ("can",),
-    "node": ("can",),
-    "node_id": ("can",),
-    "can_node": ("can",),
-    "address": ("can", "id"),
-    "parent": ("mount",),
-    "port": ("mount",),
-    "on": ("mount",),
-    "attach": ("mount",),
-    "attach_to": ("mount",),
-    "class": ("type",),
-    "kind": ("type", "kinds"),
-    "module": ("type",),
-    "parts": ("modules",),
-    "components": ("modules",),
-    "rotation": ("rpy",),
-    "orientation": ("rpy",),
-    "euler": ("rpy",),
-    "angles": ("rpy",),
-    "position": ("xyz",),
-    "translation": ("xyz",),
-    "origin": ("xyz",),
-    "pos": ("xyz",),
-    "weight": ("mass",),
-    "frequency": ("rate",),
-    "hz": ("rate",),
-    "timeout": ("command_timeout",),
-    "max_speed": ("max_linear_velocity",),
-    "max_velocity": ("max_linear_velocity",),
-    "speed_limit": ("max_linear_velocity",),
-    "baud": ("bitrate",),
-    "baudrate": ("bitrate",),
-    "speed": ("bitrate",),
-    "controller": ("base_calculator",),
-    "urdf": ("xacro",),
-    "file": ("xacro", "robot"),
-    "path": ("xacro", "robot"),
-    "model": ("robot", "type"),
-    "include": ("xacro", "library"),
-    "time": ("duration", "at"),
-    "length": ("duration",),
-    "t": ("at",),
-    "start": ("at",),
-    "end": ("until",),
-    "v": ("vx",),
-    "x": ("vx",),
-    "speed_x": ("vx",),
-    "omega": ("wz",),
-    "heading": ("yaw",),
-    "theta": ("yaw",),
-    "members": ("robots",),
-    "vehicles": ("robots",),
-    "offset": ("steering_offset",),
-    "final_error": ("end_error",),
-    "geometry": ("shape",),
-    "colour": ("color",),
+# Keys of this language, and the keys of other tools and formats with the same meaning.  If a key
+# has several meanings, the first in the table is preferred.
+_SYNONYMS: dict[str, str] = {
+    "scenario": "name",
+    "thorvaldc": "version",
+    "name": "robot_name",
+    "can": "id node node_id can_node address",
+    "id": "address",
+    "mount": "parent port on attach attach_to",
+    "xacro": "urdf file path include",
+    "robot": "file path model",
+    "type": "class kind module model",
+    "kinds": "kind",
+    "library": "include",
+    "modules": "parts components",
+    "robots": "members vehicles",
+    "shape": "geometry",
+    "color": "colour",
+    "rpy": "rotation orientation euler angles",
+    "xyz": "position translation origin pos",
+    "mass": "weight",
+    "rate": "frequency hz",
+    "command_timeout": "timeout",
+    "max_linear_velocity": "max_speed max_velocity speed_limit",
+    "bitrate": "baud baudrate speed",
+    "base_calculator": "controller",
+    "duration": "time length",
+    "at": "time t start",
+    "until": "end",
+    "vx": "v x speed_x",
+    "wz": "omega",
+    "yaw": "heading theta",
+    "steering_offset": "offset",
+    "end_error": "final_error",
 }
 
 
@@ -560,7 +533,8 @@ def meant_key(
     present = set(entries)
     absent = [key for key in known if key not in present]
     needed = [key for key in required if key not in present]
-    synonyms = _SYNONYMS.get(unknown.lower().replace("-", "_"), ())
+    normal = unknown.lower().replace("-", "_")
+    synonyms = [key for key, others in _SYNONYMS.items() if normal in others.split()]
     for candidates in (needed, absent):
         meant = next((key for key in synonyms if key in candidates), None)
         meant = meant or nearest(unknown, candidates)

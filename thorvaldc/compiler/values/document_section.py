@@ -13,7 +13,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from thorvaldc.compiler.source.node import Node
-from thorvaldc.compiler.source.units import QUANTITIES, parse_quantity
+from thorvaldc.compiler.source.unit_table import QUANTITIES
+from thorvaldc.compiler.source.units import parse_quantity
 from thorvaldc.compiler.values.value_reader import INVALID, ValueReader, entries
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Pose

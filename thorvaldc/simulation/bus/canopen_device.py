@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any, Self
 
 from thorvaldc.can import canopen, lss
-from thorvaldc.can.canopen import Emergency, NmtCommand, NmtState
+from thorvaldc.can.canopen import LSS_REQUEST, LSS_RESPONSE, Emergency, NmtCommand, NmtState
 from thorvaldc.can.frame import CanFrame, ErrorState
 from thorvaldc.can.sdo import AbortCode
 from thorvaldc.model.scenario import Quirk
@@ -247,7 +247,7 @@ class CanopenDevice(simulated_device.SimulatedDevice):
         description = self.description
         slave = LssSlave(
             lss.Identity(description.vendor, description.product, description.revision, serial),
-            lambda data: self.send(lss.RESPONSE, data),
+            lambda data: self.send(LSS_RESPONSE, data),
             lambda: self.node_id,
             set_id=self._set_pending_id,
             set_bitrate=self._set_pending_rate,
@@ -257,7 +257,7 @@ class CanopenDevice(simulated_device.SimulatedDevice):
             responds_when_selected=Quirk.LSS_RESPONDS_WHEN_SELECTED in self._quirks,
         )
         self.lss = slave
-        self.handlers[lss.REQUEST] = lambda frame: slave.request(frame.data)
+        self.handlers[LSS_REQUEST] = lambda frame: slave.request(frame.data)
 
     # -- objects ----------------------------------------------------------------------------------
 
