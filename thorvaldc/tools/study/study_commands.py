@@ -48,7 +48,6 @@ def run_study(
     from thorvaldc.simulation.worker_processes import processors
     from thorvaldc.tools.study import study_results, study_run
     from thorvaldc.tools.study.study_definition import required
-    from thorvaldc.tools.study.study_progress import StudyProgress
 
     process_count = options.parse_count(jobs, "--jobs", 1) or processors()
     address = study_run.parse_scheduler(scheduler)
@@ -61,7 +60,7 @@ def run_study(
     journal = study_run.StudyJournal(folder)
     run.replay(journal.results)  # the table is whole, also if there is no cluster
     total, finished = run.number, run.finished(journal.results)
-    progress = StudyProgress(run)
+    progress = study_run.StudyProgress(run)
     try:
         with study_run.open_cluster(address, run) as cluster:
             for finished in run.results(journal, process_count, cluster):
