@@ -14,8 +14,8 @@ from lsprotocol import types
 from tests.tools.language_server.conftest import Editor
 from tests.tools.language_server.texts import POST, ROBOT
 from thorvaldc.compiler.scaffolding import robot_text
-from thorvaldc.tools.language_server.diagnostic_publisher import DiagnosticPublisher
 from thorvaldc.tools.language_server.open_document import OpenDocument, uri_of
+from thorvaldc.tools.language_server.server import DiagnosticPublisher
 
 pytestmark = pytest.mark.asyncio(loop_scope="package")
 

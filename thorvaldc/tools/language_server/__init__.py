@@ -3,9 +3,8 @@
 The language server speaks the Language Server Protocol on standard input and output.  It reads
 files and writes none: changes are answers to the editor, which applies them.
 
-- ``server``: the protocol.
+- ``server``: the protocol; analyses in a thread of their own, and the publication of diagnostics.
 - ``open_document``: the documents that are open in the editor, with their unsaved texts.
-- ``diagnostic_publisher``: analyses in a thread of their own, and the publication of diagnostics.
 - ``features``: the answers to requests about one document.
 """
 

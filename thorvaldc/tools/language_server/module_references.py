@@ -19,14 +19,8 @@ from thorvaldc.compiler.modules.library import FILE, ModuleType
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Span
+from thorvaldc.tools.language_server import open_document
 from thorvaldc.tools.language_server.module_view import ModuleView
-from thorvaldc.tools.language_server.open_document import (
-    KeyPath,
-    OpenDocument,
-    Place,
-    node_at,
-    place_at,
-)
 
 # -- references in a document -----------------------------------------------------------
 
@@ -51,7 +45,7 @@ class Reference:
     span: Span
 
 
-def reference_at(view: ModuleView, place: Place, column: int) -> Reference | None:
+def reference_at(view: ModuleView, place: open_document.Place, column: int) -> Reference | None:
     """Returns the reference at a column of a value, or ``None``."""
     if place.part == "key" or not isinstance(place.node.value, str):
         return None
@@ -141,14 +135,14 @@ NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 class Use:
     """A use of the name of a module; ``span`` covers the name of the module alone."""
 
-    document: OpenDocument
+    document: open_document.OpenDocument
     span: Span
     is_definition: bool = False
 
 
 def module_at(view: ModuleView, line: int, column: int) -> tuple[str, Span] | None:
     """Returns the name of the module at a line and column, and the span of the name."""
-    place = place_at(view.tree, line, column)
+    place = open_document.place_at(view.tree, line, column)
     if place is None:
         return None
     if place.part == "key":
@@ -161,7 +155,10 @@ def module_at(view: ModuleView, line: int, column: int) -> tuple[str, Span] | No
 
 
 def uses_of(
-    view: ModuleView, document: OpenDocument, name: str, others: Iterable[OpenDocument]
+    view: ModuleView,
+    document: open_document.OpenDocument,
+    name: str,
+    others: Iterable[open_document.OpenDocument],
 ) -> list[Use]:
     """Returns all uses of a module in its robot document, and in the other documents.
 
@@ -194,7 +191,7 @@ def uses_of(
     return uses
 
 
-def _in_robot(view: ModuleView, document: OpenDocument, name: str) -> Iterator[Use]:
+def _in_robot(view: ModuleView, document: open_document.OpenDocument, name: str) -> Iterator[Use]:
     definition = entries(view.tree.get("modules")).get(name)
     if definition is not None and definition.key_span is not None:
         span = definition.key_span
@@ -211,7 +208,10 @@ def _in_robot(view: ModuleView, document: OpenDocument, name: str) -> Iterator[U
 
 
 def _derived(
-    document: OpenDocument, spans: Iterable[Span | None], name: str, modules: list[str]
+    document: open_document.OpenDocument,
+    spans: Iterable[Span | None],
+    name: str,
+    modules: list[str],
 ) -> Iterator[Use]:
     """Yields the uses of a module in names such as ``fl_wheel``.
 
@@ -226,7 +226,7 @@ def _derived(
             yield Use(document, _inner(document, span, name))
 
 
-def _inner(document: OpenDocument, span: Span, name: str) -> Span:
+def _inner(document: open_document.OpenDocument, span: Span, name: str) -> Span:
     """Returns the span of the name at the start of a span, which may have quotes."""
     quotes = 1 if document.source.span_text(span)[:1] in ("'", '"') else 0
     column = span.column + quotes
@@ -267,7 +267,9 @@ def _fleet_names_robot(fleet: Path, robot: str) -> bool:
     return any(os.path.realpath(fleet.parent / str(file.value)) == robot for file in files if file)
 
 
-def _scalars(node: Node, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Node]]:
+def _scalars(
+    node: Node, path: open_document.KeyPath = ()
+) -> Iterator[tuple[open_document.KeyPath, Node]]:
     if isinstance(node.value, dict):
         for key, child in node.value.items():
             yield from _scalars(child, (*path, key))
@@ -288,7 +290,7 @@ TOP = Span("", 1, 1, 1, 1)
 
 def definition_at(view: ModuleView, line: int, column: int) -> Target | None:
     """Returns where the name at a line and column, which start at 1, is defined."""
-    place = place_at(view.tree, line, column)
+    place = open_document.place_at(view.tree, line, column)
     if place is None:
         return None
     if place.part == "key":
@@ -312,7 +314,7 @@ def _target(view: ModuleView, reference: Reference) -> Target | None:
     owner = reference.whole.rpartition(".")[0]
     section = {"module": "modules", "port": "ports", "motor": "motors"}[reference.kind]
     if not owner:
-        node = node_at(view.tree, ("modules", reference.name))
+        node = open_document.node_at(view.tree, ("modules", reference.name))
         return (view.path, node.where) if node is not None else None
     module = _type_at(view, owner)
     return _in_module(module, section, reference.name) or _in_module(
@@ -323,7 +325,7 @@ def _target(view: ModuleView, reference: Reference) -> Target | None:
 def _name_target(view: ModuleView, reference: Reference) -> Target | None:
     first, _, rest = reference.whole.partition(".")
     for section in ("params", "let"):
-        node = node_at(view.tree, (section, first))
+        node = open_document.node_at(view.tree, (section, first))
         if node is None:
             continue
         if not rest:
