@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from thorvaldc.compiler.scenario.scenario_reader import metric_units
+from thorvaldc.compiler.scenario.scenario_compilation import metric_units
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, WheelGeometry
 from thorvaldc.simulation.control_loop import ControlLoop, RobotResult
 from thorvaldc.simulation.physics.mujoco_scene import RollingRadii

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from thorvaldc.backends.xml_writer import Element, to_bytes
-from thorvaldc.compiler.scenario.scenario_reader import metric_units
+from thorvaldc.compiler.scenario.scenario_compilation import metric_units
 from thorvaldc.diagnostics import DiagnosticError, Report, Span
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import Expectation, Scenario

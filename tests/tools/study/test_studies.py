@@ -23,7 +23,7 @@ import thorvaldc
 from tests.child_process import ChildProcess
 from tests.cli.conftest import UNPOWERED, Command
 from tests.cli.conftest import thorvaldc as thorvaldc_command
-from thorvaldc.compiler.scenario.scenario_reader import metric_units
+from thorvaldc.compiler.scenario.scenario_compilation import metric_units
 from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.model import Robot
 from thorvaldc.model.facts.robot_facts import robot_facts

@@ -5,31 +5,35 @@ A scenario contains robots, a world, a script of commands, injected faults and e
 
 from __future__ import annotations
 
+import functools
+import math
 import os
 import posixpath
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from thorvaldc.compiler.recordings.twist_log_reader import read_twists
 from thorvaldc.compiler.result import Compilation, Compile, SourceFile
-from thorvaldc.compiler.scenario import fleet_compilation
-from thorvaldc.compiler.scenario.scenario_reader import read_scenario
-from thorvaldc.compiler.scenario.variations import Change, with_changes, without_variations
+from thorvaldc.compiler.scenario import fleet_compilation, world_reader
+from thorvaldc.compiler.scenario import variations as varying
 from thorvaldc.compiler.source.input_file import LOGS, missing_file_hint
 from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.compiler.values.document_section import Section, read_document
 from thorvaldc.compiler.values.value_reader import ValueReader
-from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics import Report, did_you_mean
 from thorvaldc.model import Fleet, Placement, Pose, Robot
-from thorvaldc.model.scenario import Scenario
+from thorvaldc.model import quantities as si
+from thorvaldc.model.scenario import GROUPS, Command, Expectation, Noise, Scenario, WheelFault
+from thorvaldc.schema.documents import inlined
 
 
 def compile_scenario(
     source: SourceFile,
     compile_part: Compile,
     robot: Path | str | None,
-    changes: Sequence[Change],
+    changes: Sequence[varying.Change],
 ) -> Compilation:
     """Compiles a scenario file.
 
@@ -46,7 +50,9 @@ def compile_scenario(
     document = source.document
     if document is not None:
         if changes:
-            document = without_variations(with_changes(document, changes, source.shape))
+            document = varying.without_variations(
+                varying.with_changes(document, changes, source.shape)
+            )
         checked = source.check_shape(document)
         section = read_document(checked, "scenario", ValueReader(report))
         fleet = _read_robots(section, source, compile_part, report, parts, robot)
@@ -163,3 +169,279 @@ def _with_log(
         (name, commands_by_robot.get(name, scripted)) for name, scripted in scenario.commands
     )
     return replace(scenario, commands=tuple(commands))
+
+
+# -- the document, after the robots of the scenario have been compiled -------------------
+
+# Parameter of each type of injected fault.
+_FAULT_VALUES = {"steering_offset": "angle", "radius_error": "error", "ice": "friction"}
+_FAULTS_OF_MOTORS = ("encoder_frozen", "motor_lost")
+
+
+@functools.cache
+def metric_units() -> Mapping[str, str]:
+    """Returns the names of the metrics of a run and their SI units, in the order of all outputs.
+
+    A scenario can expect each of them, so its schema states their quantities.
+    """
+    metrics = inlined("scenario")["properties"]["expect"]["properties"]
+    kinds = {name: each["properties"]["min"].get("x-quantity") for name, each in metrics.items()}
+    units = {name: si.unit_of(kind) if kind else "" for name, kind in kinds.items()}
+    return {**units, "energy_per_metre": "J/m"}  # N, which nobody would call it
+
+
+def read_scenario(document: Section, fleet: Fleet, report: Report) -> Scenario:
+    """Returns the scenario that a scenario document describes.
+
+    The fleet of the scenario contains the robots of ``fleet`` and the world of the document.  The
+    function also checks each value in the section ``variations`` of the scenario document.
+    """
+    scenario = _read(document, fleet, report)
+    if "variations" in document:
+        _check_variations(document.node, fleet, report)
+    return scenario
+
+
+def _check_variations(document: Node, fleet: Fleet, report: Report) -> None:
+    """Applies each value of a variation to the scenario document, and reports the errors."""
+    variations = varying.read_variations(document, (), None, None, report)
+    if report.has_errors:
+        return
+    for change in variations.single_changes():
+        if change.path.partition(".")[0] in ("robots", "fleet"):
+            # Values that replace a robot file are not checked, because the check would compile
+            # another robot.
+            continue
+        shape, content = Report(), Report()
+        varied = varying.without_variations(varying.with_changes(document, [change], content))
+        check(varied, "scenario", shape)
+        checked = without_invalid_values(varied, shape)
+        _read(read_document(checked, "scenario", ValueReader(content)), fleet, content)
+        for diagnostic in (*shape.errors, *content.errors):
+            report.put(diagnostic)
+
+
+def _read(document: Section, fleet: Fleet, report: Report) -> Scenario:
+    world = document["world"]
+    friction = world["friction"]
+    if friction is not None:
+        placements = (
+            replace(p, robot=world_reader.with_friction(p.robot, friction))
+            for p in fleet.placements
+        )
+        fleet = replace(fleet, placements=tuple(placements))
+    name, description = document["scenario"], document["description"]
+    fleet = replace(
+        fleet, name=name, description=description, world=world_reader.read_world(world, report)
+    )
+    world_reader.check_starts(fleet, world, report)
+    world_reader.check_obstacles(fleet, world, report)
+    # A missing or wrong duration is an error; then no step is after the end.
+    duration = document.get("duration", math.inf)
+    sections = _SectionReader(fleet, duration, report)
+    record = document["record"]
+    return Scenario(
+        name=name,
+        description=description,
+        fleet=fleet,
+        duration=duration,
+        commands=sections.commands(document["script"]),
+        faults=tuple(sections.wheel_faults(document["faults"])),
+        noise=sections.noise(document["noise"]),
+        expectations=tuple(sections.expectations(document["expect"])),
+        span=document.node.span,
+        record=tuple(group for group in GROUPS if group in (record["what"] or GROUPS)),
+        every=record["every"],
+        open_loop=document["open_loop"],
+    )
+
+
+class _SectionReader:
+    """Reads the sections of a scenario document that refer to the robots of the scenario."""
+
+    def __init__(self, fleet: Fleet, duration: float, report: Report) -> None:
+        self.robots = {placement.name: placement.robot for placement in fleet.placements}
+        self.duration = duration
+        self.report = report
+
+    def commands(
+        self, script: Section | tuple[Section, ...] | None
+    ) -> tuple[tuple[str, tuple[Command, ...]], ...]:
+        """Returns the scripted commands of each robot, sorted by time.
+
+        If the script names a log file instead of commands, the method returns no commands, and the
+        module ``scenario_compilation`` reads the log file.
+        """
+        commands: dict[str, list[Command]] = {name: [] for name in self.robots}
+        if isinstance(script, Section):
+            # If the script names a log file, only the robot name of the script is checked.
+            self._robot_names(script)
+            script = ()
+        last_time = 0.0
+        for step in script or ():
+            if "at" in step and step.is_within("at", {"x-minimum": last_time}):
+                last_time = step["at"]
+            self._check_time(step, last_time, "step")
+            vx, vy, wz = step["vx"], step["vy"], step["wz"]
+            command = Command(last_time, vx, vy, wz, step["parameters"])
+            for name in self._robot_names(step):
+                commands[name].append(command)
+                self._check_parameter_set(name, step.node.get("parameters"))
+        return tuple((name, tuple(listed)) for name, listed in commands.items())
+
+    def _check_time(self, section: Section, time: float, what: str) -> None:
+        """Warns about a part of the scenario that begins at ``time`` (s), after the end."""
+        at = section.node.get("at")
+        if at is not None and time > self.duration:
+            self.report.add(
+                "scenario-step-late",
+                f"the {what} at {time:g} s never happens: the scenario ends at {self.duration:g} s",
+                at.span,
+                hint=f"give it a longer `duration`, or remove the {what}",
+            )
+
+    def _check_parameter_set(self, robot: str, node: Node | None) -> None:
+        """Checks that a robot has the parameter set that a command names."""
+        known = [parameter_set.name for parameter_set in self.robots[robot].parameter_sets]
+        if node is not None and node.value not in known:
+            known_hint = f"it has {', '.join(known)}" if known else "its file names none"
+            self.report.add(
+                "parameter-set-unknown",
+                f"{robot} has no parameter set `{node.value}`",
+                node.span,
+                hint=did_you_mean(str(node.value), known, known_hint),
+            )
+
+    def wheel_faults(self, faults: tuple[Section, ...]) -> Iterator[WheelFault]:
+        """Yields each valid fault that the scenario injects at a wheel."""
+        for section in faults:
+            if "type" not in section or "wheel" not in section:
+                continue
+            names = self._robot_names(section)
+            if len(names) > 1:
+                self.report.add(
+                    "missing-key",
+                    "a fault has no `robot`, and there are several",
+                    section.node.where,
+                    hint=f"add `robot: {names[0]}`",
+                )
+            if len(names) != 1:
+                continue
+            fault = self._wheel_fault(section, names[0])
+            if fault is not None:
+                yield fault
+
+    def _wheel_fault(self, section: Section, robot: str) -> WheelFault | None:
+        """Reads an injected fault at a wheel.
+
+        Returns ``None`` and reports an error if the injected fault is not valid.
+        """
+        node, fault_type = section.node, section["type"]
+        motor = "steering" if fault_type == "steering_offset" else section["motor"] or "drive"
+        wheel = section.entry("wheel")
+        if not self._has_wheel(self.robots[robot], wheel, motor if fault_type != "ice" else ""):
+            return None
+        value = 0.0
+        keys = {"motor"} if fault_type in _FAULTS_OF_MOTORS else set()
+        if fault_type in _FAULT_VALUES:
+            key = _FAULT_VALUES[fault_type]
+            keys.add(key)
+            if node.get(key) is None:
+                self.report.add(
+                    "missing-key", f"the fault `{fault_type}` has no `{key}`", node.where
+                )
+                return None
+            value = section[key] or 0.0
+        for key in ("angle", "error", "friction", "motor"):
+            entry = node.get(key)
+            if entry is not None and key not in keys:
+                self.report.add(
+                    "conflicting-keys", f"the fault `{fault_type}` has no `{key}`", entry.where
+                )
+        start, end = section["at"], section.get("until", math.inf)
+        self._check_time(section, start, "fault")
+        if "until" in section:
+            section.is_within("until", {"x-exclusive-minimum": start})
+        return WheelFault(fault_type, robot, section["wheel"], motor, value, start, end, node.span)
+
+    def _has_wheel(self, robot: Robot, node: Node, motor: str) -> bool:
+        """Checks that the robot has the wheel of an injected fault, and that the wheel has the
+        required motor.
+
+        ``motor``: ``drive`` or ``steering``, or empty if the wheel needs no motor.
+        """
+        for wheel in robot.wheels:
+            if wheel.name != node.value:
+                continue
+            is_missing = {"drive": not wheel.driven, "steering": not wheel.steered}
+            if is_missing.get(motor, False):
+                self.report.add(
+                    "scenario-wheel-unknown",
+                    f"`{wheel.name}` has no {motor} motor",
+                    node.span,
+                )
+                return False
+            return True
+        names = [wheel.name for wheel in robot.wheels]
+        self.report.add(
+            "scenario-wheel-unknown",
+            f"{robot.name} has no wheel `{node.value}`",
+            node.span,
+            hint=did_you_mean(str(node.value), names, f"its wheels: {', '.join(names)}"),
+        )
+        return False
+
+    def _robot_names(self, section: Section) -> Sequence[str]:
+        """Returns the name of the robot that a section names, or all names if it names none.
+
+        Returns an empty list and reports an error if the scenario has no robot of the name.
+        """
+        node, names = section.node.get("robot"), list(self.robots)
+        if node is None:
+            return names
+        if node.value in self.robots:
+            return [str(node.value)]
+        self.report.add(
+            "scenario-robot-unknown",
+            f"the scenario has no robot `{node.value}`",
+            node.span,
+            hint=did_you_mean(str(node.value), names, f"its robots: {', '.join(names)}"),
+        )
+        return []
+
+    def noise(self, noise: Section) -> Noise:
+        """Returns the noise of the simulated sensors."""
+        gyro = noise.node.get("gyro") or noise.node.get("gyro_bias")
+        if gyro is not None and not any(map(_has_imu, self.robots.values())):
+            self.report.add(
+                "scenario-imu-missing",
+                "no robot of the scenario has an IMU that measures its yaw rate",
+                gyro.where,
+                hint="mount a `sensor/imu` on one of them",
+            )
+        return Noise(
+            noise["seed"],
+            noise["wheel_speed"],
+            noise["wheel_position"],
+            noise["steering_angle"],
+            (noise["gyro"] or 0.0) if gyro is not None else None,
+            noise["gyro_bias"],
+            noise["encoder_counts"],
+        )
+
+    def expectations(self, expected: Section) -> Iterator[Expectation]:
+        """Yields the expected range of each metric in the section `expect` of a scenario."""
+        for metric, bounds in expected.items():
+            least, most = bounds["min"], bounds["max"]
+            if least is not None and most is not None and least > most:
+                self.report.add(
+                    "out-of-range",
+                    f"`{metric}` is expected to be at least {least:g} and at most {most:g}",
+                    bounds.node.where,
+                )
+            yield Expectation(metric, least, most, bounds.node.where)
+
+
+def _has_imu(robot: Robot) -> bool:
+    """Returns whether a robot has an inertial measurement unit."""
+    return any(sensor.type == "imu" for sensor in robot.sensors)

@@ -19,7 +19,7 @@ from typing import Any
 from thorvaldc.backends.mjcf import simulation_files
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.result import Compilation
-from thorvaldc.compiler.scenario.scenario_reader import metric_units
+from thorvaldc.compiler.scenario.scenario_compilation import metric_units
 from thorvaldc.compiler.scenario.variations import Change, Variations
 from thorvaldc.diagnostics import atomic_file
 from thorvaldc.diagnostics.text_layout import text_table

@@ -22,8 +22,7 @@ from thorvaldc.compiler.modules.library import Library
 from thorvaldc.compiler.pipeline import library_folders_of
 from thorvaldc.compiler.result import Compilation, Compile, SourceFile
 from thorvaldc.compiler.scenario.fleet_compilation import open_named_file
-from thorvaldc.compiler.scenario.scenario_compilation import compile_scenario
-from thorvaldc.compiler.scenario.scenario_reader import metric_units
+from thorvaldc.compiler.scenario.scenario_compilation import compile_scenario, metric_units
 from thorvaldc.compiler.scenario.variations import read_range
 from thorvaldc.compiler.source.input_file import read_bytes, unsaved_texts
 from thorvaldc.compiler.source.node import Node, Value, insertion, yaml_text

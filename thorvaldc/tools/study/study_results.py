@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.compiler.scenario.scenario_reader import metric_units
+from thorvaldc.compiler.scenario.scenario_compilation import metric_units
 from thorvaldc.compiler.source.node import Value
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any, parse_unit
