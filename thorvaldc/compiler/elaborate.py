@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from thorvaldc.compiler.bus import stopping_distance
 from thorvaldc.compiler.bus.assemble_buses import Wiring, connect_actuators
@@ -21,7 +21,7 @@ from thorvaldc.compiler.modules.library import Library
 from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.modules.module_tree import Instance, used_by
 from thorvaldc.compiler.modules.resolve import Resolver
-from thorvaldc.compiler.robot_settings import robot_sections, wheel_calibration
+from thorvaldc.compiler.robot_settings import robot_sections
 from thorvaldc.compiler.robot_settings.driver_settings import DriverSettingsReader, TwistInputReader
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import read_section
@@ -32,6 +32,9 @@ from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.model.statics.standing import spring_loads
 from thorvaldc.model.stopping import driven_wheels
+
+if TYPE_CHECKING:
+    from thorvaldc.compiler.robot_settings.wheel_calibration import Calibration
 
 
 def elaborate(
@@ -61,7 +64,11 @@ def elaborate(
     trust : whether xacro files are expanded without restrictions.
     """
     scope = Scope(None, {}, resolver.library, report, None)
-    calibration = wheel_calibration.load_calibration(document, base_dir, report, files)
+    calibration = None
+    if document.get("calibration") is not None:
+        from thorvaldc.compiler.robot_settings.wheel_calibration import load_calibration
+
+        calibration = load_calibration(document, base_dir, report, files)
     hardware = _read_hardware(instance, resolver.library, report)
     elaborator = _Elaborator(
         document, instance, resolver, scope, hardware, calibration, lock or {}, report
@@ -115,7 +122,7 @@ class _Elaborator(NamedTuple):
     resolver: Resolver
     scope: Scope
     hardware: Mapping[str, Hardware]
-    calibration: wheel_calibration.Calibration | None
+    calibration: Calibration | None
     lock: Lock
     report: Report
 
@@ -126,8 +133,8 @@ class _Elaborator(NamedTuple):
         """
         tree = JointTree(parts.links, parts.joints)
         if self.calibration is not None:
-            wheels = wheel_calibration.calibrate_wheels(self.calibration, parts.wheels, self.report)
-            joints = wheel_calibration.raise_axles(parts.joints, tree, parts.wheels, wheels)
+            wheels = self.calibration.with_measured_radii(parts.wheels, self.report)
+            joints = wheel_geometry.raise_axles(parts.joints, tree, parts.wheels, wheels)
             parts = replace(parts, wheels=wheels, joints=joints)
             tree = JointTree(parts.links, parts.joints)
         height = clean(wheel_geometry.ground_height(tree, parts.wheels, self.report))
@@ -144,9 +151,7 @@ class _Elaborator(NamedTuple):
         wheels = wheel_geometry.make_wheels(tree, parts.wheels, driven, self.report)
         actuators = parts.actuators
         if self.calibration is not None:
-            actuators = wheel_calibration.calibrate_steering(
-                self.calibration, actuators, wheels, self.report
-            )
+            actuators = self.calibration.with_steering_offsets(actuators, wheels, self.report)
         stopped = {*driven, *(servo.joint for servo in parts.joint_servos)}
         joints, loads = spring_loads(tree, list(parts.joints), wheels, stopped)
         parts = replace(
@@ -167,7 +172,7 @@ class _Elaborator(NamedTuple):
         document, scope, wheels = self.document, self.scope, parts.wheels
         # A speed limit that is valid with the nominal wheel radius is also accepted with a smaller
         # measured wheel radius.
-        tolerance = 1e-6 if self.calibration is None else wheel_calibration.MAX_RADIUS_CHANGE
+        tolerance = 1e-6 if self.calibration is None else self.calibration.tolerance
         settings = read_section(document, "robot", "driver", scope)
         settings_reader = DriverSettingsReader(
             settings,

@@ -99,6 +99,34 @@ def ground_height(tree: JointTree, wheels: Sequence[Wheel], report: Report) -> f
     return -min(heights) if heights else 0.0
 
 
+def raise_axles(
+    joints: Sequence[Joint],
+    tree: JointTree,
+    nominal_wheels: Sequence[Wheel],
+    measured_wheels: Sequence[Wheel],
+) -> tuple[Joint, ...]:
+    """Returns the joints, with each axle raised by measured minus nominal radius.
+
+    All wheels of the model then touch the ground.  The frame of a real robot bends by a few
+    millimetres until all wheels touch the ground.  A rigid robot model with different wheel radii
+    would stand on three wheels.
+    """
+    raised = {joint.name: joint for joint in joints}
+    for nominal, measured in zip(nominal_wheels, measured_wheels, strict=True):
+        growth = measured.radius - nominal.radius
+        spin = spin_joint(tree, nominal.link)
+        if growth == 0.0 or spin is None:
+            continue
+        axis = tree.pose[spin.child].rotate(spin.axis)
+        # The height of the axle of a wheel with camber is radius * cos(camber angle).
+        rise = growth * math.sqrt(max(1.0 - axis[2] * axis[2], 0.0))
+        shift = tree.pose[spin.parent].inverse().rotate((0.0, 0.0, rise))
+        joint = raised[spin.name]
+        pose = replace(joint.pose, xyz=add(joint.pose.xyz, shift)).clean()
+        raised[spin.name] = replace(joint, pose=pose)
+    return tuple(raised.values())
+
+
 def make_wheels(
     tree: JointTree,
     placed: Sequence[Wheel],

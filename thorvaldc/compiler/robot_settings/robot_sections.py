@@ -17,7 +17,6 @@ from thorvaldc.compiler.values.value_reader import ValueReader, entries
 from thorvaldc.diagnostics import Label, Proposal, Report, Span
 from thorvaldc.model import Battery, CalculatorChoice, Robot
 from thorvaldc.model import settings as ros
-from thorvaldc.model.facts.electrics import battery_voltage
 from thorvaldc.model.robot import PARALLEL, SEPARATE
 from thorvaldc.schema.documents import inlined
 
@@ -154,12 +153,14 @@ def read_battery_connection(
                 ),
             )
         return None
-    if node.value == PARALLEL:
+    if node.value == PARALLEL and len(present) > 1:
         _check_voltages(present, node, report)
     return str(node.value)
 
 
 def _check_voltages(batteries: Sequence[Battery], connection: Node, report: Report) -> None:
+    from thorvaldc.model.facts.electrics import battery_voltage
+
     stated = [(b, v) for b in batteries if (v := battery_voltage(b)) is not None]
     for battery, voltage in stated[1:]:
         first, expected = stated[0]

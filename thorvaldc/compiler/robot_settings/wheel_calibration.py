@@ -6,9 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
-from thorvaldc.compiler.hardware.wheel_geometry import spin_joint
 from thorvaldc.compiler.robot_settings.driver_settings import noise_of
 from thorvaldc.compiler.source.input_file import DOCUMENTS, missing_file_hint
 from thorvaldc.compiler.source.node import Node
@@ -17,9 +16,8 @@ from thorvaldc.compiler.validation.document_check import check, without_invalid_
 from thorvaldc.compiler.values.document_section import Section, read_document
 from thorvaldc.compiler.values.value_reader import ValueReader
 from thorvaldc.diagnostics import Label, Proposal, Report, Span, did_you_mean, millimetres
-from thorvaldc.model import Actuator, Joint, Wheel
-from thorvaldc.model.spatial import add, clean
-from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model import Actuator, Wheel
+from thorvaldc.model.spatial import clean
 
 MAX_RADIUS_CHANGE = 0.2
 """Fraction by which a measured radius may differ from the radius in the module document.
@@ -55,11 +53,102 @@ class Calibration:
     noise : errors that remain after the calibration, by the key of the section ``noise``.
     """
 
+    tolerance: ClassVar[float] = MAX_RADIUS_CHANGE
+
     names: dict[str, Span] = field(default_factory=dict)
     radii: dict[str, Measured] = field(default_factory=dict)
     named_radii: dict[str, dict[str, Measured]] = field(default_factory=dict)
     steering_offsets: dict[str, Measured] = field(default_factory=dict)
     noise: dict[str, float] = field(default_factory=dict)
+
+    def with_measured_radii(self, wheels: Sequence[Wheel], report: Report) -> tuple[Wheel, ...]:
+        """Returns the wheels with the measured radii.
+
+        A named wheel radius that equals the nominal ``radius`` of the wheel belongs to the same
+        tyre.  The named wheel radius is therefore replaced by the same measured radius.
+        """
+        known = [wheel.name for wheel in wheels]
+        for name, span in self.names.items():
+            if name not in known:
+                report.add(
+                    "calibration-wheel",
+                    f"the robot has no wheel `{name}`",
+                    span,
+                    hint=did_you_mean(name, known, f"its wheels: {', '.join(known)}"),
+                )
+        return tuple(self._measured_wheel(wheel, report) for wheel in wheels)
+
+    def _measured_wheel(self, wheel: Wheel, report: Report) -> Wheel:
+        """Returns a wheel with the measured radii."""
+        nominal_radii = dict(wheel.radii)
+        radius, radii = wheel.radius, dict(nominal_radii)
+        measured_radius = self.radii.get(wheel.name)
+        if measured_radius is not None:
+            radius = _checked_radius(measured_radius, wheel.radius, wheel.name, report)
+            radii = {key: radius if r == wheel.radius else r for key, r in wheel.radii}
+        for key, measured in self.named_radii.get(wheel.name, {}).items():
+            if key in radii:
+                radii[key] = _checked_radius(measured, nominal_radii[key], wheel.name, report)
+            else:
+                report.add(
+                    "calibration-wheel",
+                    f"the wheel `{wheel.name}` has no radius named `{key}`",
+                    measured.span,
+                    hint=did_you_mean(
+                        key, radii, f"it has {', '.join(radii)}" if radii else "it has one radius"
+                    ),
+                )
+        return replace(wheel, radius=radius, radii=tuple(radii.items()))
+
+    def with_steering_offsets(
+        self,
+        actuators: Sequence[Actuator],
+        wheels: Sequence[Wheel],
+        report: Report,
+    ) -> tuple[Actuator, ...]:
+        """Returns the actuators; steering motors get the measured encoder offsets (rad)."""
+        actuated = {actuator.joint for actuator in actuators}
+        offset_by_joint: dict[str, Measured] = {}
+        for wheel in wheels:
+            measured = self.steering_offsets.get(wheel.name)
+            if measured is None:
+                continue
+            offset, span = measured
+            joint = wheel.steering_joint
+            if joint is None or joint not in actuated:
+                report.add(
+                    "calibration-wheel",
+                    f"the wheel `{wheel.name}` is not steered; it has no steering offset",
+                    span,
+                    hint="leave `steering_offset` out",
+                )
+            elif abs(offset) > MAX_STEERING_OFFSET:
+                report.add(
+                    "calibration-value",
+                    f"the steering offset of `{wheel.name}` is {math.degrees(offset):.6g} deg; "
+                    f"it must be within +-{math.degrees(MAX_STEERING_OFFSET):.0f} deg",
+                    span,
+                    hint="home the steering first, then calibrate; "
+                    "a number without a unit is in rad",
+                )
+            elif joint in offset_by_joint and offset_by_joint[joint].value != offset:
+                first = offset_by_joint[joint]
+                report.add(
+                    "calibration-value",
+                    f"the steering joint `{joint}` of `{wheel.name}` has two offsets: "
+                    f"{math.degrees(first.value):.6g} and {math.degrees(offset):.6g} deg",
+                    span,
+                    labels=[Label(first.span, "the other one")],
+                    hint="wheels on one joint have one offset",
+                )
+            else:
+                offset_by_joint[joint] = measured
+        return tuple(
+            replace(actuator, encoder_offset=clean(offset_by_joint[actuator.joint].value))
+            if actuator.joint in offset_by_joint
+            else actuator
+            for actuator in actuators
+        )
 
 
 def load_calibration(
@@ -137,49 +226,6 @@ def _check_robot(calibration: Node, document: Node, report: Report) -> None:
         )
 
 
-def calibrate_wheels(
-    calibration: Calibration, wheels: Sequence[Wheel], report: Report
-) -> tuple[Wheel, ...]:
-    """Returns the wheels with the measured radii.
-
-    A named wheel radius that equals the nominal ``radius`` of the wheel belongs to the same tyre.
-    The named wheel radius is therefore replaced by the same measured radius.
-    """
-    known = [wheel.name for wheel in wheels]
-    for name, span in calibration.names.items():
-        if name not in known:
-            report.add(
-                "calibration-wheel",
-                f"the robot has no wheel `{name}`",
-                span,
-                hint=did_you_mean(name, known, f"its wheels: {', '.join(known)}"),
-            )
-    return tuple(_calibrate_wheel(calibration, wheel, report) for wheel in wheels)
-
-
-def _calibrate_wheel(calibration: Calibration, wheel: Wheel, report: Report) -> Wheel:
-    """Returns a wheel with the measured radii."""
-    nominal_radii = dict(wheel.radii)
-    radius, radii = wheel.radius, dict(nominal_radii)
-    measured_radius = calibration.radii.get(wheel.name)
-    if measured_radius is not None:
-        radius = _checked_radius(measured_radius, wheel.radius, wheel.name, report)
-        radii = {key: radius if r == wheel.radius else r for key, r in wheel.radii}
-    for key, measured in calibration.named_radii.get(wheel.name, {}).items():
-        if key in radii:
-            radii[key] = _checked_radius(measured, nominal_radii[key], wheel.name, report)
-        else:
-            report.add(
-                "calibration-wheel",
-                f"the wheel `{wheel.name}` has no radius named `{key}`",
-                measured.span,
-                hint=did_you_mean(
-                    key, radii, f"it has {', '.join(radii)}" if radii else "it has one radius"
-                ),
-            )
-    return replace(wheel, radius=radius, radii=tuple(radii.items()))
-
-
 def _checked_radius(measured: Measured, nominal: float, wheel: str, report: Report) -> float:
     """Returns the measured radius (m), or the nominal radius if the measurement is not plausible.
 
@@ -204,81 +250,3 @@ def _radius_hint(radius: float, nominal: float) -> str:
             text = f"{millimetres(factor * radius, 6)}"
             return Proposal(f"write `{text}` if {reason}", text)
     return "calibrate again, or correct the wheel's module"
-
-
-def raise_axles(
-    joints: Sequence[Joint],
-    tree: JointTree,
-    nominal_wheels: Sequence[Wheel],
-    measured_wheels: Sequence[Wheel],
-) -> tuple[Joint, ...]:
-    """Returns the joints, with each axle raised by measured minus nominal radius.
-
-    All wheels of the model then touch the ground.  The frame of a real robot bends by a few
-    millimetres until all wheels touch the ground.  A rigid robot model with different wheel radii
-    would stand on three wheels.
-    """
-    raised = {joint.name: joint for joint in joints}
-    for nominal, measured in zip(nominal_wheels, measured_wheels, strict=True):
-        growth = measured.radius - nominal.radius
-        spin = spin_joint(tree, nominal.link)
-        if growth == 0.0 or spin is None:
-            continue
-        axis = tree.pose[spin.child].rotate(spin.axis)
-        # The height of the axle of a wheel with camber is radius * cos(camber angle).
-        rise = growth * math.sqrt(max(1.0 - axis[2] * axis[2], 0.0))
-        shift = tree.pose[spin.parent].inverse().rotate((0.0, 0.0, rise))
-        joint = raised[spin.name]
-        pose = replace(joint.pose, xyz=add(joint.pose.xyz, shift)).clean()
-        raised[spin.name] = replace(joint, pose=pose)
-    return tuple(raised.values())
-
-
-def calibrate_steering(
-    calibration: Calibration,
-    actuators: Sequence[Actuator],
-    wheels: Sequence[Wheel],
-    report: Report,
-) -> tuple[Actuator, ...]:
-    """Returns the actuators; steering motors get the measured encoder offsets (rad)."""
-    actuated = {actuator.joint for actuator in actuators}
-    offset_by_joint: dict[str, Measured] = {}
-    for wheel in wheels:
-        measured = calibration.steering_offsets.get(wheel.name)
-        if measured is None:
-            continue
-        offset, span = measured
-        joint = wheel.steering_joint
-        if joint is None or joint not in actuated:
-            report.add(
-                "calibration-wheel",
-                f"the wheel `{wheel.name}` is not steered; it has no steering offset",
-                span,
-                hint="leave `steering_offset` out",
-            )
-        elif abs(offset) > MAX_STEERING_OFFSET:
-            report.add(
-                "calibration-value",
-                f"the steering offset of `{wheel.name}` is {math.degrees(offset):.6g} deg; "
-                f"it must be within +-{math.degrees(MAX_STEERING_OFFSET):.0f} deg",
-                span,
-                hint="home the steering first, then calibrate; a number without a unit is in rad",
-            )
-        elif joint in offset_by_joint and offset_by_joint[joint].value != offset:
-            first = offset_by_joint[joint]
-            report.add(
-                "calibration-value",
-                f"the steering joint `{joint}` of `{wheel.name}` has two offsets: "
-                f"{math.degrees(first.value):.6g} and {math.degrees(offset):.6g} deg",
-                span,
-                labels=[Label(first.span, "the other one")],
-                hint="wheels on one joint have one offset",
-            )
-        else:
-            offset_by_joint[joint] = measured
-    return tuple(
-        replace(actuator, encoder_offset=clean(offset_by_joint[actuator.joint].value))
-        if actuator.joint in offset_by_joint
-        else actuator
-        for actuator in actuators
-    )
