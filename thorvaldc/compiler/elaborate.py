@@ -22,7 +22,10 @@ from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.modules.module_tree import Instance, used_by
 from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.robot_settings import robot_sections
-from thorvaldc.compiler.robot_settings.driver_settings import DriverSettingsReader, TwistInputReader
+from thorvaldc.compiler.robot_settings.driver_settings import (
+    DriverSettingsReader,
+    read_twist_inputs,
+)
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import read_section
 from thorvaldc.compiler.values.value_reader import items
@@ -190,9 +193,9 @@ class _Elaborator(NamedTuple):
             driver, parameter_sets, settings.node.get("command_timeout"), driven
         )
         watchdog = stopping_distance.longest_watchdog(driver, parameter_sets, driven)
-        twist_inputs = TwistInputReader(settings, self.report)
-        twist_sources = twist_inputs.sources(driver.command_timeout)
-        twist_locks = twist_inputs.locks(twist_sources)
+        twist_sources, twist_locks = read_twist_inputs(
+            settings, driver.command_timeout, self.report
+        )
         buses = self._wiring(parts, self.report).buses(self.instance, 1.0 / driver.rate, watchdog)
         name = scope.text(document.get("name"))
         ros_section = read_section(document, "robot", "ros", scope)
