@@ -29,12 +29,11 @@ from typing import TYPE_CHECKING
 from thorvaldc.compiler.bus.bus_checks import check_sides
 from thorvaldc.compiler.bus.node_ids import Lock, has_pins, lock_path, lock_text, read_lock
 from thorvaldc.compiler.bus.stopping_distance import check_stops_on_slope
-from thorvaldc.compiler.checks.mobility_checks import check_purpose
-from thorvaldc.compiler.checks.robot_checks import check_robot
 from thorvaldc.compiler.elaborate import elaborate
 from thorvaldc.compiler.modules.library import Library
 from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.result import Compilation, Compile, SourceFile, read_acceptances
+from thorvaldc.compiler.robot_checks import check_purpose, check_robot
 from thorvaldc.compiler.robot_settings.robot_sections import check_calculator, read_design
 from thorvaldc.compiler.shapes.meshes import shared_mesh_workers
 from thorvaldc.compiler.source.input_file import FOLDERS, missing_file_hint

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from tests.robots import make_robot
-from thorvaldc.compiler.checks.robot_checks import check_robot
+from thorvaldc.compiler.robot_checks import check_robot
 from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot

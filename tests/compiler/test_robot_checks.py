@@ -10,8 +10,8 @@ import pytest
 from tests.examples import FOLDER, ROBOTS
 from tests.robots import FOUR_STEERED, make_robot
 from tests.workshop import CART, Workshop
-from thorvaldc.compiler.checks.robot_checks import check_robot
 from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.compiler.robot_checks import check_robot
 from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
