@@ -1,4 +1,7 @@
-"""CAN master of the commissioning: sends requests, collects responses, evaluates all frames."""
+"""CAN master of the commissioning, and its SDO client.
+
+The master sends requests, collects responses and evaluates all frames.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Result of a scan: the devices on the bus and the verdict on each node."""
+"""Result of a scan: the devices on the bus, the verdict on each node, and both as text."""
 
 from __future__ import annotations
 

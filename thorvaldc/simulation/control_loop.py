@@ -1,4 +1,4 @@
-"""The control loop of one simulated robot, and the measurements of each tick."""
+"""The control loop of one simulated robot: its manoeuvre, the samples of each tick, the result."""
 
 from __future__ import annotations
 

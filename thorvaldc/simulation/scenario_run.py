@@ -1,4 +1,4 @@
-"""Simulates a scenario with injected faults and sensor noise, and computes its metrics."""
+"""Simulates a scenario with faults and noise, checks its expectations, reports the result."""
 
 from __future__ import annotations
 

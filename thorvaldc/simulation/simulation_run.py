@@ -1,4 +1,4 @@
-"""Simulates runs of a robot or a fleet, in MuJoCo or with ideal joints."""
+"""Simulates runs of a robot or a fleet, in MuJoCo or with ideal joints; reports problems."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-r"""Computes the position and speed set-points of a simulated CiA 402 drive.
+r"""Set-points, homing and power state machine of a simulated CiA 402 drive.
 
 The drive computes a new set-point every 2 ms.  Set-point in each mode of operation:
 

@@ -1,4 +1,4 @@
-"""The object dictionary of a simulated CANopen device (CiA 301)."""
+"""The object dictionary and the PDOs of a simulated CANopen device (CiA 301)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A simulated SDO server (CiA 301) with expedited and segmented transfers."""
+"""The servers of a simulated CANopen device: SDO (CiA 301), also in blocks, and LSS (CiA 305)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The base class of all simulated devices on a CAN bus."""
+"""The base class of all simulated devices on a CAN bus, and the data from which they are made."""
 
 from __future__ import annotations
 

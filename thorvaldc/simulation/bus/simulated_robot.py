@@ -1,4 +1,8 @@
-"""The simulated CAN buses of a robot, with a simulated device for each node."""
+"""The simulated CAN buses of a robot, with a simulated device for each node.
+
+A program reaches a bus through a ``VirtualTimeInterface``.  A ``VirtualOperator`` carries out the
+manual steps of commissioning.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Limits the integrators of the drive servos of a MuJoCo model.
+"""Limits the integrators of the drive servos of a MuJoCo model, and switches motors off.
 
 A drive servo of the generated MJCF files (``intvelocity``) integrates the commanded speed u to a
 position set point s.  With the joint position q, the joint speed w, the gains kp and kv, and the

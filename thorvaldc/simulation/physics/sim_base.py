@@ -1,4 +1,4 @@
-"""A simulated base with ideal joints, without mass and without ground."""
+"""Simulated bases without MuJoCo: ideal joints, and wheels that roll without slip."""
 
 from __future__ import annotations
 

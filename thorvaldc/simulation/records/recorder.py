@@ -1,4 +1,4 @@
-"""The interface of recorders of a run, and a recorder that computes the hash of a run."""
+"""The interface of recorders, the hash of a run, and the recorded run that readers return."""
 
 from __future__ import annotations
 

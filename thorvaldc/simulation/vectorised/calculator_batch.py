@@ -1,4 +1,4 @@
-"""Evaluates a base calculator for arrays of twists or joint states, for replay and learning.
+"""Odometry over arrays of joint states: of many states, of many robots, of many ticks.
 
 All arrays have the type float64, one row per component, and one column per state of the robot.
 Twists have the shape (3, n) with the rows vx, vy and wz of ``base_link`` (m/s, m/s, rad/s).  Joint
@@ -35,7 +35,7 @@ MAX_VALUE = 1e9
 
 
 class CalculatorBatch:
-    """Evaluates a base calculator for arrays of twists or joint states.
+    """Estimates twists for arrays of joint states.
 
     The results equal the results of the scalar calculator to 1e-12.  With ``as_scalar``, twists are
     equal to the last bit, and take longer.
