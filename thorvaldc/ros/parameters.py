@@ -23,8 +23,8 @@ SMALLEST = 1e-6
 class NodeParameter:
     """A parameter of the node.
 
-    - ``kind``: type of the value, which is ``text``, ``flag`` or ``number``;
-    - ``default``: default value, or a function that returns the default value for a robot;
+    - ``default``: default value, whose type is that of all values, or a function that returns it
+      for a robot;
     - ``unit``: unit of a number, or an empty text;
     - ``read_only``: ``True`` if the value is fixed when the node starts;
     - ``lowest``, ``highest``: range of a number, which may depend on the robot;
@@ -32,7 +32,6 @@ class NodeParameter:
     """
 
     name: str
-    kind: str
     default: ParameterValue | Callable[[Robot], ParameterValue]
     description: str
     unit: str = ""
@@ -81,7 +80,6 @@ def _limit(name: str) -> NodeParameter:
     lowest, highest = _bounds(name)
     return NodeParameter(
         name,
-        "number",
         lambda robot: float(getattr(robot.driver, name)),
         f"limit of the {kind} {speed} of the commanded twist; at most the value of the robot file",
         LIMITS[name],
@@ -94,59 +92,48 @@ def _limit(name: str) -> NodeParameter:
 PARAMETERS: tuple[NodeParameter, ...] = (
     NodeParameter(
         MODEL_FILE,
-        "text",
         "",
         "path of the file model.json of a build; everything about the robot comes from it",
     ),
-    NodeParameter("base", "text", "bus", "what the node drives", choices=BASES),
+    NodeParameter("base", "bus", "what the node drives", choices=BASES),
     NodeParameter(
-        "bus", "text", "socketcan:can0", "CAN interface of the base `bus`, as `run --bus` takes it"
+        "bus", "socketcan:can0", "CAN interface of the base `bus`, as `run --bus` takes it"
     ),
     NodeParameter(
         "real_time_factor",
-        "number",
         1.0,
         "speed of a simulation relative to the real time; 0: as fast as possible",
         lowest=0.0,
         highest=1000.0,
     ),
-    NodeParameter(
-        "publish_clock", "flag", False, "publish the simulated time on /clock (ideal, mujoco)"
-    ),
-    NodeParameter(
-        "autostart", "flag", True, "configure and activate the node at its start; never arms it"
-    ),
+    NodeParameter("publish_clock", False, "publish the simulated time on /clock (ideal, mujoco)"),
+    NodeParameter("autostart", True, "configure and activate the node at its start; never arms it"),
     NodeParameter(
         "stamped",
-        "flag",
         lambda robot: robot.ros.stamped,
         "twists are messages of the type TwistStamped, not Twist",
     ),
     NodeParameter(
         "enable_odom_tf",
-        "flag",
         lambda robot: robot.ros.odom_tf == DRIVER,
         "publish the transform from odom_frame_id to base_frame_id",
         read_only=False,
     ),
     NodeParameter(
-        "odom_frame_id", "text", lambda robot: robot.prefix + ODOM_FRAME, "frame of the odometry"
+        "odom_frame_id", lambda robot: robot.prefix + ODOM_FRAME, "frame of the odometry"
     ),
     NodeParameter(
         "base_frame_id",
-        "text",
         lambda robot: robot.prefix + robot.links[0].name,
         "frame of the robot",
     ),
     NodeParameter(
         "publish_description",
-        "flag",
         False,
         "publish the URDF on robot_description, where no robot_state_publisher does",
     ),
     NodeParameter(
         "twist_covariance",
-        "text",
         MEASURED,
         "covariance of the twist of the odometry: of one twist, or for filters that take the errors"
         " of the twists as independent",
@@ -154,14 +141,12 @@ PARAMETERS: tuple[NodeParameter, ...] = (
     ),
     NodeParameter(
         "rate",
-        "number",
         lambda robot: robot.driver.rate,
         "frequency of the control loop, from the model",
         "Hz",
     ),
     NodeParameter(
         COMMAND_TIMEOUT,
-        "number",
         lambda robot: robot.driver.command_timeout,
         "age of a twist at which the robot stops; at most the value of the robot file",
         "s",
@@ -172,14 +157,12 @@ PARAMETERS: tuple[NodeParameter, ...] = (
     *(_limit(name) for name in LIMITS),
     NodeParameter(
         PARAMETER_SET,
-        "text",
         "",
         "parameter set of the robot file that is in force; empty: the ordinary values",
         read_only=False,
     ),
     NodeParameter(
         "max_command_age",
-        "number",
         lambda robot: robot.driver.command_timeout,
         "a stamped twist that is older is refused",
         "s",
@@ -189,7 +172,6 @@ PARAMETERS: tuple[NodeParameter, ...] = (
     ),
     NodeParameter(
         "max_command_lead",
-        "number",
         0.1,
         "a stamped twist is refused whose stamp is further in the future, by the clock of its"
         " computer",

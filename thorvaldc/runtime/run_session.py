@@ -238,24 +238,12 @@ class RunSession:
             "was_ready": state_machine.was_ready,
             "armed": driven.armed,
             "seconds": self.elapsed,
-            "pose": {"x": pose.x, "y": pose.y, "yaw": pose.yaw},
+            "pose": pose._asdict(),
             "timing": {
-                "cycles": timing.cycles,
-                "overruns": timing.overruns,
-                "skipped": timing.skipped,
-                "latest": timing.latest,
-                "longest": timing.longest,
-                "gaps": timing.gaps,
+                name: getattr(timing, name)
+                for name in ("cycles", "overruns", "skipped", "latest", "longest", "gaps")
             },
-            "buses": {
-                connection.bus.name: {
-                    "received": connection.receiver.received,
-                    "dropped": connection.receiver.dropped,
-                    "malformed": connection.malformed,
-                    "not_sent": connection.not_sent,
-                }
-                for connection in base.connections
-            },
+            "buses": {c.bus.name: c.counters for c in base.connections},
             "changes": [
                 {
                     "time": change.time - self.start_time,
@@ -268,14 +256,7 @@ class RunSession:
                 {"time": event.time - self.start_time, "text": event.text}
                 for event in driven.events
             ],
-            "batteries": {
-                name: {
-                    "voltage": battery.voltage,
-                    "current": battery.current,
-                    "charge": battery.charge,
-                }
-                for name, battery in base.batteries().items()
-            },
+            "batteries": {name: battery.source for name, battery in base.batteries().items()},
             "warnings": base.warnings(driven.now),
             "not_relayed": base.nodes.relay_drops(),
         }

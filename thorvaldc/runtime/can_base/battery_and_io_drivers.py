@@ -47,6 +47,11 @@ class BatteryState:
     discharge_enabled: bool = False
     temperatures: list[float] = field(default_factory=list)
 
+    @property
+    def source(self) -> dict[str, float]:
+        """Voltage (V), current (A) and state of charge (0 to 1) by name."""
+        return {"voltage": self.voltage, "current": self.current, "charge": self.charge}
+
 
 class BatteryDriver(abc.ABC):
     """Decodes the CAN frames that a battery sends.

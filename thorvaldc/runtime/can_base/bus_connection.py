@@ -455,6 +455,16 @@ class BusConnection:
         state = canopen.NmtState.OPERATIONAL if operational else canopen.NmtState.PRE_OPERATIONAL
         self.send(CanFrame(frame.cob_id, bytes([state])))
 
+    @property
+    def counters(self) -> dict[str, int]:
+        """Numbers of frames that were received, dropped, malformed and not sent, by name."""
+        return {
+            "received": self.receiver.received,
+            "dropped": self.receiver.dropped,
+            "malformed": self.malformed,
+            "not_sent": self.not_sent,
+        }
+
     def close(self) -> None:
         self.receiver.stop()
         self.interface.close()

@@ -252,9 +252,7 @@ def component_statuses(
     for driver in batteries.batteries:
         battery = driver.state
         values = {
-            "voltage": battery.voltage,
-            "current": battery.current,
-            "charge": battery.charge,
+            **battery.source,
             "alarms": battery.alarms,
             "temperatures": battery.temperatures,
         }
@@ -264,15 +262,12 @@ def component_statuses(
 
 
 def _connection_statuses(connection: BusConnection, now: float) -> Iterator[ComponentStatus]:
-    receiver, problem = connection.receiver, connection.problem(now)
+    problem = connection.problem(now)
     values: dict[str, Any] = {
-        "received": receiver.received,
-        "dropped": receiver.dropped,
-        "malformed": connection.malformed,
-        "not_sent": connection.not_sent,
+        **connection.counters,
         "relayed": connection.relay.passed.total(),
     }
-    level = "error" if problem or receiver.lost else "ok"
+    level = "error" if problem or connection.receiver.lost else "ok"
     yield ComponentStatus(f"bus {connection.bus.name}", level, problem or "ok", values)
     for controller in connection.controllers:
         problem = controller.problem or controller.power_loss

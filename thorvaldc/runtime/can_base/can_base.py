@@ -42,6 +42,7 @@ from thorvaldc.can.frame import CanFrame, CanInterface
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.model.settings import AT_START
+from thorvaldc.model.spatial import finite
 from thorvaldc.model.stopping import REPORT_TIMEOUT
 from thorvaldc.runtime.base_interface import (
     BaseHandle,
@@ -301,14 +302,7 @@ class CanBase(BaseHandle):
         return {
             "supervisor": self.state_machine.state.value,
             "fault": self.state_machine.reason,
-            "batteries": {
-                name: {
-                    "voltage": _number_or_none(battery.voltage),
-                    "current": _number_or_none(battery.current),
-                    "charge": _number_or_none(battery.charge),
-                }
-                for name, battery in self.batteries().items()
-            },
+            "batteries": {name: finite(b.source) for name, b in self.batteries().items()},
             "outputs": {board.node.name: dict(board.outputs) for board in self.nodes.boards},
             "not_relayed": self.nodes.relay_drops(),
         }
@@ -410,8 +404,3 @@ def _require_connected_motors(robot: Robot) -> None:
                 actuator.span,
                 hint="connect it to a channel of a controller",
             )
-
-
-def _number_or_none(value: float) -> float | None:
-    """Returns ``None`` for NaN and infinity, which JSON cannot represent."""
-    return value if math.isfinite(value) else None
