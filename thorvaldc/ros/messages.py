@@ -16,13 +16,13 @@ from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryState as ReportedBattery
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import DriveMode, DriverState
-from thorvaldc.runtime.ros_numbers import (
+from thorvaldc.runtime.se2 import (
+    Cov3,
     covariance_numbers,
     pose_numbers,
     recorded_joints,
     twist_numbers,
 )
-from thorvaldc.runtime.se2 import Cov3
 
 OK, WARN, ERROR = (b"\x00", b"\x01", b"\x02")
 _MOVABLE = ("continuous", "revolute", "prismatic")

@@ -15,12 +15,11 @@ from thorvaldc.model import DriverSettings, Robot
 from thorvaldc.model.spatial import float_sum
 from thorvaldc.runtime.base_interface import BaseHandle, JointStates, ParameterError
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, TwistEstimate, for_robot
-from thorvaldc.runtime.lasting_difference import LastingDifference, difference_text, is_axle_swing
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL, Odometry
 from thorvaldc.runtime.pace import Gap, TimeGapRule, gap_text
 from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Cov3, Pose2, Twist
-from thorvaldc.runtime.twist_ramp import Ramp
+from thorvaldc.runtime.twist_ramp import LastingDifference, Ramp, difference_text, is_axle_swing
 
 MAX_TWIST = 1e9
 """Twists with components (m/s, rad/s) whose absolute sum reaches this limit are rejected."""
@@ -70,7 +69,7 @@ class DriverState:
     - ``fault``: reason of the mode ``FAULT``, or empty in other modes.
     - ``hold_reason``: reason of the modes ``HELD`` and ``WAITING``, or empty in other modes.
     - ``not_followed``: twist that the robot drives instead of the commanded one, and the cause, if
-      the difference lasts for longer than any ramp takes; else empty, see ``lasting_difference``.
+      the difference lasts for longer than any ramp takes; else empty, see ``LastingDifference``.
     """
 
     time: float

@@ -15,8 +15,8 @@ from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import BaseHandle, JointStates
 from thorvaldc.runtime.calculators import for_robot
 from thorvaldc.runtime.driver import BaseDriver, DriverState
-from thorvaldc.runtime.lasting_difference import is_axle_swing
 from thorvaldc.runtime.se2 import ZERO_COV, ZERO_TWIST, Cov3, Pose2, Twist
+from thorvaldc.runtime.twist_ramp import is_axle_swing
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.physics.sim_base import GroundTruthBase

@@ -18,9 +18,9 @@ from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import BaseHandle, JointStates
 from thorvaldc.runtime.calculators import BaseCalculator
 from thorvaldc.runtime.driver import BaseDriver
-from thorvaldc.runtime.lasting_difference import is_axle_swing
 from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import Pose2, Twist, twist_text
+from thorvaldc.runtime.twist_ramp import is_axle_swing
 from thorvaldc.simulation import control_loop
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import CollisionCounter, MujocoScene

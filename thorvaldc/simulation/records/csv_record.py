@@ -25,8 +25,7 @@ from thorvaldc.diagnostics.atomic_file import AtomicFile
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import GROUPS
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
-from thorvaldc.runtime.ros_numbers import recorded_joints
-from thorvaldc.runtime.se2 import Pose2, Twist
+from thorvaldc.runtime.se2 import Pose2, Twist, recorded_joints
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.records.joint_csv import (
     COMMAND,

@@ -29,7 +29,7 @@ from thorvaldc.diagnostics import Report, Span, did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.runtime.driver import DriverState
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL
-from thorvaldc.runtime.ros_numbers import recorded_joints
+from thorvaldc.runtime.se2 import recorded_joints
 
 if TYPE_CHECKING:
     from _typeshed import SupportsWrite

@@ -13,8 +13,7 @@ from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import GROUPS
 from thorvaldc.model.spatial import matrix_to_rpy, quat_to_matrix
-from thorvaldc.runtime.ros_numbers import recorded_joints
-from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
+from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist, recorded_joints
 from thorvaldc.simulation.records.csv_record import COLUMNS, commands_of, read_csv_record, sample_of
 from thorvaldc.simulation.records.joint_csv import (
     COMMAND,
