@@ -14,13 +14,13 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, Locator, Page, sync_playwright
-from tests.simulation.web_viewer.test_view_page import OPTIONS
 
 import thorvaldc
 from tests.accessibility import axe_script, violations
 from tests.cli.conftest import UNPOWERED, Command
 from tests.cli.conftest import thorvaldc as thorvaldc_command
 from tests.outside_tools import path_of
+from tests.simulation.test_web_viewer import OPTIONS
 from thorvaldc.tools.study.study_report import (
     ReportContent,
     ReportRobot,
