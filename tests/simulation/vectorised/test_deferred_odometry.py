@@ -14,8 +14,8 @@ from thorvaldc.compiler.pipeline import emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import ParameterSet, Robot
 from thorvaldc.runtime.se2 import ORIGIN, Twist
-from thorvaldc.simulation.control_loop import ControlLoop, Segment
-from thorvaldc.simulation.simulation_run import Simulation, SimulationResult
+from thorvaldc.simulation.control_loop import ControlLoop, Segment, SimulationResult
+from thorvaldc.simulation.simulation_run import Simulation
 from thorvaldc.simulation.vectorised import calculator_batch
 
 PLAN = (

@@ -19,9 +19,9 @@ from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.odometry import Odometry
 from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.simulation import simulation_run
-from thorvaldc.simulation.control_loop import Segment
+from thorvaldc.simulation.control_loop import Segment, SimulationResult
 from thorvaldc.simulation.physics.sim_base import SimBase
-from thorvaldc.simulation.simulation_run import Simulation, SimulationResult
+from thorvaldc.simulation.simulation_run import Simulation
 from thorvaldc.simulation.vectorised.calculator_batch import OdometryBatch
 
 POSITIONS = [(0.6, 0.45), (0.5, -0.45), (0.1, 0.45), (0.0, -0.45), (-0.55, 0.45), (-0.55, -0.45)]

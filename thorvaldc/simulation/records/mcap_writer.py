@@ -35,7 +35,7 @@ from thorvaldc.compiler.recordings import ros_bag
 from thorvaldc.diagnostics.atomic_file import INCOMPLETE, errors_with_name
 from thorvaldc.diagnostics.interrupts import uninterrupted
 from thorvaldc.model import Robot
-from thorvaldc.runtime import ros_numbers
+from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import ZERO_COV, Pose2
 from thorvaldc.simulation.control_loop import Sample
@@ -375,7 +375,7 @@ class _RobotTopics:
         self._recorder = recorder
         odom, base = f"{robot.prefix}odom", f"{robot.prefix}base_link"
         true_base = f"{base}_true"
-        drives, steering = ros_numbers.recorded_joints(robot)
+        drives, steering = se2.recorded_joints(robot)
         self._drives, self._steering = list(drives.values()), list(steering.values())
         self._odometry = odometry_template(odom, base)
         self._truth = odometry_template("map", true_base)
@@ -395,22 +395,22 @@ class _RobotTopics:
         if ros_bag.ODOM in connections:
             if self._start is None:
                 self._start = sample.pose_estimated
-                data = self._start_frame.encode(time, ros_numbers.pose_numbers(self._start))
+                data = self._start_frame.encode(time, se2.pose_numbers(self._start))
                 self._recorder.send_tf(time, data, static=True)
             local = sample.pose_estimated.relative_to(self._start)
-            poses = ros_numbers.pose_numbers(local)
+            poses = se2.pose_numbers(local)
             numbers = (
                 *poses,
-                *ros_numbers.covariance_numbers(sample.pose_covariance, local.yaw),
-                *ros_numbers.twist_numbers(sample.estimated),
-                *ros_numbers.covariance_numbers(sample.twist_covariance),
+                *se2.covariance_numbers(sample.pose_covariance, local.yaw),
+                *se2.twist_numbers(sample.estimated),
+                *se2.covariance_numbers(sample.twist_covariance),
             )
             send(connections[ros_bag.ODOM], time, self._odometry.encode(time, numbers))
         if ros_bag.TRUE_ODOM in connections:
-            true_pose = ros_numbers.pose_numbers(sample.pose_true, sample.posture)
+            true_pose = se2.pose_numbers(sample.pose_true, sample.posture)
             poses += true_pose
-            unknown = ros_numbers.covariance_numbers(ZERO_COV)
-            numbers = (*true_pose, *unknown, *ros_numbers.twist_numbers(sample.true), *unknown)
+            unknown = se2.covariance_numbers(ZERO_COV)
+            numbers = (*true_pose, *unknown, *se2.twist_numbers(sample.true), *unknown)
             send(connections[ros_bag.TRUE_ODOM], time, self._truth.encode(time, numbers))
         if poses:
             self._recorder.send_tf(time, self._frames.encode(time, poses))
@@ -422,7 +422,7 @@ class _RobotTopics:
                 send(
                     connections[topic],
                     time,
-                    self._twist.encode(time, ros_numbers.twist_numbers(twist)),
+                    self._twist.encode(time, se2.twist_numbers(twist)),
                 )
         if ros_bag.JOINTS in connections and sample.joints is not None:
             data = self._joints.encode(time, self._state_numbers(sample.joints))
