@@ -19,7 +19,7 @@ import numpy as np
 from bench.consistency import BIASED, KINDS, LASTING, NOISE, SHARES, noisy_runs
 from bench.figure import ROOT, Figure
 from bench.wheel_noise import ROBOTS, Array
-from thorvaldc.backends.ros2_localization import process_noise
+from thorvaldc.backends.ros2_parameters import process_noise
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.model.settings import FOR_FILTERS, MEASURED

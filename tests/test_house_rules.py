@@ -171,7 +171,7 @@ def test_json_of_others_is_read_in_one_place(trees: dict[Path, ast.Module]) -> N
     """``json.loads`` raises ``RecursionError`` for nested brackets, and is for texts of our own."""
     assert calls(trees, "json.loads") | calls(trees, "json.load") == {
         "compiler/output/writer.py",
-        "diagnostics/foreign_json.py",
+        "diagnostics/files.py",
         "schema/documents.py",
         "comparison/robot_difference.py",
         "tools/provenance/value_paths.py",
@@ -181,7 +181,7 @@ def test_json_of_others_is_read_in_one_place(trees: dict[Path, ast.Module]) -> N
 def test_files_are_written_in_one_place(trees: dict[Path, ast.Module]) -> None:
     """A full disk leaves a half file behind ``write_text``; these write to temporary folders."""
     assert calls(trees, ".write_text") | calls(trees, "path.write_bytes") == {
-        "cli/hardware_warning.py",  # a mark whose content does not count
+        "cli/robot_file.py",  # a mark whose content does not count
         "compiler/output/writer.py",
         "simulation/physics/mujoco_scene.py",
         "tools/audit/audit_run.py",

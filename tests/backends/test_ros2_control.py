@@ -22,9 +22,9 @@ from tests.examples import FLEETS, example_fleet, example_robot
 from tests.examples import ROBOTS as EXAMPLES
 from tests.robots import SPAN
 from tests.simulation.bus.robots import cia402_robot, uneven_robot
-from thorvaldc.backends.colors_and_meshes import mesh_files
-from thorvaldc.backends.gazebo_topics import bridged_topics, gz_bridge, topic_of
+from thorvaldc.backends.description_parts import mesh_files
 from thorvaldc.backends.mjcf import ros2_control_files
+from thorvaldc.backends.ros2 import gz_bridge
 from thorvaldc.backends.ros2_control import PLUGINS, SIMULATED, hardware_problem
 from thorvaldc.backends.ros2_controllers import (
     ackermann_problem,
@@ -33,7 +33,8 @@ from thorvaldc.backends.ros2_controllers import (
     diff_drive_problem,
     swerve_problem,
 )
-from thorvaldc.backends.ros2_parameter_file import parameter_file
+from thorvaldc.backends.ros2_parameters import parameter_file
+from thorvaldc.backends.ros2_parts import bridged_topics, topic_of
 from thorvaldc.backends.sdf import model_text
 from thorvaldc.backends.urdf import urdf_text
 from thorvaldc.model import JointServo, Robot

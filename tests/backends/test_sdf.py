@@ -17,7 +17,7 @@ from tests.backends.plans import Plan, build
 from tests.examples import FLEETS, FOLDER, example_fleet, example_robot
 from tests.examples import ROBOTS as EXAMPLES
 from thorvaldc.backends.sdf import Sdf, world_files
-from thorvaldc.backends.sdf_sensors import CAMERA
+from thorvaldc.backends.sdf_robot import CAMERA
 from thorvaldc.backends.urdf import Urdf
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Fleet, Robot

@@ -304,7 +304,7 @@ def test_over_a_serial_line_from_another_process(tmp_path: Path) -> None:
 def test_the_warning_for_hardware_is_shown_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from thorvaldc.cli.hardware_warning import warn_once
+    from thorvaldc.cli.robot_file import warn_once
 
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     warn_once()

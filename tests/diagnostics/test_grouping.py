@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tests.compiler.extras.xacro_files import load_one
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.diagnostics.grouping import grouped
+from thorvaldc.diagnostics.report import grouped
 
 ARM = """
 <xacro:macro name="part" params="n">

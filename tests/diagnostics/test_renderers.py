@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from thorvaldc.diagnostics import CODES, Label, Proposal, Report, Span
-from thorvaldc.diagnostics.explain import UnknownCode, explain, find_code
 from thorvaldc.diagnostics.renderers import FORMATS, render, render_text
+from thorvaldc.diagnostics.report import UnknownCode, explain, find_code
 
 
 def text(source: str | None, *spans: Span, **options: Any) -> str:

@@ -59,6 +59,7 @@ def test_the_page_has_the_files_of_a_package() -> None:
         "acme/parts_list.py",
         "acme/gentle.py",
         "acme/links.py",
+        "acme/codes.py",
         "modules/wheel/narrow/module.yaml",
         "robot.yaml",
     }
@@ -94,6 +95,35 @@ def test_the_command_is_listed_and_runs(package: Path) -> None:
     assert "  links " in thorvaldc(package, "--help").stdout
     assert "Print the number of links" in thorvaldc(package, "links", "--help").stdout
     assert thorvaldc(package, "links", "robot.yaml").stdout.endswith(" links\n")
+
+
+def test_the_code_is_explained_and_reported(package: Path) -> None:
+    page = FILES["acme/codes.py"].split('"""')[3].removeprefix("\\\n")
+    for name in ("AC601", "ac601", "parts-list-mesh"):
+        assert thorvaldc(package, "explain", name).stdout == page
+    build = ("build", "robot.yaml", "--target", "parts_list")
+    assert "note[AC601] parts-list-mesh: the table leaves" in thorvaldc(package, *build).stderr
+    sarif = json.loads(thorvaldc(package, *build, "--format", "sarif").stdout)
+    (rule,) = sarif["runs"][0]["tool"]["driver"]["rules"]
+    assert (rule["id"], rule["help"]["markdown"]) == ("AC601", page)
+
+
+@pytest.mark.parametrize("number", ["TV901", "AD601", "AC6"])
+def test_a_code_without_its_prefix_is_one_line(package: Path, tmp_path: Path, number: str) -> None:
+    (tmp_path / "acme").mkdir()
+    codes = FILES["acme/codes.py"].replace('Code("AC601"', f'Code("{number}"')
+    (tmp_path / "acme/__init__.py").touch()
+    (tmp_path / "acme/codes.py").write_text(codes)
+    path = os.pathsep.join([str(tmp_path), str(package / "site"), str(ROOT)])
+    run = subprocess.run(
+        [sys.executable, "-m", "thorvaldc", "explain", "AC601"],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (run.returncode, len(run.stderr.splitlines())) == (3, 1)
+    assert f"error: the code {number} parts-list-mesh of `acme.codes:CODES`" in run.stderr
 
 
 def test_the_calculator_limits_the_yaw_rate(package: Path) -> None:

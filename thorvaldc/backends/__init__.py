@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Iterable
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 from thorvaldc.diagnostics import Diagnostic, nearest
 from thorvaldc.model import Fleet, Robot
@@ -52,31 +52,18 @@ class Backend(abc.ABC):
         return ()
 
 
-class Target(NamedTuple):
-    """A built-in target.
-
-    - ``backend``: class of the backend as ``"module:class"``. The backend class has the name and a
-      summary of the target as attributes.
-    - ``default``: true if ``build`` writes the target by default.
-    """
-
-    backend: str
-    default: bool = True
-
-
-# All built-in build targets, in the order in which ``build`` prints the targets.
-TARGETS: dict[str, Target] = {
-    "urdf": Target("thorvaldc.backends.urdf:Urdf"),
-    "mjcf": Target("thorvaldc.backends.mjcf:Mjcf"),
-    "sdf": Target("thorvaldc.backends.sdf:Sdf", default=False),
-    "ros2": Target("thorvaldc.backends.ros2:Ros2"),
-    "can": Target("thorvaldc.backends.can:Can"),
-    "datasheet": Target("thorvaldc.backends.datasheet:Datasheet", default=False),
+# All built-in build targets, in the order in which ``build`` prints the targets. The backend class
+# has the name and a summary of the target as attributes.
+TARGETS = {
+    "urdf": "thorvaldc.backends.urdf:Urdf",
+    "mjcf": "thorvaldc.backends.mjcf:Mjcf",
+    "sdf": "thorvaldc.backends.sdf:Sdf",
+    "ros2": "thorvaldc.backends.ros2:Ros2",
+    "can": "thorvaldc.backends.can:Can",
+    "datasheet": "thorvaldc.backends.datasheet:Datasheet",
 }
-DEFAULT_TARGETS = tuple(name for name, target in TARGETS.items() if target.default)
-PLUGINS: PluginTable[Backend] = PluginTable(
-    "thorvaldc.backends", Backend, {name: target.backend for name, target in TARGETS.items()}
-)
+DEFAULT_TARGETS = ("urdf", "mjcf", "ros2", "can")
+PLUGINS: PluginTable[Backend] = PluginTable("thorvaldc.backends", Backend, TARGETS)
 
 
 class TargetError(KeyError):

@@ -14,23 +14,40 @@ robot:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 
-from thorvaldc.backends.colors_and_meshes import mesh_files
-from thorvaldc.backends.mjcf_robot import RobotWriter
-from thorvaldc.backends.mjcf_scene import add_home, add_surroundings
-from thorvaldc.backends.mjcf_sections import ModelSections
-from thorvaldc.backends.mjcf_world import add_world
-from thorvaldc.backends.statics_backend import StaticsBackend
-from thorvaldc.backends.urdf_only import urdf_only_elements
+from thorvaldc.backends import Backend
+from thorvaldc.backends.description_parts import (
+    BLOCK_COLORS,
+    gravity_on,
+    mesh_files,
+    urdf_only_elements,
+)
+from thorvaldc.backends.mjcf_robot import ModelSections, RobotWriter, set_shape
 from thorvaldc.backends.xml_writer import Element, to_bytes
 from thorvaldc.diagnostics import Diagnostic
-from thorvaldc.model import Fleet, MeshShape, Pose, Robot
+from thorvaldc.model import (
+    Fleet,
+    MeshShape,
+    Pose,
+    Robot,
+    Vec3,
+    World,
+    Zone,
+)
+from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.joint_tree import tree_of
-from thorvaldc.model.statics.standing_pose import Statics, solve_statics
+from thorvaldc.model.statics.standing_pose import solve_statics
+
+TERRAIN = "terrain.bin"
+_DEPTH = 0.5  # m, thickness of a height field below its lowest point
+_FILM = 0.001  # m, half the thickness of the visible plate of a level zone
+_LAYER = 0.0005  # m, added for each further zone: where zones overlap, the last one is visible
+_SLIPPERY = 0.3  # coefficient of friction below which a zone has the colour of ice
 
 
-class Mjcf(StaticsBackend):
+class Mjcf(Backend):
     """Backend of the target `mjcf`: writes ``robot.xml`` and ``scene.xml``.
 
     For a fleet, the backend also writes one MuJoCo scene with all robots.
@@ -42,12 +59,11 @@ class Mjcf(StaticsBackend):
     def unsupported(self, robot: Robot) -> Iterable[Diagnostic]:
         return urdf_only_elements(robot, "MJCF")
 
-    def emit_with_statics(self, robot: Robot, statics: Statics) -> dict[str, bytes]:
-        return {**_robot_and_scene(robot, statics), **mesh_files(robot)}
+    def emit(self, robot: Robot) -> dict[str, bytes]:
+        return {**_robot_and_scene(robot), **mesh_files(robot)}
 
-    def emit_fleet_with_statics(self, fleet: Fleet, statics: Sequence[Statics]) -> dict[str, bytes]:
-        files = super().emit_fleet_with_statics(fleet, statics)
-        return files | _fleet_scene(fleet, statics)
+    def emit_fleet(self, fleet: Fleet) -> dict[str, bytes]:
+        return super().emit_fleet(fleet) | _fleet_scene(fleet)
 
 
 def simulation_files(fleet: Fleet) -> dict[str, bytes]:
@@ -57,8 +73,7 @@ def simulation_files(fleet: Fleet) -> dict[str, bytes]:
     The physics is that of the target `mjcf`. A study or a batch of scenarios simulates thousands of
     fleets that nobody looks at, and MuJoCo would read all meshes before it discards them.
     """
-    statics = [solve_statics(placement.robot) for placement in fleet.placements]
-    files = _fleet_scene(fleet, statics, visuals=False)
+    files = _fleet_scene(fleet, visuals=False)
     for placement in fleet.placements:
         robot = placement.robot
         shapes = [collision.shape for link in robot.links for collision in link.collisions]
@@ -69,20 +84,17 @@ def simulation_files(fleet: Fleet) -> dict[str, bytes]:
     return files
 
 
-def _fleet_scene(
-    fleet: Fleet, statics: Sequence[Statics], *, visuals: bool = True
-) -> dict[str, bytes]:
+def _fleet_scene(fleet: Fleet, *, visuals: bool = True) -> dict[str, bytes]:
     robots = [placement.robot for placement in fleet.placements]
     poses = [placement.pose for placement in fleet.placements]
     folders = [f"../{placement.name}/meshes" for placement in fleet.placements]
     sections = ModelSections(fleet.name, robots, folders)
-    trees = [tree_of(robot) for robot in robots]
     for i, robot in enumerate(robots):
-        RobotWriter(sections, robot, trees[i], i, statics[i], visuals=visuals).write(poses[i])
+        RobotWriter(sections, robot, i, visuals=visuals).write(poses[i])
     scene = sections.root()
-    add_surroundings(scene, robots, poses, fleet.world)
-    files = {} if fleet.world is None else add_world(scene, fleet.world, poses)
-    add_home(scene, robots, trees, statics, poses)
+    _add_surroundings(scene, robots, poses, fleet.world)
+    files = {} if fleet.world is None else _add_world(scene, fleet.world, poses)
+    _add_home(scene, robots, poses)
     return files | {"mjcf/scene.xml": to_bytes(scene)}
 
 
@@ -92,19 +104,216 @@ def ros2_control_files(robot: Robot) -> dict[str, bytes]:
     This program takes every actuator with a position gain for a position servo, such as
     ``intvelocity``. In these files, the drives are ``velocity`` servos.
     """
-    return _robot_and_scene(robot, solve_statics(robot), velocity_servos=True)
+    return _robot_and_scene(robot, velocity_servos=True)
 
 
-def _robot_and_scene(
-    robot: Robot, statics: Statics, *, velocity_servos: bool = False
-) -> dict[str, bytes]:
-    tree = tree_of(robot)
+def _robot_and_scene(robot: Robot, *, velocity_servos: bool = False) -> dict[str, bytes]:
     sections = ModelSections(robot.name, [robot], ["../meshes"])
-    writer = RobotWriter(sections, robot, tree, 0, statics, velocity_servos=velocity_servos)
-    writer.write(None)
+    RobotWriter(sections, robot, 0, velocity_servos=velocity_servos).write(None)
     scene = Element("mujoco", model=f"{robot.name} scene")
     scene.add("include", file="robot.xml")
-    add_surroundings(scene, [robot], [Pose()])
-    home = ([robot], [tree], [statics], [Pose()])
-    add_home(scene, *home, velocity_servos=velocity_servos)
+    _add_surroundings(scene, [robot], [Pose()])
+    _add_home(scene, [robot], [Pose()], velocity_servos=velocity_servos)
     return {"mjcf/robot.xml": to_bytes(sections.root()), "mjcf/scene.xml": to_bytes(scene)}
+
+
+# -- ground, sky, light and key frame --------------------------------------------------
+
+
+def _reach(robots: Iterable[Robot], poses: Iterable[Pose]) -> tuple[Vec3, float]:
+    """Return the centre of the robots, and the radius of a sphere around all their wheels, in m."""
+    points = []
+    for robot, pose in zip(robots, poses, strict=True):
+        points.append(pose.apply(robot.inertial.com))
+        points += [pose.apply((wheel.x, wheel.y, 0.0)) for wheel in robot.wheels]
+    low = [min(p[i] for p in points) for i in range(3)]
+    high = [max(p[i] for p in points) for i in range(3)]
+    x, y, z = (clean((a + b) / 2) for a, b in zip(low, high, strict=True))
+    return (x, y, z), max(1.0, round(math.dist(low, high) / 2, 3))
+
+
+def _add_surroundings(
+    scene: Element, robots: list[Robot], poses: list[Pose], world: World | None = None
+) -> None:
+    """Add the ground, the sky, the light and the camera settings to a MuJoCo scene."""
+    middle, reach = _reach(robots, poses)
+    # In MuJoCo's viewer, the camera starts at a distance of 1.5 times ``extent`` from the centre of
+    # the scene. The shadows in MuJoCo's viewer have a range of one ``extent``.
+    scene.add("statistic", center=middle, extent=clean(2.0 * reach))
+    visual = scene.add("visual")
+    visual.add(
+        "headlight",
+        ambient=(0.35, 0.35, 0.36),
+        diffuse=(0.25, 0.25, 0.25),
+        specular=(0.1, 0.1, 0.1),
+    )
+    visual.add("global", azimuth=140, elevation=-20, offwidth=1920, offheight=1080)
+    visual.add("quality", shadowsize=4096)
+    visual.add("map", shadowclip=1.5, shadowscale=0.9)
+    visual.add("rgba", haze=(0.9, 0.92, 0.94, 1))
+    asset = scene.add("asset")
+    asset.add(
+        "texture",
+        name="sky",
+        type="skybox",
+        builtin="gradient",
+        rgb1=(0.72, 0.82, 0.92),
+        rgb2=(0.9, 0.92, 0.94),
+        width=256,
+        height=1536,
+    )
+    asset.add(
+        "texture",
+        name="ground",
+        type="2d",
+        builtin="checker",
+        mark="edge",
+        rgb1=(0.78, 0.79, 0.75),
+        rgb2=(0.74, 0.75, 0.71),
+        markrgb=(0.66, 0.67, 0.63),
+        width=512,
+        height=512,
+    )
+    asset.add("material", name="ground", texture="ground", texuniform=True, texrepeat=(1, 1))
+    body = scene.add("worldbody")
+    direction = (-0.35, 0.3, -1.0)
+    back = -2.5 * reach
+    body.add(
+        "light",
+        name="sun",
+        type="directional",
+        pos=tuple(clean(m + back * d) for m, d in zip(middle, direction, strict=True)),
+        dir=direction,
+        diffuse=(0.6, 0.59, 0.56),
+        specular=(0.2, 0.2, 0.2),
+    )
+    # The ground is level, because the standing pose of the robots is computed for level ground.
+    # The ground is a MuJoCo plane and not a box, because wheels roll most smoothly on a plane.
+    # Rough ground is above the plane.
+    below = -world.ground.amplitude if world is not None else 0.0
+    body.add(
+        "geom",
+        name="ground",
+        type="plane",
+        pos=(0, 0, below) if below else None,
+        size=(0, 0, 1),
+        material="ground",
+    )
+
+
+def _add_home(
+    scene: Element,
+    robots: Sequence[Robot],
+    poses: Sequence[Pose],
+    *,
+    velocity_servos: bool = False,
+) -> None:
+    """Add the MuJoCo key frame ``home``, in which every robot stands still.
+
+    In the key frame ``home``, every servo holds its joint at the position of the standing pose.
+    ``velocity_servos`` is that of ``RobotWriter``: such servos have no state.
+    """
+    qpos: list[float] = []
+    ctrl: list[float] = []
+    act: list[float] = []
+    for robot, pose in zip(robots, poses, strict=True):
+        standing = solve_statics(robot)
+        base = (pose * standing.base).clean()
+        qpos += [*base.xyz, *base.quat]
+        qpos += [standing.positions[joint.name] for joint in tree_of(robot).moving]
+        for actuator in robot.actuators:
+            position = standing.positions[actuator.joint]
+            if actuator.role == "steering":
+                ctrl.append(position)
+            else:
+                ctrl.append(0.0)
+                act.append(position)
+        for servo in robot.joint_servos:
+            position = standing.positions[servo.joint]
+            ctrl.append(position if servo.interface == "position" else 0.0)
+            act += [position] if servo.interface == "velocity" else []
+    key = scene.add("keyframe").add("key", name="home", qpos=tuple(qpos))
+    has_state = act and not velocity_servos
+    key.set(ctrl=tuple(ctrl) if ctrl else None, act=tuple(act) if has_state else None)
+
+
+# -- the world of a scenario -----------------------------------------------------------
+#
+# The world frame of the MuJoCo scene is fixed to the ground. For a slope, the scene has level
+# ground and an inclined gravity vector. The standing pose, the poses of the scenario and all
+# distances are therefore measured in the plane of the slope.
+
+
+def _add_world(scene: Element, world: World, starts: Sequence[Pose]) -> dict[str, bytes]:
+    """Add the world of a scenario to a MuJoCo scene, and return the height-field files by path.
+
+    The MuJoCo scene must already contain the ground plane. ``starts`` lists the start poses of the
+    robots. Rough ground is level around the start poses of the robots.
+    """
+    ground = world.ground
+    if ground.angle:
+        scene.add("option", gravity=gravity_on(ground))
+    body = scene.add("worldbody")
+    for block in world.blocks:
+        geom = body.add("geom", name=f"{block.kind}/{block.name}")
+        set_shape(geom, block.shape)
+        geom.set(pos=block.pose.xyz, quat=block.pose.quat, rgba=BLOCK_COLORS[block.kind])
+    files = _add_zones(scene, body, world.zones)
+    if not ground.amplitude:
+        return files
+    from thorvaldc.backends.mjcf_terrain import height_file, heights  # few builds need it
+
+    x, y = ground.size
+    scene.add("asset").add(
+        "hfield",
+        name="terrain",
+        file=TERRAIN,
+        size=(x / 2, y / 2, 2 * ground.amplitude, _DEPTH),
+    )
+    body.add(
+        "geom",
+        name="ground/terrain",
+        type="hfield",
+        hfield="terrain",
+        pos=(0, 0, -ground.amplitude),
+        material="ground",
+    )
+    return {**files, f"mjcf/{TERRAIN}": height_file(heights(ground, starts))}
+
+
+def _add_zones(scene: Element, body: Element, zones: Sequence[Zone]) -> dict[str, bytes]:
+    """Add a plate for each level zone and a height field for each other zone.
+
+    Returns the contents of the height-field files by path. The MJCF files do not contain the
+    friction of zones. During a simulation, the program changes the friction of the wheels in a zone
+    instead.
+    """
+    files = {}
+    for number, zone in enumerate(zones, 1):
+        x, y = zone.size
+        geom = body.add("geom", pos=zone.pose.xyz, quat=zone.pose.quat, rgba=zone_color(zone))
+        if zone.level:
+            # The plate of a level zone is only visible and has no contacts, because the ground
+            # plane carries the robots.
+            geom.set(
+                name=f"zone/{number}", type="box", size=(x / 2, y / 2, _FILM + number * _LAYER)
+            )
+            geom.set(contype=0, conaffinity=0, group=2)
+            continue
+        from thorvaldc.backends.mjcf_terrain import height_file, relief
+
+        rows, top = relief(zone)
+        name = f"zone_{number}"
+        files[f"mjcf/{name}.bin"] = height_file(rows)
+        scene.add("asset").add(
+            "hfield", name=name, file=f"{name}.bin", size=(x / 2, y / 2, clean(top), _DEPTH)
+        )
+        geom.set(name=f"ground/{name}", type="hfield", hfield=name)
+    return files
+
+
+def zone_color(zone: Zone) -> tuple[float, float, float, float]:
+    """Return the colour of a zone: red, green, blue and opacity, each 0 to 1."""
+    if zone.friction is not None and zone.friction < _SLIPPERY:
+        return (0.75, 0.87, 0.95, 1.0)
+    return (0.62, 0.58, 0.48, 1.0) if zone.level else (0.72, 0.7, 0.62, 1.0)

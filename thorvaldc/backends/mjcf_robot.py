@@ -1,4 +1,5 @@
-"""One robot in MJCF: its bodies, joints, geoms, sensors and actuators."""
+"""One robot in MJCF: its bodies, joints, geoms, sensors and actuators, and the sections of a model
+that all robots share: options, defaults and assets."""
 
 from __future__ import annotations
 
@@ -6,8 +7,7 @@ import math
 from collections.abc import Iterable
 from typing import TypeGuard
 
-from thorvaldc.backends.mjcf_joint_servos import servo_gains
-from thorvaldc.backends.mjcf_sections import TIMESTEP, ModelSections
+from thorvaldc.backends.description_parts import Palette
 from thorvaldc.backends.xml_writer import Element
 from thorvaldc.model import (
     Actuator,
@@ -16,20 +16,38 @@ from thorvaldc.model import (
     Joint,
     JointServo,
     Link,
+    Mesh,
     MeshShape,
     Pose,
     Robot,
     Sensor,
     Shape,
     Tread,
+    Vec3,
     Wheel,
 )
 from thorvaldc.model.spatial import clean, quat_from_z_to
-from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.standing import standing_of
-from thorvaldc.model.statics.standing_pose import Statics
-from thorvaldc.model.statics.wheel_contact import SOLREF, WheelContact
+from thorvaldc.model.statics.standing_pose import solve_statics
+from thorvaldc.model.statics.wheel_contact import SOLIMP, SOLREF, WheelContact
 
+TIMESTEP = 0.005  # s
+# Largest d h / I of a servo for which the model uses MuJoCo's explicit integrator. The implicit
+# integrators apply the damping of the motor joints after the contact forces. With MuJoCo's implicit
+# integrators, an accelerating robot is ahead of its wheels by 5 ms. With MuJoCo's explicit
+# integrator, an accelerating robot is not ahead of its wheels. For a joint with the inertia I and
+# the damping d, an explicit step of h s multiplies the joint speed by 1 - d h / I. The explicit
+# integrator is therefore stable for d h / I < 2, with the joint damping d, the time step h and the
+# joint inertia I. MuJoCo models of robots with wheels that must slide use an implicit integrator.
+# With the explicit integrator, sliding wheels would chatter if d h / I is above 1, because friction
+# is their only load (d: joint damping, h: time step, I: joint inertia).
+EXPLICIT_DAMPING = 1.5
+SAME_AXLE = 1e-3  # m and rad, largest distance and angle between two wheels on the same axle
+DEFLECTION = 0.02  # rad, position error at which a servo applies the effort limit
+LINEAR_DEFLECTION = 0.002  # m, the same for a prismatic joint
+FREQUENCY = 20.0  # rad/s, natural frequency of a joint without an effort limit
+LAG = 4 * TIMESTEP  # s, least ratio of damping and stiffness
 # Torsional friction coefficient (m) of a tyre, divided by the friction coefficient mu times the
 # tyre width. A tyre that turns on the spot has the resisting torque mu N width / 4, with the
 # friction coefficient mu, the wheel load N and a contact patch as wide as the tyre. A rolling tyre
@@ -60,6 +78,114 @@ WORLD = "world"  # name of the root body in MuJoCo
 _ALL_BITS = 0x7FFFFFFF
 
 
+class ModelSections:
+    """Collects the sections of an MJCF model with one or several robots."""
+
+    def __init__(self, name: str, robots: list[Robot], mesh_folders: list[str]) -> None:
+        self.model = name
+        self.palette = Palette(*robots)
+        self.folders = mesh_folders
+        self.robots = robots
+        self.worldbody = Element("worldbody")
+        self.equality = Element("equality")
+        self.actuators = Element("actuator")
+        self.sensors = Element("sensor")
+        self.asset = Element("asset")
+        for material, color in self.palette.entries():
+            self.asset.add("material", name=material, rgba=color)
+        self.meshes: dict[tuple[str, Vec3], str] = {}
+        self.taken: dict[str, str] = {}
+        # Largest ratio d h / I of all servos (d: joint damping, h: time step, I: joint inertia),
+        # see EXPLICIT_DAMPING.
+        self.largest_damping = 0.0
+
+    def root(self) -> Element:
+        """Return the root element ``mujoco`` of the MJCF model.
+
+        The method ``root`` must be called after all robots are written to the MJCF model.
+        """
+        root = Element("mujoco", model=self.model)
+        root.add(
+            "compiler",
+            angle="radian",
+            autolimits=True,
+            inertiafromgeom="false",
+            balanceinertia=False,
+        )
+        # MuJoCo uses a dense Jacobian by default for fewer than 60 degrees of freedom. A sparse
+        # Jacobian is better for these robots, because the rows of the wheels are mostly zeros.
+        explicit = self.largest_damping <= EXPLICIT_DAMPING and not any(map(_slides, self.robots))
+        root.add(
+            "option",
+            timestep=TIMESTEP,
+            integrator="Euler" if explicit else "implicitfast",
+            cone="elliptic",
+            impratio=100,
+            jacobian="sparse",
+        )
+        default = root.add("default")
+        default.add("default", class_="visual").add(
+            "geom", group=2, contype=0, conaffinity=0, mass=0
+        )
+        default.add("default", class_="collision").add("geom", group=3, mass=0)
+        default.add("default", class_="wheel").add(
+            "geom",
+            type="ellipsoid",
+            group=3,
+            mass=0,
+            condim=4,
+            priority=1,
+            solref=SOLREF,
+            solimp=SOLIMP,
+        )
+        sections = (self.asset, self.worldbody, self.equality, self.actuators, self.sensors)
+        root.children += [section for section in sections if section.children]
+        return root
+
+    def mesh(self, prefix: str, number: int, mesh: Mesh, scale: Vec3) -> str:
+        """Return the name of the MJCF asset for a mesh file with a scale.
+
+        Equal mesh files with the same scale share one asset.
+        """
+        key = (mesh.sha256, scale)
+        name = self.meshes.get(key)
+        if name is None:
+            # Mesh files can have names that differ only in the extension. A mesh file can be used
+            # with several scales. The name of an MJCF asset is therefore made unique.
+            name = stem = prefix + mesh.name.rsplit(".", 1)[0]
+            for count in range(2, len(self.meshes) + 2):
+                if name not in self.taken:
+                    break
+                name = f"{stem}_{count}"
+            self.taken[name] = mesh.name
+            self.meshes[key] = name
+            self.asset.add(
+                "mesh",
+                name=name,
+                file=f"{self.folders[number]}/{mesh.name}",
+                scale=None if scale == (1.0, 1.0, 1.0) else scale,
+                # MuJoCo does not use the inertia of mesh files, because the MJCF model contains all
+                # masses. MuJoCo's default value of the mesh attribute ``inertia`` fails for open
+                # and flat meshes.
+                inertia="shell",
+            )
+        return name
+
+
+def _slides(robot: Robot) -> bool:
+    """True if some wheels of a robot must slide sideways when the robot turns.
+
+    Wheels must slide in a turn if the wheels that cannot steer or swivel are on several axles.
+    """
+    fixed = [w for w in robot.wheels if w.steering_joint is None and w.swivel_joint is None]
+    for wheel in fixed[1:]:
+        c, s = math.cos(fixed[0].heading), math.sin(fixed[0].heading)
+        along = c * (wheel.x - fixed[0].x) + s * (wheel.y - fixed[0].y)
+        if abs(along) > SAME_AXLE or abs(math.sin(wheel.heading - fixed[0].heading)) > SAME_AXLE:
+            return True
+    return False
+
+
 def _free(name: str, taken: Iterable[str]) -> str:
     """Return an MJCF name, with underscores appended until the name is not in ``taken``."""
     names = set(taken)
@@ -88,9 +214,7 @@ class RobotWriter:
         self,
         sections: ModelSections,
         robot: Robot,
-        tree: JointTree,
         number: int,
-        statics: Statics,
         *,
         velocity_servos: bool = False,
         visuals: bool = True,
@@ -103,9 +227,9 @@ class RobotWriter:
         self.sections = sections
         self.robot = robot
         self.number = number
-        self.statics = statics
+        self.statics = solve_statics(robot)
         self.prefix = robot.prefix
-        self.tree = tree
+        self.tree = tree_of(robot)
         self.meshes = {mesh.name: mesh for mesh in robot.meshes}
         self.wheel_of_link = {wheel.link: wheel for wheel in robot.wheels}
         self.wheel_of_joint = {wheel.spin_joint: wheel for wheel in robot.wheels}
@@ -157,9 +281,7 @@ class RobotWriter:
         if wheel is not None:
             force = self.statics.wheels[wheel.name].force
             friction = clean(friction + wheel.rolling_resistance * force * wheel.radius)
-        limits = None
-        if joint.lower is not None and joint.upper is not None:
-            limits = (joint.lower, joint.upper)
+        limits = _limits(joint)
         body.add(
             "joint",
             name=self.prefix + joint.name,
@@ -207,16 +329,12 @@ class RobotWriter:
             self._shape(geom, collision.shape, collision.pose)
 
     def _shape(self, geom: Element, shape: Shape, pose: Pose) -> None:
-        match shape:
-            case Box((x, y, z)):
-                geom.set(type="box", size=(x / 2, y / 2, z / 2))
-            case Cylinder(radius, length):
-                geom.set(type="cylinder", size=(radius, length / 2))
-            case MeshShape(file, scale):
-                mesh = self.sections.mesh(self.prefix, self.number, self.meshes[file], scale)
-                geom.set(type="mesh", mesh=mesh)
-            case _:
-                geom.set(type="sphere", size=shape.radius)
+        if isinstance(shape, MeshShape):
+            mesh = self.meshes[shape.mesh]
+            name = self.sections.mesh(self.prefix, self.number, mesh, shape.scale)
+            geom.set(type="mesh", mesh=name)
+        else:
+            set_shape(geom, shape)
         _place(geom, pose)
 
     def _add_tread(self, body: Element, wheel: Wheel, contact: WheelContact) -> None:
@@ -288,15 +406,12 @@ class RobotWriter:
         names = {"name": self.prefix + actuator.name, "joint": self.prefix + actuator.joint}
         joint_inertia = self.statics.inertias[actuator.joint] + joint.armature
         if actuator.role == "steering":
-            limits = None
-            if joint.lower is not None and joint.upper is not None:
-                limits = (joint.lower, joint.upper)
             self.sections.actuators.add(
                 "position",
                 **names,
                 kp=STEERING_STIFFNESS,
                 dampratio=1,
-                ctrlrange=limits,
+                ctrlrange=_limits(joint),
                 forcerange=(-torque, torque),
             )
             self._note_damping(2 * math.sqrt(STEERING_STIFFNESS * joint_inertia), joint_inertia)
@@ -345,10 +460,8 @@ class RobotWriter:
     def _add_joint_servo(self, servo: JointServo) -> None:
         joint = self.tree.joints[servo.joint]
         inertia = self.statics.inertias[servo.joint] + joint.armature
-        stiffness, damping = servo_gains(joint, inertia)
-        limits = None
-        if joint.lower is not None and joint.upper is not None:
-            limits = (joint.lower, joint.upper)
+        stiffness, damping = _servo_gains(joint, inertia)
+        limits = _limits(joint)
         motors = [actuator.name for actuator in self.robot.actuators]
         if self.velocity_servos and servo.interface == "velocity":
             names = {"name": self.prefix + _free(servo.joint, motors)}
@@ -374,6 +487,48 @@ class RobotWriter:
     def _note_damping(self, damping: float, inertia: float) -> None:
         ratio = damping * TIMESTEP / inertia if inertia > 0.0 else math.inf
         self.sections.largest_damping = max(self.sections.largest_damping, ratio)
+
+
+def set_shape(geom: Element, shape: Shape) -> None:
+    """Give a geom its shape, except for a mesh, which is an asset of the model."""
+    match shape:
+        case Box((x, y, z)):
+            geom.set(type="box", size=(x / 2, y / 2, z / 2))
+        case Cylinder(radius, length):
+            geom.set(type="cylinder", size=(radius, length / 2))
+        case MeshShape():
+            raise TypeError("a mesh is an asset")
+        case _:
+            geom.set(type="sphere", size=shape.radius)
+
+
+def _limits(joint: Joint) -> tuple[float, float] | None:
+    if joint.lower is None or joint.upper is None:
+        return None
+    return joint.lower, joint.upper
+
+
+def _servo_gains(joint: Joint, inertia: float) -> tuple[float, float]:
+    """Return stiffness and damping of the servo of a joint of an extra, such as an arm, in N m/rad
+    or N/m and the same times s.
+
+    - ``inertia``: inertia I that the joint carries, in kg m^2 or kg.
+
+    A URDF states neither the gains of the controllers nor the inertia of the motors.  The gains
+    therefore follow from the effort limit of the joint and the inertia:
+
+    - Stiffness: kp = effort / DEFLECTION.  Under its own weight, an arm sags by the share of the
+      effort limit that the weight needs, times DEFLECTION.  The arms of MuJoCo Menagerie, whose
+      gains were chosen by hand, have 0.006 rad (Franka) to 0.075 rad (UR5e).  Without an effort
+      limit, kp = I w^2 with w = FREQUENCY.
+    - Damping: kv = 2 sqrt(kp I), which is critical for the joint alone, and at least kp LAG.  With
+      the implicit integrator and the time step h, a servo is stable for any inertia if
+      kv > kp h / 2: the last joints of arms carry much less inertia than their torque can hold.
+    """
+    deflection = LINEAR_DEFLECTION if joint.type == "prismatic" else DEFLECTION
+    stiffness = joint.effort / deflection if joint.effort else inertia * FREQUENCY**2
+    damping = max(2.0 * math.sqrt(stiffness * inertia), stiffness * LAG)
+    return clean(stiffness), clean(damping)
 
 
 def _solref(contact: WheelContact) -> tuple[float, float] | None:

@@ -9,37 +9,26 @@ from __future__ import annotations
 
 import posixpath
 
-from thorvaldc.backends import Backend
+from thorvaldc.backends import Backend, ros2_navigation, ros2_package_files, ros2_parameters
 from thorvaldc.backends.mjcf import ros2_control_files
-from thorvaldc.backends.ros2_control_files import (
-    control_files,
+from thorvaldc.backends.ros2_control import hardware_problem
+from thorvaldc.backends.ros2_controllers import (
+    CONTROLLER_FILE,
     control_packages,
-    left_out_of_control,
+    controller_parameters,
+    twist_controller,
 )
-from thorvaldc.backends.ros2_launch_files import fleet_launch_file, launch_files
-from thorvaldc.backends.ros2_localization import (
-    ekf_map,
-    ekf_odom,
-    navsat_transform,
-    slam_toolbox,
+from thorvaldc.backends.ros2_parameters import HEADER, Parameters, parameter_file, quoted
+from thorvaldc.backends.ros2_parts import (
+    CLOCK,
+    GAZEBO_CLOCK,
+    BridgedTopic,
+    Parts,
+    bridged_topics,
+    node_space,
+    parts_of,
 )
-from thorvaldc.backends.ros2_navigation import global_costmap, nav2, plugin_packages
-from thorvaldc.backends.ros2_package_files import (
-    driver_module,
-    fleet_readme,
-    package_files,
-    readme,
-    rviz_text,
-)
-from thorvaldc.backends.ros2_parameter_file import parameter_file
-from thorvaldc.backends.ros2_parameters import (
-    Parameters,
-    base_driver,
-    game_controller,
-    robot_state_publisher,
-    teleop,
-)
-from thorvaldc.backends.ros2_parts import Parts, node_space, parts_of
+from thorvaldc.backends.sdf import model_text, world_files
 from thorvaldc.backends.urdf import urdf_text
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.model_json import to_json
@@ -71,21 +60,24 @@ def fleet_package(fleet: Fleet) -> dict[str, bytes]:
     package = package_name(f"{fleet.name}_fleet")
     while package in members:
         package += "_all"
-    launch = fleet_launch_file(fleet)
+    launch = ros2_package_files.fleet_launch_file(fleet)
     files = {
-        "README.md": fleet_readme(fleet, package).encode(),
+        "README.md": ros2_package_files.fleet_readme(fleet, package).encode(),
         "launch/fleet.launch.py": launch.encode(),
     }
     description = f"The fleet {fleet.name}, made by thorvaldc"
-    return {**package_files(package, description, files, [launch], members), **files}
+    return {
+        **ros2_package_files.package_files(package, description, files, [launch], members),
+        **files,
+    }
 
 
 def package_of(robot: Robot) -> dict[str, bytes]:
     """Return the files of the ROS 2 package of a robot, by their path in the package."""
     parts = parts_of(robot)
-    launches = launch_files(robot, parts)
+    launches = ros2_package_files.launch_files(robot, parts)
     names = [posixpath.basename(path).removesuffix(".launch.py") for path in launches]
-    plugins = set(plugin_packages(robot, parts))
+    plugins = set(ros2_navigation.plugin_packages(robot, parts))
     if any(frame.kind == "relay" for bus in robot.buses for frame in bus.frames):
         plugins.add("can_msgs")  # the base driver relays frames of foreign devices
     control: dict[str, bytes] = {}
@@ -95,46 +87,52 @@ def package_of(robot: Robot) -> dict[str, bytes]:
         left_out = (*parts.left_out, *left_out_of_control(robot))
         parts = parts._replace(left_out=left_out)
     files = {
-        **driver_module(robot),
-        "README.md": readme(robot, parts, names).encode(),
+        **ros2_package_files.driver_module(robot),
+        "README.md": ros2_package_files.readme(robot, parts, names).encode(),
         "config/model.json": to_json(robot).encode(),
         "urdf/robot.urdf": urdf_text(robot, f"package://{robot.ros.package}/meshes").encode(),
         **{f"meshes/{mesh.name}": mesh.data for mesh in robot.meshes},
-        "rviz/robot.rviz": rviz_text(robot, parts).encode(),
+        "rviz/robot.rviz": ros2_package_files.rviz_text(robot, parts).encode(),
         **{path: text.encode() for path, text in launches.items()},
         **_parameter_files(robot, parts),
         **control,
     }
     description = f"The robot {robot.name}, made by thorvaldc"
     return {
-        **package_files(robot.ros.package, description, files, launches.values(), plugins),
+        **ros2_package_files.package_files(
+            robot.ros.package, description, files, launches.values(), plugins
+        ),
         **files,
     }
 
 
 def _parameter_files(robot: Robot, parts: Parts) -> dict[str, bytes]:
     files: dict[str, dict[str, Parameters]] = {
-        "base_driver": {"base_driver": base_driver(robot, parts)},
-        "robot_state_publisher": {"robot_state_publisher": robot_state_publisher(robot)},
+        "base_driver": {"base_driver": ros2_parameters.base_driver(robot, parts)},
+        "robot_state_publisher": {
+            "robot_state_publisher": ros2_parameters.robot_state_publisher(robot)
+        },
         "teleop_twist_joy": {
-            "game_controller_node": game_controller(robot),
-            "teleop_twist_joy_node": teleop(robot, robot.ros.stamped),
+            "game_controller_node": ros2_parameters.game_controller(robot),
+            "teleop_twist_joy_node": ros2_parameters.teleop(robot, robot.ros.stamped),
         },
     }
     if parts.local_ekf:
-        files["ekf_odom"] = {"ekf_odom": ekf_odom(robot, parts)}
+        files["ekf_odom"] = {"ekf_odom": ros2_parameters.ekf_odom(robot, parts)}
     if parts.gnss is not None:
         files["gnss"] = {
-            "ekf_map": ekf_map(robot, parts),
-            "navsat_transform": navsat_transform(robot, parts),
+            "ekf_map": ros2_parameters.ekf_map(robot, parts),
+            "navsat_transform": ros2_parameters.navsat_transform(robot, parts),
         }
     if parts.slam is not None:
-        files["slam_toolbox"] = {"slam_toolbox": slam_toolbox(robot, parts.slam)}
+        files["slam_toolbox"] = {"slam_toolbox": ros2_parameters.slam_toolbox(robot, parts.slam)}
     if parts.navigation:
-        files["nav2"] = nav2(robot, parts)
+        files["nav2"] = ros2_navigation.nav2(robot, parts)
         for source in parts.map_sources or ("none",):
             files[f"global_costmap_{source}"] = {
-                "global_costmap/global_costmap": global_costmap(robot, parts, source)
+                "global_costmap/global_costmap": ros2_navigation.global_costmap(
+                    robot, parts, source
+                )
             }
     space = node_space(robot)
     return {
@@ -143,3 +141,73 @@ def _parameter_files(robot: Robot, parts: Parts) -> dict[str, bytes]:
         ).encode()
         for file, nodes in files.items()
     }
+
+
+# -- controllers of ros2_control or of Gazebo ----------------------------------------------
+
+
+def left_out_of_control(robot: Robot) -> list[tuple[str, str]]:
+    """Return what ros2_control cannot do with the robot, and the reasons."""
+    reasons = []
+    if twist_controller(robot) is None:
+        reasons.append(
+            (
+                "twists in ros2_control.launch.py and gazebo.launch.py",
+                "no released controller computes the joints of this robot from a twist; topics of "
+                "the joints move them",
+            )
+        )
+    problem = hardware_problem(robot, "can")
+    reasons.append(
+        (
+            "ros2_control on the CAN bus",
+            problem
+            or "the tool dcfgen of ros2_canopen makes the files of the master from can/bus.yml",
+        )
+    )
+    return reasons
+
+
+def control_files(robot: Robot) -> dict[str, bytes]:
+    """Return the parameters, descriptions and models of ros2_control and Gazebo, by path."""
+    package = robot.ros.package
+    meshes, share = f"package://{package}/meshes", f"$(find {package})"
+    is_driven = twist_controller(robot) is not None
+    kinds = ["mock", "mujoco", *(["gazebo"] if is_driven else [])]
+    files = {f"urdf/robot_{kind}.urdf": urdf_text(robot, meshes, kind, share) for kind in kinds}
+    files["sdf/model.sdf"] = model_text(
+        robot, f"model://{package}/meshes", share if is_driven else None
+    )
+    files["config/gz_bridge.yaml"] = gz_bridge(robot, ros2_control=is_driven)
+    files[CONTROLLER_FILE] = parameter_file(controller_parameters(robot)[CONTROLLER_FILE])
+    if is_driven:
+        mux = {f"{node_space(robot)}twist_mux": ros2_parameters.twist_mux(robot)}
+        files["config/twist_mux.yaml"] = parameter_file(mux)
+    return {
+        **{path: text.encode() for path, text in files.items()},
+        **world_files(robot.name, [robot]),
+    }
+
+
+def gz_bridge(robot: Robot, *, ros2_control: bool = False, clock: bool = True) -> str:
+    """Return the text of the YAML file ``config_file`` of the node ros_gz_bridge.
+
+    ``clock`` adds the topic ``/clock`` of Gazebo, as ``GAZEBO_CLOCK`` in ROS: Gazebo sends it at
+    every step of the physics, and neither Gazebo nor the bridge can send it less often. Each
+    message wakes every node that takes its time from ``/clock``, and costs a node in Python 0.7 ms.
+    So a node in ``gazebo.launch.py`` passes on only one of ten messages. Only one bridge of a fleet
+    may have the clock. See ``bridged_topics`` for ``ros2_control``.
+    """
+    topics = bridged_topics(robot, ros2_control=ros2_control)
+    if clock:
+        types = ("rosgraph_msgs/msg/Clock", "gz.msgs.Clock")
+        topics = [BridgedTopic(GAZEBO_CLOCK, f"/{CLOCK}", *types), *topics]
+    entries = [
+        f"- ros_topic_name: {quoted(topic.ros)}\n"
+        f"  gz_topic_name: {quoted(topic.gazebo)}\n"
+        f"  ros_type_name: {quoted(topic.ros_type)}\n"
+        f"  gz_type_name: {quoted(topic.gazebo_type)}\n"
+        f"  direction: {'ROS_TO_GZ' if topic.to_gazebo else 'GZ_TO_ROS'}\n"
+        for topic in topics
+    ]
+    return "".join([HEADER, *entries])

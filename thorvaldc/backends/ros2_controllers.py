@@ -21,12 +21,10 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from thorvaldc.backends.ros2_parameter_file import Value
+from thorvaldc.backends.ros2_parameters import Parameters
 from thorvaldc.model import Robot, Wheel
 from thorvaldc.model.settings import DRIVER
 from thorvaldc.model.spatial import float_sum
-
-Parameters = dict[str, Value]
 
 CONTROLLER_FILE = "config/controllers.yaml"
 """Path of the parameters relative to the shared folder of the package."""
@@ -106,6 +104,21 @@ def base_controllers(robot: Robot) -> tuple[list[Controller], list[Controller]]:
             return [make(robot)], []
     swerve = [_swerve(robot)] if swerve_problem(robot) is None else []
     return _forward(robot), swerve
+
+
+def twist_controller(robot: Robot) -> Controller | None:
+    """Return the released controller that computes the joints of the robot from a twist."""
+    for controller in controllers(robot):
+        if controller.is_released and controller.odometry_topic:
+            return controller
+    return None
+
+
+def control_packages(robot: Robot) -> set[str]:
+    """Return the ROS packages with the plug-ins of the controllers and the hardware."""
+    packages = {c.package for c in controllers(robot) if c.is_released}
+    packages |= {"controller_manager", "mujoco_ros2_control"}
+    return packages | ({"gz_ros2_control"} if twist_controller(robot) is not None else set())
 
 
 # -- which controller ---------------------------------------------------------------
@@ -210,12 +223,7 @@ def _diff_drive(robot: Robot) -> Controller:
         "right_wheel_radius_multiplier": _radius(right) / radius,
         # The names of the frames begin with the name space already.
         "tf_frame_prefix_enable": False,
-        "odom_frame_id": f"{robot.prefix}odom",
-        "base_frame_id": robot.prefix + robot.links[0].name,
-        "enable_odom_tf": robot.ros.odom_tf == DRIVER,
-        "position_feedback": True,
-        "open_loop": False,
-        "twist_covariance_diagonal": TWIST_COVARIANCE,
+        **_odometry(robot),
         "cmd_vel_timeout": driver.command_timeout,
         "linear": {"x": _limits(driver.max_linear_velocity, driver.max_linear_acceleration)},
         "angular": {"z": _limits(driver.max_angular_velocity, driver.max_angular_acceleration)},
@@ -237,6 +245,17 @@ def _diff_drive(robot: Robot) -> Controller:
         "diff_drive_controller/odom",
         "; ".join(notes),
     )
+
+
+def _odometry(robot: Robot) -> Parameters:
+    return {
+        "odom_frame_id": f"{robot.prefix}odom",
+        "base_frame_id": robot.prefix + robot.links[0].name,
+        "enable_odom_tf": robot.ros.odom_tf == DRIVER,
+        "position_feedback": True,
+        "open_loop": False,
+        "twist_covariance_diagonal": TWIST_COVARIANCE,
+    }
 
 
 def _limits(speed: float, acceleration: float) -> Parameters:
@@ -262,12 +281,7 @@ def _ackermann(robot: Robot) -> Controller:
         "traction_track_width": driven[1].y - driven[0].y,
         "traction_wheels_radius": _radius(driven),
         "reference_timeout": robot.driver.command_timeout,
-        "odom_frame_id": f"{robot.prefix}odom",
-        "base_frame_id": robot.prefix + robot.links[0].name,
-        "enable_odom_tf": robot.ros.odom_tf == DRIVER,
-        "position_feedback": True,
-        "open_loop": False,
-        "twist_covariance_diagonal": TWIST_COVARIANCE,
+        **_odometry(robot),
     }
     return Controller(
         "ackermann_steering_controller",

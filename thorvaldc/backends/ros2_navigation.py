@@ -14,8 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from thorvaldc.backends.ros2_parameter_file import Value
-from thorvaldc.backends.ros2_parameters import is_holonomic
+from thorvaldc.backends.ros2_parameters import Parameters, is_holonomic
 from thorvaldc.backends.ros2_parts import (
     Parts,
     base_frame,
@@ -27,8 +26,6 @@ from thorvaldc.backends.ros2_parts import (
 )
 from thorvaldc.model import Robot, Sensor
 from thorvaldc.model.statics.tip_over import footprint
-
-Parameters = dict[str, Value]
 
 CONTROLLER_FREQUENCY = 20.0  # Hz; MPPI needs a step of this period
 STEPS = 56  # steps of MPPI; 2.8 s ahead

@@ -1,19 +1,44 @@
-"""ROS 2 parameters of the nodes that every robot has: base driver, multiplexer, teleoperation and
-robot_state_publisher.
+"""ROS 2 parameters of base driver, multiplexer, teleoperation, robot_state_publisher and
+localization, and the files of parameters.
 
 The page docs/ros2.md describes each ROS 2 parameter.
 """
 
 from __future__ import annotations
 
-from thorvaldc.backends.ros2_parameter_file import Value
-from thorvaldc.backends.ros2_parts import Parts, base_frame, odom_frame
-from thorvaldc.model import Robot
+import json
+import math
+import re
+import sys
+from collections.abc import Mapping, Sequence
+
+from thorvaldc.backends.ros2_parts import (
+    Parts,
+    base_frame,
+    full_topic,
+    map_frame,
+    odom_frame,
+    sensor_topic,
+)
+from thorvaldc.model import Robot, Sensor
 from thorvaldc.model.settings import DRIVER, FOR_FILTERS
 
-TELEOP_SHARE = 0.5  # speed without the turbo button, as a fraction of the robot's limits
-
+Scalar = bool | int | float | str
+Value = Scalar | Sequence[Scalar] | Mapping[str, "Value"]
 Parameters = dict[str, Value]
+
+HEADER = "# Made by thorvaldc from the robot's file; changes here are lost.\n"
+
+_NODE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)*/?[A-Za-z_][A-Za-z0-9_]*")
+_PLAIN_KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+# Words that some YAML readers read as a truth value, a number or null instead of text.
+_WORDS = frozenset(
+    ["y", "n", "yes", "no", "on", "off", "true", "false", "null", "nan", "inf", "infinity"]
+)
+# Characters that end a line or are forbidden in YAML, and that a JSON encoder does not escape.
+_UNSAFE = re.compile("[\x7f-\xa0\u2028\u2029\ufeff\ufffe\uffff]")
+_INT64 = 1 << 63
+TELEOP_SHARE = 0.5  # speed without the turbo button, as a fraction of the robot's limits
 
 
 def base_driver(robot: Robot, parts: Parts) -> Parameters:
@@ -112,3 +137,221 @@ def robot_state_publisher(robot: Robot) -> Parameters:
         "publish_frequency": robot.driver.rate,
         "ignore_timestamp": False,
     }
+
+
+# -- localization: robot_localization and slam_toolbox -------------------------------------
+#
+# robot_localization takes the covariances of its inputs from the messages: those of the odometry
+# are estimated by the base driver, whose parameter `twist_covariance` is `for_filters`. Two
+# filters can run:
+#
+# - ``ekf_odom`` fuses odometry and IMU, and publishes the transform from ``odom`` to ``base_link``,
+#   if the robot file says ``odom_tf: ekf``;
+# - ``ekf_map`` fuses odometry, IMU and GNSS, and publishes the transform from ``map`` to ``odom``.
+
+# The state of an EKF, in the order of robot_localization: position, orientation, velocity,
+# angular velocity, acceleration, each with x, y and z. An input measures a part of it.
+_VX, _VY, _YAW_RATE, _YAW, _X, _Y = 6, 7, 11, 5, 0, 1
+
+
+def _inputs(*used: int) -> list[bool]:
+    return [k in used for k in range(15)]
+
+
+def ekf_odom(robot: Robot, parts: Parts) -> Parameters:
+    """Return the parameters of the EKF that publishes the transform from ``odom`` to
+    ``base_link``."""
+    return {**_ekf(robot, odom_frame(robot)), **_sources(robot, parts, absolute_yaw=False)}
+
+
+def ekf_map(robot: Robot, parts: Parts) -> Parameters:
+    """Return the parameters of the EKF that publishes the transform from ``map`` to ``odom``."""
+    return {
+        **_ekf(robot, map_frame(robot)),
+        **_sources(robot, parts, absolute_yaw=True),
+        "odom1": full_topic(robot, "odometry/gps"),
+        "odom1_config": _inputs(_X, _Y),
+        "odom1_differential": False,
+    }
+
+
+def _ekf(robot: Robot, world_frame: str) -> Parameters:
+    return {
+        "frequency": robot.driver.rate,
+        "two_d_mode": True,
+        "publish_tf": True,
+        "map_frame": map_frame(robot),
+        "odom_frame": odom_frame(robot),
+        "base_link_frame": base_frame(robot),
+        "world_frame": world_frame,
+        "process_noise_covariance": process_noise(robot),
+    }
+
+
+def process_noise(robot: Robot) -> list[float]:
+    """Return the diagonal of the process noise of an EKF: its growth per second.
+
+    The filter takes the accelerations as white, and the driver's last as long as a ramp: from the
+    largest velocity v to rest with the deceleration a, t = v/a. White noise whose sum has the same
+    variance has the intensity 2 a^2 t = 2 a v (``thorvaldc.runtime.odometry`` derives the
+    factor 2 t). The filter then follows each ramp, and still weighs odometry against an IMU by
+    their covariances.
+
+    All other values are 0. The pose changes only by the velocity, whose errors the twist's
+    covariance has. Nothing measures the accelerations, which stay 0. `two_d_mode` keeps height,
+    roll and pitch at 0.
+    """
+    driver = robot.driver
+    linear = max(driver.max_linear_acceleration, driver.max_linear_deceleration)
+    angular = max(driver.max_angular_acceleration, driver.max_angular_deceleration)
+    linear *= 2.0 * driver.max_linear_velocity
+    angular *= 2.0 * driver.max_angular_velocity
+    growth = {_VX: linear, _VY: linear, _YAW_RATE: angular}
+    return [growth.get(k, 0.0) for k in range(15)]
+
+
+def _sources(robot: Robot, parts: Parts, *, absolute_yaw: bool) -> Parameters:
+    """Return the parameters of the inputs that both filters have.
+
+    A filter ignores the orientation of an IMU that marks it as unknown (REP 145).
+    """
+    values: Parameters = {
+        "odom0": full_topic(robot, "odometry/base_raw"),
+        "odom0_config": _inputs(_VX, _VY, _YAW_RATE),
+        "odom0_differential": False,
+    }
+    if parts.imu is not None:
+        used = (_YAW, _YAW_RATE) if absolute_yaw else (_YAW_RATE,)
+        values |= {
+            "imu0": sensor_topic(robot, parts.imu),
+            "imu0_config": _inputs(*used),
+            "imu0_differential": False,
+        }
+    return values
+
+
+def navsat_transform(robot: Robot, parts: Parts) -> Parameters:
+    """Return the parameters of the node that converts GNSS positions to the frame ``map``."""
+    return {
+        "frequency": robot.driver.rate,
+        "zero_altitude": True,
+        "publish_filtered_gps": True,
+        "use_odometry_yaw": parts.imu is None,
+        "wait_for_datum": False,
+    }
+
+
+def slam_toolbox(robot: Robot, lidar: Sensor) -> Parameters:
+    """Return the parameters of slam_toolbox, which makes a map with a 2d lidar and publishes the
+    transform from ``map`` to ``odom``."""
+    properties = dict(lidar.properties)
+    values: Parameters = {
+        "map_frame": map_frame(robot),
+        "odom_frame": odom_frame(robot),
+        "base_frame": base_frame(robot),
+        "scan_topic": sensor_topic(robot, lidar),
+        "map_name": full_topic(robot, "map"),
+        "resolution": 0.05,
+        "map_update_interval": 2.0,
+        "transform_publish_period": 1.0 / robot.driver.rate,
+        "minimum_travel_distance": 0.3,
+        "minimum_travel_heading": 0.3,
+    }
+    if "range" in properties:
+        values["max_laser_range"] = float(properties["range"])
+    return values
+
+
+# -- files of parameters ---------------------------------------------------------------
+#
+# Every YAML reader reads them in the same way. The YAML parser of ROS 2 (rcl) rejects aliases,
+# nested or mixed lists and empty values, and guesses the type of some values: ``y`` is true,
+# ``017`` is 15, and ``1e3`` is a number. The writer therefore puts all text in double quotes,
+# writes every float with a dot, and rejects empty lists and lists with mixed types.
+
+
+class ParameterError(ValueError):
+    """A value that a ROS 2 parameter file cannot contain. The error message contains the name of
+    the ROS 2 parameter."""
+
+
+def parameter_file(nodes: Mapping[str, Mapping[str, Value]]) -> str:
+    """Return the text of a ROS 2 parameter file.
+
+    ``nodes`` maps the full name of each ROS 2 node, such as ``/r1/base_driver``, to the parameters
+    of the node. A nested dictionary is a group of ROS 2 parameters: ``{"a": {"b": 1}}`` is the
+    parameter ``a.b``. Raises ``ParameterError`` for a value that rcl, the YAML parser of ROS 2,
+    rejects or misreads.
+    """
+    lines = [HEADER]
+    for node, parameters in nodes.items():
+        if not _NODE.fullmatch(node):
+            raise ParameterError(f"`{node}` is no name of a ROS node")
+        lines.append(f"{node}:\n  ros__parameters:\n")
+        _write(lines, parameters, 2, node)
+    return "".join(lines)
+
+
+def _write(lines: list[str], group: Mapping[str, Value], depth: int, path_of_group: str) -> None:
+    if not group:
+        raise ParameterError(f"`{path_of_group}` has no parameters")
+    for name, value in group.items():
+        path = f"{path_of_group}.{name}"
+        key = _key(name)
+        if isinstance(value, Mapping):
+            lines.append(f"{'  ' * depth}{key}:\n")
+            _write(lines, value, depth + 1, path)
+        else:
+            lines.append(f"{'  ' * depth}{key}: {_value(value, path)}\n")
+
+
+def _key(name: str) -> str:
+    if _PLAIN_KEY.fullmatch(name) and name.lower() not in _WORDS:
+        return name
+    return quoted(name)
+
+
+def _value(value: Value, path: str) -> str:
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        return _scalar(value, path)
+    if not value:
+        raise ParameterError(f"`{path}` is an empty list, which has no type")
+    if len({type(item) for item in value}) > 1:
+        raise ParameterError(f"`{path}` mixes types in a list")
+    return f"[{', '.join(_scalar(item, path) for item in value)}]"
+
+
+def _scalar(value: object, path: str) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        if not -_INT64 <= value < _INT64:
+            raise ParameterError(f"`{path}` does not fit into 64 bits: {value}")
+        return str(value)
+    if isinstance(value, float):
+        return real(value, path)
+    if isinstance(value, str):
+        return quoted(value)
+    raise ParameterError(f"`{path}` is {value!r}, which is no parameter value")
+
+
+def real(value: float, path: str = "value") -> str:
+    """Return the shortest text with a decimal point that reads back as the same float.
+
+    Denormal floating-point numbers become 0.0. Raises ``ParameterError`` for NaN and infinite
+    numbers.
+    """
+    if not math.isfinite(value):
+        raise ParameterError(f"`{path}` is not finite: {value}")
+    if abs(value) < sys.float_info.min:  # strtod reports denormal numbers as out of range
+        return "0.0"
+    text = repr(value)
+    mantissa, e, exponent = text.partition("e")
+    return text if "." in mantissa else f"{mantissa}.0{e}{exponent}"
+
+
+def quoted(text: str) -> str:
+    """Return the text in double quotes with JSON's escape sequences, which are also valid in
+    YAML."""
+    escaped = json.dumps(text, ensure_ascii=False)
+    return _UNSAFE.sub(lambda match: f"\\u{ord(match[0]):04x}", escaped)

@@ -9,18 +9,41 @@ The files have the version 1.9 of SDF, which Gazebo Fortress and all newer versi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
 
 from thorvaldc.backends import Backend
-from thorvaldc.backends.colors_and_meshes import mesh_files
-from thorvaldc.backends.sdf_robot import add_robot
-from thorvaldc.backends.sdf_world import add_blocks, add_ground, add_systems
-from thorvaldc.backends.urdf_only import urdf_only_elements
+from thorvaldc.backends.description_parts import (
+    BLOCK_COLORS,
+    gravity_on,
+    mesh_files,
+    urdf_only_elements,
+)
+from thorvaldc.backends.sdf_robot import (
+    SENSORS,
+    add_geometry,
+    add_material,
+    add_pose,
+    add_robot,
+    add_system,
+)
 from thorvaldc.backends.xml_writer import Element, to_bytes
 from thorvaldc.diagnostics import Diagnostic
-from thorvaldc.model import Fleet, Pose, Robot, World
+from thorvaldc.model import Fleet, Ground, Pose, Robot, World
+from thorvaldc.model.stl import Triangle, binary_stl
 
-VERSION = "1.9"
+STEP = 0.001
+"""Time step of the physics in s."""
+TERRAIN = "terrain.stl"
+_GROUND_SIZE = 200.0  # m, edge of the visible ground
+_GROUND_COLOR = (0.5, 0.47, 0.4, 1.0)
+_FIELD = {"latitude_deg": 59.665, "longitude_deg": 10.775, "elevation": 90.0}
+"""Origin of the world for GNSS receivers: a field in As, Norway."""
+_SYSTEMS = (
+    ("physics", "Physics"),
+    ("user-commands", "UserCommands"),
+    ("scene-broadcaster", "SceneBroadcaster"),
+)
 
 
 class Sdf(Backend):
@@ -81,10 +104,9 @@ def world_files(
 def _config(robot: Robot) -> bytes:
     """Return the file by which Gazebo knows the folder ``sdf`` as a model."""
     root = Element("model")
-    root.add("name").text = robot.name
-    root.add("version").text = "1.0"
+    root.fill(name=robot.name, version="1.0")
     root.add("sdf", version=VERSION).text = "model.sdf"
-    root.add("description").text = robot.description or robot.name
+    root.fill(description=robot.description or robot.name)
     return to_bytes(root)
 
 
@@ -108,14 +130,111 @@ def _empty_world(
     """Return the root of a file and its world, with the systems of Gazebo."""
     root = Element("sdf", version=VERSION)
     world = root.add("world", name=name)
-    add_systems(world, robots, surroundings)
+    _add_systems(world, robots, surroundings)
     return root, world
 
 
 def _add_surroundings(
     world: Element, surroundings: World | None, starts: Sequence[Pose]
 ) -> dict[str, bytes]:
-    files = add_ground(world, surroundings, starts)
+    files = _add_ground(world, surroundings, starts)
     if surroundings is not None:
-        add_blocks(world, surroundings)
+        _add_blocks(world, surroundings)
     return files
+
+
+# -- the world: it is fixed to the ground; on a slope, gravity is inclined as in MuJoCo ---
+
+
+def _add_systems(world: Element, robots: Sequence[Robot], surroundings: World | None) -> None:
+    """Add physics, gravity, and the systems of Gazebo that the sensors of the robots need."""
+    world.add("physics", name="physics", type="dart").fill(max_step_size=STEP, real_time_factor=1)
+    ground = surroundings.ground if surroundings is not None else Ground()
+    world.fill(gravity=gravity_on(ground))
+    for library, name in _SYSTEMS:
+        add_system(world, library, name)
+    kinds = {SENSORS.get(sensor.type) for robot in robots for sensor in robot.sensors}
+    if kinds & {"gpu_lidar", "camera"}:
+        add_system(world, "sensors", "Sensors").fill(render_engine="ogre2")
+    if "imu" in kinds:
+        add_system(world, "imu", "Imu")
+    if "navsat" in kinds:
+        add_system(world, "navsat", "NavSat")
+        world.add("spherical_coordinates").fill(surface_model="EARTH_WGS84", **_FIELD)
+
+
+def _add_ground(
+    world: Element, surroundings: World | None, starts: Sequence[Pose]
+) -> dict[str, bytes]:
+    """Add the sun and the ground, and return the mesh of rough ground by its path.
+
+    ``starts`` lists the poses of the robots: rough ground is level around them.
+    """
+    world.add("light", name="sun", type="directional").fill(
+        pose="0 0 10 0 0 0",
+        cast_shadows=True,
+        diffuse="0.8 0.8 0.8 1",
+        specular="0.2 0.2 0.2 1",
+        direction="-0.5 0.1 -0.9",
+    )
+    ground = surroundings.ground if surroundings is not None else Ground()
+    link = _static_link(world, "ground")
+    if ground.amplitude:
+        add_pose(link, Pose((0.0, 0.0, -ground.amplitude)))
+    for part in _parts(link):
+        plane = part.add("geometry").add("plane")
+        plane.fill(normal="0 0 1", size=(_GROUND_SIZE, _GROUND_SIZE))
+        if part.tag == "visual":
+            add_material(part, _GROUND_COLOR)
+    if not ground.amplitude:
+        return {}
+    from thorvaldc.backends.mjcf_terrain import heights  # few builds need it
+
+    link = _static_link(world, "terrain")
+    for part in _parts(link):
+        part.add("geometry").add("mesh").fill(uri=TERRAIN)
+        if part.tag == "visual":
+            add_material(part, _GROUND_COLOR)
+    scaled = [
+        [ground.amplitude * (2.0 * height - 1.0) for height in row]
+        for row in heights(ground, starts)
+    ]
+    return {f"sdf/{TERRAIN}": binary_stl(_triangles(scaled, ground.size), bytes(80))}
+
+
+def _add_blocks(world: Element, surroundings: World) -> None:
+    """Add the fixed bodies of a scenario."""
+    for block in surroundings.blocks:
+        link = _static_link(world, f"{block.kind}_{block.name}")
+        add_pose(link, block.pose)
+        for part in _parts(link):
+            add_geometry(part, block.shape, "")
+            if part.tag == "visual":
+                add_material(part, BLOCK_COLORS[block.kind])
+
+
+def _static_link(world: Element, name: str) -> Element:
+    return world.add("model", name=name).fill(static=True).add("link", name="link")
+
+
+def _parts(link: Element) -> tuple[Element, Element]:
+    return link.add("collision", name="collision"), link.add("visual", name="visual")
+
+
+def _triangles(rows: Sequence[Sequence[float]], size: tuple[float, float]) -> Iterator[Triangle]:
+    """Yield the triangles of a grid of heights in m, two for each cell.
+
+    ``rows`` has one row for each y coordinate; ``size`` has the edges along x and y in m.
+    """
+    ny, nx = len(rows) - 1, len(rows[0]) - 1
+    points = [
+        [(size[0] * (i / nx - 0.5), size[1] * (j / ny - 0.5), z) for i, z in enumerate(row)]
+        for j, row in enumerate(rows)
+    ]
+    for low, high in pairwise(points):
+        for (a, b), (d, c) in zip(pairwise(low), pairwise(high), strict=True):
+            yield a, b, c
+            yield a, c, d
+
+
+VERSION = "1.9"

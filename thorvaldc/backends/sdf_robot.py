@@ -16,28 +16,52 @@ Contact of tyres.  The data of a tyre are in ``Wheel``: radius, width, friction,
 
 from __future__ import annotations
 
-from thorvaldc.backends.gazebo_topics import JOINT_STATES, TRUE_ODOMETRY, joint_commands
+import math
+from collections.abc import Mapping
+
 from thorvaldc.backends.ros2_controllers import CONTROLLER_FILE
-from thorvaldc.backends.sdf_elements import add_geometry, add_pose, add_system
-from thorvaldc.backends.sdf_sensors import add_sensor
-from thorvaldc.backends.xml_writer import Element, number, numbers
+from thorvaldc.backends.ros2_parts import (
+    JOINT_STATES,
+    TRUE_ODOMETRY,
+    joint_commands,
+    sensor_topics,
+)
+from thorvaldc.backends.xml_writer import Element, numbers
 from thorvaldc.model import (
     Actuator,
+    Box,
     Collision,
     Cylinder,
     Joint,
     JointServo,
     Link,
+    MeshShape,
     Pose,
     Robot,
+    Scalar,
+    Sensor,
+    Shape,
     Sphere,
     Wheel,
 )
-from thorvaldc.model.spatial import clean, combine, quat_from_z_to
+from thorvaldc.model.spatial import clean, clean3, combine, quat_from_z_to
 from thorvaldc.model.statics.joint_tree import JointTree, tree_of
 from thorvaldc.model.statics.standing_pose import spin_axis
 from thorvaldc.model.statics.wheel_contact import rolling_sphere
 
+SENSORS = {
+    "lidar_2d": "gpu_lidar",
+    "lidar_3d": "gpu_lidar",
+    "imu": "imu",
+    "gnss": "navsat",
+    "camera": "camera",
+}
+"""Sensor types of SDF by the sensor types of the model; other sensors have no counterpart."""
+CAMERA = Pose.from_xyz_rpy((0.0, 0.0, 0.0), (0.0, -math.pi / 2, math.pi / 2))
+"""The frame of an SDF camera in the optical frame: an SDF camera looks along x with z up, the
+optical frame looks along z with y down."""
+
+Values = Mapping[str, Scalar]
 GZ_ROS2_CONTROL = ("gz_ros2_control-system", "gz_ros2_control::GazeboSimROS2ControlPlugin")
 """File and class of the plug-in of ros2_control for Gazebo."""
 POSITION_GAIN = 0.5
@@ -121,13 +145,9 @@ class _RobotWriter:
         ]
         if bodies:
             body = (bodies[0] if len(bodies) == 1 else combine(bodies)).clean()
-            inertial = element.add("inertial")
-            inertial.add("pose").text = numbers((*body.com, 0.0, 0.0, 0.0))
-            inertial.add("mass").text = number(body.mass)
-            inertia = inertial.add("inertia")
+            inertial = element.add("inertial").fill(pose=(*body.com, 0.0, 0.0, 0.0), mass=body.mass)
             names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-            for name, value in zip(names, body.inertia, strict=True):
-                inertia.add(name).text = number(value)
+            inertial.add("inertia").fill(**dict(zip(names, body.inertia, strict=True)))
         for link in links:
             self._add_shapes(element, link)
         for sensor in self.robot.sensors:
@@ -141,11 +161,9 @@ class _RobotWriter:
             part = element.add("visual", name=f"{link.name}_visual_{i}")
             add_pose(part, at * visual.pose)
             add_geometry(part, visual.shape, self.meshes)
-            material = part.add("material")
-            for name in ("ambient", "diffuse"):
-                material.add(name).text = numbers(visual.color)
+            add_material(part, visual.color)
             if visual.color[3] < 1.0:
-                part.add("transparency").text = number(clean(1.0 - visual.color[3]))
+                part.fill(transparency=clean(1.0 - visual.color[3]))
         wheel = self.wheels.get(link.name)
         shapes: tuple[Collision, ...] = link.collisions
         if wheel is not None:
@@ -155,10 +173,8 @@ class _RobotWriter:
             add_pose(part, at * collision.pose)
             add_geometry(part, collision.shape, self.meshes)
             if wheel is not None:
-                friction = part.add("surface").add("friction")
-                ode = friction.add("ode")
-                for name in ("mu", "mu2"):
-                    ode.add(name).text = number(wheel.friction)
+                ode = part.add("surface").add("friction").add("ode")
+                ode.fill(mu=wheel.friction, mu2=wheel.friction)
 
     def _add_frame(self, model: Element, link: Link) -> None:
         top = self.prefix + self.group_of[link.name]
@@ -170,21 +186,15 @@ class _RobotWriter:
     def _add_joint(self, model: Element, joint: Joint) -> None:
         kind = "prismatic" if joint.type == "prismatic" else "revolute"
         element = model.add("joint", name=self.prefix + joint.name, type=kind)
-        element.add("parent").text = self.prefix + self.group_of[joint.parent]
-        element.add("child").text = self.prefix + joint.child
-        axis = element.add("axis")
-        axis.add("xyz").text = numbers(joint.axis)
-        limit = axis.add("limit")
-        for name, value in (
-            ("lower", joint.lower),
-            ("upper", joint.upper),
-            ("effort", joint.effort),
-            ("velocity", joint.velocity),
-        ):
-            if value is not None:
-                limit.add(name).text = number(value)
-            elif name in ("lower", "upper"):
-                limit.add(name).text = "-1e16" if name == "lower" else "1e16"
+        parent = self.prefix + self.group_of[joint.parent]
+        element.fill(parent=parent, child=self.prefix + joint.child)
+        axis = element.add("axis").fill(xyz=joint.axis)
+        axis.add("limit").fill(
+            lower="-1e16" if joint.lower is None else joint.lower,
+            upper="1e16" if joint.upper is None else joint.upper,
+            effort=joint.effort,
+            velocity=joint.velocity,
+        )
         dynamics = {
             "damping": joint.damping,
             "friction": clean(joint.friction + self._rolling_friction(joint)),
@@ -192,9 +202,7 @@ class _RobotWriter:
             "spring_reference": joint.spring_reference if joint.stiffness else 0.0,
         }
         if any(dynamics.values()):
-            part = axis.add("dynamics")
-            for name, value in dynamics.items():
-                part.add(name).text = number(value)
+            axis.add("dynamics").fill(**dynamics)
 
     def _rolling_friction(self, joint: Joint) -> float:
         """Return the torque in N m by which the static load resists the rolling of a wheel."""
@@ -207,26 +215,26 @@ class _RobotWriter:
 
     def _add_systems(self, model: Element) -> None:
         """Add the systems of Gazebo that drive the joints and publish states and odometry."""
-        odometry = add_system(model, "odometry-publisher", "OdometryPublisher")
-        odometry.add("odom_frame").text = f"{self.prefix}odom"
-        odometry.add("robot_base_frame").text = self.prefix + self.robot.links[0].name
-        odometry.add("odom_topic").text = self.prefix + TRUE_ODOMETRY
-        odometry.add("odom_publish_frequency").text = number(self.robot.driver.rate)
-        odometry.add("dimensions").text = "3"
+        rate = self.robot.driver.rate
+        add_system(model, "odometry-publisher", "OdometryPublisher").fill(
+            odom_frame=f"{self.prefix}odom",
+            robot_base_frame=self.prefix + self.robot.links[0].name,
+            odom_topic=self.prefix + TRUE_ODOMETRY,
+            odom_publish_frequency=rate,
+            dimensions=3,
+        )
         if self.share is not None:
             self._add_ros2_control(model, self.share)
             return
         states = add_system(model, "joint-state-publisher", "JointStatePublisher")
-        states.add("topic").text = self.prefix + JOINT_STATES
         # By default, Gazebo publishes the states after each step, 1000 times a second.
-        states.add("update_rate").text = number(self.robot.driver.rate)
+        states.fill(topic=self.prefix + JOINT_STATES, update_rate=rate)
         for joint in self.tree.moving:
-            states.add("joint_name").text = self.prefix + joint.name
+            states.fill(joint_name=self.prefix + joint.name)
         topics = dict(joint_commands(self.robot))
-        for actuator in self.robot.actuators:
-            self._add_controller(model, actuator, self.prefix + topics[actuator.joint])
-        for servo in self.robot.joint_servos:
-            self._add_controller(model, servo, self.prefix + topics[servo.joint])
+        motors: list[Actuator | JointServo] = [*self.robot.actuators, *self.robot.joint_servos]
+        for motor in motors:
+            self._add_controller(model, motor, self.prefix + topics[motor.joint])
 
     def _add_ros2_control(self, model: Element, share: str) -> None:
         """Add the plug-in that runs a controller manager of ros2_control inside Gazebo.
@@ -235,10 +243,11 @@ class _RobotWriter:
         has, see ``ros2_control``.
         """
         plugin = model.add("plugin", filename=GZ_ROS2_CONTROL[0], name=GZ_ROS2_CONTROL[1])
-        plugin.add("parameters").text = f"{share}/{CONTROLLER_FILE}"
-        plugin.add("position_proportional_gain").text = number(POSITION_GAIN)
+        plugin.fill(
+            parameters=f"{share}/{CONTROLLER_FILE}", position_proportional_gain=POSITION_GAIN
+        )
         if self.robot.namespace:
-            plugin.add("ros").add("namespace").text = f"/{self.robot.namespace}"
+            plugin.add("ros").fill(namespace=f"/{self.robot.namespace}")
 
     def _add_controller(self, model: Element, motor: Actuator | JointServo, topic: str) -> None:
         joint = motor.joint
@@ -246,23 +255,19 @@ class _RobotWriter:
         interface = motor.interface if isinstance(motor, JointServo) else _controlled_by(motor)
         if interface == "velocity":
             system = add_system(model, "joint-controller", "JointController")
-            system.add("joint_name").text = name
-            system.add("topic").text = topic
+            system.fill(joint_name=name, topic=topic)
             return
         system = add_system(model, "joint-position-controller", "JointPositionController")
-        system.add("joint_name").text = name
-        system.add("topic").text = topic
         # The controller asks for the speed that reaches the target within one step, up to the
         # largest speed of the joint.
-        system.add("use_velocity_commands").text = "true"
+        system.fill(joint_name=name, topic=topic, use_velocity_commands=True)
         speed = self.tree.joints[joint].velocity
         if isinstance(motor, Actuator):
             speed = motor.max_velocity
         else:
-            system.add("initial_position").text = number(motor.initial)
+            system.fill(initial_position=motor.initial)
         if speed:
-            system.add("cmd_max").text = number(speed)
-            system.add("cmd_min").text = number(-speed)
+            system.fill(cmd_max=speed, cmd_min=-speed)
 
 
 def _controlled_by(actuator: Actuator) -> str:
@@ -287,3 +292,122 @@ def rigid_contact_shapes(tree: JointTree, wheel: Wheel) -> tuple[Collision, ...]
         for t in wheel.treads
     )
     return (Collision(Sphere(sphere.radius), Pose(sphere.center)), *rings)
+
+
+# -- sensors ---------------------------------------------------------------------------
+
+
+def add_sensor(link: Element, sensor: Sensor, pose: Pose, prefix: str) -> None:
+    """Add a sensor to an SDF link. ``pose`` is the pose of the measurement frame in the link.
+
+    ``ros2_parts`` has the topics of the sensor. A sensor of a type without a counterpart in SDF
+    is left out.
+    """
+    kind = SENSORS.get(sensor.type)
+    if kind is None:
+        return
+    values = dict(sensor.properties)
+    element = link.add("sensor", name=prefix + sensor.name, type=kind)
+    add_pose(element, pose * CAMERA if kind == "camera" else pose)
+    element.fill(always_on=True, update_rate=_number(values, "rate", 10.0))
+    first, *others = (prefix + topic for topic, _, _ in sensor_topics(sensor))
+    # A lidar publishes scans on its topic, and points on the topic ``points`` below it.
+    element.fill(topic=first.removesuffix("/points"), gz_frame_id=prefix + sensor.link)
+    if kind == "camera":
+        _add_camera(element, values, others[0])
+    elif kind == "gpu_lidar":
+        _add_lidar(element, values, sensor.type)
+    elif kind == "imu":
+        _add_imu(element, values)
+    else:
+        _add_navsat(element, values)
+
+
+def _number(values: Values, name: str, default: float) -> float:
+    value = values.get(name, default)
+    return default if isinstance(value, str) else float(value)
+
+
+def _add_lidar(element: Element, values: Values, kind: str) -> None:
+    lidar = element.add("lidar")
+    scan = lidar.add("scan")
+    width = _number(values, "field_of_view", math.tau)
+    step = _number(values, "angular_resolution", math.radians(1.0))
+    _add_scan(scan.add("horizontal"), width, max(2, round(width / step) + 1))
+    if kind == "lidar_3d":
+        height = _number(values, "vertical_field_of_view", math.radians(30.0))
+        _add_scan(scan.add("vertical"), height, int(_number(values, "layers", 16)))
+    nearest, farthest = _number(values, "minimum_range", 0.05), _number(values, "range", 30.0)
+    lidar.add("range").fill(min=nearest, max=farthest)
+
+
+def _add_scan(element: Element, angle: float, samples: int) -> None:
+    element.fill(samples=samples, min_angle=clean(-angle / 2), max_angle=clean(angle / 2))
+
+
+def _add_camera(element: Element, values: Values, info_topic: str) -> None:
+    angle = _number(values, "horizontal_field_of_view", math.radians(69.0))
+    camera = element.add("camera").fill(camera_info_topic=info_topic, horizontal_fov=angle)
+    width, height = _number(values, "image_width", 1280), _number(values, "image_height", 720)
+    camera.add("image").fill(width=int(width), height=int(height))
+    camera.add("clip").fill(near=0.05, far=100)
+
+
+def _add_imu(element: Element, values: Values) -> None:
+    """Add an IMU. A noise density d gives the standard deviation d sqrt(rate) of a sample."""
+    imu = element.add("imu")
+    samples = math.sqrt(_number(values, "rate", 100.0))
+    for group, name in (
+        ("angular_velocity", "gyro_noise"),
+        ("linear_acceleration", "accelerometer_noise"),
+    ):
+        deviation = clean(_number(values, name, 0.0) * samples)
+        if deviation:
+            part = imu.add(group)
+            for axis in "xyz":
+                _add_noise(part.add(axis), deviation)
+
+
+def _add_navsat(element: Element, values: Values) -> None:
+    deviation = _number(values, "accuracy", 0.0)
+    if deviation:
+        sensing = element.add("navsat").add("position_sensing")
+        for axis in ("horizontal", "vertical"):
+            _add_noise(sensing.add(axis), deviation)
+
+
+def _add_noise(element: Element, deviation: float) -> None:
+    element.add("noise", type="gaussian").fill(mean=0, stddev=deviation)
+
+
+# -- elements that several parts of an SDF file contain --------------------------------
+
+
+def add_system(parent: Element, library: str, name: str) -> Element:
+    return parent.add(
+        "plugin", filename=f"gz-sim-{library}-system", name=f"gz::sim::systems::{name}"
+    )
+
+
+def add_pose(parent: Element, pose: Pose, relative_to: str | None = None) -> None:
+    values = (*clean3(pose.xyz), *clean3(pose.rpy()))
+    if any(values) or relative_to is not None:
+        parent.add("pose", relative_to=relative_to).text = numbers(values)
+
+
+def add_geometry(parent: Element, shape: Shape, meshes: str) -> None:
+    geometry = parent.add("geometry")
+    match shape:
+        case Box(size):
+            geometry.add("box").fill(size=size)
+        case Cylinder(radius, length):
+            geometry.add("cylinder").fill(radius=radius, length=length)
+        case MeshShape(mesh, scale):
+            scaled = None if scale == (1.0, 1.0, 1.0) else scale
+            geometry.add("mesh").fill(uri=f"{meshes}/{mesh}", scale=scaled)
+        case _:
+            geometry.add("sphere").fill(radius=shape.radius)
+
+
+def add_material(visual: Element, color: tuple[float, float, float, float]) -> None:
+    visual.add("material").fill(ambient=color, diffuse=color)

@@ -6,18 +6,17 @@ MuJoCo's importer also reads the URDF files without loss.
 from __future__ import annotations
 
 from thorvaldc.backends import Backend
-from thorvaldc.backends.colors_and_meshes import Palette, mesh_files
+from thorvaldc.backends.description_parts import Palette, mesh_files
 from thorvaldc.backends.ros2_control import kept_extensions, ros2_control_elements
 from thorvaldc.backends.xml_writer import (
     Element,
     Rename,
     add_to_root,
     escape,
-    number,
     parse,
     to_text,
 )
-from thorvaldc.model import Box, Cylinder, Joint, Link, MeshShape, Pose, Robot, Shape, Wheel
+from thorvaldc.model import Box, Cylinder, Joint, Link, MeshShape, Pose, Robot, Shape
 from thorvaldc.model.element import once_per_model
 from thorvaldc.model.spatial import clean
 
@@ -189,14 +188,9 @@ def _add_gazebo(root: Element, robot: Robot, prefix: str) -> None:
     """Add springs and tyre friction as Gazebo elements, because URDF has no elements for them."""
     for joint in robot.joints:
         if joint.stiffness != 0.0:
-            element = root.add("gazebo", reference=prefix + joint.name)
-            element.add("springStiffness").text = number(joint.stiffness)
-            element.add("springReference").text = number(joint.spring_reference)
+            root.add("gazebo", reference=prefix + joint.name).fill(
+                springStiffness=joint.stiffness, springReference=joint.spring_reference
+            )
     for wheel in robot.wheels:
-        _add_friction(root, wheel, prefix)
-
-
-def _add_friction(root: Element, wheel: Wheel, prefix: str) -> None:
-    element = root.add("gazebo", reference=prefix + wheel.link)
-    element.add("mu1").text = number(wheel.friction)
-    element.add("mu2").text = number(wheel.friction)
+        friction = wheel.friction
+        root.add("gazebo", reference=prefix + wheel.link).fill(mu1=friction, mu2=friction)

@@ -117,6 +117,13 @@ class Element:
         self.children.append(child)
         return child
 
+    def fill(self, **texts: Value | None) -> Element:
+        """Append a child element for the text of each value but ``None``; return this element."""
+        for tag, value in texts.items():
+            if value is not None:
+                self.add(tag).text = value if isinstance(value, str) else _format(value)
+        return self
+
     def append(self, child: Element) -> Element:
         self.children.append(child)
         return child

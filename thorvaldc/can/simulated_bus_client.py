@@ -21,7 +21,7 @@ from thorvaldc.can.frame import (
     to_ns,
 )
 from thorvaldc.can.local_socket import Unpacker, pack, pack_json, socket_path
-from thorvaldc.diagnostics.foreign_json import read_json
+from thorvaldc.diagnostics.files import read_json
 
 ANSWER_TIME = 5.0
 """Longest time (s) to wait for the WELCOME message of the server."""

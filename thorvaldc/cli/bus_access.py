@@ -1,10 +1,12 @@
 """Access to a CAN bus of a robot for the commands ``can scan``, ``can plan``, ``can flash`` and
-``can verify``."""
+``can verify``.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import gc
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,22 +14,20 @@ from pathlib import Path
 import typer
 
 from thorvaldc.can.open_interface import bus_lock, open_interface
-from thorvaldc.cli.console_operator import ConsoleOperator
+from thorvaldc.cli.command import check_full_installation
 from thorvaldc.cli.diagnostic_output import message, report_of
 from thorvaldc.cli.exits import INPUT
-from thorvaldc.cli.hardware_warning import is_hardware
-from thorvaldc.cli.installation import check_full_installation
 from thorvaldc.cli.options import refuse_options
 from thorvaldc.cli.progress import Progress
-from thorvaldc.cli.robot_file import load_robot
-from thorvaldc.cli.selected_bus import select_bus
+from thorvaldc.cli.robot_file import is_hardware, load_robot, select_bus
 from thorvaldc.commissioning.bus_configuration import BusConfiguration, configuration_of
 from thorvaldc.commissioning.bus_master import BusMaster, other_master_error
-from thorvaldc.commissioning.planner import Plan, PlanStep, make_plan
+from thorvaldc.commissioning.planner import AttachStep, Plan, PlanStep, make_plan
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.commissioning.step_executor import Operator
 from thorvaldc.diagnostics import DiagnosticError
-from thorvaldc.model import Bus, Robot
+from thorvaldc.model import Robot
+from thorvaldc.model.bus import Bus
 
 UNTESTED = (
     "note: this was never tried on physical hardware, only on simulated buses. Lift the wheels "
@@ -167,3 +167,30 @@ def _open_virtual_bus(robot: Robot, bus: Bus, name: str, store: str) -> Iterator
     finally:
         if store:
             write_memory(Path(store), simulated)
+
+
+class ConsoleOperator:
+    """A person at the terminal who carries out manual steps, and presses Enter after each."""
+
+    def attach(self, step: AttachStep, words: str) -> bool:
+        return self._confirm(f"{words} Press Enter when it is done, or type `skip`. ")
+
+    def power_all(self, words: str) -> bool:
+        return self._confirm(f"{words} Press Enter when it is done. ")
+
+    def _confirm(self, request: str) -> bool:
+        line = _read_answer(request)
+        return bool(line) and line.strip().lower() not in ("skip", "s")
+
+
+def agrees(question: str) -> bool:
+    """Asks a yes-or-no question and returns true for yes.
+
+    An empty answer to the question means no.
+    """
+    return _read_answer(f"{question} [y/N] ").strip().lower() in ("y", "yes")
+
+
+def _read_answer(question: str) -> str:
+    print(question, end="", file=sys.stderr, flush=True)
+    return sys.stdin.readline()

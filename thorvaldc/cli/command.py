@@ -1,4 +1,4 @@
-"""Typer commands whose modules are imported only when the user calls the command.
+"""The table of commands, and typer commands that are imported only when the user calls them.
 
 All parameters of a command function are texts, lists of texts or flags.
 """
@@ -7,19 +7,52 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator
-from typing import Any, ClassVar, ParamSpec
+from importlib.util import find_spec
+from typing import Any, ClassVar, NoReturn, ParamSpec
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from thorvaldc.cli.command_table import CORE
-from thorvaldc.cli.exits import protect
-from thorvaldc.cli.installation import is_runtime_only, require_full_installation
-from thorvaldc.tool_folders import CommandEntry, load_target, tool_commands
+from thorvaldc.cli.exits import OutsideError, protect
+from thorvaldc.tool_folders import CommandEntry, load_target, plugin_entries, tool_commands
 
 P = ParamSpec("P")
+CORE: tuple[CommandEntry, ...] = (
+    CommandEntry("new", "new:new", "Make a folder with a robot.yaml to start from."),
+    CommandEntry("check", "check:check", "Report every error in robot and fleet files."),
+    CommandEntry("build", "build:build", "Compile robots and write the target files."),
+    CommandEntry("sim", "sim:sim", "Drive a robot in simulation, without a display."),
+    CommandEntry("scenario", "sim:scenario", "Run a scenario and check its expectations."),
+    CommandEntry("run", "run:run", "Run the base driver on a real or simulated CAN bus."),
+    CommandEntry("bus", "bus:bus", "Simulate a robot's CAN bus for other programs."),
+    CommandEntry("can", "", "Set up, check and monitor a robot's CAN bus."),
+    CommandEntry(
+        "can scan", "can:scan", "Find the nodes on a bus and compare them with the robot."
+    ),
+    CommandEntry(
+        "can plan", "can:plan", "Show the steps that would set up the bus; writes nothing."
+    ),
+    CommandEntry("can flash", "can:flash", "Write addresses and values to the nodes, verified."),
+    CommandEntry("can verify", "can:verify", "Check identities, values, periods and bus load."),
+    CommandEntry("modules", "", "List, show, check and make hardware modules."),
+    CommandEntry("modules list", "modules:list_modules", "List the module types."),
+    CommandEntry(
+        "modules show",
+        "modules:show_module",
+        "Show a module type: parameters, ports, sources of its numbers.",
+    ),
+    CommandEntry("modules check", "modules:check_modules", "Check the modules in folders."),
+    CommandEntry("modules new", "modules:new_module", "Make a module with a mesh to start from."),
+    CommandEntry("targets", "build:targets", "List the targets that a robot can be built for."),
+    CommandEntry("schema", "new:schema", "Print the JSON Schema of a kind of document."),
+    CommandEntry("explain", "check:explain", "Explain a diagnostic code."),
+)
+"""The commands of the core, in the order of ``thorvaldc --help``; tools add their own, which
+``tool_folders`` finds."""
 PLUGINS = "thorvaldc.commands"
+# Both packages contain the same files, so a computer must not have both.
+REPLACE_RUNTIME = "to replace it: `pip uninstall thorvaldc-runtime`, then `pip install thorvaldc`"
 
 
 class _PlainText:
@@ -75,13 +108,18 @@ class CommandGroup(TyperGroup):
             self.commands: Any = dict.fromkeys(self.list_commands(ctx))
             if is_runtime_only() and not ctx.resilient_parsing and not self._is_near(cmd_name):
                 # The names of the tools that the runtime lacks are not known here.
-                raise typer.Exit(protect(lambda: require_full_installation(f"`thorvaldc {name}`")))
+                raise _not_installed(name)
             return None
         if not entry.target:
             return command_group(entry.name)(
                 name=entry.name, help=entry.help, no_args_is_help=True, rich_markup_mode=None
             )
-        return load_command(entry)
+        try:
+            return load_command(entry)
+        except ImportError:
+            if not is_runtime_only():
+                raise
+            raise _not_installed(name) from None
 
     def _is_near(self, name: str) -> bool:
         """Returns whether a name is a misspelled command of this group."""
@@ -129,11 +167,9 @@ def plugin_commands() -> list[CommandEntry]:
     The function ``module:function`` of an entry point is a command as those of the tools, and its
     docstring is its help.
     """
-    from importlib.metadata import entry_points
-
     return [
         CommandEntry(entry.name, entry.value, f"Of the package {entry.dist.name}.", package="")
-        for entry in entry_points(group=PLUGINS)
+        for entry in plugin_entries(PLUGINS)
         if entry.dist is not None
     ]
 
@@ -173,3 +209,33 @@ def guarded(function: Callable[P, int], name: str) -> Callable[P, None]:
             require_full_installation(f"`thorvaldc {name}`")
 
     return call
+
+
+# -- the runtime alone ---------------------------------------------------------------
+
+
+def is_runtime_only() -> bool:
+    """Returns whether only the package ``thorvaldc-runtime`` is installed, for the computer of a
+    robot.
+
+    It has the rooms ``runtime``, ``can``, ``commissioning``, ``model``, ``diagnostics`` and
+    ``cli``, and the tools ``monitor``, ``service_calls`` and ``teleoperation``.
+    """
+    return find_spec("thorvaldc.compiler") is None
+
+
+def require_full_installation(feature: str) -> NoReturn:
+    """Raises ``OutsideError`` for a feature that needs the compiler or the simulation."""
+    raise OutsideError(
+        f"{feature} is not available: this installation is the runtime alone; {REPLACE_RUNTIME}"
+    )
+
+
+def _not_installed(command: str) -> typer.Exit:
+    return typer.Exit(protect(lambda: require_full_installation(f"`thorvaldc {command}`")))
+
+
+def check_full_installation(feature: str) -> None:
+    """Raises ``OutsideError`` if only the runtime package is installed."""
+    if is_runtime_only():
+        require_full_installation(feature)

@@ -10,17 +10,13 @@ import sys
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
 import typer
 
 from thorvaldc.cli.exits import DONE, INPUT, OUTSIDE
-from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.diagnostics.codes import STRUCTURE
-
-# A valid file has no diagnostics to render: the renderers are imported where they are used.
-if TYPE_CHECKING:
-    from thorvaldc.diagnostics import DiagnosticError
 
 FORMATS = ("text", "json", "github", "sarif")
 RESULT_FORMATS = ("text", "json", "markdown")
@@ -52,6 +48,7 @@ class DiagnosticOutput:
         self._all.extend(report)
         self._sources.update(sources)
         if self.format == "text" and len(report) > 0:
+            # A valid file has no diagnostics, and needs no renderers.
             from thorvaldc.diagnostics.renderers import render_text
 
             text = render_text(

@@ -1,15 +1,54 @@
-"""The entry point of the ``thorvaldc`` program."""
+"""The program ``thorvaldc``: its entry point and its global options."""
 
 from __future__ import annotations
 
 import gc
 import sys
+from typing import Annotated
+
+import typer
 
 from thorvaldc import __version__
-from thorvaldc.cli.app import app
+from thorvaldc.cli.command import CommandGroup
 from thorvaldc.cli.completion import is_completion, shell_completion
-from thorvaldc.cli.exits import DONE, INTERNAL, TRACEBACK_VARIABLE, protect, show_traceback
-from thorvaldc.cli.standard_streams import OutputError, discard_output, prepare_standard_streams
+from thorvaldc.cli.exits import (
+    DONE,
+    INTERNAL,
+    TRACEBACK_VARIABLE,
+    OutputError,
+    discard_output,
+    prepare_standard_streams,
+    protect,
+    show_traceback,
+)
+
+app = typer.Typer(
+    cls=CommandGroup,
+    help="A compiler for modular robots: robot.yaml in; URDF, MJCF, ROS 2 parameters and a CAN"
+    " map out.",
+    no_args_is_help=True,
+    # The help text is plain, because the import of the package rich takes longer than the rest of
+    # ``--help``.
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _show_version(value: bool) -> None:
+    if value:
+        typer.echo(f"thorvaldc {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def main(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
+    ] = False,
+) -> None:
+    pass
 
 
 def run() -> None:

@@ -9,7 +9,8 @@ from typing import Annotated, TypeVar
 
 import typer
 
-from thorvaldc.cli.completed_values import bus_interfaces
+from thorvaldc.cli.completion import bus_interfaces
+from thorvaldc.cli.exits import OutsideError
 
 T = TypeVar("T")
 
@@ -218,3 +219,24 @@ def library_folders(names: Sequence[str], option: str = "'--library'") -> list[P
         if not Path(name).is_dir():
             raise typer.BadParameter(f"there is no folder {name!r}", param_hint=option)
     return [Path(name) for name in names]
+
+
+def check_output(path: str, suffixes: Sequence[str], option: str) -> None:
+    """Checks before a long run that the file of an option can be written.
+
+    Raises ``typer.BadParameter`` if the name of the file has none of the allowed suffixes. Raises
+    ``OutsideError`` if the folder of the file does not exist or cannot be written.
+    """
+    import tempfile
+
+    target = Path(path)
+    if target.suffix.lower().lstrip(".") not in suffixes:
+        known = " or ".join(f".{suffix}" for suffix in suffixes)
+        raise typer.BadParameter(f"{path!r} does not end in {known}", param_hint=f"'{option}'")
+    if target.is_dir():
+        raise OutsideError(f"cannot write {path}: it is a folder")
+    try:
+        with tempfile.TemporaryFile(dir=target.parent):
+            pass
+    except OSError as error:
+        raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None

@@ -1,19 +1,30 @@
-"""Loads the robot of a command from a robot.yaml or from the model.json of a build."""
+"""The robot of a command: loaded from a robot.yaml or the model.json of a build, with the CAN bus
+that ``--bus`` selects."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
-from thorvaldc.cli.diagnostic_output import report_of, show_report
+from thorvaldc.cli.command import is_runtime_only
+from thorvaldc.cli.diagnostic_output import message, report_of, show_report
 from thorvaldc.cli.exits import OutsideError
-from thorvaldc.cli.installation import is_runtime_only
+from thorvaldc.cli.options import library_folders
 from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.model import Robot
+from thorvaldc.model.bus import Bus
 from thorvaldc.model.model_json import is_model_file, load_model
+
+if TYPE_CHECKING:  # the runtime package has no compiler
+    from thorvaldc.compiler.result import Compilation
+    from thorvaldc.compiler.scenario.variations import Change
+
+SIMULATED = ("virtual", "sim", "udp")
+"""Kinds of CAN interfaces that are not connected to hardware."""
 
 
 class LoadedRobot(NamedTuple):
@@ -49,10 +60,6 @@ def load_robot(file: str, library: Sequence[str], trust: bool) -> LoadedRobot | 
             f"{file} needs the compiler, and this installation is the runtime alone: give the"
             " model.json of a build"
         )
-    # The compiler is imported only when it is used, because the runtime package does not contain
-    # the compiler.
-    from thorvaldc.cli.compiling import compile_and_show
-
     compilation = compile_and_show(file, library, trust=trust)
     if compilation.model is None:
         return None
@@ -70,3 +77,75 @@ def _load_model_file(path: Path) -> LoadedRobot | None:
     if not isinstance(model, Robot):
         raise typer.BadParameter(f"{path} is no robot", param_hint="FILE")
     return LoadedRobot(model, {}, lambda report: report)
+
+
+# Compiles a robot or fleet file for a command and prints its diagnostics on stderr.
+
+
+def compile_and_show(
+    file: str,
+    library: Sequence[str],
+    robot: str | None = None,
+    changes: Sequence[Change] = (),
+    *,
+    trust: bool,
+) -> Compilation:
+    """Compiles a robot or fleet file and prints its diagnostics on stderr.
+
+    - ``robot``: path of a robot file that replaces the robot of a scenario.
+    - ``changes``: values that replace values of a scenario.
+    - ``trust``: whether xacro files are expanded without restrictions.
+    """
+    # The compiler is imported only when it is used, because the runtime package does not contain
+    # the compiler.
+    from thorvaldc.compiler.pipeline import compile_file
+
+    compilation = compile_file(
+        file, library=library_folders(library), robot=robot, changes=changes, trust=trust
+    )
+    show_report(compilation.report, compilation.sources)
+    return compilation
+
+
+def select_bus(robot: Robot, spec: str) -> tuple[Bus, str]:
+    """Returns the CAN bus of the robot and the CAN interface that the option ``--bus`` selects.
+
+    For a robot with several CAN buses, ``--bus`` must name the bus and its interface, as in
+    ``left=socketcan:can0``. For a robot with one CAN bus, ``--bus`` needs only the CAN interface.
+    Raises ``DiagnosticError`` for a robot without a CAN bus. Raises ``typer.BadParameter`` if
+    ``--bus`` does not name a CAN bus of the robot.
+    """
+    robot.require_bus()
+    buses = {bus.name: bus for bus in robot.buses}
+    name, equals, interface = spec.partition("=")
+    if equals and name in buses:
+        return buses[name], interface
+    if len(buses) == 1:
+        return robot.buses[0], spec
+    example = (interface if equals else spec) or "socketcan:can0"
+    problem = f"the robot has no bus {name}, but" if equals else "the robot has the buses"
+    raise typer.BadParameter(
+        f"{problem} {', '.join(buses)}; select one: {robot.buses[0].name}={example}",
+        param_hint="'--bus'",
+    )
+
+
+def is_hardware(interface: str) -> bool:
+    """Returns whether a CAN interface such as ``socketcan:can0`` can be connected to hardware."""
+    return interface.partition(":")[0] not in SIMULATED
+
+
+def warn_once() -> None:
+    """Prints the warning about untested hardware, but only once for each user."""
+    folder = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
+    mark = folder / "thorvaldc" / "untried-told"
+    if mark.exists():
+        return
+    from thorvaldc.runtime.run_session import UNTESTED
+
+    message(f"note: {UNTESTED}")
+    try:
+        mark.parent.mkdir(parents=True, exist_ok=True)
+        mark.write_text("The note on untried hardware was shown.\n", encoding="utf-8")
+    except OSError:
+        return  # the next run shows it again

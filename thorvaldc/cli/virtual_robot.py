@@ -5,6 +5,7 @@ This module needs the compiler and the simulation, which are not in the runtime 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import typer
@@ -25,9 +26,29 @@ from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 def start_virtual_robot(
     robot: Robot, file: str, physics: str, faults: str, seed: int | None, report: Report
 ) -> SimulatedRobot:
-    """Returns a simulated robot with a powered simulated device for each node of its CAN buses.
+    """Returns the robot of ``virtual_robot`` with the power switched on."""
+    simulated = virtual_robot(robot, file, physics, faults, seed, report)
+    simulated.power_on()
+    return simulated
 
-    ``faults`` is the path of a file with faults to inject, or empty for a run without faults.
+
+def virtual_robot(
+    robot: Robot,
+    file: str,
+    physics: str,
+    faults: str,
+    seed: int | None,
+    report: Report,
+    *,
+    delivered: bool = False,
+    memory: Memory | None = None,
+    show_fault: Callable[[float, BusFault, bool], None] | None = None,
+) -> SimulatedRobot:
+    """Returns a simulated robot with a simulated device for each node of its CAN buses.
+
+    - ``faults``: path of a file with faults to inject, or empty for a run without faults.
+    - ``show_fault``: prints a fault when it begins and ends.
+
     Raises ``DiagnosticError`` if the fault file cannot be read or the robot cannot be simulated.
     """
     script = read_faults(faults, robot, report) if faults else None
@@ -35,10 +56,11 @@ def start_virtual_robot(
         seed = script.seed if script is not None else 0
     base = make_mujoco_base(robot, file, report) if physics == "mujoco" else None
     quirks = script.quirks if script is not None else ()
-    simulated = SimulatedRobot(robot, seed=seed, base=base, quirks=quirks)
+    simulated = SimulatedRobot(
+        robot, seed=seed, base=base, delivered=delivered, nonvolatile=memory, quirks=quirks
+    )
     if script is not None:
-        FaultInjector(simulated, script, _show_injected_fault)
-    simulated.power_on()
+        FaultInjector(simulated, script, show_fault or _show_injected_fault)
     return simulated
 
 

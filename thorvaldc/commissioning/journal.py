@@ -35,9 +35,7 @@ from typing import Any, Protocol
 from thorvaldc.commissioning import bus_configuration
 from thorvaldc.commissioning.planner import Plan, plan_from_json, plan_to_json
 from thorvaldc.diagnostics import DiagnosticError
-from thorvaldc.diagnostics.atomic_file import append_whole
-from thorvaldc.diagnostics.bounded_file import check_regular
-from thorvaldc.diagnostics.foreign_json import read_json
+from thorvaldc.diagnostics.files import append_whole, check_regular, read_json
 
 FORMAT, VERSION = "thorvaldc-flash", 3
 APPLY, RESUME, ROLLBACK = "apply", "resume", "rollback"

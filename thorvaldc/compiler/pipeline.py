@@ -40,7 +40,7 @@ from thorvaldc.compiler.source.input_file import FOLDERS, missing_file_hint
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import MAX_BYTES, read_file
 from thorvaldc.diagnostics import Diagnostic, Report, Severity, Span
-from thorvaldc.diagnostics.bounded_file import read_bounded
+from thorvaldc.diagnostics.files import read_bounded
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.tool_folders import document_compiler
 
@@ -202,31 +202,16 @@ def emit_without_model(
     model: Robot | Fleet, targets: Sequence[str], report: Report | None = None
 ) -> dict[str, bytes]:
     """Returns the files of ``emit`` without ``model.json``, for a simulation in this process."""
-    # The imports are here because the command `check` needs neither targets nor statics.
-    from thorvaldc import backends
-    from thorvaldc.backends.statics_backend import StaticsBackend
-    from thorvaldc.model.statics.standing_pose import solve_statics
+    from thorvaldc import backends  # the command `check` needs no targets
 
     files: dict[str, bytes] = {}
     robots = [p.robot for p in model.placements] if isinstance(model, Fleet) else [model]
-    emitters = [backends.load(target) for target in dict.fromkeys(targets)]
-    needed = any(isinstance(backend, StaticsBackend) for backend in emitters)
-    statics = [solve_statics(robot) for robot in robots] if needed else []
-    for backend in emitters:
+    for backend in [backends.load(target) for target in dict.fromkeys(targets)]:
         if report is not None:
             for robot in robots:
                 for diagnostic in backend.unsupported(robot):
                     report.put(diagnostic)
-        if isinstance(backend, StaticsBackend):
-            files.update(
-                backend.emit_fleet_with_statics(model, statics)
-                if isinstance(model, Fleet)
-                else backend.emit_with_statics(model, statics[0])
-            )
-        else:
-            files.update(
-                backend.emit_fleet(model) if isinstance(model, Fleet) else backend.emit(model)
-            )
+        files.update(backend.emit_fleet(model) if isinstance(model, Fleet) else backend.emit(model))
     return files
 
 

@@ -40,7 +40,6 @@ from thorvaldc.compiler.validation.document_check import (
     without_invalid_values,
 )
 from thorvaldc.diagnostics import (
-    CODES,
     Accepted,
     Code,
     Diagnostic,
@@ -50,8 +49,8 @@ from thorvaldc.diagnostics import (
     Span,
     did_you_mean,
 )
-from thorvaldc.diagnostics.bounded_file import MAX_LOG_BYTES
-from thorvaldc.diagnostics.codes import STRUCTURE
+from thorvaldc.diagnostics.codes import STRUCTURE, all_codes
+from thorvaldc.diagnostics.files import MAX_LOG_BYTES
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.schema.documents import Kind
 
@@ -390,11 +389,11 @@ def report_unused(acceptances: Iterable[Acceptance], report: Report) -> None:
 def _warning_code(node: Node, report: Report) -> Code | None:
     """Returns the code of a warning or note by its number or name."""
     word = str(node.value)
-    known = {name: code for code in CODES.values() for name in (code.number, code.name)}
-    code = known.get(word)
+    code = next((c for c in all_codes() if word in (c.number, c.name)), None)
     error = Severity.ERROR.value
-    warnings = [name for name, c in known.items() if c.severity != error]
     if code is None:
+        accepted = [c for c in all_codes() if c.severity != error]
+        warnings = [name for c in accepted for name in (c.number, c.name)]
         report.add(
             "accept-code",
             f"there is no code `{word}`",

@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 
 from thorvaldc.compiler.modules.library import FILE
 from thorvaldc.diagnostics import Report, Span, plain
-from thorvaldc.diagnostics.atomic_file import write_file
+from thorvaldc.diagnostics.files import write_file
 from thorvaldc.model import Mesh
 from thorvaldc.model.plugins import data_folder
 from thorvaldc.schema.documents import schema_text

@@ -1,4 +1,4 @@
-"""Table of all diagnostic codes.
+"""Table of all diagnostic codes, and their documentation pages.
 
 Subject of a diagnostic, by the first digit of the diagnostic code:
 
@@ -13,12 +13,17 @@ Subject of a diagnostic, by the first digit of the diagnostic code:
 - 9: files, import, audit and comparison
 
 The number of a removed diagnostic code is never used again for another code.  The page
-``docs/diagnostics/<number>.md`` explains each diagnostic code.
+``docs/diagnostics/<number>.md`` explains each diagnostic code.  Codes of other packages have
+prefixes of their own, see ``plugin_codes``.
 """
 
 from __future__ import annotations
 
+import functools
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 STRUCTURE = "1237"
 """First digits of errors in the structure of a document, in whose presence checks are left out."""
@@ -35,6 +40,7 @@ class Code:
     - ``summary``: description of the problem in one line.
     - ``outside``: whether the cause is outside the input files, for example on the CAN bus or in
       another program.  If ``outside`` is true, the exit status of the command line program is 3.
+    - ``page``: documentation page in Markdown of a code of another package.
     """
 
     number: str
@@ -42,6 +48,15 @@ class Code:
     severity: str  # "error", "warning" or "note"
     summary: str
     outside: bool = False
+    page: str = ""
+
+
+class _Codes(dict[str, Code]):
+    """The codes of thorvaldc by name.  A name that is missing is looked up among those of other
+    packages, so that only their use reads the metadata of packages."""
+
+    def __missing__(self, name: str) -> Code:
+        return plugin_codes()[name]
 
 
 def _error(number: str, name: str, summary: str, outside: bool = False) -> Code:
@@ -393,4 +408,71 @@ _TABLE: tuple[Code, ...] = (
     _error("TV997", "study-name", "a study names an unknown fact, scenario or metric"),
 )
 
-CODES: dict[str, Code] = {code.name: code for code in _TABLE}
+CODES: dict[str, Code] = _Codes((code.name, code) for code in _TABLE)
+PLUGINS = "thorvaldc.diagnostics"
+
+
+@functools.cache
+def plugin_codes() -> dict[str, Code]:
+    """Returns the codes of other packages by name: their entry points ``thorvaldc.diagnostics``.
+
+    The name of an entry point is the prefix of the numbers of its codes, two capital letters such
+    as ``AC``, and its value is a sequence of codes.  Raises ``PluginError`` if the codes cannot be
+    loaded, or if a code has another prefix or the number or name of another code.
+    """
+    from thorvaldc.tool_folders import PluginError, plugin_entries
+
+    added: dict[str, Code] = {}
+    for entry in plugin_entries(PLUGINS):
+        try:
+            codes: tuple[Code, ...] = tuple(entry.load())
+        except Exception as error:  # code of other packages may raise any exception
+            raise PluginError(f"the codes `{entry.value}` cannot be loaded: {error}") from error
+        for code in codes:
+            has_prefix = re.fullmatch(r"(?!TV)[A-Z]{2}\d{3}", code.number) and (
+                code.number.startswith(entry.name)
+            )
+            taken = {word for c in added.values() for word in (c.name, c.number)} | CODES.keys()
+            if not has_prefix or code.name in taken or code.number in taken:
+                raise PluginError(
+                    f"the code {code.number} {code.name} of `{entry.value}` needs the prefix"
+                    f" `{entry.name}` of its entry point, two capital letters other than TV, and a"
+                    " number and a name of its own"
+                )
+            added[code.name] = code
+    return added
+
+
+def all_codes() -> Iterator[Code]:
+    """Yields the codes of thorvaldc, and then those of other packages."""
+    yield from CODES.values()
+    yield from plugin_codes().values()
+
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+
+
+def page(code: Code) -> str:
+    """Returns the documentation page of a diagnostic code in Markdown.
+
+    If the documentation page is not installed, returns the summary of the diagnostic code.
+    """
+    if code.page:
+        return code.page
+    path = _folder() / f"{code.number}.md"
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError:
+        return f"# {code.number} {code.name}\n\n{code.summary}\n"
+
+
+def _folder() -> Path:
+    """Returns the folder with the documentation pages of the diagnostic codes.
+
+    In the source repository, the documentation pages are in the folder ``docs/diagnostics``.  An
+    installed package contains a copy of the documentation pages.
+    """
+    root = _PACKAGE.parent
+    if (root / "pyproject.toml").is_file():
+        return root / "docs" / "diagnostics"
+    return _PACKAGE / "_data" / "diagnostics"

@@ -1,7 +1,4 @@
-"""Source spans, diagnostics, and the report that collects the diagnostics of a run.
-
-Also what messages and hints are made of: similar words, and numbers without exponents.
-"""
+"""Source spans, diagnostics, the report that collects the diagnostics of a run, and hints."""
 
 from __future__ import annotations
 
@@ -12,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from thorvaldc.diagnostics.codes import CODES, Code
+from thorvaldc.diagnostics.codes import CODES, Code, all_codes, page
 
 _MAX_TEXT = 2000  # characters of a message or hint
 
@@ -144,6 +141,14 @@ class Diagnostic:
         return f"<Diagnostic {self.code.number} {self.code.name}{place}: {self.message}>"
 
 
+def _diagnostic(
+    code: str, message: str, span: Span | None, hint: str | None, labels: Iterable[Label] = ()
+) -> Diagnostic:
+    fixes = hint.fixes(span) if isinstance(hint, Proposal) and span is not None else ()
+    shown_hint = None if hint is None else _shortened(hint)
+    return Diagnostic(CODES[code], message, span, shown_hint, tuple(labels), fixes)
+
+
 class Accepted(NamedTuple):
     """A warning that the section ``accept`` of a document accepts.
 
@@ -202,10 +207,7 @@ class Report:
         example, a mistake in a module document is reported once, although a robot has nine modules
         of this type.
         """
-        fixes = hint.fixes(span) if isinstance(hint, Proposal) and span is not None else ()
-        shown_hint = None if hint is None else _shortened(hint)
-        labels = tuple(labels)
-        self.put(Diagnostic(CODES[code], _shortened(message), span, shown_hint, labels, fixes))
+        self.put(_diagnostic(code, _shortened(message), span, hint, labels))
 
     def put(self, diagnostic: Diagnostic) -> None:
         """Adds a diagnostic, unless the report already contains an equal diagnostic."""
@@ -335,8 +337,7 @@ class DiagnosticError(Exception):
         self, code: str, message: str, span: Span | None = None, *, hint: str | None = None
     ) -> None:
         super().__init__(message)
-        fixes = hint.fixes(span) if isinstance(hint, Proposal) and span is not None else ()
-        self.diagnostic = Diagnostic(CODES[code], message, span, hint, fixes=fixes)
+        self.diagnostic = _diagnostic(code, message, span, hint)
         if hint:
             self.add_note(f"hint: {hint}")  # a traceback shows it below the message
 
@@ -346,7 +347,52 @@ class DiagnosticError(Exception):
         return "; ".join(filter(None, (self.diagnostic.message, self.diagnostic.hint)))
 
 
-# -- hints for misspelled words ----------------------------------------------------
+# -- similar warnings ------------------------------------------------------------------
+
+_NAME = re.compile(r"`([^`]*)`")
+_NUMBER = re.compile(r"\d[\d.]*(e[+-]?\d+)?")
+_SHOWN_PLACES, _SHOWN_NAMES = 3, 3
+
+
+def grouped(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
+    """Returns the diagnostics, with one diagnostic for similar warnings and notes.
+
+    A file of others can give the same warning for each joint of an arm.  Diagnostics are similar if
+    they have the same code and hint, and messages that differ only in names and numbers.  The first
+    one stands for them: its message has their count and further names, and its labels show the
+    first places.  Errors are not grouped, because each one must be corrected.
+    """
+    groups: dict[tuple[object, ...], list[Diagnostic]] = {}
+    for number, diagnostic in enumerate(diagnostics):
+        pattern = _NUMBER.sub("0", _NAME.sub("`", diagnostic.message))
+        key: tuple[object, ...] = (diagnostic.code, pattern, diagnostic.hint)
+        if diagnostic.severity is Severity.ERROR:
+            key = (number,)
+        groups.setdefault(key, []).append(diagnostic)
+    return [_merged(group) if len(group) > 1 else group[0] for group in groups.values()]
+
+
+def _merged(group: list[Diagnostic]) -> Diagnostic:
+    first = group[0]
+    message = f"{first.message} ({len(group)} places"
+    first_names = _NAME.findall(first.message)
+    others = {name: None for d in group for name in _NAME.findall(d.message)}
+    names = [f"`{name}`" for name in others if name not in first_names]
+    if names:
+        more = ", ..." if len(names) > _SHOWN_NAMES else ""
+        message += f"; also {', '.join(names[:_SHOWN_NAMES])}{more}"
+    labels = list(first.labels)
+    for diagnostic in group[1:]:
+        # A macro gives the same span for each call; its calls differ.
+        places = [diagnostic.span, *(label.span for label in diagnostic.labels)]
+        seen = [first.span, *(label.span for label in labels)]
+        place = next((p for p in places if p is not None and p not in seen), None)
+        if place is not None and len(labels) < len(first.labels) + _SHOWN_PLACES - 1:
+            labels.append(Label(place, "and here"))
+    return replace(first, message=f"{message})", labels=tuple(labels))
+
+
+# -- hints for misspelled words ---------------------------------------------------------
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
@@ -388,7 +434,7 @@ def _normal(word: str) -> str:
     return word.casefold().replace("-", "_").replace(" ", "_")
 
 
-# -- numbers in messages and tables, without exponents: nobody measures 1.05e+03 mm --
+# -- numbers without exponents: nobody measures 1.05e+03 mm --------------------------------
 
 
 def plain(value: float, digits: int = 6) -> str:
@@ -408,3 +454,43 @@ def plain(value: float, digits: int = 6) -> str:
 def millimetres(length: float, digits: int = 3) -> str:
     """Returns a length, given in m, in mm with its unit, such as ``1046 mm``."""
     return f"{plain(1000.0 * length, digits)} mm"
+
+
+# -- codes by number or name -----------------------------------------------------------
+
+
+class UnknownCode(LookupError):
+    """Raised if no diagnostic code has the requested number or name.
+
+    - ``hint``: suggestion of a similar code, or ``None``.
+    """
+
+    def __init__(self, number_or_name: str, hint: str | None) -> None:
+        super().__init__(f"there is no code `{number_or_name}`")
+        self.hint = hint
+
+
+def find_code(number_or_name: str) -> Code:
+    """Returns the diagnostic code with a number such as ``TV501`` or a name.
+
+    - ``number_or_name``: ``TV501``, ``501`` or ``can-id-duplicate``, for example.
+
+    Raises ``UnknownCode`` if no diagnostic code has this number or name.
+    """
+    text = number_or_name.strip()
+    number = text.upper() if text.upper().startswith("TV") else f"TV{text}"
+    for code in all_codes():
+        if code.name == text.lower() or code.number in (number, text.upper()):
+            return code
+    names = [word for code in all_codes() for word in (code.name, code.number)]
+    looks_like_number = text.isdigit() or text.upper().startswith("TV")
+    hint = did_you_mean(number if looks_like_number else text, names)
+    raise UnknownCode(number_or_name, hint)
+
+
+def explain(number_or_name: str) -> str:
+    """Returns the documentation page of a diagnostic code in Markdown.
+
+    Raises ``UnknownCode`` if no diagnostic code has this number or name.
+    """
+    return page(find_code(number_or_name))

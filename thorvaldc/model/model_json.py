@@ -20,8 +20,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from thorvaldc.diagnostics import DiagnosticError, Span, did_you_mean
-from thorvaldc.diagnostics.bounded_file import read_bounded
-from thorvaldc.diagnostics.foreign_json import read_json
+from thorvaldc.diagnostics.files import read_bounded, read_json
 from thorvaldc.model import (
     Actuator,
     Bus,

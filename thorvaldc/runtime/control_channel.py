@@ -41,7 +41,7 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.can.local_socket import listen, socket_path
-from thorvaldc.diagnostics.foreign_json import read_json
+from thorvaldc.diagnostics.files import read_json
 from thorvaldc.runtime.service_table import Argument, Caller, ServiceError, Services
 
 LONGEST_LINE = 65536

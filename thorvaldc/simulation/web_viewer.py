@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from thorvaldc.backends.colors_and_meshes import BLOCK_COLORS, Color
+from thorvaldc.backends.description_parts import BLOCK_COLORS, Color
+from thorvaldc.backends.mjcf import zone_color
 from thorvaldc.backends.mjcf_terrain import heights, relief
-from thorvaldc.backends.mjcf_world import zone_color
 from thorvaldc.compiler.modules.mounting import MountingPort
 from thorvaldc.model import Box, Fleet, Ground, Joint, MeshShape, Pose, Robot, Shape, World, Zone
 from thorvaldc.model.plugins import data_folder

@@ -14,7 +14,7 @@ from tests.backends.ros2.packages import launch, variant
 from tests.backends.ros2.test_launch_files import depends
 from tests.examples import ROBOTS, example_robot
 from thorvaldc.backends.ros2 import package_of
-from thorvaldc.backends.sdf_world import STEP
+from thorvaldc.backends.sdf import STEP
 
 DRIVEN = "2wd0ws_greenhouse"  # a robot that diff_drive_controller drives
 OTHER = "4wd4ws_wide"

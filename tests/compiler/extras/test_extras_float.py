@@ -13,7 +13,8 @@ import pytest
 
 from tests.compiler.extras.arms import ARM, ROBOT, arm_robot
 from tests.outside_tools import path_of, path_of_drake_python
-from thorvaldc import compile, emit
+from thorvaldc import compile
+from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model import Robot
 
 # The structures of published descriptions: UR, Kinova and Franka begin with `world` and a link

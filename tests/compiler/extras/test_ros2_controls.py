@@ -9,10 +9,11 @@ import pytest
 
 from tests.compiler.extras.arms import ARM, arm_robot
 from tests.compiler.extras.xacro_files import INERTIAL, Loaded, load_one
-from thorvaldc import compile, emit
-from thorvaldc.backends.mjcf_joint_servos import DEFLECTION
+from thorvaldc import compile
+from thorvaldc.backends.mjcf_robot import DEFLECTION
 from thorvaldc.backends.sdf import model_text
 from thorvaldc.backends.urdf import urdf_text
+from thorvaldc.compiler.pipeline import emit
 
 POSITION = '<command_interface name="position"/>'
 VELOCITY = '<command_interface name="velocity"/>'

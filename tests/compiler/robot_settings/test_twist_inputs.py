@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import GOOD
-from thorvaldc.backends.ros2_parameter_file import parameter_file
-from thorvaldc.backends.ros2_parameters import twist_mux
+from thorvaldc.backends.ros2_parameters import parameter_file, twist_mux
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.result import Compilation
 from thorvaldc.model import Robot, TwistInput

@@ -1,19 +1,29 @@
-"""The file `can/canmap.json`, the normative description of the robot's CAN buses.
+"""The file `can/canmap.json`, the normative description of the robot's CAN buses, and the load of
+the buses as JSON and as a Markdown table.
 
-The page docs/canmap.md describes the format of canmap.json.
+The page docs/canmap.md describes the formats.
 """
 
 from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
+from thorvaldc.diagnostics.text_layout import markdown_table
 from thorvaldc.model import Actuator, Bus, Channel, FrameDefinition, Joint, Node, Robot, Signal
+from thorvaldc.model.bus_timing import worst_case_bits
 
 FORMAT = "thorvaldc-canmap"
 VERSION = 3
+BUDGET_FORMAT = "thorvaldc-can-budget"
+BUDGET_VERSION = 1
+BUDGET_HEAD = (
+    *("id", "frame", "from", "bytes", "bits"),
+    *("period ms", "load %", "response ms", "deadline ms"),
+)
+RIGHT = (0, *range(3, len(BUDGET_HEAD)))  # columns of numbers
 JOINT_UNITS = ("rad", "rad/s")
 Motors = dict[str, tuple[Actuator, Joint]]
 _ENCODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
@@ -49,23 +59,16 @@ def _bus(robot: Robot, bus: Bus) -> dict[str, Any]:
     }
 
 
+def _fields(element: object, names: str) -> dict[str, Any]:
+    """Return fields of the model under their names."""
+    return {name: getattr(element, name) for name in names.split()}
+
+
 def _node(node: Node, motors: Motors, frames: list[FrameDefinition]) -> dict[str, Any]:
     return {
-        "name": node.name,
-        "module": node.module,
-        "protocol": node.protocol,
-        "id": node.id,
-        "id_space": node.id_space,
-        "vendor_id": node.vendor_id,
-        "product_code": node.product_code,
-        "revision_number": node.revision_number,
-        "serial": node.serial,
-        "device_type": node.device_type,
-        "lss": node.lss,
-        "heartbeat_timeout": node.heartbeat_timeout,
-        "heartbeat_consumer_time": node.heartbeat_consumer_time,
-        "command_watchdog": node.command_watchdog,
-        "watchdog_coasts": node.watchdog_coasts,
+        **_fields(node, "name module protocol id id_space vendor_id product_code revision_number"),
+        **_fields(node, "serial device_type lss heartbeat_timeout heartbeat_consumer_time"),
+        **_fields(node, "command_watchdog watchdog_coasts"),
         "bitrates": list(node.bitrates),
         "properties": dict(node.properties),
         "channels": [_channel(node, channel, motors, frames) for channel in node.channels],
@@ -83,21 +86,14 @@ def _channel(
         **description,
         "actuator": actuator.name,
         "joint": joint.name,
-        "gear_ratio": actuator.gear_ratio,
-        "encoder_ppr": actuator.encoder_ppr,
-        "motor_max_speed": actuator.motor_max_speed,
-        "max_velocity": actuator.max_velocity,
-        "max_acceleration": actuator.max_acceleration,
-        "lower": joint.lower,
-        "upper": joint.upper,
+        **_fields(actuator, "gear_ratio encoder_ppr motor_max_speed max_velocity max_acceleration"),
+        **_fields(joint, "lower upper"),
         "signals": [
             {
                 "frame": frame.name,
                 "signal": signal.name,
                 "direction": "report" if frame.producer == node.name else "command",
-                "unit": signal.unit,
-                "scale": signal.scale,
-                "offset": signal.offset,
+                **_fields(signal, "unit scale offset"),
             }
             for frame in frames
             for signal in frame.signals
@@ -108,38 +104,19 @@ def _channel(
 
 def _frame(frame: FrameDefinition) -> dict[str, Any]:
     return {
-        "name": frame.name,
-        "cob_id": frame.cob_id,
-        "kind": frame.kind,
-        "producer": frame.producer,
+        **_fields(frame, "name cob_id kind producer"),
         "consumers": list(frame.consumers),
-        "length": frame.length,
-        "period": frame.period,
-        "deadline": frame.deadline,
-        "minimum_interval": frame.minimum_interval,
-        "response_time": frame.response_time,
-        "pdo": frame.pdo,
+        **_fields(frame, "length period deadline minimum_interval response_time pdo"),
         "mapping": [list(entry) for entry in frame.mapping],
-        "synchronous": frame.synchronous,
-        "description": frame.description,
+        **_fields(frame, "synchronous description"),
         "signals": [_signal(signal) for signal in frame.signals],
     }
 
 
 def _signal(signal: Signal) -> dict[str, Any]:
     return {
-        "name": signal.name,
-        "start": signal.start,
-        "length": signal.length,
-        "signed": signal.signed,
-        "floating_point": signal.floating_point,
-        "scale": signal.scale,
-        "offset": signal.offset,
-        "unit": signal.unit,
-        "minimum": signal.minimum,
-        "maximum": signal.maximum,
-        "joint": signal.joint,
-        "multiplexer": signal.multiplexer,
+        **_fields(signal, "name start length signed floating_point scale offset unit minimum"),
+        **_fields(signal, "maximum joint multiplexer"),
         "selected_by": list(signal.selected_by),
         "choices": {name: raw for raw, name in signal.choices},
         "description": signal.description,
@@ -178,3 +155,87 @@ def _is_flat(container: Any) -> bool:
 
 def _containers(values: Iterable[Any]) -> list[Any]:
     return [v for v in values if type(v) is dict or type(v) is list]
+
+
+# -- load of each bus, and worst-case response times of its frames ---------------------
+
+
+def budget_json(robot: Robot) -> str:
+    """Return the load of each CAN bus and the response time of each CAN frame as JSON text."""
+    return json_text(
+        {
+            "format": BUDGET_FORMAT,
+            "version": BUDGET_VERSION,
+            "robot": robot.name,
+            "buses": [
+                {
+                    "name": bus.name,
+                    "bitrate": bus.bitrate,
+                    "load": bus.load,
+                    "frames": [_row(bus, frame) for frame in _by_urgency(bus)],
+                }
+                for bus in robot.buses
+            ],
+        }
+    )
+
+
+def _by_urgency(bus: Bus) -> list[FrameDefinition]:
+    return sorted(bus.frames, key=lambda frame: frame.cob_id)
+
+
+def _row(bus: Bus, frame: FrameDefinition) -> dict[str, Any]:
+    bits = worst_case_bits(frame.length)
+    interval = frame.period or frame.minimum_interval
+    return {
+        **_fields(frame, "name cob_id producer length"),
+        "bits": bits,
+        "transmission_time": bits / bus.bitrate,
+        **_fields(frame, "period minimum_interval"),
+        "load": bits / bus.bitrate / interval if interval else None,
+        **_fields(frame, "response_time deadline"),
+    }
+
+
+def budget_table(robot: Robot) -> str:
+    """Return the load of each CAN bus and the response time of each CAN frame as Markdown tables.
+
+    The columns of the Markdown tables are aligned.
+    """
+    lines = [
+        f"# Load of the buses of {robot.name}",
+        "",
+        "Most urgent first. Response: the longest time until a frame is received when all others",
+        "come at the worst instant (Davis, Burns, Bril, Lukkien 2007); that of commands, of SYNC",
+        "and of what follows SYNC counts from the beginning of the control cycle. No period: sent",
+        "on demand, one such frame of the master in a cycle; an SDO is answered within a cycle.",
+    ]
+    for bus in robot.buses:
+        lines += ["", f"## {bus.name}", ""]
+        lines.append(f"{bus.bitrate / 1000:g} kbit/s, load {100 * bus.load:.1f} % at worst.")
+        lines += ["", *_table(bus)]
+    return "\n".join(lines) + "\n"
+
+
+def _table(bus: Bus) -> Iterator[str]:
+    rows = [BUDGET_HEAD]
+    for frame in _by_urgency(bus):
+        load = _row(bus, frame)["load"]
+        rows.append(
+            (
+                f"0x{frame.cob_id:03x}",
+                frame.name,
+                frame.producer,
+                str(frame.length),
+                str(worst_case_bits(frame.length)),
+                _milliseconds(frame.period or frame.minimum_interval, "g"),
+                f"{100 * load:.2f}" if load else "-",
+                _milliseconds(frame.response_time, ".3f"),
+                _milliseconds(frame.deadline, "g"),
+            )
+        )
+    return markdown_table(rows, right=RIGHT, aligned=True)
+
+
+def _milliseconds(time: float | None, form: str) -> str:
+    return format(round(time * 1000, 6), form) if time is not None else "-"

@@ -1,4 +1,4 @@
-"""The commands of thorvaldc, with one module for each command.
+"""The commands of the core.
 
-The module ``cli/app.py`` contains the list of all commands.
+The module ``cli/command.py`` has their table.
 """

@@ -1,5 +1,5 @@
-"""The command ``thorvaldc build``: compiles robot files and writes the output files of the
-targets."""
+"""The commands ``thorvaldc build``, which compiles robot files and writes the output files of the
+targets, and ``targets``, which lists them."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from thorvaldc.cli import options
-from thorvaldc.cli.completed_values import target_names
-from thorvaldc.cli.exits import OutsideError
+from thorvaldc.cli.completion import target_names
+from thorvaldc.cli.exits import DONE, OutsideError
 
 if TYPE_CHECKING:
     from thorvaldc.compiler.result import Compilation
@@ -178,3 +178,23 @@ def _folder(output: str, name: str, file_count: int) -> Path:
     if not output:
         return Path("build") / name
     return Path(output) if file_count == 1 else Path(output) / name
+
+
+def targets(json: options.Json = False) -> int:
+    from thorvaldc import backends
+    from thorvaldc.cli.diagnostic_output import print_json, print_table
+
+    summaries: dict[str, str] = {}
+    for name in backends.names():
+        try:
+            summaries[name] = backends.load(name).summary
+        except backends.TargetError as error:
+            summaries[name] = str(error)
+    if json:
+        print_json(summaries)
+    else:
+        print_table(
+            (name, summary if name in backends.DEFAULT_TARGETS else f"{summary} (not by default)")
+            for name, summary in summaries.items()
+        )
+    return DONE

@@ -56,11 +56,8 @@ def bus(
 ) -> int:
     from thorvaldc.cli.diagnostic_output import report_of, show_report
     from thorvaldc.cli.robot_file import load_robot
-    from thorvaldc.cli.virtual_robot import make_mujoco_base, read_store
-    from thorvaldc.compiler.bus.injected_faults import read_faults
+    from thorvaldc.cli.virtual_robot import read_store, virtual_robot
     from thorvaldc.diagnostics import DiagnosticError, Report
-    from thorvaldc.simulation.bus.fault_injection import FaultInjector
-    from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
     options.check_physics(physics)
     number = options.parse_seed(seed)
@@ -72,25 +69,23 @@ def bus(
     memory = read_store(store)
     report = Report()
     try:
-        script = read_faults(faults, robot, report) if faults else None
-        if faults and script is None:
-            return show_report(report, {**loaded.sources, faults: Path(faults)})
-        base = make_mujoco_base(robot, file, report) if physics == "mujoco" else None
-        if number is None:
-            number = script.seed if script is not None else 0
-        simulated = SimulatedRobot(
+        simulated = virtual_robot(
             robot,
-            seed=number,
-            base=base,
+            file,
+            physics,
+            faults,
+            number,
+            report,
             delivered=delivered,
-            nonvolatile=memory,
-            quirks=script.quirks if script is not None else (),
+            memory=memory,
+            show_fault=_show_injected_fault,
         )
     except DiagnosticError as error:
         return loaded.show(report_of(error))
-    show_report(report, loaded.sources)
-    if script is not None:
-        FaultInjector(simulated, script, _show_injected_fault)
+    sources = {**loaded.sources, **({faults: Path(faults)} if faults else {})}
+    show_report(report, sources)
+    if report.has_errors:
+        return INPUT
     _serve(simulated, _channels(robot, channel), store, lockstep, json)
     return DONE
 

@@ -1,15 +1,21 @@
-"""The command ``thorvaldc check``: reports every error in robot and fleet files."""
+"""The commands ``thorvaldc check``, which reports every error in robot and fleet files, and
+``explain``, which shows the page of a diagnostic code."""
 
 from __future__ import annotations
 
+import os
 import sys
 from collections import Counter
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from thorvaldc.cli import options
+from thorvaldc.cli.completion import diagnostic_codes
+from thorvaldc.cli.exits import DONE
 
 if TYPE_CHECKING:
     from thorvaldc.diagnostics import Accepted
@@ -50,15 +56,11 @@ def check(
     folders = options.library_folders(library)
     output = DiagnosticOutput(format, sys.stdout)
     with ExitStack() as inputs:
-        text = None
-        if STANDARD_INPUT in files:
-            from thorvaldc.cli.standard_input import standard_input
-
-            text = inputs.enter_context(standard_input(STANDARD_INPUT))
+        text = inputs.enter_context(_standard_input()) if STANDARD_INPUT in files else None
         for file in without_lock_files(files):
             compilation = compile_file(file, library=folders, trust=trust)
             if file == STANDARD_INPUT and text is not None:
-                compilation.sources[file] = text
+                compilation.sources[STANDARD_INPUT] = text
             output.add(compilation.report, compilation.sources)
             accepted = compilation.report.accepted
             if accepted and verbose and format == "text":
@@ -96,3 +98,41 @@ def _summary(model: Robot | Fleet) -> str:
     steered = sum(1 for wheel in model.wheels if wheel.steered)
     wheels = count(len(model.wheels), "wheel")
     return f"{wheels} ({driven} driven, {steered} steered), {model.inertial.mass:.1f} kg"
+
+
+@contextmanager
+def _standard_input() -> Iterator[Path]:
+    """Makes the standard input the content of the file ``-`` of the working folder.
+
+    Paths in the document start there.  Returns a file with the same text, for excerpts.
+    """
+    import tempfile
+
+    from thorvaldc.compiler.source.input_file import unsaved_texts
+    from thorvaldc.compiler.source.reader import MAX_BYTES
+
+    data = sys.stdin.buffer.read(MAX_BYTES + 1)  # a longer document is an error
+    with tempfile.NamedTemporaryFile(prefix="thorvaldc-") as copy:
+        copy.write(data)
+        copy.flush()
+        with unsaved_texts({os.path.realpath(STANDARD_INPUT): data}):
+            yield Path(copy.name)
+
+
+def explain(
+    code: Annotated[
+        str,
+        typer.Argument(
+            metavar="CODE", autocompletion=diagnostic_codes, help="TV501 or can-id-duplicate."
+        ),
+    ],
+) -> int:
+    from thorvaldc.diagnostics.report import UnknownCode
+    from thorvaldc.diagnostics.report import explain as page_of
+
+    try:
+        print(page_of(code), end="")
+    except UnknownCode as error:
+        hint = f"; {error.hint}" if error.hint else ""
+        raise typer.BadParameter(f"{error}{hint}", param_hint="CODE") from None
+    return DONE

@@ -1,4 +1,5 @@
-"""The command ``thorvaldc new``: makes a folder with a robot.yaml to start from."""
+"""The commands ``thorvaldc new``, which makes a folder with a robot.yaml to start from, and
+``schema``, which prints the JSON Schema of a kind of YAML file for editors."""
 
 from __future__ import annotations
 
@@ -7,8 +8,11 @@ from typing import Annotated
 
 import typer
 
-from thorvaldc.cli.completed_values import preset_names
+from thorvaldc.cli.completion import preset_names, schema_kinds
 from thorvaldc.cli.exits import DONE
+from thorvaldc.schema.documents import KINDS
+
+MODEL = "model"
 
 
 def new(
@@ -63,4 +67,24 @@ def new(
         print(
             f"{file}: a {preset} robot. Next:\n  thorvaldc check {file}\n  thorvaldc build {file}"
         )
+    return DONE
+
+
+def schema(
+    kind: Annotated[
+        str,
+        typer.Argument(
+            metavar="KIND",
+            autocompletion=schema_kinds,
+            help=f"{', '.join(KINDS)}; model: model.json.",
+        ),
+    ],
+) -> int:
+    from thorvaldc.model.model_json import model_schema_text
+    from thorvaldc.schema.documents import schema_text
+
+    if kind not in (*KINDS, MODEL):
+        kinds = ", ".join((*KINDS, MODEL))
+        raise typer.BadParameter(f"{kind!r} is none of {kinds}", param_hint="KIND")
+    print(model_schema_text() if kind == MODEL else schema_text(kind), end="")
     return DONE

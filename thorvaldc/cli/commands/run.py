@@ -9,24 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thorvaldc.cli.completed_values import bus_interfaces
+from thorvaldc.cli import options
+from thorvaldc.cli.command import check_full_installation
+from thorvaldc.cli.completion import bus_interfaces
 from thorvaldc.cli.exits import INPUT, OutsideError
-from thorvaldc.cli.installation import check_full_installation
-from thorvaldc.cli.options import (
-    InjectedFaults,
-    Json,
-    Library,
-    Parameters,
-    Physics,
-    RobotFile,
-    Seed,
-    Trust,
-    check_physics,
-    parse_duration,
-    parse_seed,
-    parsed,
-    refuse_options,
-)
 
 if TYPE_CHECKING:
     from thorvaldc.can.frame import CanInterface
@@ -37,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def run(
-    file: RobotFile,
+    file: options.RobotFile,
     bus: Annotated[
         str,
         typer.Option(
@@ -58,10 +44,10 @@ def run(
         str,
         typer.Option("--twist", metavar="VX,VY,WZ", help="Twist to drive, in m/s, m/s and rad/s."),
     ] = "",
-    parameters: Parameters = "",
-    physics: Physics = "ideal",
-    faults: InjectedFaults = "",
-    seed: Seed = "",
+    parameters: options.Parameters = "",
+    physics: options.Physics = "ideal",
+    faults: options.InjectedFaults = "",
+    seed: options.Seed = "",
     fast: Annotated[
         bool, typer.Option("--fast", help="Simulate a virtual robot faster than real time.")
     ] = False,
@@ -74,29 +60,28 @@ def run(
             show_default="the robot's; none with --twist or --duration",
         ),
     ] = "",
-    json: Json = False,
-    library: Library = [],  # noqa: B006
-    trust: Trust = False,
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
 ) -> int:
     from thorvaldc.can.open_interface import lock_buses, open_interfaces
-    from thorvaldc.cli.hardware_warning import is_hardware, warn_once
-    from thorvaldc.cli.robot_file import load_robot
+    from thorvaldc.cli.robot_file import is_hardware, load_robot, warn_once
     from thorvaldc.diagnostics import DiagnosticError, Report
     from thorvaldc.runtime.run_session import RunSession
     from thorvaldc.runtime.se2 import parse_twist
 
-    seconds = parse_duration(duration, "--duration") if duration else math.inf
-    commanded_twist = parsed(twist, parse_twist, "--twist") if twist else None
-    check_physics(physics)
+    seconds = options.parse_duration(duration, "--duration") if duration else math.inf
+    commanded_twist = options.parsed(twist, parse_twist, "--twist") if twist else None
+    options.check_physics(physics)
     virtual = bus == "virtual"
     if not virtual:
-        options = {"--faults": faults, "--seed": seed, "--fast": fast}
-        options["--physics"] = physics != "ideal"
-        refuse_options(options, "is for a simulated robot, --bus virtual")
+        simulated = {"--faults": faults, "--seed": seed, "--fast": fast}
+        simulated["--physics"] = physics != "ideal"
+        options.refuse_options(simulated, "is for a simulated robot, --bus virtual")
     if fast and not duration:
         raise typer.BadParameter("needs a --duration", param_hint="'--fast'")
     if fast:
-        refuse_options({"--name": name}, "a run with --fast has no control channel")
+        options.refuse_options({"--name": name}, "a run with --fast has no control channel")
     loaded = load_robot(file, library, trust)
     if loaded is None:
         return INPUT
@@ -106,7 +91,9 @@ def run(
             if not virtual:
                 lock_buses(bus, loaded.robot, locks)
             interfaces = (
-                _virtual_interfaces(loaded.robot, file, physics, faults, parse_seed(seed), report)
+                _virtual_interfaces(
+                    loaded.robot, file, physics, faults, options.parse_seed(seed), report
+                )
                 if virtual
                 else open_interfaces(bus, loaded.robot)
             )
@@ -138,7 +125,7 @@ def run(
 def _drive(session: RunSession, loaded: LoadedRobot, json: bool) -> int:
     """Runs the base driver, prints its state and returns the exit status."""
     from thorvaldc.cli.diagnostic_output import print_json
-    from thorvaldc.cli.status_view import StatusView
+    from thorvaldc.cli.progress import StatusView
     from thorvaldc.diagnostics import Report
 
     with StatusView(session) as view:

@@ -33,7 +33,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.units import UnitError, parse_quantity
 from thorvaldc.compiler.values.value_reader import items
 from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
-from thorvaldc.diagnostics.grouping import grouped
+from thorvaldc.diagnostics.report import grouped
 from thorvaldc.model import Joint, JointServo, Link, Mesh, Pose, Vec3
 
 

@@ -15,8 +15,7 @@ from typing import Any, NamedTuple
 from thorvaldc.compiler.output.writer import MANIFEST, listed_files, manifest
 from thorvaldc.compiler.result import Compilation
 from thorvaldc.diagnostics import Span
-from thorvaldc.diagnostics.bounded_file import read_bounded
-from thorvaldc.diagnostics.foreign_json import read_json
+from thorvaldc.diagnostics.files import read_bounded, read_json
 
 _SHOWN = 8
 """Number of file names of each kind in a message."""

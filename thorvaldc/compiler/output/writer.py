@@ -36,10 +36,14 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.atomic_file import STAGE_PREFIX, keep_owner, write_file
-from thorvaldc.diagnostics.bounded_file import read_bounded
-from thorvaldc.diagnostics.foreign_json import read_json
-from thorvaldc.diagnostics.interrupts import uninterrupted
+from thorvaldc.diagnostics.files import (
+    STAGE_PREFIX,
+    keep_owner,
+    read_bounded,
+    read_json,
+    uninterrupted,
+    write_file,
+)
 
 MANIFEST = "manifest.json"
 _MAX_MANIFEST_BYTES = 16_000_000

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from thorvaldc.compiler.source.input_file import read_bytes
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.diagnostics.bounded_file import MAX_LOG_BYTES
+from thorvaldc.diagnostics.files import MAX_LOG_BYTES
 
 TIME = "time"
 _MAX_COLUMNS = 10_000

@@ -14,7 +14,7 @@ from typing import Any
 
 from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError, WorkerLimits, WorkerProcess
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.diagnostics.bounded_file import MAX_LOG_BYTES, check_regular, read_bounded
+from thorvaldc.diagnostics.files import MAX_LOG_BYTES, check_regular, read_bounded
 
 ODOM, TRUE_ODOM = "odom", "ground_truth/odom"
 COMMANDED_TWIST, LIMITED_TWIST = "cmd_vel", "cmd_vel_limited"

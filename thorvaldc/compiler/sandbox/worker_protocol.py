@@ -26,7 +26,7 @@ import signal
 import sys
 from typing import IO, Any
 
-from thorvaldc.diagnostics.foreign_json import read_json
+from thorvaldc.diagnostics.files import read_json
 
 Fields = dict[str, Any]
 

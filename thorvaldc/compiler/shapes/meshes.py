@@ -34,7 +34,7 @@ from thorvaldc.compiler.shapes.mesh_formats import (
 from thorvaldc.compiler.source.input_file import missing_file_hint, near_path
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span, plain
-from thorvaldc.diagnostics.bounded_file import read_bounded
+from thorvaldc.diagnostics.files import read_bounded
 from thorvaldc.model import Mesh, Vec3
 
 # Robots with meshes of the built-in library alone need no worker process.

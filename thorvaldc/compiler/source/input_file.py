@@ -17,7 +17,7 @@ from pathlib import Path
 
 from thorvaldc.compiler.source.node import Node, yaml_text
 from thorvaldc.diagnostics import Proposal, Report, Span, nearest
-from thorvaldc.diagnostics.bounded_file import read_bounded
+from thorvaldc.diagnostics.files import read_bounded
 
 _unsaved: ContextVar[Mapping[str, bytes]] = ContextVar("unsaved")
 

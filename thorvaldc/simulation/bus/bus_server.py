@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 from thorvaldc.can import simulated_bus_protocol as protocol
 from thorvaldc.can.frame import NEVER, SEND_LIMIT, CanFrame
 from thorvaldc.can.local_socket import Unpacker, listen, pack, pack_json, socket_path
-from thorvaldc.diagnostics.foreign_json import read_json
+from thorvaldc.diagnostics.files import read_json
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import CanController, Wire
 

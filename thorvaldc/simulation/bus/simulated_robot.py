@@ -23,7 +23,7 @@ from thorvaldc.can.frame import (
 )
 from thorvaldc.commissioning.planner import AttachStep
 from thorvaldc.diagnostics import DiagnosticError, Report
-from thorvaldc.diagnostics.atomic_file import write_file
+from thorvaldc.diagnostics.files import write_file
 from thorvaldc.model import Actuator, Bus, Node, Robot
 from thorvaldc.model.plugins import PluginFailure, PluginTable
 from thorvaldc.model.scenario import Quirk

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from thorvaldc.diagnostics.atomic_file import write_file
+from thorvaldc.diagnostics.files import write_file
 from thorvaldc.model import Robot, World, Zone
 from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.runtime.se2 import Pose2

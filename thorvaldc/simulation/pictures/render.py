@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from thorvaldc.diagnostics.atomic_file import STAGE_PREFIX, errors_with_name
+from thorvaldc.diagnostics.files import STAGE_PREFIX, errors_with_name
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from thorvaldc.compiler.recordings import csv_table
 from thorvaldc.diagnostics import Report, Span, did_you_mean
-from thorvaldc.diagnostics.atomic_file import AtomicFile
+from thorvaldc.diagnostics.files import AtomicFile
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import GROUPS
 from thorvaldc.runtime.base_interface import JointCommands, JointStates

@@ -32,8 +32,7 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.compiler.recordings import ros_bag
-from thorvaldc.diagnostics.atomic_file import INCOMPLETE, errors_with_name
-from thorvaldc.diagnostics.interrupts import uninterrupted
+from thorvaldc.diagnostics.files import INCOMPLETE, errors_with_name, uninterrupted
 from thorvaldc.model import Robot
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointCommands, JointStates

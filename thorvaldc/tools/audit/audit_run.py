@@ -16,7 +16,7 @@ from xml.sax.saxutils import quoteattr
 from thorvaldc.compiler.extras import xacro_expand
 from thorvaldc.compiler.extras.xacro_expand import Element, ExpandedFile
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.diagnostics.bounded_file import read_bounded
+from thorvaldc.diagnostics.files import read_bounded
 from thorvaldc.tools.audit import (
     body_rules,
     descriptions,

@@ -11,7 +11,7 @@ from urllib.parse import unquote
 
 from thorvaldc.compiler.shapes.meshes import load_mesh, shared_mesh_workers
 from thorvaldc.diagnostics import Label, Report, Span, plain
-from thorvaldc.diagnostics.foreign_json import read_json
+from thorvaldc.diagnostics.files import read_json
 from thorvaldc.model import Inertial, Mesh, Pose
 from thorvaldc.model.spatial import float_sum
 from thorvaldc.model.statics.tip_over import convex_hull

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thorvaldc.cli import completed_values, options
+from thorvaldc.cli import completion, options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def batch(
         typer.Option(
             "--set",
             metavar="PATH=VALUES",
-            autocompletion=completed_values.scenario_variables,
+            autocompletion=completion.scenario_variables,
             help="Replace values of the scenario: world.friction=0.3,0.6 makes a run with each"
             " value, =0.3..0.9 draws values from the range.",
             show_default=False,
@@ -56,11 +56,11 @@ def batch(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import diagnostic_output, scenario_runs
+    from thorvaldc.cli import diagnostic_output, simulation_runs
     from thorvaldc.simulation.worker_processes import processors
     from thorvaldc.tools.batch import scenario_batch
 
-    planned = scenario_runs.plan_runs(
+    planned = simulation_runs.plan_runs(
         file, settings, draws, seed, from_document=variations or not settings
     )
     if planned is None:

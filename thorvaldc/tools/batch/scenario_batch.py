@@ -21,7 +21,7 @@ from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.result import Compilation
 from thorvaldc.compiler.scenario.scenario_compilation import metric_units
 from thorvaldc.compiler.scenario.variations import Change, Variations
-from thorvaldc.diagnostics import atomic_file
+from thorvaldc.diagnostics import files
 from thorvaldc.diagnostics.text_layout import text_table
 from thorvaldc.model.spatial import finite
 from thorvaldc.simulation.worker_processes import ignored_interrupts, worker_pool
@@ -227,7 +227,7 @@ class ResultFile:
         self._file.close()
         runs = sorted(self._runs, key=lambda run: run.number)
         text = _csv_text(runs, heading=True) if self._is_csv else runs_as_json(runs) + "\n"
-        atomic_file.write_file(self._path, text)
+        files.write_file(self._path, text)
 
     def append(self, run: Run) -> None:
         """Appends the result of a finished run to the file."""
@@ -236,8 +236,8 @@ class ResultFile:
             text = _csv_text([run], heading=len(self._runs) == 1)
         else:
             text = json.dumps(finite(run.as_json()), ensure_ascii=False) + "\n"
-        with atomic_file.errors_with_name(self._path):
-            atomic_file.append_whole(self._file.fileno(), text.encode())
+        with files.errors_with_name(self._path):
+            files.append_whole(self._file.fileno(), text.encode())
 
 
 def _csv_text(runs: Sequence[Run], *, heading: bool) -> str:

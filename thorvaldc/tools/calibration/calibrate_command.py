@@ -36,14 +36,14 @@ def calibrate(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import compiling, diagnostic_output
+    from thorvaldc.cli import diagnostic_output, robot_file
     from thorvaldc.diagnostics import DiagnosticError, Report
     from thorvaldc.model import Robot
     from thorvaldc.runtime.run_time_parameters import Parameters as DriverParameters
     from thorvaldc.simulation.records.joint_csv import read_log
 
     metres = _parse_distance(distance) if distance else None
-    compilation = compiling.compile_and_show(robot, library, trust=trust)
+    compilation = robot_file.compile_and_show(robot, library, trust=trust)
     model = compilation.model
     if model is None:
         return INPUT

@@ -10,7 +10,7 @@ from typing import Any
 from thorvaldc.compiler.robot_settings.wheel_calibration import Calibration, load_calibration
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.atomic_file import write_file
+from thorvaldc.diagnostics.files import write_file
 from thorvaldc.diagnostics.text_layout import text_table
 from thorvaldc.tools.calibration import self_calibration as calibration
 

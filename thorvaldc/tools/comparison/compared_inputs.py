@@ -16,7 +16,7 @@ from thorvaldc.comparison.module_changes import Outline, outline_of_file
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.result import Compilation
 from thorvaldc.diagnostics import DiagnosticError, Label, Report, Span, did_you_mean
-from thorvaldc.diagnostics.bounded_file import read_bounded
+from thorvaldc.diagnostics.files import read_bounded
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.model_json import is_model_file, load_model
 

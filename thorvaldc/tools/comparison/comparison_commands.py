@@ -42,10 +42,10 @@ def diff(
     trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli import diagnostic_output
-    from thorvaldc.cli.run_pictures import check_output
+    from thorvaldc.cli.options import check_output
     from thorvaldc.comparison import difference_text
     from thorvaldc.comparison.robot_comparison import compare_models
-    from thorvaldc.diagnostics.atomic_file import write_file
+    from thorvaldc.diagnostics.files import write_file
     from thorvaldc.model import Fleet
     from thorvaldc.tools.comparison import compared_inputs, comparison_output
 

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.diagnostics.foreign_json import read_json
+from thorvaldc.diagnostics.files import read_json
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import BusFault, BusFaults
 from thorvaldc.runtime.can_base.base_state_machine import BaseState

@@ -46,7 +46,7 @@ def import_original(
 
 
 def _write_new_file(path: Path, text: str) -> None:
-    from thorvaldc.diagnostics.atomic_file import write_file
+    from thorvaldc.diagnostics.files import write_file
 
     path.parent.mkdir(parents=True, exist_ok=True)
     try:

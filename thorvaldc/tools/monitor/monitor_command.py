@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thorvaldc.cli import completed_values, options
+from thorvaldc.cli import completion, options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def monitor(
         typer.Option(
             "--bus",
             metavar="BUS",
-            autocompletion=completed_values.bus_interfaces,
+            autocompletion=completion.bus_interfaces,
             help="sim:NAME, slcan:PORT, socketcan:can0, udp, or INTERFACE:CHANNEL of python-can;"
             " for a robot with several buses NAME=BUS.",
         ),
@@ -55,7 +55,7 @@ def monitor(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import diagnostic_output, robot_file, selected_bus
+    from thorvaldc.cli import diagnostic_output, robot_file
     from thorvaldc.diagnostics import DiagnosticError
     from thorvaldc.tools.monitor import monitor_view
     from thorvaldc.tools.monitor.bus_monitor import BusMonitor
@@ -69,7 +69,7 @@ def monitor(
     if loaded is None:
         return INPUT
     try:
-        model_bus, interface_name = selected_bus.select_bus(loaded.robot, bus)
+        model_bus, interface_name = robot_file.select_bus(loaded.robot, bus)
         interface = _open(interface_name, model_bus)
     except DiagnosticError as error:
         return loaded.show(diagnostic_output.report_of(error))

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from thorvaldc.cli import completed_values, options
+from thorvaldc.cli import completion, options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 
 
@@ -30,7 +30,7 @@ def render(
         typer.Option(
             "--view",
             metavar="VIEW",
-            autocompletion=completed_values.view_names,
+            autocompletion=completion.view_names,
             help="corner, front, rear, left, right, top, or azimuth,elevation in degrees.",
         ),
     ] = "corner",
@@ -47,16 +47,16 @@ def render(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import compiling, diagnostic_output, run_pictures
+    from thorvaldc.cli import diagnostic_output, robot_file, run_outputs
     from thorvaldc.compiler.pipeline import emit
     from thorvaldc.diagnostics import DiagnosticError, Report
-    from thorvaldc.diagnostics.atomic_file import write_file
+    from thorvaldc.diagnostics.files import write_file
     from thorvaldc.simulation.pictures import check_pillow
     from thorvaldc.simulation.pictures.render import choose_opengl_backend, parse_size, parse_view
     from thorvaldc.simulation.pictures.render import render as draw
     from thorvaldc.tools.pictures.replay import arrangement
 
-    with run_pictures.picture_errors():  # before MuJoCo is imported
+    with run_outputs.picture_errors():  # before MuJoCo is imported
         check_pillow()
         choose_opengl_backend()
     pixels = options.parsed(size, parse_size, "--size")
@@ -65,14 +65,14 @@ def render(
         options.refuse_options({"--at": at}, "this is a time of --replay")
     time = options.parsed(at, parse_record_time, "--at")
     if output:
-        run_pictures.check_output(output, ["png"], "--output")
-    compilation = compiling.compile_and_show(file, library, trust=trust)
+        options.check_output(output, ["png"], "--output")
+    compilation = robot_file.compile_and_show(file, library, trust=trust)
     model = compilation.model
     if model is None:
         return INPUT
     path = output or f"{model.name}.png"
     if not output:
-        run_pictures.check_output(path, ["png"], "--output")
+        options.check_output(path, ["png"], "--output")
     arrange = None
     if replay:
         arrange = arrangement(model, replay, time)
@@ -80,7 +80,7 @@ def render(
             return INPUT
     report = Report()
     try:
-        with run_pictures.picture_errors():
+        with run_outputs.picture_errors():
             files = emit(model, ["mjcf"], report)
             picture = draw(model, files, pixels, camera, arrange=arrange)
     except DiagnosticError as error:
@@ -122,11 +122,11 @@ def replay(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import compiling, run_pictures
+    from thorvaldc.cli import robot_file, run_outputs
     from thorvaldc.tools.pictures.replay import replay_run
 
-    pictures = run_pictures.RunPictures(plot, video)
-    compilation = compiling.compile_and_show(file, library, robot or None, trust=trust)
+    pictures = run_outputs.RunPictures(plot, video)
+    compilation = robot_file.compile_and_show(file, library, robot or None, trust=trust)
     if compilation.model is None:
         return INPUT
     return replay_run(compilation, compilation.model, source, pictures, record, json)
@@ -146,14 +146,14 @@ def view(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import compiling, diagnostic_output, run_pictures
+    from thorvaldc.cli import diagnostic_output, robot_file
     from thorvaldc.compiler.pipeline import emit
     from thorvaldc.diagnostics import DiagnosticError, Report
-    from thorvaldc.diagnostics.atomic_file import write_file
+    from thorvaldc.diagnostics.files import write_file
 
     if output:
-        run_pictures.check_output(output, ["html", "htm"], "--output")
-    compilation = compiling.compile_and_show(file, library, trust=trust)
+        options.check_output(output, ["html", "htm"], "--output")
+    compilation = robot_file.compile_and_show(file, library, trust=trust)
     model = compilation.model
     if model is None:
         return INPUT
@@ -162,7 +162,7 @@ def view(
         from thorvaldc.simulation.web_viewer import view_page
 
         path = output or f"{model.name}.html"
-        run_pictures.check_output(path, ["html", "htm"], "--output")
+        options.check_output(path, ["html", "htm"], "--output")
         write_file(Path(path), view_page(model))
         print(path)
         return DONE

@@ -10,8 +10,13 @@ from itertools import pairwise
 from pathlib import Path
 
 from thorvaldc.cli.diagnostic_output import message, print_json, report_of, show_report, table_width
-from thorvaldc.cli.run_pictures import RunPictures
-from thorvaldc.cli.run_records import Robots, open_recorders, record_summary, write_errors
+from thorvaldc.cli.run_outputs import (
+    Robots,
+    RunPictures,
+    open_recorders,
+    record_summary,
+    write_errors,
+)
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.compiler.result import Compilation
 from thorvaldc.diagnostics import DiagnosticError, Report, Span

@@ -21,7 +21,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from watchfiles import awatch
 
 from thorvaldc.compiler.pipeline import emit
-from thorvaldc.diagnostics.foreign_json import read_json
+from thorvaldc.diagnostics.files import read_json
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.plugins import data_folder
 from thorvaldc.model.settings import AUTOMATIC

@@ -12,7 +12,7 @@ from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.value_reader import items
 from thorvaldc.diagnostics import Span
-from thorvaldc.diagnostics.excerpt import Excerpts
+from thorvaldc.diagnostics.renderers import Excerpts
 from thorvaldc.diagnostics.text_layout import paragraph, text_list
 from thorvaldc.tools.provenance.explanation import Explanation, OutputUse, Step
 from thorvaldc.tools.provenance.influence_search import Influence, SourceValue

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from thorvaldc.cli import options
-from thorvaldc.cli.completed_values import completer
+from thorvaldc.cli.completion import completer
 from thorvaldc.cli.exits import DONE, INPUT
 
 
@@ -48,9 +48,9 @@ def why(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli.compiling import compile_and_show
     from thorvaldc.cli.diagnostic_output import print_json, report_of, show_report
     from thorvaldc.cli.progress import Progress
+    from thorvaldc.cli.robot_file import compile_and_show
     from thorvaldc.diagnostics import DiagnosticError
     from thorvaldc.model import Robot
     from thorvaldc.model.model_json import is_model_file

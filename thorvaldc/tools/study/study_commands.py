@@ -158,9 +158,9 @@ def write_report(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli import diagnostic_output, run_pictures
+    from thorvaldc.cli import diagnostic_output
     from thorvaldc.cli.progress import Progress
-    from thorvaldc.diagnostics.atomic_file import write_file
+    from thorvaldc.diagnostics.files import write_file
     from thorvaldc.tools.study import study_report, study_results, study_run
     from thorvaldc.tools.study.study_definition import required
     from thorvaldc.tools.study.study_results import StudyTable
@@ -168,7 +168,7 @@ def write_report(
     required("plotly")
     fault = study_report.picture_fault()  # before MuJoCo is imported
     if output:
-        run_pictures.check_output(output, ["html", "htm"], "--output")
+        options.check_output(output, ["html", "htm"], "--output")
     run = study_run.plan_study(study, library, trust)
     if run is None:
         return INPUT

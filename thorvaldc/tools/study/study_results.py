@@ -19,7 +19,7 @@ from thorvaldc.compiler.scenario.scenario_compilation import metric_units
 from thorvaldc.compiler.source.node import Value
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any, parse_unit
-from thorvaldc.diagnostics.foreign_json import read_json
+from thorvaldc.diagnostics.files import read_json
 from thorvaldc.diagnostics.text_layout import text_table
 from thorvaldc.model import quantities as si
 from thorvaldc.model.facts.robot_facts import fact_quantity

@@ -22,15 +22,15 @@ from urllib.parse import urlsplit
 import typer
 
 from thorvaldc import __version__
-from thorvaldc.cli.compiling import compile_and_show
 from thorvaldc.cli.diagnostic_output import has_color, message
 from thorvaldc.cli.exits import OutsideError
 from thorvaldc.cli.options import library_folders
 from thorvaldc.cli.progress import Progress
+from thorvaldc.cli.robot_file import compile_and_show
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.result import Compilation
 from thorvaldc.compiler.source.input_file import unsaved_texts
-from thorvaldc.diagnostics import atomic_file, foreign_json
+from thorvaldc.diagnostics import files
 from thorvaldc.tools.study import design_evaluation as evaluation
 from thorvaldc.tools.study import study_definition as definition
 from thorvaldc.tools.study.study_compilation import value_text
@@ -87,7 +87,7 @@ class StudyJournal:
         """Writes the result of a design, by the key of the design."""
         text = json.dumps({"key": key, **result}, ensure_ascii=False, separators=(",", ":"))
         data = text.encode()
-        atomic_file.append_whole(self._file, _checksum(data) + b" " + data + b"\n")
+        files.append_whole(self._file, _checksum(data) + b" " + data + b"\n")
         self.results[key] = result
 
     def close(self) -> None:
@@ -101,7 +101,7 @@ def read_results(folder: Path) -> dict[str, dict[str, Any]]:
         for line in file:
             checksum, _, data = line.rstrip(b"\n").partition(b" ")
             if line.endswith(b"\n") and checksum == _checksum(data):
-                result = foreign_json.read_json(data)
+                result = files.read_json(data)
                 results[result.pop("key")] = result
     return results
 
@@ -371,7 +371,7 @@ def write_winner(path: Path, text: str, run: StudyRun) -> Compilation:
     with unsaved_texts({os.path.realpath(path): text.encode()}):
         compilation = compile_file(path, library=run.inputs.library, trust=run.inputs.trust)
     if not compilation.report.has_errors:
-        atomic_file.write_file(path, text)
+        files.write_file(path, text)
     return compilation
 
 

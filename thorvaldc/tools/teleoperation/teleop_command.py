@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thorvaldc.cli import completed_values, options
+from thorvaldc.cli import completion, options
+from thorvaldc.cli.command import check_full_installation
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
-from thorvaldc.cli.installation import check_full_installation
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
@@ -31,7 +31,7 @@ def teleop(
         typer.Option(
             "--on",
             metavar="BASE",
-            autocompletion=completed_values.base_names,
+            autocompletion=completion.base_names,
             help="sim: MuJoCo; ideal: ideal joints; virtual: a simulated bus; or a bus as for"
             " `run --bus`.",
         ),
@@ -41,7 +41,7 @@ def teleop(
         typer.Option(
             "--to",
             metavar="NAME",
-            autocompletion=completed_values.driver_names,
+            autocompletion=completion.driver_names,
             help="Drive the running driver of this name.",
         ),
     ] = "",
@@ -164,7 +164,7 @@ def _simulated_vehicle(robot: Robot, file: str, on: str, channel: str) -> Vehicl
 
 def _bus_vehicle(robot: Robot, file: str, on: str, channel: str) -> Vehicle:
     from thorvaldc.can.open_interface import open_interfaces
-    from thorvaldc.cli.hardware_warning import is_hardware, warn_once
+    from thorvaldc.cli.robot_file import is_hardware, warn_once
     from thorvaldc.diagnostics import Report
     from thorvaldc.runtime.run_session import RunSession
 

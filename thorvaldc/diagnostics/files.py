@@ -1,7 +1,7 @@
-"""Writes files so that a full disk or a killed process leaves no half file under their name.
+"""Reads files of others with limits, and writes files so that a full disk, Ctrl-C or a killed
+process leaves no half file under their name.
 
-The content is written to a hidden file beside the file. The hidden file then gets the name in one
-step::
+A file is written under a hidden name beside it, and then gets its name in one step::
 
     page.html             <- old page      page.html  <- new page
     .thorvaldc-812-7f3a   <- new page ==>
@@ -13,12 +13,78 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
 import os
+import signal
 import stat
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any
+
+MAX_LOG_BYTES = 256_000_000
+"""Limit of recorded runs and other logs."""
+
+_KINDS = {
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+}
+
+
+def check_regular(status: os.stat_result) -> None:
+    """Raises ``OSError`` if a file is not a regular file.
+
+    Reading from a pipe can wait for ever, and a device can contain any number of bytes.
+
+    - ``status``: result of ``os.stat`` for the file.
+    """
+    kind = stat.S_IFMT(status.st_mode)
+    if kind == stat.S_IFDIR:
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if kind != stat.S_IFREG:
+        name = _KINDS.get(kind, "not a file")
+        raise OSError(errno.EINVAL, f"it is {name}; expected a regular file")
+
+
+def read_bounded(path: Path | str, limit: int, *, cut: bool = False) -> bytes:
+    """Returns the content of a regular file with at most ``limit`` bytes.
+
+    Raises ``OSError`` if the file cannot be read, is not a regular file, or is larger.
+
+    - ``cut``: whether the first ``limit`` bytes of a larger file are returned.
+    """
+    check_regular(os.stat(path))  # opening some devices has effects
+    # Between the two checks, another program could replace the file by a pipe.
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    with open(os.open(path, flags), "rb") as file:
+        check_regular(os.fstat(file.fileno()))
+        # A limit far above the size of the file would reserve the memory of the limit.
+        size = min(limit, os.fstat(file.fileno()).st_size)
+        parts = [file.read(size)]
+        rest = limit - size
+        while rest > 0 and (part := file.read(min(rest, 1 << 20))):
+            parts.append(part)  # the file grew, or its size is not known as in /proc
+            rest -= len(part)
+        if not cut and file.read(1):
+            text = f"it has more than {limit / 1e6:g} MB, which is the limit"
+            raise OSError(errno.EFBIG, text)
+    return b"".join(parts)
+
+
+def read_json(text: str | bytes) -> Any:
+    """Returns the value of a JSON text.
+
+    Raises ``ValueError`` if the text is not JSON, also for brackets that are nested deeper than
+    Python can read, for which the module ``json`` raises ``RecursionError``.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("brackets are nested too deeply") from None
+
 
 STAGE_PREFIX = ".thorvaldc-"
 """Start of the names of files and folders that exist only while something is written."""
@@ -199,3 +265,28 @@ def _status(path: Path) -> os.stat_result | None:
         return os.stat(path)
     except FileNotFoundError:
         return None
+
+
+@contextlib.contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Delays the signals SIGINT and SIGTERM until the end of a ``with`` block.
+
+    A signal such as SIGINT is delayed only if it has a Python signal handler.  At the end of the
+    ``with`` block, the handler of the first received signal runs.  Signals are not delayed outside
+    the main thread, because Python runs signal handlers only in the main thread.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    all_handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: handler for number, handler in all_handlers.items() if callable(handler)}
+    pending: list[int] = []
+    for number in handlers:
+        signal.signal(number, lambda number, _frame: pending.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        if pending:
+            handlers[signal.Signals(pending[0])](pending[0], None)

@@ -1,4 +1,6 @@
-"""The command ``thorvaldc can flash``: writes node ids and parameters to the nodes of a CAN bus."""
+"""The commands ``thorvaldc can``: ``scan`` compares the nodes of a CAN bus with the robot, ``plan``
+shows the steps that would set them up, ``flash`` writes node ids and parameters, ``verify`` checks
+identities, values, periods and load."""
 
 from __future__ import annotations
 
@@ -16,6 +18,96 @@ if TYPE_CHECKING:
     from thorvaldc.cli.bus_access import BusAccess
     from thorvaldc.commissioning.journal import JournalFile
     from thorvaldc.commissioning.planner import Plan
+
+
+def scan(
+    file: options.RobotFile,
+    bus: options.BusInterface,
+    active: Annotated[
+        bool, typer.Option("--active", help="Listen, then send a request to every node.")
+    ] = False,
+    store: options.Store = "",
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
+) -> int:
+    from thorvaldc.cli.bus_access import with_bus
+    from thorvaldc.cli.diagnostic_output import message, print_json, table_width
+    from thorvaldc.commissioning.scan_result import scan_notes, scan_table
+
+    def work(access: BusAccess) -> int:
+        scanner = access.scanner()
+        scan = scanner.active(values=False) if active else scanner.passive()
+        access.bar.clear()
+        if json:
+            print_json(scan.as_json())
+        else:
+            print(scan_table(scan, table_width()))
+            for note in scan_notes(scan):
+                message(note)
+        differs = any(entry.verdict != "ok" for entry in scan.entries)
+        return INPUT if differs or scan.duplicates else DONE
+
+    return with_bus(file, bus, store, library, trust, work, sends=active)
+
+
+def plan(
+    file: options.RobotFile,
+    bus: options.BusInterface,
+    store: options.Store = "",
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
+) -> int:
+    from thorvaldc.cli.bus_access import with_bus
+
+    def work(access: BusAccess) -> int:
+        return _show_plan(access.make_plan(), json, {})
+
+    return with_bus(file, bus, store, library, trust, work)
+
+
+def _show_plan(plan: Plan, json: bool, more: dict[str, bool]) -> int:
+    from thorvaldc.cli.diagnostic_output import print_json, table_width
+    from thorvaldc.commissioning.planner import plan_as_json, plan_table
+
+    if json:
+        print_json({**plan_as_json(plan), **more})
+    else:
+        print(plan_table(plan, table_width()))
+    return INPUT if plan.problems or plan.strangers else DONE
+
+
+def verify(
+    file: options.RobotFile,
+    bus: options.BusInterface,
+    store: options.Store = "",
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
+) -> int:
+    from thorvaldc.cli.bus_access import with_bus
+    from thorvaldc.cli.diagnostic_output import count, message, print_json, table_width
+    from thorvaldc.commissioning.verify import verification_table
+    from thorvaldc.commissioning.verify import verify as verify_bus
+
+    def work(access: BusAccess) -> int:
+        verification = verify_bus(
+            access.master, access.configuration, access.bus, access.show_progress
+        )
+        access.bar.clear()
+        if json:
+            print_json(verification.as_json())
+        else:
+            print(verification_table(verification, table_width()))
+            if verification.not_seen:
+                names = ", ".join(verification.not_seen)
+                message(f"not seen: {names}; drives send them only after their start")
+            differences = sum(1 for check in verification.checks if not check.passed)
+            print(f"{access.configuration.robot}: {count(differences, 'difference')}")
+        return DONE if verification.passed else INPUT
+
+    return with_bus(file, bus, store, library, trust, work)
 
 
 def flash(
@@ -50,6 +142,7 @@ def flash(
     trust: options.Trust = False,
 ) -> int:
     from thorvaldc.cli.bus_access import with_bus
+    from thorvaldc.cli.diagnostic_output import message
 
     modes = {"--apply": apply, "--resume": resume, "--rollback": rollback}
     selected = [option for option, is_set in modes.items() if is_set]
@@ -65,24 +158,14 @@ def flash(
 
     def work(access: BusAccess) -> int:
         if not selected:
-            return _dry_run(access, json)
+            status = _show_plan(access.make_plan(), json, {"applied": False})
+            if not json:
+                message("dry run: nothing was written; --apply writes")
+            return status
         path = Path(journal or _default_journal(file, access))
         return _write(access, selected[0], path, plan, yes, json)
 
     return with_bus(file, bus, store, library, trust, work)
-
-
-def _dry_run(access: BusAccess, json: bool) -> int:
-    from thorvaldc.cli.diagnostic_output import message, print_json, table_width
-    from thorvaldc.commissioning.planner import plan_as_json, plan_table
-
-    plan = access.make_plan()
-    if json:
-        print_json({**plan_as_json(plan), "applied": False})
-    else:
-        print(plan_table(plan, table_width()))
-        message("dry run: nothing was written; --apply writes")
-    return INPUT if plan.problems or plan.strangers else DONE
 
 
 def _default_journal(file: str, access: BusAccess) -> str:
@@ -105,7 +188,7 @@ def _default_journal(file: str, access: BusAccess) -> str:
 def _write(
     access: BusAccess, mode: str, path: Path, expected_hash: str, yes: bool, json: bool
 ) -> int:
-    from thorvaldc.cli.console_operator import agrees
+    from thorvaldc.cli.bus_access import agrees
     from thorvaldc.cli.diagnostic_output import message
     from thorvaldc.commissioning.flash import Flash
     from thorvaldc.commissioning.journal import Journal

@@ -1,8 +1,16 @@
-"""The names of colours and the mesh files that the URDF and MJCF backends write."""
+"""What URDF, MJCF and SDF files have in common: names of colours, colours of fixed bodies, mesh
+files, gravity on a slope, and the elements that only a URDF has.
+"""
 
 from __future__ import annotations
 
-from thorvaldc.model import Robot
+import math
+from collections.abc import Iterator
+
+from thorvaldc.backends.xml_writer import parse
+from thorvaldc.diagnostics import CODES, Diagnostic
+from thorvaldc.model import Ground, Robot, Vec3
+from thorvaldc.model.spatial import GRAVITY, clean
 
 Color = tuple[float, float, float, float]
 BLOCK_COLORS: dict[str, Color] = {
@@ -55,3 +63,35 @@ def mesh_files(robot: Robot) -> dict[str, bytes]:
     URDF and MJCF files refer to a mesh file as ``../meshes/<name>``.
     """
     return {f"meshes/{mesh.name}": mesh.data for mesh in robot.meshes}
+
+
+SERVO_ELEMENTS = ("ros2_control", "transmission")
+"""Elements from which the compiler reads the servos of joints."""
+
+
+def urdf_only_elements(robot: Robot, target: str, *, mimics: bool = False) -> Iterator[Diagnostic]:
+    """Yield a diagnostic if a format leaves out elements of the extras or couplings of joints.
+
+    - ``target``: name of the format.
+    - ``mimics``: true for a format without mimic joints.
+    """
+    tags = [parse(text).tag for text in robot.urdf_extensions]
+    if robot.joint_servos:  # read from these elements
+        tags = [tag for tag in tags if tag not in SERVO_ELEMENTS]
+    if mimics:
+        tags += ["mimic" for joint in robot.joints if joint.mimic is not None]
+    if tags:
+        yield Diagnostic(
+            CODES["urdf-only-element"],
+            f"{target} has no elements for these parts of the robot: "
+            + ", ".join(f"{tags.count(tag)} x <{tag}>" for tag in dict.fromkeys(tags)),
+            robot.span,
+            "the URDF has them",
+        )
+
+
+def gravity_on(ground: Ground) -> Vec3:
+    """Return the vector of gravity in a world that is fixed to the ground, in m/s^2."""
+    down = GRAVITY * math.sin(ground.angle)
+    x, y = math.cos(ground.direction), math.sin(ground.direction)
+    return clean(-down * x), clean(-down * y), clean(-GRAVITY * math.cos(ground.angle))

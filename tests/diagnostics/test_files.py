@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.full_disk import full_disk
-from thorvaldc.diagnostics.atomic_file import AtomicFile, append_whole, write_file
+from thorvaldc.diagnostics.files import AtomicFile, append_whole, write_file
 
 
 @pytest.fixture

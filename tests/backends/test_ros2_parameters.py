@@ -12,7 +12,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tests.backends.rcl_parameters import RclError, read, value_of
-from thorvaldc.backends.ros2_parameter_file import ParameterError, parameter_file
+from thorvaldc.backends.ros2_parameters import ParameterError, parameter_file
 
 # -- the writer ----------------------------------------------------------------------
 
