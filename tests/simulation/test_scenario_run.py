@@ -227,11 +227,11 @@ def test_records_have_the_groups_and_times_of_the_scenario(tmp_path: Path) -> No
     recorder.close()
     rows = read(tmp_path / "r/cart.csv")
     assert len(rows) == 41
-    assert {"true_x", "fl_drive_axle_position"} <= rows[0].keys()
+    assert {"true_x", "fl_drive_axle.position"} <= rows[0].keys()
     assert not any(name.startswith(("odometry", "asked")) for name in rows[0])
     # The angle of a driven wheel is the distance over its radius.
     distance = float(rows[-1]["true_x"])
-    angle = float(rows[-1]["fl_drive_axle_position"]) - float(rows[0]["fl_drive_axle_position"])
+    angle = float(rows[-1]["fl_drive_axle.position"]) - float(rows[0]["fl_drive_axle.position"])
     assert angle * 0.2 == pytest.approx(distance, rel=0.01)
 
 

@@ -22,6 +22,7 @@ from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import Pose2, Twist, twist_text
 from thorvaldc.runtime.twist_ramp import is_axle_swing
 from thorvaldc.simulation import control_loop
+from thorvaldc.simulation.control_loop import ControlLoop, Manoeuvre, SimulationResult, TickCallback
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import CollisionCounter, MujocoScene
 from thorvaldc.simulation.physics.sim_base import GroundTruthBase, RollingBase, SimBase, WheelErrors
@@ -37,8 +38,8 @@ _START_DURATION = 0.5
 
 
 def report_run(
-    loops: Sequence[control_loop.ControlLoop],
-    result: control_loop.SimulationResult,
+    loops: Sequence[ControlLoop],
+    result: SimulationResult,
     report: Report,
     fastest_joint: str = "",
 ) -> None:
@@ -131,7 +132,7 @@ def _turned_wheel(robot: Robot, twist: Twist) -> Wheel | None:
     return blocking[0] if 0 < len(blocking) < len(fixed) else None
 
 
-def _direction(loop: control_loop.ControlLoop) -> str:
+def _direction(loop: ControlLoop) -> str:
     direction = loop.base.leaning() if isinstance(loop.base, GroundTruthBase) else ""
     return f" {direction}" if direction else ""
 
@@ -268,12 +269,12 @@ class Simulation:
     def run(
         self,
         duration: float,
-        motion: Twist | control_loop.Manoeuvre | Mapping[str, control_loop.Manoeuvre],
+        motion: Twist | Manoeuvre | Mapping[str, Manoeuvre],
         report: Report | None = None,
-        on_tick: control_loop.TickCallback | None = None,
+        on_tick: TickCallback | None = None,
         *,
         sampled: bool = True,
-    ) -> control_loop.SimulationResult:
+    ) -> SimulationResult:
         """Simulates a run of ``duration`` s from rest and returns the result of the run.
 
         ``motion`` is one twist, a manoeuvre for all robots, or a mapping from robot names to
@@ -294,7 +295,7 @@ class Simulation:
         # The odometry of a large group of robots is computed as a batch in each tick.
         sampled = (sampled and on_tick is not None) or len(self.robots) >= MIN_GROUP_SIZE
         loops = [
-            control_loop.ControlLoop(
+            ControlLoop(
                 name,
                 robot,
                 self._base(name, robot),
@@ -333,7 +334,7 @@ class Simulation:
             stopped = loop.tipped or (self.scene is not None and self.scene.diverged)
         wall = time.perf_counter() - started
         diverged = self.scene is not None and self.scene.diverged
-        result = control_loop.SimulationResult(
+        result = SimulationResult(
             "ideal" if self.scene is None else "mujoco",
             duration,
             simulated,
@@ -357,8 +358,8 @@ class Simulation:
         self,
         report: Report | None = None,
         duration: float | None = None,
-        on_tick: control_loop.TickCallback | None = None,
-    ) -> control_loop.SimulationResult:
+        on_tick: TickCallback | None = None,
+    ) -> SimulationResult:
         """Simulates the default manoeuvre and returns the result of the run.
 
         The run lasts ``duration`` s, or until the end of the manoeuvre if ``duration`` is
@@ -367,7 +368,7 @@ class Simulation:
         manoeuvres, end = self.demonstration()
         return self.run(duration or end, manoeuvres, report, on_tick)
 
-    def demonstration(self) -> tuple[Mapping[str, control_loop.Manoeuvre], float]:
+    def demonstration(self) -> tuple[Mapping[str, Manoeuvre], float]:
         """Returns the default manoeuvres by robot name, and the duration of the manoeuvres (s)."""
         if len(self.robots) == 1:
             name, robot = self.robots[0]
@@ -414,13 +415,13 @@ class Simulation:
 
 
 def _manoeuvre(
-    motion: Twist | control_loop.Manoeuvre | Mapping[str, control_loop.Manoeuvre], robot: str
-) -> control_loop.Manoeuvre:
+    motion: Twist | Manoeuvre | Mapping[str, Manoeuvre], robot: str
+) -> Manoeuvre:
     """Returns the manoeuvre of a robot.
 
     Raises ``DiagnosticError`` if a start time or a twist is not finite.
     """
-    manoeuvre: control_loop.Manoeuvre
+    manoeuvre: Manoeuvre
     if isinstance(motion, Twist):
         manoeuvre = (control_loop.Segment(0.0, motion),)
     elif isinstance(motion, Mapping):
@@ -435,7 +436,7 @@ def _manoeuvre(
     return manoeuvre
 
 
-def drive_build(build: Path, report: Report) -> control_loop.SimulationResult | None:
+def drive_build(build: Path, report: Report) -> SimulationResult | None:
     """Simulates the default manoeuvre of the robots of a build folder in MuJoCo.
 
     The function reads only the generated ``model.json``, ``mjcf/`` and ``meshes/``.  If the run
