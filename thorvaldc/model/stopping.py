@@ -276,7 +276,7 @@ def _ratio(a: float, b: float) -> float:
 #
 # e is the time by which the begin of the watchdog is unknown: a heartbeat period of the master, two
 # control cycles, and the response time of the bus.  Wheels that resist a yaw with their lateral
-# friction make it smaller.  ``runtime/can_base/stop_ladder.py`` explains the reaction.
+# friction make it smaller.  ``runtime/can_base/bus_connection.py`` explains the reaction.
 
 BUS_LOST, BUS_SILENT = "bus_lost", "bus_silent"
 NEGLIGIBLE = 1e-6

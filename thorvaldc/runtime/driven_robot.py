@@ -363,14 +363,6 @@ def robot_services(robot: ArmableRobot) -> list[Service]:
             raise ServiceError("`set` cannot be combined; change single values in another call")
         robot.set_drive_parameters(set or None, radii=radii, limits=changes)
 
-    def lock(caller: Caller, name: str, locked: bool = True, force: bool = False) -> None:
-        if caller.void and not locked:
-            raise ServiceError(caller.void)
-        robot.lock(name, locked, owner=caller.name, force=force)
-
-    def release_safety_stop(caller: Caller, force: bool = False) -> None:
-        robot.safety_stop(False, owner=caller.name, force=force)
-
     return [
         Service(
             "twist",
@@ -402,6 +394,22 @@ def robot_services(robot: ArmableRobot) -> list[Service]:
             set_drive_parameters,
             tuple(Argument(name, "number", None) for name in LIMITS),
         ),
+        *_permission_services(robot),
+    ]
+
+
+def _permission_services(robot: ArmableRobot) -> list[Service]:
+    """Returns the services that let the robot move, stop it, and set and release locks."""
+
+    def lock(caller: Caller, name: str, locked: bool = True, force: bool = False) -> None:
+        if caller.void and not locked:
+            raise ServiceError(caller.void)
+        robot.lock(name, locked, owner=caller.name, force=force)
+
+    def release_safety_stop(caller: Caller, force: bool = False) -> None:
+        robot.safety_stop(False, owner=caller.name, force=force)
+
+    return [
         Service(
             "arm",
             "Accept motion, if all pre-arm checks pass; homes the steering first if needed, while"

@@ -212,10 +212,10 @@ class Services:
                 checked[argument.name] = argument.default
         if caller.void and not service.valid_late:
             raise ServiceError(caller.void)
-        context = {"now": now, "caller": caller}
-        given = {name: value for name, value in context.items() if name in service.parameters}
+        context: dict[str, Any] = {"now": now, "caller": caller}
+        context = {name: value for name, value in context.items() if name in service.parameters}
         try:
-            return service.call(**given, **checked)
+            return service.call(**context, **checked)
         except DiagnosticError as error:
             raise ServiceError(error.one_line) from None
         except ValueError as error:
