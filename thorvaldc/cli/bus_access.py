@@ -26,8 +26,7 @@ from thorvaldc.commissioning.planner import AttachStep, Plan, PlanStep, make_pla
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.commissioning.step_executor import Operator
 from thorvaldc.diagnostics import DiagnosticError
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus
+from thorvaldc.model import Bus, Robot
 
 UNTESTED = (
     "note: this was never tried on physical hardware, only on simulated buses. Lift the wheels "

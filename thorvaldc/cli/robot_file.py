@@ -15,8 +15,7 @@ from thorvaldc.cli.diagnostic_output import message, report_of, show_report
 from thorvaldc.cli.exits import OutsideError
 from thorvaldc.cli.options import library_folders
 from thorvaldc.diagnostics import DiagnosticError, Report
-from thorvaldc.model import Robot
-from thorvaldc.model.bus import Bus
+from thorvaldc.model import Bus, Robot
 from thorvaldc.model.model_json import is_model_file, load_model
 
 if TYPE_CHECKING:  # the runtime package has no compiler

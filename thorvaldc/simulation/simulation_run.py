@@ -414,9 +414,7 @@ class Simulation:
         return SimBase(robot)
 
 
-def _manoeuvre(
-    motion: Twist | Manoeuvre | Mapping[str, Manoeuvre], robot: str
-) -> Manoeuvre:
+def _manoeuvre(motion: Twist | Manoeuvre | Mapping[str, Manoeuvre], robot: str) -> Manoeuvre:
     """Returns the manoeuvre of a robot.
 
     Raises ``DiagnosticError`` if a start time or a twist is not finite.

@@ -22,15 +22,8 @@ from dataclasses import replace
 from itertools import groupby
 from operator import itemgetter
 
-from thorvaldc.model.bus import (
-    FIRST_INDEX,
-    OBJECT_TYPES,
-    STRIDE,
-    Bus,
-    Node,
-    ObjectValue,
-    motor_numbers,
-)
+from thorvaldc.model import Bus, Node, ObjectValue
+from thorvaldc.model.bus import FIRST_INDEX, OBJECT_TYPES, STRIDE, motor_numbers
 
 BAUDRATES = (10, 20, 50, 125, 250, 500, 800, 1000)  # kbit/s, the list of CiA 306
 MANDATORY = (0x1000, 0x1001, 0x1018)
