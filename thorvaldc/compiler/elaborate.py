@@ -15,7 +15,6 @@ from thorvaldc.compiler.bus.assemble_buses import Wiring, connect_actuators
 from thorvaldc.compiler.bus.node_ids import Lock
 from thorvaldc.compiler.hardware import wheel_geometry
 from thorvaldc.compiler.hardware.hardware_reader import Hardware, hardware_of
-from thorvaldc.compiler.hardware.purchase_reader import read_purchases
 from thorvaldc.compiler.hardware.robot_parts import RobotParts, couple_joints, modules_of
 from thorvaldc.compiler.modules.library import Library
 from thorvaldc.compiler.modules.module_parameters import Scope
@@ -30,7 +29,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import read_section
 from thorvaldc.compiler.values.value_reader import items
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.model import Inertial, Robot
+from thorvaldc.model import Inertial, Purchase, Robot
 from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.model.statics.standing import spring_loads
@@ -200,9 +199,13 @@ class _Elaborator(NamedTuple):
         name = scope.text(document.get("name"))
         ros_section = read_section(document, "robot", "ros", scope)
         ros = robot_sections.read_ros_settings(ros_section, name, self.report)
-        purchases = read_purchases(
-            document, self.instance, self.resolver.library, scope, self.report
-        )
+        purchases: Mapping[str, Purchase] = {}
+        if document.get("purchase") is not None:
+            from thorvaldc.compiler.hardware.purchase_reader import read_purchases
+
+            purchases = read_purchases(
+                document, self.instance, self.resolver.library, scope, self.report
+            )
         if not geometry_is_valid:
             return None
         model = Robot(

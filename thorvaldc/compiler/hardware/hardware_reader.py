@@ -22,7 +22,6 @@ from thorvaldc.compiler.hardware.joint_reader import (
     read_motors,
     with_common_limits,
 )
-from thorvaldc.compiler.hardware.purchase_reader import read_purchase
 from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY, ModuleType
 from thorvaldc.compiler.modules.module_parameters import Scope, hint_of_known
 from thorvaldc.compiler.shapes.meshes import load_mesh
@@ -32,7 +31,6 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import INVALID, entries, items
 from thorvaldc.diagnostics import Proposal, Report, plain
-from thorvaldc.model import Purchase
 from thorvaldc.model.robot import NOT_STATED
 from thorvaldc.model.spatial import clean, combine
 
@@ -58,7 +56,7 @@ class Hardware(NamedTuple):
     mount_pose: model.Pose = model.Pose()
     meshes: tuple[model.Mesh, ...] = ()
     height_above_ground: float | None = None
-    purchase: Purchase = NOT_STATED
+    purchase: model.Purchase = NOT_STATED
 
 
 RGBA = tuple[float, float, float, float]
@@ -162,7 +160,7 @@ class _HardwareReader:
             self.values.section(mount, "mount").pose() if mount is not None else model.Pose(),
             tuple(self.meshes.values()),
             self.scope.quantity(height, "length") if is_stated else None,
-            read_purchase(document.get("purchase"), self.scope, self.report),
+            self._purchase(document.get("purchase")),
         )
 
     def _check_mass(self, links: tuple[model.Link, ...]) -> None:
@@ -239,7 +237,7 @@ class _HardwareReader:
             ]
         return scopes
 
-    # -- wheel, sensor, battery -------------------------------------------------------------
+    # -- wheel, sensor, battery, purchase --------------------------------------------------------
 
     def _wheel(self, node: Node) -> model.Wheel:
         """Reads the section `wheel` of a module document."""
@@ -287,6 +285,14 @@ class _HardwareReader:
         link = self.values.link_name(node.get("link"))
         properties = self.values.properties(node.get("properties"))
         return model.Battery("", "", link, "" if present else None, properties, node.where)
+
+    def _purchase(self, node: Node | None) -> model.Purchase:
+        """Reads the section `purchase` of a module document, which few modules have."""
+        if node is None:
+            return NOT_STATED
+        from thorvaldc.compiler.hardware.purchase_reader import read_purchase
+
+        return read_purchase(node, self.scope, self.report)
 
     # -- shapes, colours and masses of links -------------------------------------------------
 

@@ -15,7 +15,6 @@ from thorvaldc.compiler.source.node import Node, describe_node, insertion
 from thorvaldc.compiler.values.value_reader import INVALID, ValueReader, entries
 from thorvaldc.diagnostics import Proposal, Report, did_you_mean
 from thorvaldc.model import Purchase
-from thorvaldc.model.robot import NOT_STATED
 
 _ISO_4217 = """
 AED AFN ALL AMD AOA ARS AUD AWG AZN BAM BBD BDT BHD BIF BMD BND BOB BRL BSD BTN BWP BYN BZD CAD
@@ -82,10 +81,8 @@ def _currency_hint(currency: str) -> str:
     return did_you_mean(currency, CURRENCIES) or "write the code of ISO 4217, such as `EUR`"
 
 
-def read_purchase(section: Node | None, reader: ValueReader, report: Report) -> Purchase:
+def read_purchase(section: Node, reader: ValueReader, report: Report) -> Purchase:
     """Returns the purchase data of a section `purchase`, or of one entry of it."""
-    if section is None:
-        return NOT_STATED
     money = _money(section, reader, report)
     lead_time = section.get("lead_time")
     return Purchase(

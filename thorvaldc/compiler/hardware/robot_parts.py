@@ -21,7 +21,6 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Label, Report, Span, millimetres
-from thorvaldc.model import Purchase
 from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.joint_tree import Coordinate, Member, follow
 from thorvaldc.schema.documents import inlined
@@ -174,7 +173,7 @@ def _placed_module(leaf: Instance, hardware: Mapping[str, Hardware]) -> RobotPar
 def modules_of(
     robot: Instance,
     hardware: Mapping[str, Hardware],
-    purchases: Mapping[str, Purchase] = MappingProxyType({}),
+    purchases: Mapping[str, model.Purchase] = MappingProxyType({}),
 ) -> tuple[model.Module, ...]:
     """Returns the modules of the robot that are not assemblies, in the order of the file.
 
@@ -200,8 +199,8 @@ def modules_of(
 
 
 def _purchase_of(
-    leaf: Instance, hardware: Mapping[str, Hardware], purchases: Mapping[str, Purchase]
-) -> Purchase:
+    leaf: Instance, hardware: Mapping[str, Hardware], purchases: Mapping[str, model.Purchase]
+) -> model.Purchase:
     """Returns the purchase data of a module.
 
     A value that the robot document states for the module replaces the one for its type, which
