@@ -172,7 +172,7 @@ def test_json_of_others_is_read_in_one_place(trees: dict[Path, ast.Module]) -> N
     assert calls(trees, "json.loads") | calls(trees, "json.load") == {
         "compiler/output/writer.py",
         "diagnostics/files.py",
-        "schema/documents.py",
+        "schema/__init__.py",
         "comparison/robot_difference.py",
         "tools/provenance/value_paths.py",
     }

@@ -10,7 +10,7 @@ from tests.fuzz.generator import case_of, kinds
 from tests.fuzz.judge import judge, prepare
 from tests.slow import mostly_slow
 from thorvaldc.cli.command import all_commands
-from thorvaldc.schema.documents import KINDS
+from thorvaldc.schema import KINDS
 
 pytestmark = pytest.mark.xdist_group("fuzz")  # every process would make the valid files again
 SAMPLE = 100  # some 20 s of CPU

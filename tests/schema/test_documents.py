@@ -12,7 +12,7 @@ import pytest
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.compiler.validation.document_check import _validator
 from thorvaldc.diagnostics import Report
-from thorvaldc.schema.documents import KINDS, Kind, inlined, passes
+from thorvaldc.schema import KINDS, Kind, inlined, passes
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES: dict[Kind, list[Path]] = {

@@ -142,7 +142,7 @@ def diagnostic_codes(ctx: typer.Context, incomplete: str) -> Iterator[str]:
 @completer
 def schema_kinds(ctx: typer.Context, incomplete: str) -> Iterator[str]:
     """Proposes the kinds of documents that have a schema."""
-    from thorvaldc.schema.documents import KINDS
+    from thorvaldc.schema import KINDS
 
     yield from (*KINDS, "model")
 

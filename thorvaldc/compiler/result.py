@@ -52,7 +52,7 @@ from thorvaldc.diagnostics import (
 from thorvaldc.diagnostics.codes import STRUCTURE, all_codes
 from thorvaldc.diagnostics.files import MAX_LOG_BYTES
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.schema.documents import Kind
+from thorvaldc.schema import Kind
 
 # The import of scenarios takes several milliseconds.
 if TYPE_CHECKING:

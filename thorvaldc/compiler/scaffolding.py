@@ -16,7 +16,7 @@ from thorvaldc.diagnostics import Report, Span, plain
 from thorvaldc.diagnostics.files import write_file
 from thorvaldc.model import Mesh
 from thorvaldc.model.plugins import data_folder
-from thorvaldc.schema.documents import schema_text
+from thorvaldc.schema import schema_text
 
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 

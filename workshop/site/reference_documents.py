@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from thorvaldc.schema.documents import KINDS, bounds_in_words, bundle
+from thorvaldc.schema import KINDS, bounds_in_words, bundle
 
 FILES = {
     "robot": "robot.yaml",

@@ -14,7 +14,7 @@ from thorvaldc.model import Robot
 from thorvaldc.model.model_json import from_json, to_json
 from thorvaldc.runtime import run_time_parameters as parameters
 from thorvaldc.runtime.calculators import Noise
-from thorvaldc.schema.documents import inlined
+from thorvaldc.schema import inlined
 
 MODULES = """
 modules:

@@ -10,7 +10,7 @@ import typer
 
 from thorvaldc.cli.completion import preset_names, schema_kinds
 from thorvaldc.cli.exits import DONE
-from thorvaldc.schema.documents import KINDS
+from thorvaldc.schema import KINDS
 
 MODEL = "model"
 
@@ -81,7 +81,7 @@ def schema(
     ],
 ) -> int:
     from thorvaldc.model.model_json import model_schema_text
-    from thorvaldc.schema.documents import schema_text
+    from thorvaldc.schema import schema_text
 
     if kind not in (*KINDS, MODEL):
         kinds = ", ".join((*KINDS, MODEL))

@@ -42,7 +42,7 @@ from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Actuator, Bus, FrameDefinition, Joint, Node, Signal
 from thorvaldc.model.bus import CANOPEN
 from thorvaldc.model.bus_timing import bus_load, frame_response_times
-from thorvaldc.schema.documents import inlined
+from thorvaldc.schema import inlined
 
 __all__ = ["BusSpec", "Device", "Wire", "build_buses", "connect_actuators"]
 

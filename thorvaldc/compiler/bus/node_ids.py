@@ -34,7 +34,7 @@ from thorvaldc.compiler.values.value_reader import entries, items
 from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
 from thorvaldc.model import Channel, FrameDefinition, Node, Robot
 from thorvaldc.model.bus import CANOPEN
-from thorvaldc.schema.documents import inlined
+from thorvaldc.schema import inlined
 
 # Default number of missed heartbeats after which a CANopen node counts as lost, if the module
 # document contains no `heartbeat_timeout`.

@@ -13,7 +13,7 @@ from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Label, Report, plain
 from thorvaldc.model import Actuator, Brake, Joint, Scalar, Vec3
 from thorvaldc.model.spatial import clean, norm, scale
-from thorvaldc.schema.documents import inlined
+from thorvaldc.schema import inlined
 
 
 class ModuleValues:

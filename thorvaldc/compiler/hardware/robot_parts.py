@@ -23,7 +23,7 @@ from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Label, Report, Span, millimetres
 from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.joint_tree import Coordinate, Member, follow
-from thorvaldc.schema.documents import inlined
+from thorvaldc.schema import inlined
 
 Placed = TypeVar(
     "Placed", model.Link, model.Joint, model.Actuator, model.Wheel, model.Sensor, model.Battery

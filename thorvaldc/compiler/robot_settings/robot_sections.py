@@ -18,7 +18,7 @@ from thorvaldc.diagnostics import Label, Proposal, Report, Span
 from thorvaldc.model import Battery, CalculatorChoice, Robot
 from thorvaldc.model import settings as ros
 from thorvaldc.model.robot import PARALLEL, SEPARATE
-from thorvaldc.schema.documents import inlined
+from thorvaldc.schema import inlined
 
 
 def read_calculator(document: Node, scope: Scope) -> CalculatorChoice:

@@ -26,7 +26,7 @@ from thorvaldc.diagnostics import Report, did_you_mean
 from thorvaldc.model import Fleet, Placement, Pose, Robot
 from thorvaldc.model import quantities as si
 from thorvaldc.model.scenario import GROUPS, Command, Expectation, Noise, Scenario, WheelFault
-from thorvaldc.schema.documents import inlined
+from thorvaldc.schema import inlined
 
 
 def compile_scenario(

@@ -19,7 +19,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any, parse_quantity
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.schema.documents import Kind, inlined, matches, passes
+from thorvaldc.schema import Kind, inlined, matches, passes
 
 MAX_DIAGNOSTICS = 1000
 

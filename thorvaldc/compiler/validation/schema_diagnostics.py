@@ -10,7 +10,7 @@ from typing import Any
 from thorvaldc.compiler.source.node import Node, describe_node, insertion, yaml_text
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.diagnostics import Label, Proposal, Report, Span, did_you_mean, nearest
-from thorvaldc.schema.documents import Kind
+from thorvaldc.schema import Kind
 
 _TYPE_WORDS = {
     "object": "a mapping",

@@ -18,7 +18,7 @@ from thorvaldc.compiler.source.units import parse_quantity
 from thorvaldc.compiler.values.value_reader import INVALID, ValueReader, entries
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Pose
-from thorvaldc.schema.documents import Kind, inlined
+from thorvaldc.schema import Kind, inlined
 
 Schema = dict[str, Any]
 _EMPTY: dict[str, Any] = {"array": (), "object": {}, "string": ""}

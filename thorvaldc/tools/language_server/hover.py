@@ -14,7 +14,7 @@ from thorvaldc.diagnostics import Span, plain
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.model.spatial import float_sum
-from thorvaldc.schema.documents import bounds_in_words
+from thorvaldc.schema import bounds_in_words
 from thorvaldc.tools.language_server.module_references import Reference, reference_at
 from thorvaldc.tools.language_server.module_view import ModuleView, Parameter, Port, Schemas
 from thorvaldc.tools.language_server.open_document import KeyPath, Place, place_at

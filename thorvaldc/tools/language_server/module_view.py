@@ -20,7 +20,7 @@ from thorvaldc.compiler.validation.document_check import check, without_invalid_
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Pose
-from thorvaldc.schema.documents import Kind, inlined
+from thorvaldc.schema import Kind, inlined
 from thorvaldc.tools.language_server.open_document import KeyPath, node_at
 
 CANOPEN_IDS = (1, 127)

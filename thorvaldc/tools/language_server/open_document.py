@@ -20,7 +20,7 @@ from thorvaldc.compiler.source.input_file import read_bytes, unsaved_texts
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.schema.documents import Kind
+from thorvaldc.schema import Kind
 
 # -- positions in a text ----------------------------------------------------------------
 #

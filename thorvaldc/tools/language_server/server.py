@@ -25,7 +25,7 @@ from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.compiler.validation.document_check import check
 from thorvaldc.diagnostics import Diagnostic, Fix, Report, Severity, Span
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.schema.documents import Kind
+from thorvaldc.schema import Kind
 from thorvaldc.tools.language_server.features import Features, RenameError, Session
 from thorvaldc.tools.language_server.module_view import module_library
 from thorvaldc.tools.language_server.open_document import (
