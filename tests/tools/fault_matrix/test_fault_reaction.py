@@ -183,7 +183,7 @@ def test_objects_that_a_service_tool_overwrites() -> None:
 
 FORK = """
 import os, time
-from thorvaldc.tools.fault_matrix.forked_work import run_forked
+from thorvaldc.tools.fault_matrix.fault_matrix import run_forked
 
 def work():
     os.write(1, b"working\\n")  # one call, so that the lines of two workers stay apart
