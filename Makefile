@@ -107,7 +107,7 @@ test-core: $(READY)
 	  ':!tests/fuzz/test_hostile_files.py' ':!examples/odometry_experiment/run.py' \
 	  $(patsubst %,':!%',$(shell grep -l thorvaldc.tools bench/*.py)) | \
 	  tar --null --files-from - --create | tar --extract --directory $(CORE)
-	cd $(CORE) && export PYTHONPATH=. PATH="$(abspath $(BIN)):$$PATH" && \
+	cd $(CORE) && export PYTHONPATH="$(abspath $(CORE))" PATH="$(abspath $(BIN)):$$PATH" && \
 	  ruff check . && lint-imports && mypy && python -m pytest -n $(JOBS) -m "not slow" $(TESTS)
 
 test-matrix: $(READY)

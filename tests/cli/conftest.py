@@ -34,6 +34,9 @@ BAD = GOOD.replace("name: good", "name: Bad").replace("can: 2", "cam: 2")
 SHAKY = GOOD.replace("name: good", "name: shaky\ndesign: {minimum_tip_over_angle: 60 deg}")
 
 
+needs_tools = pytest.mark.skipif(not any(tools()), reason="the folders of all tools are deleted")
+
+
 class Result(NamedTuple):
     status: int
     out: str

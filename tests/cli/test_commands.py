@@ -11,11 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import GOOD, Command
+from tests.cli.conftest import GOOD, Command, needs_tools
 from thorvaldc.compiler import sandbox
 from thorvaldc.diagnostics import CODES
 
 
+@needs_tools
 def test_help_names_every_command(thorvaldc: Command) -> None:
     output = thorvaldc("--help")
     assert output.status == 0

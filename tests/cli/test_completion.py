@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli.conftest import needs_tools
 from tests.cli.test_command_table import HEAVY
 from tests.examples import FOLDER
 from thorvaldc.cli.completion import joined_words
@@ -68,6 +69,7 @@ def bash(*words: str) -> list[str]:
     return done.stdout.split()
 
 
+@needs_tools
 def test_bash_completes_the_values_of_options_and_arguments(shell: Path) -> None:
     assert "urdf" in bash("thorvaldc", "build", "--target", "")
     assert "urdf,mjcf" in bash("thorvaldc", "build", "--target", "urdf,m")
@@ -87,6 +89,7 @@ def test_bash_completes_the_values_of_options_and_arguments(shell: Path) -> None
     assert bash("thorvaldc", "why", "bad.yaml", "wh") == []
 
 
+@needs_tools
 def test_bash_completes_running_drivers_and_their_services(shell: Path) -> None:
     server = ControlServer("one_robot", Services([]))
     ended = threading.Event()

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from tests.cli.conftest import Command
+from tests.cli.conftest import Command, needs_tools
 
 ROOT = Path(__file__).parents[2]
 NOT_FOR_USERS = {"dev", "bench", "docs", "all"}
@@ -51,6 +51,7 @@ def test_the_extra_all_contains_all_extras_for_users(file: str) -> None:
     assert requirement.extras == found.keys() - NOT_FOR_USERS
 
 
+@needs_tools
 def test_every_hint_names_an_extra_and_has_a_test() -> None:
     text = "\n".join(p.read_text() for p in (ROOT / "thorvaldc").rglob("*.py"))
     named = set(re.findall(r"pip install 'thorvaldc\[([a-z]+)\]'", text))

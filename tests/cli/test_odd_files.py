@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.child_process import ChildProcess
-from tests.cli.conftest import Command
+from tests.cli.conftest import Command, needs_tools
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = {
@@ -73,7 +73,9 @@ def test_a_folder_is_refused(thorvaldc: Command, name: str) -> None:
     assert "error[TV" in got.err + got.out
 
 
-@pytest.mark.parametrize("name", ["check", "calibrate", "mesh", "model"])
+@pytest.mark.parametrize(
+    "name", ["check", pytest.param("calibrate", marks=needs_tools), "mesh", "model"]
+)
 def test_a_large_file_needs_little_memory(thorvaldc: Command, name: str) -> None:
     """A file of 250 MB on one line: at most twice the file is in memory, and then not printed."""
     arguments, path = command_line(name)

@@ -11,12 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import GOOD
+from tests.cli.conftest import GOOD, needs_tools
 from tests.cli.test_bus import running
 from thorvaldc.compiler.pipeline import compile_file, emit
 
 PACKAGE = Path(__file__).resolve().parents[2] / "thorvaldc"
 ROOMS = ("runtime", "can", "commissioning", "model", "diagnostics", "cli")
+pytestmark = needs_tools  # the distribution contains some
 TOOLS = ("monitor", "service_calls", "teleoperation")
 MISSING = ("numpy", "mujoco", "yaml", "jsonschema")
 # Runs the command where the packages of MISSING cannot be imported.

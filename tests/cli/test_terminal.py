@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.child_process import ChildProcess
-from tests.cli.conftest import BAD, GOOD
+from tests.cli.conftest import BAD, GOOD, needs_tools
 
 
 def on_terminal(folder: Path, *arguments: str, **environment: str) -> tuple[int, str]:
@@ -72,6 +72,7 @@ def test_machine_formats_have_no_colours_on_a_terminal(folder: Path) -> None:
         assert "\x1b" not in on_terminal(folder, "check", "bad.yaml", "--format", format)[1]
 
 
+@needs_tools
 def test_demo_shows_its_progress_on_a_terminal_only(folder: Path) -> None:
     status, output = on_terminal(folder, "demo", "good.yaml")
     assert status == 0
