@@ -6,7 +6,6 @@ import pytest
 import typer
 
 from thorvaldc.cli.options import parse_duration, parse_time
-from thorvaldc.tools.pictures.picture_commands import parse_record_time
 
 
 @pytest.mark.parametrize(
@@ -34,9 +33,3 @@ def test_the_longest_duration_is_a_day() -> None:
     assert parse_duration("2 s", "--interval", least=2.0) == 2.0
     with pytest.raises(typer.BadParameter, match="is not between 2 and"):
         parse_duration("1.99 s", "--interval", least=2.0)
-
-
-def test_a_record_begins_at_zero() -> None:
-    assert parse_record_time("0") == 0.0
-    with pytest.raises(ValueError, match="before the start"):
-        parse_record_time("-0.1 s")

@@ -17,7 +17,7 @@ from thorvaldc.model.scenario import GROUPS
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.records.mcap_writer import McapRecorder
 from thorvaldc.simulation.records.record_reader import read_record
-from thorvaldc.tools.pictures.picture_commands import has_display
+from thorvaldc.tools.pictures.picture_commands import has_display, parse_record_time
 from thorvaldc.tools.pictures.replay import Replay
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
@@ -204,3 +204,9 @@ def test_a_window_needs_a_display(
         monkeypatch.setenv(name, value)
     monkeypatch.setattr("sys.platform", system)
     assert has_display() == expected
+
+
+def test_a_record_begins_at_zero() -> None:
+    assert parse_record_time("0") == 0.0
+    with pytest.raises(ValueError, match="before the start"):
+        parse_record_time("-0.1 s")
