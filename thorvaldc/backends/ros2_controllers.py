@@ -80,7 +80,7 @@ def controller_parameters(robot: Robot) -> dict[str, dict[str, Parameters]]:
     """Return the parameters of the controller manager and of the controllers.
 
     The result maps the path of the file in the package to the nodes, and each node to its
-    parameters, see ``ros2_parameter_file.parameter_file``.
+    parameters, see ``ros2_parameters.parameter_file``.
     """
     space = f"/{robot.namespace}/" if robot.namespace else ""
     manager: Parameters = {"update_rate": max(1, round(robot.driver.rate))}
