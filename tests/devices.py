@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from tests.robots import FOUR_STEERED, make_robot
-from thorvaldc.compiler.bus.assemble_buses import BusSpec, Device, Wire, build_buses
+from thorvaldc.compiler.bus.assemble_buses import build_buses
+from thorvaldc.compiler.bus.device_sections import BusSpec, Device, Wire
 from thorvaldc.compiler.bus.node_ids import Lock
 from thorvaldc.compiler.modules.library import Library, ModuleType
 from thorvaldc.compiler.modules.module_parameters import Scope

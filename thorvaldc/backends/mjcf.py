@@ -17,25 +17,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from thorvaldc.backends import Backend
-from thorvaldc.backends.description_parts import (
-    BLOCK_COLORS,
-    gravity_on,
-    mesh_files,
-    urdf_only_elements,
-)
+from thorvaldc import model
+from thorvaldc.backends import Backend, description_parts
 from thorvaldc.backends.mjcf_robot import ModelSections, RobotWriter, set_shape
 from thorvaldc.backends.xml_writer import Element, to_bytes
 from thorvaldc.diagnostics import Diagnostic
-from thorvaldc.model import (
-    Fleet,
-    MeshShape,
-    Pose,
-    Robot,
-    Vec3,
-    World,
-    Zone,
-)
 from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.standing_pose import solve_statics
@@ -56,17 +42,17 @@ class Mjcf(Backend):
     name = "mjcf"
     summary = "MuJoCo model (mjcf/robot.xml) and scene (mjcf/scene.xml) with its meshes"
 
-    def unsupported(self, robot: Robot) -> Iterable[Diagnostic]:
-        return urdf_only_elements(robot, "MJCF")
+    def unsupported(self, robot: model.Robot) -> Iterable[Diagnostic]:
+        return description_parts.urdf_only_elements(robot, "MJCF")
 
-    def emit(self, robot: Robot) -> dict[str, bytes]:
-        return {**_robot_and_scene(robot), **mesh_files(robot)}
+    def emit(self, robot: model.Robot) -> dict[str, bytes]:
+        return {**_robot_and_scene(robot), **description_parts.mesh_files(robot)}
 
-    def emit_fleet(self, fleet: Fleet) -> dict[str, bytes]:
+    def emit_fleet(self, fleet: model.Fleet) -> dict[str, bytes]:
         return super().emit_fleet(fleet) | _fleet_scene(fleet)
 
 
-def simulation_files(fleet: Fleet) -> dict[str, bytes]:
+def simulation_files(fleet: model.Fleet) -> dict[str, bytes]:
     """Return the scene of a fleet without visual shapes, and the meshes of its collision shapes,
     by path.
 
@@ -77,14 +63,14 @@ def simulation_files(fleet: Fleet) -> dict[str, bytes]:
     for placement in fleet.placements:
         robot = placement.robot
         shapes = [collision.shape for link in robot.links for collision in link.collisions]
-        used = {f"meshes/{shape.mesh}" for shape in shapes if isinstance(shape, MeshShape)}
-        for path, data in mesh_files(robot).items():
+        used = {f"meshes/{shape.mesh}" for shape in shapes if isinstance(shape, model.MeshShape)}
+        for path, data in description_parts.mesh_files(robot).items():
             if path in used:
                 files[f"{placement.name}/{path}"] = data
     return files
 
 
-def _fleet_scene(fleet: Fleet, *, visuals: bool = True) -> dict[str, bytes]:
+def _fleet_scene(fleet: model.Fleet, *, visuals: bool = True) -> dict[str, bytes]:
     robots = [placement.robot for placement in fleet.placements]
     poses = [placement.pose for placement in fleet.placements]
     folders = [f"../{placement.name}/meshes" for placement in fleet.placements]
@@ -98,7 +84,7 @@ def _fleet_scene(fleet: Fleet, *, visuals: bool = True) -> dict[str, bytes]:
     return files | {"mjcf/scene.xml": to_bytes(scene)}
 
 
-def ros2_control_files(robot: Robot) -> dict[str, bytes]:
+def ros2_control_files(robot: model.Robot) -> dict[str, bytes]:
     """Return robot and scene for mujoco_ros2_control, by path; their meshes are in ``meshes/``.
 
     This program takes every actuator with a position gain for a position servo, such as
@@ -107,20 +93,20 @@ def ros2_control_files(robot: Robot) -> dict[str, bytes]:
     return _robot_and_scene(robot, velocity_servos=True)
 
 
-def _robot_and_scene(robot: Robot, *, velocity_servos: bool = False) -> dict[str, bytes]:
+def _robot_and_scene(robot: model.Robot, *, velocity_servos: bool = False) -> dict[str, bytes]:
     sections = ModelSections(robot.name, [robot], ["../meshes"])
     RobotWriter(sections, robot, 0, velocity_servos=velocity_servos).write(None)
     scene = Element("mujoco", model=f"{robot.name} scene")
     scene.add("include", file="robot.xml")
-    _add_surroundings(scene, [robot], [Pose()])
-    _add_home(scene, [robot], [Pose()], velocity_servos=velocity_servos)
+    _add_surroundings(scene, [robot], [model.Pose()])
+    _add_home(scene, [robot], [model.Pose()], velocity_servos=velocity_servos)
     return {"mjcf/robot.xml": to_bytes(sections.root()), "mjcf/scene.xml": to_bytes(scene)}
 
 
 # -- ground, sky, light and key frame --------------------------------------------------
 
 
-def _reach(robots: Iterable[Robot], poses: Iterable[Pose]) -> tuple[Vec3, float]:
+def _reach(robots: Iterable[model.Robot], poses: Iterable[model.Pose]) -> tuple[model.Vec3, float]:
     """Return the centre of the robots, and the radius of a sphere around all their wheels, in m."""
     points = []
     for robot, pose in zip(robots, poses, strict=True):
@@ -133,7 +119,10 @@ def _reach(robots: Iterable[Robot], poses: Iterable[Pose]) -> tuple[Vec3, float]
 
 
 def _add_surroundings(
-    scene: Element, robots: list[Robot], poses: list[Pose], world: World | None = None
+    scene: Element,
+    robots: list[model.Robot],
+    poses: list[model.Pose],
+    world: model.World | None = None,
 ) -> None:
     """Add the ground, the sky, the light and the camera settings to a MuJoCo scene."""
     middle, reach = _reach(robots, poses)
@@ -203,8 +192,8 @@ def _add_surroundings(
 
 def _add_home(
     scene: Element,
-    robots: Sequence[Robot],
-    poses: Sequence[Pose],
+    robots: Sequence[model.Robot],
+    poses: Sequence[model.Pose],
     *,
     velocity_servos: bool = False,
 ) -> None:
@@ -244,7 +233,9 @@ def _add_home(
 # distances are therefore measured in the plane of the slope.
 
 
-def _add_world(scene: Element, world: World, starts: Sequence[Pose]) -> dict[str, bytes]:
+def _add_world(
+    scene: Element, world: model.World, starts: Sequence[model.Pose]
+) -> dict[str, bytes]:
     """Add the world of a scenario to a MuJoCo scene, and return the height-field files by path.
 
     The MuJoCo scene must already contain the ground plane. ``starts`` lists the start poses of the
@@ -252,12 +243,16 @@ def _add_world(scene: Element, world: World, starts: Sequence[Pose]) -> dict[str
     """
     ground = world.ground
     if ground.angle:
-        scene.add("option", gravity=gravity_on(ground))
+        scene.add("option", gravity=description_parts.gravity_on(ground))
     body = scene.add("worldbody")
     for block in world.blocks:
         geom = body.add("geom", name=f"{block.kind}/{block.name}")
         set_shape(geom, block.shape)
-        geom.set(pos=block.pose.xyz, quat=block.pose.quat, rgba=BLOCK_COLORS[block.kind])
+        geom.set(
+            pos=block.pose.xyz,
+            quat=block.pose.quat,
+            rgba=description_parts.BLOCK_COLORS[block.kind],
+        )
     files = _add_zones(scene, body, world.zones)
     if not ground.amplitude:
         return files
@@ -281,7 +276,7 @@ def _add_world(scene: Element, world: World, starts: Sequence[Pose]) -> dict[str
     return {**files, f"mjcf/{TERRAIN}": height_file(heights(ground, starts))}
 
 
-def _add_zones(scene: Element, body: Element, zones: Sequence[Zone]) -> dict[str, bytes]:
+def _add_zones(scene: Element, body: Element, zones: Sequence[model.Zone]) -> dict[str, bytes]:
     """Add a plate for each level zone and a height field for each other zone.
 
     Returns the contents of the height-field files by path. The MJCF files do not contain the
@@ -312,7 +307,7 @@ def _add_zones(scene: Element, body: Element, zones: Sequence[Zone]) -> dict[str
     return files
 
 
-def zone_color(zone: Zone) -> tuple[float, float, float, float]:
+def zone_color(zone: model.Zone) -> tuple[float, float, float, float]:
     """Return the colour of a zone: red, green, blue and opacity, each 0 to 1."""
     if zone.friction is not None and zone.friction < _SLIPPERY:
         return (0.75, 0.87, 0.95, 1.0)

@@ -7,25 +7,9 @@ import math
 from collections.abc import Iterable
 from typing import TypeGuard
 
+from thorvaldc import model
 from thorvaldc.backends.description_parts import Palette
 from thorvaldc.backends.xml_writer import Element
-from thorvaldc.model import (
-    Actuator,
-    Box,
-    Cylinder,
-    Joint,
-    JointServo,
-    Link,
-    Mesh,
-    MeshShape,
-    Pose,
-    Robot,
-    Sensor,
-    Shape,
-    Tread,
-    Vec3,
-    Wheel,
-)
 from thorvaldc.model.spatial import clean, quat_from_z_to
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.standing import standing_of
@@ -81,7 +65,7 @@ _ALL_BITS = 0x7FFFFFFF
 class ModelSections:
     """Collects the sections of an MJCF model with one or several robots."""
 
-    def __init__(self, name: str, robots: list[Robot], mesh_folders: list[str]) -> None:
+    def __init__(self, name: str, robots: list[model.Robot], mesh_folders: list[str]) -> None:
         self.model = name
         self.palette = Palette(*robots)
         self.folders = mesh_folders
@@ -93,7 +77,7 @@ class ModelSections:
         self.asset = Element("asset")
         for material, color in self.palette.entries():
             self.asset.add("material", name=material, rgba=color)
-        self.meshes: dict[tuple[str, Vec3], str] = {}
+        self.meshes: dict[tuple[str, model.Vec3], str] = {}
         self.taken: dict[str, str] = {}
         # Largest ratio d h / I of all servos (d: joint damping, h: time step, I: joint inertia),
         # see EXPLICIT_DAMPING.
@@ -142,7 +126,7 @@ class ModelSections:
         root.children += [section for section in sections if section.children]
         return root
 
-    def mesh(self, prefix: str, number: int, mesh: Mesh, scale: Vec3) -> str:
+    def mesh(self, prefix: str, number: int, mesh: model.Mesh, scale: model.Vec3) -> str:
         """Return the name of the MJCF asset for a mesh file with a scale.
 
         Equal mesh files with the same scale share one asset.
@@ -172,7 +156,7 @@ class ModelSections:
         return name
 
 
-def _slides(robot: Robot) -> bool:
+def _slides(robot: model.Robot) -> bool:
     """True if some wheels of a robot must slide sideways when the robot turns.
 
     Wheels must slide in a turn if the wheels that cannot steer or swivel are on several axles.
@@ -194,7 +178,7 @@ def _free(name: str, taken: Iterable[str]) -> str:
     return name
 
 
-def body_names(robot: Robot) -> dict[str, str]:
+def body_names(robot: model.Robot) -> dict[str, str]:
     """Return a dictionary from link names to MJCF body names.
 
     An MJCF body name begins with the name space of the robot. The body name ``world`` is reserved
@@ -213,7 +197,7 @@ class RobotWriter:
     def __init__(
         self,
         sections: ModelSections,
-        robot: Robot,
+        robot: model.Robot,
         number: int,
         *,
         velocity_servos: bool = False,
@@ -240,7 +224,7 @@ class RobotWriter:
         contype = (number + 1) & _ALL_BITS
         self.bits = {"contype": contype, "conaffinity": _ALL_BITS & ~contype}
 
-    def write(self, pose: Pose | None) -> None:
+    def write(self, pose: model.Pose | None) -> None:
         robot, prefix = self.robot, self.prefix
         bodies: dict[str, Element] = {}
         names = body_names(robot)
@@ -275,7 +259,7 @@ class RobotWriter:
 
     # -- bodies -----------------------------------------------------------------
 
-    def _add_joint(self, body: Element, joint: Joint) -> None:
+    def _add_joint(self, body: Element, joint: model.Joint) -> None:
         friction = joint.friction
         wheel = self.wheel_of_joint.get(joint.name)
         if wheel is not None:
@@ -307,7 +291,7 @@ class RobotWriter:
                 solimp=(0.99, 0.999, 0.001) if carries else None,
             )
 
-    def _add_link(self, body: Element, link: Link) -> None:
+    def _add_link(self, body: Element, link: model.Link) -> None:
         if link.inertial is not None:
             body.add(
                 "inertial",
@@ -328,8 +312,8 @@ class RobotWriter:
             geom = body.add("geom", name=name, class_="collision", **self.bits)
             self._shape(geom, collision.shape, collision.pose)
 
-    def _shape(self, geom: Element, shape: Shape, pose: Pose) -> None:
-        if isinstance(shape, MeshShape):
+    def _shape(self, geom: Element, shape: model.Shape, pose: model.Pose) -> None:
+        if isinstance(shape, model.MeshShape):
             mesh = self.meshes[shape.mesh]
             name = self.sections.mesh(self.prefix, self.number, mesh, shape.scale)
             geom.set(type="mesh", mesh=name)
@@ -337,7 +321,7 @@ class RobotWriter:
             set_shape(geom, shape)
         _place(geom, pose)
 
-    def _add_tread(self, body: Element, wheel: Wheel, contact: WheelContact) -> None:
+    def _add_tread(self, body: Element, wheel: model.Wheel, contact: WheelContact) -> None:
         """Add the collision ellipsoid of a wheel.
 
         The collision ellipsoid replaces the collision shapes of the wheel's link.
@@ -348,7 +332,7 @@ class RobotWriter:
         geom = body.add("geom", name=f"{self.prefix}{wheel.link}_tread", class_="wheel")
         geom.set(**self.bits)
         geom.set(size=(contact.radius, contact.radius, contact.half_width))
-        center = Pose((shift * x, shift * y, shift * z), quat_from_z_to(axis)).clean()
+        center = model.Pose((shift * x, shift * y, shift * z), quat_from_z_to(axis)).clean()
         _place(geom, center)
         mu = wheel.friction
         geom.set(friction=(mu, clean(mu * wheel.width * TORSION), ROLLING_FRICTION))
@@ -356,7 +340,9 @@ class RobotWriter:
         for tread in wheel.treads:
             self._add_ring(body, wheel, tread, contact)
 
-    def _add_ring(self, body: Element, wheel: Wheel, tread: Tread, contact: WheelContact) -> None:
+    def _add_ring(
+        self, body: Element, wheel: model.Wheel, tread: model.Tread, contact: WheelContact
+    ) -> None:
         """Add the collision shape of a tread: a ring beside the tyre that rolls on a rail.
 
         The flanges of the ring guide the wheel on the rail.
@@ -369,7 +355,7 @@ class RobotWriter:
         ring.set(friction=(mu, clean(mu * tread.width * TORSION), ROLLING_FRICTION))
         ring.set(solref=_solref(contact))
         turned = quat_from_z_to(contact.axis)
-        _place(ring, Pose(tread.center, turned).clean())
+        _place(ring, model.Pose(tread.center, turned).clean())
         for side in (1, -1) if tread.flange else ():
             shift = side * (half + FLANGE / 2)
             center = tuple(c + shift * a for c, a in zip(tread.center, contact.axis, strict=True))
@@ -378,11 +364,11 @@ class RobotWriter:
             )
             flange.set(**self.bits)
             flange.set(type="cylinder", size=(clean(radius + tread.flange), FLANGE / 2), condim=1)
-            _place(flange, Pose((center[0], center[1], center[2]), turned).clean())
+            _place(flange, model.Pose((center[0], center[1], center[2]), turned).clean())
 
     # -- sensors and actuators -----------------------------------------------
 
-    def _add_sensor(self, body: Element, sensor: Sensor) -> None:
+    def _add_sensor(self, body: Element, sensor: model.Sensor) -> None:
         name = self.prefix + sensor.name
         body.add("site", name=name, group=4, size=0.01)
         if sensor.type == "imu":
@@ -400,7 +386,7 @@ class RobotWriter:
                 camera.set(fovy=clean(math.degrees(2 * math.atan(across))))
                 camera.set(resolution=(int(width), int(height)))
 
-    def _add_actuator(self, actuator: Actuator, driven: int) -> None:
+    def _add_actuator(self, actuator: model.Actuator, driven: int) -> None:
         joint = self.tree.joints[actuator.joint]
         torque, speed = actuator.max_torque, actuator.max_velocity
         names = {"name": self.prefix + actuator.name, "joint": self.prefix + actuator.joint}
@@ -457,7 +443,7 @@ class RobotWriter:
             forcerange=(-effort, effort) if effort else None,
         )
 
-    def _add_joint_servo(self, servo: JointServo) -> None:
+    def _add_joint_servo(self, servo: model.JointServo) -> None:
         joint = self.tree.joints[servo.joint]
         inertia = self.statics.inertias[servo.joint] + joint.armature
         stiffness, damping = _servo_gains(joint, inertia)
@@ -489,26 +475,26 @@ class RobotWriter:
         self.sections.largest_damping = max(self.sections.largest_damping, ratio)
 
 
-def set_shape(geom: Element, shape: Shape) -> None:
+def set_shape(geom: Element, shape: model.Shape) -> None:
     """Give a geom its shape, except for a mesh, which is an asset of the model."""
     match shape:
-        case Box((x, y, z)):
+        case model.Box((x, y, z)):
             geom.set(type="box", size=(x / 2, y / 2, z / 2))
-        case Cylinder(radius, length):
+        case model.Cylinder(radius, length):
             geom.set(type="cylinder", size=(radius, length / 2))
-        case MeshShape():
+        case model.MeshShape():
             raise TypeError("a mesh is an asset")
         case _:
             geom.set(type="sphere", size=shape.radius)
 
 
-def _limits(joint: Joint) -> tuple[float, float] | None:
+def _limits(joint: model.Joint) -> tuple[float, float] | None:
     if joint.lower is None or joint.upper is None:
         return None
     return joint.lower, joint.upper
 
 
-def _servo_gains(joint: Joint, inertia: float) -> tuple[float, float]:
+def _servo_gains(joint: model.Joint, inertia: float) -> tuple[float, float]:
     """Return stiffness and damping of the servo of a joint of an extra, such as an arm, in N m/rad
     or N/m and the same times s.
 
@@ -540,7 +526,7 @@ def _positive(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float) and value > 0
 
 
-def _place(element: Element, pose: Pose) -> None:
+def _place(element: Element, pose: model.Pose) -> None:
     if pose.xyz != (0.0, 0.0, 0.0):
         element.set(pos=pose.xyz)
     if pose.quat != (1.0, 0.0, 0.0, 0.0):

@@ -9,25 +9,17 @@ from __future__ import annotations
 
 import posixpath
 
-from thorvaldc.backends import Backend, ros2_navigation, ros2_package_files, ros2_parameters
+from thorvaldc.backends import (
+    Backend,
+    ros2_navigation,
+    ros2_package_files,
+    ros2_parameters,
+    ros2_parts,
+)
+from thorvaldc.backends import ros2_controllers as controllers
 from thorvaldc.backends.mjcf import ros2_control_files
 from thorvaldc.backends.ros2_control import hardware_problem
-from thorvaldc.backends.ros2_controllers import (
-    CONTROLLER_FILE,
-    control_packages,
-    controller_parameters,
-    twist_controller,
-)
 from thorvaldc.backends.ros2_parameters import HEADER, Parameters, parameter_file, quoted
-from thorvaldc.backends.ros2_parts import (
-    CLOCK,
-    GAZEBO_CLOCK,
-    BridgedTopic,
-    Parts,
-    bridged_topics,
-    node_space,
-    parts_of,
-)
 from thorvaldc.backends.sdf import model_text, world_files
 from thorvaldc.backends.urdf import urdf_text
 from thorvaldc.model import Fleet, Robot
@@ -74,7 +66,7 @@ def fleet_package(fleet: Fleet) -> dict[str, bytes]:
 
 def package_of(robot: Robot) -> dict[str, bytes]:
     """Return the files of the ROS 2 package of a robot, by their path in the package."""
-    parts = parts_of(robot)
+    parts = ros2_parts.parts_of(robot)
     launches = ros2_package_files.launch_files(robot, parts)
     names = [posixpath.basename(path).removesuffix(".launch.py") for path in launches]
     plugins = set(ros2_navigation.plugin_packages(robot, parts))
@@ -83,7 +75,7 @@ def package_of(robot: Robot) -> dict[str, bytes]:
     control: dict[str, bytes] = {}
     if robot.actuators:
         control = {**control_files(robot), **ros2_control_files(robot)}
-        plugins |= control_packages(robot)
+        plugins |= controllers.control_packages(robot)
         left_out = (*parts.left_out, *left_out_of_control(robot))
         parts = parts._replace(left_out=left_out)
     files = {
@@ -106,7 +98,7 @@ def package_of(robot: Robot) -> dict[str, bytes]:
     }
 
 
-def _parameter_files(robot: Robot, parts: Parts) -> dict[str, bytes]:
+def _parameter_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, bytes]:
     files: dict[str, dict[str, Parameters]] = {
         "base_driver": {"base_driver": ros2_parameters.base_driver(robot, parts)},
         "robot_state_publisher": {
@@ -134,7 +126,7 @@ def _parameter_files(robot: Robot, parts: Parts) -> dict[str, bytes]:
                     robot, parts, source
                 )
             }
-    space = node_space(robot)
+    space = ros2_parts.node_space(robot)
     return {
         f"config/{file}.yaml": parameter_file(
             {space + node: values for node, values in nodes.items()}
@@ -149,7 +141,7 @@ def _parameter_files(robot: Robot, parts: Parts) -> dict[str, bytes]:
 def left_out_of_control(robot: Robot) -> list[tuple[str, str]]:
     """Return what ros2_control cannot do with the robot, and the reasons."""
     reasons = []
-    if twist_controller(robot) is None:
+    if controllers.twist_controller(robot) is None:
         reasons.append(
             (
                 "twists in ros2_control.launch.py and gazebo.launch.py",
@@ -172,16 +164,18 @@ def control_files(robot: Robot) -> dict[str, bytes]:
     """Return the parameters, descriptions and models of ros2_control and Gazebo, by path."""
     package = robot.ros.package
     meshes, share = f"package://{package}/meshes", f"$(find {package})"
-    is_driven = twist_controller(robot) is not None
+    is_driven = controllers.twist_controller(robot) is not None
     kinds = ["mock", "mujoco", *(["gazebo"] if is_driven else [])]
     files = {f"urdf/robot_{kind}.urdf": urdf_text(robot, meshes, kind, share) for kind in kinds}
     files["sdf/model.sdf"] = model_text(
         robot, f"model://{package}/meshes", share if is_driven else None
     )
     files["config/gz_bridge.yaml"] = gz_bridge(robot, ros2_control=is_driven)
-    files[CONTROLLER_FILE] = parameter_file(controller_parameters(robot)[CONTROLLER_FILE])
+    files[controllers.CONTROLLER_FILE] = parameter_file(
+        controllers.controller_parameters(robot)[controllers.CONTROLLER_FILE]
+    )
     if is_driven:
-        mux = {f"{node_space(robot)}twist_mux": ros2_parameters.twist_mux(robot)}
+        mux = {f"{ros2_parts.node_space(robot)}twist_mux": ros2_parameters.twist_mux(robot)}
         files["config/twist_mux.yaml"] = parameter_file(mux)
     return {
         **{path: text.encode() for path, text in files.items()},
@@ -198,10 +192,13 @@ def gz_bridge(robot: Robot, *, ros2_control: bool = False, clock: bool = True) -
     So a node in ``gazebo.launch.py`` passes on only one of ten messages. Only one bridge of a fleet
     may have the clock. See ``bridged_topics`` for ``ros2_control``.
     """
-    topics = bridged_topics(robot, ros2_control=ros2_control)
+    topics = ros2_parts.bridged_topics(robot, ros2_control=ros2_control)
     if clock:
         types = ("rosgraph_msgs/msg/Clock", "gz.msgs.Clock")
-        topics = [BridgedTopic(GAZEBO_CLOCK, f"/{CLOCK}", *types), *topics]
+        topics = [
+            ros2_parts.BridgedTopic(ros2_parts.GAZEBO_CLOCK, f"/{ros2_parts.CLOCK}", *types),
+            *topics,
+        ]
     entries = [
         f"- ros_topic_name: {quoted(topic.ros)}\n"
         f"  gz_topic_name: {quoted(topic.gazebo)}\n"

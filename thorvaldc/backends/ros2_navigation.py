@@ -14,16 +14,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from thorvaldc.backends import ros2_parts
 from thorvaldc.backends.ros2_parameters import Parameters, is_holonomic
-from thorvaldc.backends.ros2_parts import (
-    Parts,
-    base_frame,
-    full_topic,
-    map_frame,
-    odom_frame,
-    sensor_topic,
-    source_topic,
-)
 from thorvaldc.model import Robot, Sensor
 from thorvaldc.model.statics.tip_over import footprint
 
@@ -72,21 +64,21 @@ def _turning_radius(robot: Robot) -> float:
     return radius
 
 
-def global_frame(robot: Robot, parts: Parts) -> str:
-    return map_frame(robot) if parts.map_sources else odom_frame(robot)
+def global_frame(robot: Robot, parts: ros2_parts.Parts) -> str:
+    return ros2_parts.map_frame(robot) if parts.map_sources else ros2_parts.odom_frame(robot)
 
 
-def nav2(robot: Robot, parts: Parts) -> dict[str, Parameters]:
+def nav2(robot: Robot, parts: ros2_parts.Parts) -> dict[str, Parameters]:
     """Return the parameters of the nodes of Nav2, except for the global costmap, by the name of
     the node relative to the name space."""
     motion, corners = Motion(robot), footprint(robot)
     stamped: Parameters = {"enable_stamped_cmd_vel": robot.ros.stamped}
     frames: Parameters = {
         "global_frame": global_frame(robot, parts),
-        "robot_base_frame": base_frame(robot),
+        "robot_base_frame": ros2_parts.base_frame(robot),
     }
     driver = robot.driver
-    odometry = full_topic(robot, odometry_topic(parts))
+    odometry = ros2_parts.full_topic(robot, odometry_topic(parts))
     sideways = driver.max_linear_velocity if motion.kind == "omni" else 0.0
     side_acceleration = driver.max_linear_acceleration if motion.kind == "omni" else 0.0
     speeds = [driver.max_linear_velocity, sideways, driver.max_angular_velocity]
@@ -139,7 +131,7 @@ def nav2(robot: Robot, parts: Parts) -> dict[str, Parameters]:
         "behavior_server": {
             **stamped,
             **frames,
-            "local_frame": odom_frame(robot),
+            "local_frame": ros2_parts.odom_frame(robot),
             "behavior_plugins": behaviors,
             **{name: {"plugin": plugins[name]} for name in behaviors},
             "max_rotational_vel": driver.max_angular_velocity * REVERSE_SHARE,
@@ -165,7 +157,7 @@ def nav2(robot: Robot, parts: Parts) -> dict[str, Parameters]:
     }
 
 
-def odometry_topic(parts: Parts) -> str:
+def odometry_topic(parts: ros2_parts.Parts) -> str:
     """Return the topic of the odometry whose frame is the owner's of ``odom`` to ``base_link``."""
     return "odometry/filtered" if parts.local_ekf else "odometry/base_raw"
 
@@ -227,7 +219,7 @@ def _planner(motion: Motion) -> Parameters:
     }
 
 
-def plugin_packages(robot: Robot, parts: Parts) -> list[str]:
+def plugin_packages(robot: Robot, parts: ros2_parts.Parts) -> list[str]:
     """Return the ROS packages with the plug-ins that the parameters name."""
     if not parts.navigation:
         return []
@@ -249,7 +241,7 @@ def _reach(corners: Sequence[tuple[float, float]]) -> float:
 def _costmap(robot: Robot, corners: Sequence[tuple[float, float]], frame: str) -> Parameters:
     return {
         "global_frame": frame,
-        "robot_base_frame": base_frame(robot),
+        "robot_base_frame": ros2_parts.base_frame(robot),
         "resolution": RESOLUTION,
         "footprint": _text(corners),
         "footprint_padding": 0.01,
@@ -265,13 +257,13 @@ def _up(value: float) -> float:
 
 
 def _local_costmap(
-    robot: Robot, parts: Parts, corners: Sequence[tuple[float, float]]
+    robot: Robot, parts: ros2_parts.Parts, corners: Sequence[tuple[float, float]]
 ) -> Parameters:
     # MPPI looks ahead this far in all directions.
     ahead = robot.driver.max_linear_velocity * STEPS / CONTROLLER_FREQUENCY
     size = math.ceil(2.0 * (ahead + _reach(corners)))
     return {
-        **_costmap(robot, corners, odom_frame(robot)),
+        **_costmap(robot, corners, ros2_parts.odom_frame(robot)),
         "rolling_window": True,
         "width": size,
         "height": size,
@@ -282,7 +274,7 @@ def _local_costmap(
     }
 
 
-def global_costmap(robot: Robot, parts: Parts, source: str) -> Parameters:
+def global_costmap(robot: Robot, parts: ros2_parts.Parts, source: str) -> Parameters:
     """Return the parameters of the global costmap.
 
     ``source`` is that of the localization: with ``slam``, the costmap has the map of slam_toolbox;
@@ -294,7 +286,7 @@ def global_costmap(robot: Robot, parts: Parts, source: str) -> Parameters:
         layers.insert(0, "static_layer")
         values["static_layer"] = {
             "plugin": "nav2_costmap_2d::StaticLayer",
-            "map_topic": full_topic(robot, "map"),
+            "map_topic": ros2_parts.full_topic(robot, "map"),
             "map_subscribe_transient_local": True,
         }
     else:
@@ -309,7 +301,7 @@ def global_costmap(robot: Robot, parts: Parts, source: str) -> Parameters:
     }
 
 
-def _obstacles(robot: Robot, parts: Parts) -> Parameters:
+def _obstacles(robot: Robot, parts: ros2_parts.Parts) -> Parameters:
     names = [_source_name(sensor) for sensor in parts.lidars]
     values: Parameters = {
         "plugin": "nav2_costmap_2d::ObstacleLayer",
@@ -319,7 +311,7 @@ def _obstacles(robot: Robot, parts: Parts) -> Parameters:
         is_scan = sensor.type == "lidar_2d"
         reach = float(dict(sensor.properties).get("range", 10.0))
         values[name] = {
-            "topic": sensor_topic(robot, sensor),
+            "topic": ros2_parts.sensor_topic(robot, sensor),
             "data_type": "LaserScan" if is_scan else "PointCloud2",
             "marking": True,
             "clearing": True,
@@ -335,20 +327,22 @@ def _source_name(sensor: Sensor) -> str:
     return sensor.name.replace(".", "_")
 
 
-def _collision_monitor(robot: Robot, parts: Parts) -> Parameters:
+def _collision_monitor(robot: Robot, parts: ros2_parts.Parts) -> Parameters:
     names = [_source_name(sensor) for sensor in parts.lidars]
     values: Parameters = {
-        "base_frame_id": base_frame(robot),
-        "odom_frame_id": odom_frame(robot),
-        "cmd_vel_in_topic": full_topic(robot, "cmd_vel_smoothed"),
-        "cmd_vel_out_topic": full_topic(robot, source_topic(robot, "auto_nav")),
+        "base_frame_id": ros2_parts.base_frame(robot),
+        "odom_frame_id": ros2_parts.odom_frame(robot),
+        "cmd_vel_in_topic": ros2_parts.full_topic(robot, "cmd_vel_smoothed"),
+        "cmd_vel_out_topic": ros2_parts.full_topic(
+            robot, ros2_parts.source_topic(robot, "auto_nav")
+        ),
         "transform_tolerance": 0.2,
         "source_timeout": 1.0,
         "polygons": ["FootprintApproach"],
         "FootprintApproach": {
             "type": "polygon",
             "action_type": "approach",
-            "footprint_topic": full_topic(robot, "local_costmap/published_footprint"),
+            "footprint_topic": ros2_parts.full_topic(robot, "local_costmap/published_footprint"),
             "time_before_collision": _stopping_time(robot),
             "simulation_time_step": 0.1,
             "min_points": 6,
@@ -358,11 +352,15 @@ def _collision_monitor(robot: Robot, parts: Parts) -> Parameters:
         "observation_sources": names,
     }
     for name, sensor in zip(names, parts.lidars, strict=True):
-        values[name] = {"type": "scan", "topic": sensor_topic(robot, sensor), "enabled": True}
+        values[name] = {
+            "type": "scan",
+            "topic": ros2_parts.sensor_topic(robot, sensor),
+            "enabled": True,
+        }
         if sensor.type == "lidar_3d":
             values[name] = {
                 "type": "pointcloud",
-                "topic": sensor_topic(robot, sensor),
+                "topic": ros2_parts.sensor_topic(robot, sensor),
                 "min_height": LOWEST_OBSTACLE,
                 "max_height": 2.5,
                 "enabled": True,

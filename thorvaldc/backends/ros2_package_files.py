@@ -11,19 +11,10 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
+from thorvaldc.backends import ros2_parts
 from thorvaldc.backends.ros2_controllers import controllers, twist_controller
 from thorvaldc.backends.ros2_navigation import Motion
 from thorvaldc.backends.ros2_parameters import quoted
-from thorvaldc.backends.ros2_parts import (
-    GAZEBO_CLOCK,
-    SENSOR_TOPICS,
-    Parts,
-    full_topic,
-    node_space,
-    odom_frame,
-    sensor_topic,
-    source_topic,
-)
 from thorvaldc.backends.templates import Templates
 from thorvaldc.backends.xml_writer import escape
 from thorvaldc.model import Fleet, Robot
@@ -116,7 +107,7 @@ def driver_module(robot: Robot) -> dict[str, bytes]:
     return {f"{package}/__init__.py": b"", f"{package}/base_driver.py": program.encode()}
 
 
-def readme(robot: Robot, parts: Parts, launches: Iterable[str]) -> str:
+def readme(robot: Robot, parts: ros2_parts.Parts, launches: Iterable[str]) -> str:
     """Return the README: commands, parts, and what is left out with the reasons.
 
     ``launches`` lists the names of the launch files.
@@ -124,18 +115,18 @@ def readme(robot: Robot, parts: Parts, launches: Iterable[str]) -> str:
     sensors = [
         {
             "name": sensor.name,
-            "topic": sensor_topic(robot, sensor),
-            "type": SENSOR_TOPICS[sensor.type][0][1],
+            "topic": ros2_parts.sensor_topic(robot, sensor),
+            "type": ros2_parts.SENSOR_TOPICS[sensor.type][0][1],
             "frame": f"{robot.prefix}{sensor.link}",
         }
         for sensor in robot.sensors
-        if sensor.type in SENSOR_TOPICS and sensor.type != "camera"
+        if sensor.type in ros2_parts.SENSOR_TOPICS and sensor.type != "camera"
     ]
     return _TEMPLATES.render(
         "README.md",
         robot=robot,
         package=robot.ros.package,
-        topic=partial(full_topic, robot),
+        topic=partial(ros2_parts.full_topic, robot),
         sensors=sensors,
         launches={name: LAUNCHES[name] for name in launches},
         left_out=parts.left_out,
@@ -147,12 +138,12 @@ def fleet_readme(fleet: Fleet, package: str) -> str:
     return _TEMPLATES.render("fleet_README.md", fleet=fleet, package=package)
 
 
-def rviz_text(robot: Robot, parts: Parts) -> str:
+def rviz_text(robot: Robot, parts: ros2_parts.Parts) -> str:
     """Return the text of the RViz configuration: the robot, its odometry, its lidars and the map.
 
     Everything is shown in the frame ``odom``, which exists without localization too.
     """
-    topic = partial(full_topic, robot)
+    topic = partial(ros2_parts.full_topic, robot)
     displays = [
         Display("Grid", "Grid"),
         Display("Robot", "RobotModel", topic("robot_description"), is_latched=True),
@@ -161,7 +152,7 @@ def rviz_text(robot: Robot, parts: Parts) -> str:
     ]
     kinds = {"lidar_2d": "LaserScan", "lidar_3d": "PointCloud2"}
     for lidar in parts.lidars:
-        kind, scan = kinds[lidar.type], sensor_topic(robot, lidar)
+        kind, scan = kinds[lidar.type], ros2_parts.sensor_topic(robot, lidar)
         displays.append(Display(lidar.name, kind, scan, is_best_effort=True))
     if parts.navigation:
         costmap = topic("local_costmap/costmap")
@@ -172,7 +163,7 @@ def rviz_text(robot: Robot, parts: Parts) -> str:
     return _TEMPLATES.render(
         "robot.rviz",
         displays=displays,
-        fixed_frame=odom_frame(robot),
+        fixed_frame=ros2_parts.odom_frame(robot),
         goal_topic=topic("goal_pose"),
     )
 
@@ -197,7 +188,7 @@ def fleet_launch_file(fleet: Fleet) -> str:
     return _LAUNCH_TEMPLATES.render("fleet.launch.py", fleet=fleet.name, robots=robots)
 
 
-def launch_files(robot: Robot, parts: Parts) -> dict[str, str]:
+def launch_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, str]:
     """Return the launch files of a robot by their path in the package."""
     names = ["base", "ideal", "mujoco", "teleop"]
     if robot.buses:
@@ -221,13 +212,15 @@ def launch_files(robot: Robot, parts: Parts) -> dict[str, str]:
     return texts
 
 
-def _values(robot: Robot, parts: Parts) -> dict[str, Any]:
+def _values(robot: Robot, parts: ros2_parts.Parts) -> dict[str, Any]:
     """Return the values that the templates of a robot name."""
     controller = twist_controller(robot)
     odometry = ""
     if controller is not None:
         topics = (controller.odometry_topic, "odometry/base_raw")
-        odometry = "({}, {})".format(*(json.dumps(full_topic(robot, topic)) for topic in topics))
+        odometry = "({}, {})".format(
+            *(json.dumps(ros2_parts.full_topic(robot, topic)) for topic in topics)
+        )
     return {
         "package": robot.ros.package,
         "namespace": robot.namespace,
@@ -237,17 +230,17 @@ def _values(robot: Robot, parts: Parts) -> dict[str, Any]:
         else "socketcan:can0",
         "odom_tf": "false" if robot.ros.odom_tf == EKF else "true",
         "stamped": str(robot.ros.stamped).lower(),
-        "teleop_topic": source_topic(robot, "teleop_joy"),
+        "teleop_topic": ros2_parts.source_topic(robot, "teleop_joy"),
         "local_ekf": parts.local_ekf,
-        "gnss_topic": sensor_topic(robot, parts.gnss) if parts.gnss is not None else "",
-        "imu_topic": sensor_topic(robot, parts.imu) if parts.imu is not None else "",
+        "gnss_topic": ros2_parts.sensor_topic(robot, parts.gnss) if parts.gnss is not None else "",
+        "imu_topic": ros2_parts.sensor_topic(robot, parts.imu) if parts.imu is not None else "",
         "map_sources": parts.map_sources,
         "localizations": parts.map_sources or ("none",),
         "turns_on_the_spot": Motion(robot).kind != "ackermann",
         "controllers": [c.name for c in controllers(robot) if c.is_released],
-        "controller_manager": f"{node_space(robot)}controller_manager",
+        "controller_manager": f"{ros2_parts.node_space(robot)}controller_manager",
         "command_topic": controller.command_topic if controller is not None else "",
         "odometry_remapping": odometry,
         "urdf": "robot_gazebo.urdf" if controller is not None else "robot.urdf",
-        "gazebo_clock": GAZEBO_CLOCK,
+        "gazebo_clock": ros2_parts.GAZEBO_CLOCK,
     }

@@ -12,14 +12,7 @@ import re
 import sys
 from collections.abc import Mapping, Sequence
 
-from thorvaldc.backends.ros2_parts import (
-    Parts,
-    base_frame,
-    full_topic,
-    map_frame,
-    odom_frame,
-    sensor_topic,
-)
+from thorvaldc.backends import ros2_parts
 from thorvaldc.model import Robot, Sensor
 from thorvaldc.model.settings import DRIVER, FOR_FILTERS
 
@@ -41,7 +34,7 @@ _INT64 = 1 << 63
 TELEOP_SHARE = 0.5  # speed without the turbo button, as a fraction of the robot's limits
 
 
-def base_driver(robot: Robot, parts: Parts) -> Parameters:
+def base_driver(robot: Robot, parts: ros2_parts.Parts) -> Parameters:
     """Return the ROS 2 parameters of the base driver.
 
     The launch files set the base, the bus and the path of the model file. The base driver reads
@@ -52,8 +45,8 @@ def base_driver(robot: Robot, parts: Parts) -> Parameters:
     return {
         "stamped": robot.ros.stamped,
         "enable_odom_tf": robot.ros.odom_tf == DRIVER,
-        "odom_frame_id": odom_frame(robot),
-        "base_frame_id": base_frame(robot),
+        "odom_frame_id": ros2_parts.odom_frame(robot),
+        "base_frame_id": ros2_parts.base_frame(robot),
         "publish_description": False,  # robot_state_publisher publishes it
         "autostart": True,
         **covariance,
@@ -102,7 +95,7 @@ def teleop(robot: Robot, stamped: bool) -> Parameters:
     slow, fast = scales(TELEOP_SHARE), scales(1.0)
     return {
         "publish_stamped_twist": stamped,
-        "frame": base_frame(robot),
+        "frame": ros2_parts.base_frame(robot),
         "require_enable_button": True,
         "enable_button": 9,
         "enable_turbo_button": 10,
@@ -158,18 +151,21 @@ def _inputs(*used: int) -> list[bool]:
     return [k in used for k in range(15)]
 
 
-def ekf_odom(robot: Robot, parts: Parts) -> Parameters:
+def ekf_odom(robot: Robot, parts: ros2_parts.Parts) -> Parameters:
     """Return the parameters of the EKF that publishes the transform from ``odom`` to
     ``base_link``."""
-    return {**_ekf(robot, odom_frame(robot)), **_sources(robot, parts, absolute_yaw=False)}
+    return {
+        **_ekf(robot, ros2_parts.odom_frame(robot)),
+        **_sources(robot, parts, absolute_yaw=False),
+    }
 
 
-def ekf_map(robot: Robot, parts: Parts) -> Parameters:
+def ekf_map(robot: Robot, parts: ros2_parts.Parts) -> Parameters:
     """Return the parameters of the EKF that publishes the transform from ``map`` to ``odom``."""
     return {
-        **_ekf(robot, map_frame(robot)),
+        **_ekf(robot, ros2_parts.map_frame(robot)),
         **_sources(robot, parts, absolute_yaw=True),
-        "odom1": full_topic(robot, "odometry/gps"),
+        "odom1": ros2_parts.full_topic(robot, "odometry/gps"),
         "odom1_config": _inputs(_X, _Y),
         "odom1_differential": False,
     }
@@ -180,9 +176,9 @@ def _ekf(robot: Robot, world_frame: str) -> Parameters:
         "frequency": robot.driver.rate,
         "two_d_mode": True,
         "publish_tf": True,
-        "map_frame": map_frame(robot),
-        "odom_frame": odom_frame(robot),
-        "base_link_frame": base_frame(robot),
+        "map_frame": ros2_parts.map_frame(robot),
+        "odom_frame": ros2_parts.odom_frame(robot),
+        "base_link_frame": ros2_parts.base_frame(robot),
         "world_frame": world_frame,
         "process_noise_covariance": process_noise(robot),
     }
@@ -210,27 +206,27 @@ def process_noise(robot: Robot) -> list[float]:
     return [growth.get(k, 0.0) for k in range(15)]
 
 
-def _sources(robot: Robot, parts: Parts, *, absolute_yaw: bool) -> Parameters:
+def _sources(robot: Robot, parts: ros2_parts.Parts, *, absolute_yaw: bool) -> Parameters:
     """Return the parameters of the inputs that both filters have.
 
     A filter ignores the orientation of an IMU that marks it as unknown (REP 145).
     """
     values: Parameters = {
-        "odom0": full_topic(robot, "odometry/base_raw"),
+        "odom0": ros2_parts.full_topic(robot, "odometry/base_raw"),
         "odom0_config": _inputs(_VX, _VY, _YAW_RATE),
         "odom0_differential": False,
     }
     if parts.imu is not None:
         used = (_YAW, _YAW_RATE) if absolute_yaw else (_YAW_RATE,)
         values |= {
-            "imu0": sensor_topic(robot, parts.imu),
+            "imu0": ros2_parts.sensor_topic(robot, parts.imu),
             "imu0_config": _inputs(*used),
             "imu0_differential": False,
         }
     return values
 
 
-def navsat_transform(robot: Robot, parts: Parts) -> Parameters:
+def navsat_transform(robot: Robot, parts: ros2_parts.Parts) -> Parameters:
     """Return the parameters of the node that converts GNSS positions to the frame ``map``."""
     return {
         "frequency": robot.driver.rate,
@@ -246,11 +242,11 @@ def slam_toolbox(robot: Robot, lidar: Sensor) -> Parameters:
     transform from ``map`` to ``odom``."""
     properties = dict(lidar.properties)
     values: Parameters = {
-        "map_frame": map_frame(robot),
-        "odom_frame": odom_frame(robot),
-        "base_frame": base_frame(robot),
-        "scan_topic": sensor_topic(robot, lidar),
-        "map_name": full_topic(robot, "map"),
+        "map_frame": ros2_parts.map_frame(robot),
+        "odom_frame": ros2_parts.odom_frame(robot),
+        "base_frame": ros2_parts.base_frame(robot),
+        "scan_topic": ros2_parts.sensor_topic(robot, lidar),
+        "map_name": ros2_parts.full_topic(robot, "map"),
         "resolution": 0.05,
         "map_update_interval": 2.0,
         "transform_publish_period": 1.0 / robot.driver.rate,

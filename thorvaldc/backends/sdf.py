@@ -12,21 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 
-from thorvaldc.backends import Backend
-from thorvaldc.backends.description_parts import (
-    BLOCK_COLORS,
-    gravity_on,
-    mesh_files,
-    urdf_only_elements,
-)
-from thorvaldc.backends.sdf_robot import (
-    SENSORS,
-    add_geometry,
-    add_material,
-    add_pose,
-    add_robot,
-    add_system,
-)
+from thorvaldc.backends import Backend, description_parts, sdf_robot
 from thorvaldc.backends.xml_writer import Element, to_bytes
 from thorvaldc.diagnostics import Diagnostic
 from thorvaldc.model import Fleet, Ground, Pose, Robot, World
@@ -56,14 +42,14 @@ class Sdf(Backend):
     summary = "Gazebo model (sdf/model.sdf) and world (sdf/world.sdf) with its meshes"
 
     def unsupported(self, robot: Robot) -> Iterable[Diagnostic]:
-        return urdf_only_elements(robot, f"SDF {VERSION}", mimics=True)
+        return description_parts.urdf_only_elements(robot, f"SDF {VERSION}", mimics=True)
 
     def emit(self, robot: Robot) -> dict[str, bytes]:
         return {
             "sdf/model.sdf": model_text(robot).encode(),
             "sdf/model.config": _config(robot),
             "sdf/world.sdf": _world(robot.name, [(robot, Pose(), "../meshes")], None)[0],
-            **mesh_files(robot),
+            **description_parts.mesh_files(robot),
         }
 
     def emit_fleet(self, fleet: Fleet) -> dict[str, bytes]:
@@ -81,7 +67,7 @@ def model_text(robot: Robot, meshes: str = "../meshes", share: str | None = None
       ``config/controllers.yaml`` there, in place of Gazebo's controllers of single joints.
     """
     root = Element("sdf", version=VERSION)
-    add_robot(root, robot, None, meshes, share)
+    sdf_robot.add_robot(root, robot, None, meshes, share)
     return to_bytes(root).decode()
 
 
@@ -120,7 +106,7 @@ def _world(
     root, world = _empty_world(name, [robot for robot, _, _ in robots], surroundings)
     files = _add_surroundings(world, surroundings, [pose for _, pose, _ in robots])
     for robot, pose, meshes in robots:
-        add_robot(world, robot, pose, meshes)
+        sdf_robot.add_robot(world, robot, pose, meshes)
     return to_bytes(root), files
 
 
@@ -150,16 +136,16 @@ def _add_systems(world: Element, robots: Sequence[Robot], surroundings: World | 
     """Add physics, gravity, and the systems of Gazebo that the sensors of the robots need."""
     world.add("physics", name="physics", type="dart").fill(max_step_size=STEP, real_time_factor=1)
     ground = surroundings.ground if surroundings is not None else Ground()
-    world.fill(gravity=gravity_on(ground))
+    world.fill(gravity=description_parts.gravity_on(ground))
     for library, name in _SYSTEMS:
-        add_system(world, library, name)
-    kinds = {SENSORS.get(sensor.type) for robot in robots for sensor in robot.sensors}
+        sdf_robot.add_system(world, library, name)
+    kinds = {sdf_robot.SENSORS.get(sensor.type) for robot in robots for sensor in robot.sensors}
     if kinds & {"gpu_lidar", "camera"}:
-        add_system(world, "sensors", "Sensors").fill(render_engine="ogre2")
+        sdf_robot.add_system(world, "sensors", "Sensors").fill(render_engine="ogre2")
     if "imu" in kinds:
-        add_system(world, "imu", "Imu")
+        sdf_robot.add_system(world, "imu", "Imu")
     if "navsat" in kinds:
-        add_system(world, "navsat", "NavSat")
+        sdf_robot.add_system(world, "navsat", "NavSat")
         world.add("spherical_coordinates").fill(surface_model="EARTH_WGS84", **_FIELD)
 
 
@@ -180,12 +166,12 @@ def _add_ground(
     ground = surroundings.ground if surroundings is not None else Ground()
     link = _static_link(world, "ground")
     if ground.amplitude:
-        add_pose(link, Pose((0.0, 0.0, -ground.amplitude)))
+        sdf_robot.add_pose(link, Pose((0.0, 0.0, -ground.amplitude)))
     for part in _parts(link):
         plane = part.add("geometry").add("plane")
         plane.fill(normal="0 0 1", size=(_GROUND_SIZE, _GROUND_SIZE))
         if part.tag == "visual":
-            add_material(part, _GROUND_COLOR)
+            sdf_robot.add_material(part, _GROUND_COLOR)
     if not ground.amplitude:
         return {}
     from thorvaldc.backends.mjcf_terrain import heights  # few builds need it
@@ -194,7 +180,7 @@ def _add_ground(
     for part in _parts(link):
         part.add("geometry").add("mesh").fill(uri=TERRAIN)
         if part.tag == "visual":
-            add_material(part, _GROUND_COLOR)
+            sdf_robot.add_material(part, _GROUND_COLOR)
     scaled = [
         [ground.amplitude * (2.0 * height - 1.0) for height in row]
         for row in heights(ground, starts)
@@ -206,11 +192,11 @@ def _add_blocks(world: Element, surroundings: World) -> None:
     """Add the fixed bodies of a scenario."""
     for block in surroundings.blocks:
         link = _static_link(world, f"{block.kind}_{block.name}")
-        add_pose(link, block.pose)
+        sdf_robot.add_pose(link, block.pose)
         for part in _parts(link):
-            add_geometry(part, block.shape, "")
+            sdf_robot.add_geometry(part, block.shape, "")
             if part.tag == "visual":
-                add_material(part, BLOCK_COLORS[block.kind])
+                sdf_robot.add_material(part, description_parts.BLOCK_COLORS[block.kind])
 
 
 def _static_link(world: Element, name: str) -> Element:

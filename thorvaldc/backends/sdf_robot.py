@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from thorvaldc import model as ir
 from thorvaldc.backends.ros2_controllers import CONTROLLER_FILE
 from thorvaldc.backends.ros2_parts import (
     JOINT_STATES,
@@ -27,23 +28,6 @@ from thorvaldc.backends.ros2_parts import (
     sensor_topics,
 )
 from thorvaldc.backends.xml_writer import Element, numbers
-from thorvaldc.model import (
-    Actuator,
-    Box,
-    Collision,
-    Cylinder,
-    Joint,
-    JointServo,
-    Link,
-    MeshShape,
-    Pose,
-    Robot,
-    Scalar,
-    Sensor,
-    Shape,
-    Sphere,
-    Wheel,
-)
 from thorvaldc.model.spatial import clean, clean3, combine, quat_from_z_to
 from thorvaldc.model.statics.joint_tree import JointTree, tree_of
 from thorvaldc.model.statics.standing_pose import spin_axis
@@ -57,11 +41,11 @@ SENSORS = {
     "camera": "camera",
 }
 """Sensor types of SDF by the sensor types of the model; other sensors have no counterpart."""
-CAMERA = Pose.from_xyz_rpy((0.0, 0.0, 0.0), (0.0, -math.pi / 2, math.pi / 2))
+CAMERA = ir.Pose.from_xyz_rpy((0.0, 0.0, 0.0), (0.0, -math.pi / 2, math.pi / 2))
 """The frame of an SDF camera in the optical frame: an SDF camera looks along x with z up, the
 optical frame looks along z with y down."""
 
-Values = Mapping[str, Scalar]
+Values = Mapping[str, ir.Scalar]
 GZ_ROS2_CONTROL = ("gz_ros2_control-system", "gz_ros2_control::GazeboSimROS2ControlPlugin")
 """File and class of the plug-in of ros2_control for Gazebo."""
 POSITION_GAIN = 0.5
@@ -71,8 +55,8 @@ controller manager. The default of the plug-in, 0.1, steers with a delay of 0.2 
 
 def add_robot(
     parent: Element,
-    robot: Robot,
-    pose: Pose | None,
+    robot: ir.Robot,
+    pose: ir.Pose | None,
     meshes: str = "../meshes",
     share: str | None = None,
 ) -> Element:
@@ -92,7 +76,7 @@ class _RobotWriter:
     - ``group_of``: name of the uppermost link of the group of each link.
     """
 
-    def __init__(self, robot: Robot, meshes: str, share: str | None) -> None:
+    def __init__(self, robot: ir.Robot, meshes: str, share: str | None) -> None:
         self.robot = robot
         self.meshes = meshes
         self.share = share
@@ -100,7 +84,7 @@ class _RobotWriter:
         self.tree = tree_of(robot)
         self.wheels = {wheel.link: wheel for wheel in robot.wheels}
         self.group_of: dict[str, str] = {}
-        self.groups: dict[str, list[Link]] = {}
+        self.groups: dict[str, list[ir.Link]] = {}
         for name in self.tree.order:
             joint = self.tree.parent_joint.get(name)
             fixed = joint is not None and joint.type == "fixed"
@@ -108,7 +92,7 @@ class _RobotWriter:
             self.group_of[name] = top
             self.groups.setdefault(top, []).append(self.tree.links[name])
 
-    def write(self, parent: Element, pose: Pose | None) -> Element:
+    def write(self, parent: Element, pose: ir.Pose | None) -> Element:
         robot = self.robot
         model = parent.add("model", name=robot.namespace or robot.name)
         model.set(canonical_link=self.prefix + robot.links[0].name)
@@ -124,14 +108,14 @@ class _RobotWriter:
         self._add_systems(model)
         return model
 
-    def _in_group(self, link: str) -> Pose:
+    def _in_group(self, link: str) -> ir.Pose:
         """Return the pose of a link in the uppermost link of its group."""
         poses = self.tree.pose
         return (poses[self.group_of[link]].inverse() * poses[link]).clean()
 
     # -- links ------------------------------------------------------------------
 
-    def _add_link(self, model: Element, top: str, links: list[Link]) -> None:
+    def _add_link(self, model: Element, top: str, links: list[ir.Link]) -> None:
         element = model.add("link", name=self.prefix + top)
         joint = self.tree.parent_joint.get(top)
         if joint is not None:
@@ -155,7 +139,7 @@ class _RobotWriter:
                 at = self._in_group(sensor.link)
                 add_sensor(element, sensor, at, self.prefix)
 
-    def _add_shapes(self, element: Element, link: Link) -> None:
+    def _add_shapes(self, element: Element, link: ir.Link) -> None:
         at = self._in_group(link.name)
         for i, visual in enumerate(link.visuals):
             part = element.add("visual", name=f"{link.name}_visual_{i}")
@@ -165,7 +149,7 @@ class _RobotWriter:
             if visual.color[3] < 1.0:
                 part.fill(transparency=clean(1.0 - visual.color[3]))
         wheel = self.wheels.get(link.name)
-        shapes: tuple[Collision, ...] = link.collisions
+        shapes: tuple[ir.Collision, ...] = link.collisions
         if wheel is not None:
             shapes = rigid_contact_shapes(self.tree, wheel)
         for i, collision in enumerate(shapes):
@@ -176,14 +160,14 @@ class _RobotWriter:
                 ode = part.add("surface").add("friction").add("ode")
                 ode.fill(mu=wheel.friction, mu2=wheel.friction)
 
-    def _add_frame(self, model: Element, link: Link) -> None:
+    def _add_frame(self, model: Element, link: ir.Link) -> None:
         top = self.prefix + self.group_of[link.name]
         frame = model.add("frame", name=self.prefix + link.name, attached_to=top)
         add_pose(frame, self._in_group(link.name))
 
     # -- joints -----------------------------------------------------------------
 
-    def _add_joint(self, model: Element, joint: Joint) -> None:
+    def _add_joint(self, model: Element, joint: ir.Joint) -> None:
         kind = "prismatic" if joint.type == "prismatic" else "revolute"
         element = model.add("joint", name=self.prefix + joint.name, type=kind)
         parent = self.prefix + self.group_of[joint.parent]
@@ -204,7 +188,7 @@ class _RobotWriter:
         if any(dynamics.values()):
             axis.add("dynamics").fill(**dynamics)
 
-    def _rolling_friction(self, joint: Joint) -> float:
+    def _rolling_friction(self, joint: ir.Joint) -> float:
         """Return the torque in N m by which the static load resists the rolling of a wheel."""
         wheel = self.wheels.get(joint.child)
         if wheel is None or wheel.spin_joint != joint.name:
@@ -232,7 +216,10 @@ class _RobotWriter:
         for joint in self.tree.moving:
             states.fill(joint_name=self.prefix + joint.name)
         topics = dict(joint_commands(self.robot))
-        motors: list[Actuator | JointServo] = [*self.robot.actuators, *self.robot.joint_servos]
+        motors: list[ir.Actuator | ir.JointServo] = [
+            *self.robot.actuators,
+            *self.robot.joint_servos,
+        ]
         for motor in motors:
             self._add_controller(model, motor, self.prefix + topics[motor.joint])
 
@@ -249,10 +236,12 @@ class _RobotWriter:
         if self.robot.namespace:
             plugin.add("ros").fill(namespace=f"/{self.robot.namespace}")
 
-    def _add_controller(self, model: Element, motor: Actuator | JointServo, topic: str) -> None:
+    def _add_controller(
+        self, model: Element, motor: ir.Actuator | ir.JointServo, topic: str
+    ) -> None:
         joint = motor.joint
         name = self.prefix + joint
-        interface = motor.interface if isinstance(motor, JointServo) else _controlled_by(motor)
+        interface = motor.interface if isinstance(motor, ir.JointServo) else _controlled_by(motor)
         if interface == "velocity":
             system = add_system(model, "joint-controller", "JointController")
             system.fill(joint_name=name, topic=topic)
@@ -262,7 +251,7 @@ class _RobotWriter:
         # largest speed of the joint.
         system.fill(joint_name=name, topic=topic, use_velocity_commands=True)
         speed = self.tree.joints[joint].velocity
-        if isinstance(motor, Actuator):
+        if isinstance(motor, ir.Actuator):
             speed = motor.max_velocity
         else:
             system.fill(initial_position=motor.initial)
@@ -270,11 +259,11 @@ class _RobotWriter:
             system.fill(cmd_max=speed, cmd_min=-speed)
 
 
-def _controlled_by(actuator: Actuator) -> str:
+def _controlled_by(actuator: ir.Actuator) -> str:
     return "velocity" if actuator.role == "propulsion" else "position"
 
 
-def rigid_contact_shapes(tree: JointTree, wheel: Wheel) -> tuple[Collision, ...]:
+def rigid_contact_shapes(tree: JointTree, wheel: ir.Wheel) -> tuple[ir.Collision, ...]:
     """Return the shapes of a wheel for rigid contacts, in the link frame of the wheel.
 
     The first one is the sphere of the tyre, whose lowest point lies on the rolling circle when
@@ -288,16 +277,16 @@ def rigid_contact_shapes(tree: JointTree, wheel: Wheel) -> tuple[Collision, ...]
     sphere = rolling_sphere(wheel.radius, axis, tilt)
     turned = quat_from_z_to(axis)
     rings = (
-        Collision(Cylinder(wheel.radius_named(t.name), t.width), Pose(t.center, turned))
+        ir.Collision(ir.Cylinder(wheel.radius_named(t.name), t.width), ir.Pose(t.center, turned))
         for t in wheel.treads
     )
-    return (Collision(Sphere(sphere.radius), Pose(sphere.center)), *rings)
+    return (ir.Collision(ir.Sphere(sphere.radius), ir.Pose(sphere.center)), *rings)
 
 
 # -- sensors ---------------------------------------------------------------------------
 
 
-def add_sensor(link: Element, sensor: Sensor, pose: Pose, prefix: str) -> None:
+def add_sensor(link: Element, sensor: ir.Sensor, pose: ir.Pose, prefix: str) -> None:
     """Add a sensor to an SDF link. ``pose`` is the pose of the measurement frame in the link.
 
     ``ros2_parts`` has the topics of the sensor. A sensor of a type without a counterpart in SDF
@@ -389,20 +378,20 @@ def add_system(parent: Element, library: str, name: str) -> Element:
     )
 
 
-def add_pose(parent: Element, pose: Pose, relative_to: str | None = None) -> None:
+def add_pose(parent: Element, pose: ir.Pose, relative_to: str | None = None) -> None:
     values = (*clean3(pose.xyz), *clean3(pose.rpy()))
     if any(values) or relative_to is not None:
         parent.add("pose", relative_to=relative_to).text = numbers(values)
 
 
-def add_geometry(parent: Element, shape: Shape, meshes: str) -> None:
+def add_geometry(parent: Element, shape: ir.Shape, meshes: str) -> None:
     geometry = parent.add("geometry")
     match shape:
-        case Box(size):
+        case ir.Box(size):
             geometry.add("box").fill(size=size)
-        case Cylinder(radius, length):
+        case ir.Cylinder(radius, length):
             geometry.add("cylinder").fill(radius=radius, length=length)
-        case MeshShape(mesh, scale):
+        case ir.MeshShape(mesh, scale):
             scaled = None if scale == (1.0, 1.0, 1.0) else scale
             geometry.add("mesh").fill(uri=f"{meshes}/{mesh}", scale=scaled)
         case _:

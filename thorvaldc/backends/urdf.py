@@ -5,17 +5,9 @@ MuJoCo's importer also reads the URDF files without loss.
 
 from __future__ import annotations
 
-from thorvaldc.backends import Backend
+from thorvaldc.backends import Backend, xml_writer
 from thorvaldc.backends.description_parts import Palette, mesh_files
 from thorvaldc.backends.ros2_control import kept_extensions, ros2_control_elements
-from thorvaldc.backends.xml_writer import (
-    Element,
-    Rename,
-    add_to_root,
-    escape,
-    parse,
-    to_text,
-)
 from thorvaldc.model import Box, Cylinder, Joint, Link, MeshShape, Pose, Robot, Shape
 from thorvaldc.model.element import once_per_model
 from thorvaldc.model.spatial import clean
@@ -51,12 +43,14 @@ def urdf_text(
     """
     prefix = robot.prefix
     rename = _prefixing(robot, prefix) if prefix else None
-    added = [parse(text, rename) for text in kept_extensions(robot, hardware)]
+    added = [xml_writer.parse(text, rename) for text in kept_extensions(robot, hardware)]
     if hardware is not None:
         added += ros2_control_elements(robot, hardware, share)
     # The quotation marks of texts are escaped, so that only the attributes of meshes match.
-    text = _own_text(robot).replace(f'filename="{MESHES}/', f'filename="{escape(meshes)}/')
-    return add_to_root(text, "robot", added) if added else text
+    text = _own_text(robot).replace(
+        f'filename="{MESHES}/', f'filename="{xml_writer.escape(meshes)}/'
+    )
+    return xml_writer.add_to_root(text, "robot", added) if added else text
 
 
 @once_per_model
@@ -64,7 +58,7 @@ def _own_text(robot: Robot) -> str:
     """Return the URDF file of a robot without the elements that depend on its hardware, with the
     mesh files in ``MESHES``."""
     prefix = robot.prefix
-    root = Element("robot", name=robot.name)
+    root = xml_writer.Element("robot", name=robot.name)
     # By default, MuJoCo merges base_link into the world and discards the masses of all links that
     # are fixed to base_link, discards visual shapes, and computes masses from shapes.
     root.add("mujoco").add(
@@ -84,7 +78,7 @@ def _own_text(robot: Robot) -> str:
     for joint in robot.joints:
         _add_joint(root, joint, prefix)
     _add_gazebo(root, robot, prefix)
-    return to_text(root)
+    return xml_writer.to_text(root)
 
 
 # XML attributes and XML elements of the extra URDF elements that contain the name of a link or a
@@ -93,7 +87,7 @@ _NAMING_ATTRIBUTES = (("gazebo", "reference"), ("joint", "name"), ("link", "name
 _NAMING_TEXTS = ("framename", "frameid", "gzframeid", "bodyname", "linkname", "jointname")
 
 
-def _prefixing(robot: Robot, prefix: str) -> Rename:
+def _prefixing(robot: Robot, prefix: str) -> xml_writer.Rename:
     """Return a function that adds the name space of the robot to link and joint names in extra XML
     elements."""
     names = {link.name for link in robot.links} | {joint.name for joint in robot.joints}
@@ -109,14 +103,14 @@ def _prefixing(robot: Robot, prefix: str) -> Rename:
     return rename
 
 
-def _add_origin(parent: Element, pose: Pose) -> None:
+def _add_origin(parent: xml_writer.Element, pose: Pose) -> None:
     x, y, z = pose.rpy()
     rpy = (clean(x), clean(y), clean(z))
     if pose.xyz != (0.0, 0.0, 0.0) or rpy != (0.0, 0.0, 0.0):
         parent.add("origin", xyz=pose.xyz, rpy=rpy)
 
 
-def _add_geometry(parent: Element, shape: Shape) -> None:
+def _add_geometry(parent: xml_writer.Element, shape: Shape) -> None:
     geometry = parent.add("geometry")
     match shape:
         case Box(size):
@@ -133,7 +127,7 @@ def _add_geometry(parent: Element, shape: Shape) -> None:
             geometry.add("sphere", radius=shape.radius)
 
 
-def _add_link(root: Element, link: Link, prefix: str, palette: Palette) -> None:
+def _add_link(root: xml_writer.Element, link: Link, prefix: str, palette: Palette) -> None:
     element = root.add("link", name=prefix + link.name)
     if link.inertial is not None:
         xx, yy, zz, xy, xz, yz = link.inertial.inertia
@@ -153,7 +147,7 @@ def _add_link(root: Element, link: Link, prefix: str, palette: Palette) -> None:
         _add_geometry(part, collision.shape)
 
 
-def _add_joint(root: Element, joint: Joint, prefix: str) -> None:
+def _add_joint(root: xml_writer.Element, joint: Joint, prefix: str) -> None:
     element = root.add("joint", name=prefix + joint.name, type=joint.type)
     _add_origin(element, joint.pose)
     element.add("parent", link=prefix + joint.parent)
@@ -184,7 +178,7 @@ def _add_joint(root: Element, joint: Joint, prefix: str) -> None:
         )
 
 
-def _add_gazebo(root: Element, robot: Robot, prefix: str) -> None:
+def _add_gazebo(root: xml_writer.Element, robot: Robot, prefix: str) -> None:
     """Add springs and tyre friction as Gazebo elements, because URDF has no elements for them."""
     for joint in robot.joints:
         if joint.stiffness != 0.0:

@@ -9,17 +9,8 @@ import time
 from collections import deque
 from typing import Any
 
+from thorvaldc.can import frame as can_frame
 from thorvaldc.can import simulated_bus_protocol as protocol
-from thorvaldc.can.frame import (
-    NANOSECONDS,
-    NEVER,
-    RECEIVE_LIMIT,
-    SEND_LIMIT,
-    CanFrame,
-    ErrorState,
-    ReceivedFrame,
-    to_ns,
-)
 from thorvaldc.can.local_socket import Unpacker, pack, pack_json, socket_path
 from thorvaldc.diagnostics.files import read_json
 
@@ -53,8 +44,8 @@ class SimulatedBusClient:
         name: str = "client",
         bitrate: int | None = None,
         *,
-        send_limit: int = SEND_LIMIT,
-        receive_limit: int = RECEIVE_LIMIT,
+        send_limit: int = can_frame.SEND_LIMIT,
+        receive_limit: int = can_frame.RECEIVE_LIMIT,
         receive_own: bool = False,
         listen_only: bool = False,
         fifo: bool = False,
@@ -79,12 +70,12 @@ class SimulatedBusClient:
         self.send_limit = send_limit
         self.receive_limit = receive_limit
         self.overruns = 0
-        self._received: deque[ReceivedFrame] = deque()
+        self._received: deque[can_frame.ReceivedFrame] = deque()
         self._changed = threading.Condition()
         self._writing = threading.Lock()
         self._unsent = 0
         self._now = 0
-        self._state = ErrorState.ACTIVE
+        self._state = can_frame.ErrorState.ACTIVE
         self._closed = ""
         self._waited_until: int | None = None
         path = socket_path(channel)
@@ -120,7 +111,7 @@ class SimulatedBusClient:
         self._reader.start()
 
     @property
-    def state(self) -> ErrorState:
+    def state(self) -> can_frame.ErrorState:
         return self._state
 
     @property
@@ -129,7 +120,7 @@ class SimulatedBusClient:
 
         The time is simulated time in lockstep mode, else real time.
         """
-        return (self._now if self.lockstep else self._clock()) / NANOSECONDS
+        return (self._now if self.lockstep else self._clock()) / can_frame.NANOSECONDS
 
     @property
     def received_until(self) -> float:
@@ -137,9 +128,9 @@ class SimulatedBusClient:
 
         The time is earlier than ``now`` if the process of the bus runs late.
         """
-        return self._now / NANOSECONDS if self._in_real_time else self.now
+        return self._now / can_frame.NANOSECONDS if self._in_real_time else self.now
 
-    def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
+    def send(self, frame: can_frame.CanFrame, timeout: float = 0.0) -> bool:
         """Puts a CAN frame into the send queue.
 
         Waits at most ``timeout`` seconds while the send queue is full.
@@ -150,14 +141,14 @@ class SimulatedBusClient:
         with self._changed:
             if not self._has_room() and timeout > 0.0:
                 self._wait_for_room(timeout)
-            if not self._has_room() or self._state is ErrorState.BUS_OFF:
+            if not self._has_room() or self._state is can_frame.ErrorState.BUS_OFF:
                 return False
             self._unsent += 1
         sent_at = self._now if self.lockstep else self._clock()
         self._write(protocol.pack_frame(protocol.SEND, frame, sent_at))
         return True
 
-    def receive(self, timeout: float | None = None) -> ReceivedFrame | None:
+    def receive(self, timeout: float | None = None) -> can_frame.ReceivedFrame | None:
         """Returns the oldest CAN frame in the receive queue.
 
         Waits for a CAN frame if the receive queue is empty.
@@ -215,7 +206,7 @@ class SimulatedBusClient:
         if not self.lockstep:
             self._changed.wait_for(self._has_room, timeout)
             return
-        deadline = self._now + to_ns(timeout)
+        deadline = self._now + can_frame.to_ns(timeout)
         while not self._has_room() and self._now < deadline:
             self._wait(LOCKSTEP_POLL, stop_at_frame=False)
 
@@ -226,7 +217,7 @@ class SimulatedBusClient:
         if not self.lockstep:
             self._changed.wait_for(over, timeout)
             return
-        deadline = NEVER - 1 if timeout is None else self._now + to_ns(timeout)
+        deadline = can_frame.NEVER - 1 if timeout is None else self._now + can_frame.to_ns(timeout)
         while not over() and self._now < deadline:
             self._waited_until = None
             self._write(protocol.pack_time(protocol.WAIT, deadline))
@@ -290,12 +281,12 @@ class SimulatedBusClient:
             if len(self._received) >= self.receive_limit:
                 self.overruns += 1
             else:
-                self._received.append(ReceivedFrame(time, frame, own))
+                self._received.append(can_frame.ReceivedFrame(time, frame, own))
         elif kind in (protocol.SENT, protocol.REFUSED):
             self._unsent = max(self._unsent - 1, 0)
         elif kind == protocol.STATE:
             state = read_json(body)
-            self._state = ErrorState(state["state"])
+            self._state = can_frame.ErrorState(state["state"])
             # The simulated CAN controller clears its send queue when it enters bus-off and when it
             # restarts.
             self._unsent = max(self._unsent - state["dropped"], 0)

@@ -9,18 +9,9 @@ from typing import Annotated
 import typer
 
 from thorvaldc import __version__
+from thorvaldc.cli import exits
 from thorvaldc.cli.command import CommandGroup
 from thorvaldc.cli.completion import is_completion, shell_completion
-from thorvaldc.cli.exits import (
-    DONE,
-    INTERNAL,
-    TRACEBACK_VARIABLE,
-    OutputError,
-    discard_output,
-    prepare_standard_streams,
-    protect,
-    show_traceback,
-)
 
 app = typer.Typer(
     cls=CommandGroup,
@@ -57,7 +48,7 @@ def run() -> None:
     # its end. Python's garbage collection would take a sixth of the time of a short command. Long
     # commands such as ``sim`` enable garbage collection again.
     gc.disable()
-    prepare_standard_streams()
+    exits.prepare_standard_streams()
     try:
         status = run_command()
     except Exception as error:
@@ -65,7 +56,7 @@ def run() -> None:
     try:
         sys.exit(status)
     finally:
-        if status != DONE:
+        if status != exits.DONE:
             _flush_quietly()
 
 
@@ -74,7 +65,7 @@ def run_command() -> int:
 
     An exception that leaves this function is a bug in thorvaldc.
     """
-    return protect(_call_app)
+    return exits.protect(_call_app)
 
 
 def _call_app() -> int:
@@ -84,8 +75,8 @@ def _call_app() -> int:
                 app(prog_name="thorvaldc")
         app(prog_name="thorvaldc")
     except SystemExit as end:
-        return end.code if isinstance(end.code, int) else DONE
-    return DONE
+        return end.code if isinstance(end.code, int) else exits.DONE
+    return exits.DONE
 
 
 def _flush_quietly() -> None:
@@ -93,18 +84,18 @@ def _flush_quietly() -> None:
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
-    except OutputError:
-        discard_output()
+    except exits.OutputError:
+        exits.discard_output()
 
 
 def _report_internal_error(error: Exception) -> int:
-    show_traceback()
+    exits.show_traceback()
     description = " ".join(f"{type(error).__name__}: {error}".split())[:300]
     python = ".".join(str(part) for part in sys.version_info[:3])
     print(
         f"internal error: {description}\n"
         f"This is an error in thorvaldc {__version__} (Python {python}, {sys.platform}), not in"
-        f" your file; please report it.\n{TRACEBACK_VARIABLE}=1 shows where it happened.",
+        f" your file; please report it.\n{exits.TRACEBACK_VARIABLE}=1 shows where it happened.",
         file=sys.stderr,
     )
-    return INTERNAL
+    return exits.INTERNAL

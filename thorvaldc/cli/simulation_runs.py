@@ -22,14 +22,9 @@ from thorvaldc.diagnostics.files import write_file
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.scenario import GROUPS, Scenario
 from thorvaldc.runtime.se2 import Twist
+from thorvaldc.simulation import scenario_run
 from thorvaldc.simulation.control_loop import SimulationResult, TickCallback, result_table
 from thorvaldc.simulation.records.recorder import Recorder, record_ticks
-from thorvaldc.simulation.scenario_run import (
-    ScenarioResult,
-    ScenarioSimulation,
-    junit_report,
-    scenario_text,
-)
 from thorvaldc.simulation.simulation_run import Simulation
 
 TWIST_DURATION = 5.0
@@ -72,7 +67,7 @@ class RunOptions(NamedTuple):
         self,
         compilation: Compilation,
         report: Report,
-        result: SimulationResult | ScenarioResult,
+        result: SimulationResult | scenario_run.ScenarioResult,
         robots: run_outputs.Robots,
         files: Mapping[str, bytes] | None,
     ) -> int:
@@ -82,7 +77,7 @@ class RunOptions(NamedTuple):
         elif isinstance(result, SimulationResult):
             print(result_table([result], table_width()))
         else:
-            print(scenario_text(result, table_width()))
+            print(scenario_run.scenario_text(result, table_width()))
         status = show_report(compilation.located(report), compilation.sources)
         if self.record:
             message(run_outputs.record_summary(self.record, robots))
@@ -104,14 +99,16 @@ def run_scenario(compilation: Compilation, scenario: Scenario, options: RunOptio
         )
         try:
             files = emit(scenario.fleet, ["mjcf"], report)
-            simulation = ScenarioSimulation(scenario, files, options.parameters or None)
+            simulation = scenario_run.ScenarioSimulation(
+                scenario, files, options.parameters or None
+            )
             result = simulation.play(report, recorders, run_outputs.call_all(watches))
         except DiagnosticError as error:
             report.put(error.diagnostic)
             return show_report(compilation.located(report), compilation.sources)
     if options.junit:
         errors = [d.message for d in report.errors if d.code.name != "expectation-failed"]
-        write_file(Path(options.junit), junit_report(result, errors))
+        write_file(Path(options.junit), scenario_run.junit_report(result, errors))
     return options.show(compilation, report, result, robots, files)
 
 

@@ -21,15 +21,8 @@ from collections.abc import Callable, Sequence
 from thorvaldc.can.canopen import HEARTBEAT, SDO_REQUEST, SDO_RESPONSE, DriveState, NmtState
 from thorvaldc.can.lss import UNCONFIGURED, Identity
 from thorvaldc.can.sdo import upload_request
-from thorvaldc.commissioning import scan_result
+from thorvaldc.commissioning import bus_master, scan_result
 from thorvaldc.commissioning.bus_configuration import BusConfiguration, NodeConfiguration
-from thorvaldc.commissioning.bus_master import (
-    BusMaster,
-    SdoClient,
-    SdoError,
-    SdoMultipleResponses,
-    other_master_error,
-)
 from thorvaldc.commissioning.lss_master import LssError, LssMaster
 from thorvaldc.diagnostics import DiagnosticError
 
@@ -61,11 +54,14 @@ class Scanner:
     """Scanner that compares the devices on a bus with the required configuration."""
 
     def __init__(
-        self, master: BusMaster, configuration: BusConfiguration, progress: Progress | None = None
+        self,
+        master: bus_master.BusMaster,
+        configuration: BusConfiguration,
+        progress: Progress | None = None,
     ) -> None:
         self.master = master
         self.configuration = configuration
-        self.sdo = SdoClient(master)
+        self.sdo = bus_master.SdoClient(master)
         self.lss = LssMaster(master)
         self._progress = progress or (lambda activity, completed, total: None)
         self._findings = scan_result.Findings()
@@ -87,7 +83,7 @@ class Scanner:
         self._require_canopen()
         self._listen()
         if self.master.masters:
-            raise other_master_error(list(self.master.masters))
+            raise bus_master.other_master_error(list(self.master.masters))
         self._discover()
         self._identify(texts)
         nodes = [node for node in self.configuration.nodes if node.lss]
@@ -245,9 +241,9 @@ class Scanner:
     def _read_text(self, node: int, index: int) -> str:
         try:
             return self.sdo.read_text(node, index)
-        except SdoMultipleResponses as error:
+        except bus_master.SdoMultipleResponses as error:
             self._findings.evidence[node] = str(error)
-        except SdoError:
+        except bus_master.SdoError:
             pass
         return ""
 
@@ -316,7 +312,9 @@ class Scanner:
                 self._progress("reading values", position, len(readable))
                 node = self.configuration.node(entry.node)
                 if node.sdo and node.values and node.id != UNCONFIGURED:
-                    read[node.name] = self.sdo.read_values(node.id, node.values, SdoError)
+                    read[node.name] = self.sdo.read_values(
+                        node.id, node.values, bus_master.SdoError
+                    )
             self._progress("reading values", len(readable), len(readable))
         return self._result(True, entries, read)
 
@@ -359,7 +357,7 @@ class Scanner:
         for index in node.statuswords:
             try:
                 word = self.sdo.read_number(node_id, index, 0, "unsigned16")
-            except SdoError:
+            except bus_master.SdoError:
                 continue
             state = DriveState.of(word)
             if state in (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE):

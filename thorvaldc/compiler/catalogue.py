@@ -13,7 +13,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.compiler.bus.assemble_buses import BusSpec, Device, build_buses
+from thorvaldc.compiler.bus.assemble_buses import build_buses
+from thorvaldc.compiler.bus.device_sections import BusSpec, Device
 from thorvaldc.compiler.hardware.hardware_reader import Hardware, hardware_of
 from thorvaldc.compiler.hardware.robot_parts import RobotParts, masses_by_source, modules_of
 from thorvaldc.compiler.modules.library import Library, ModuleType

@@ -31,14 +31,7 @@ from thorvaldc.compiler.modules.mounting import MountingPort, mounting_ports
 from thorvaldc.compiler.source.input_file import unsaved_text
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_file
-from thorvaldc.compiler.validation.document_check import (
-    check,
-    is_fleet,
-    is_scenario,
-    is_study,
-    report_wrong_kind,
-    without_invalid_values,
-)
+from thorvaldc.compiler.validation import document_check
 from thorvaldc.diagnostics import (
     Accepted,
     Code,
@@ -105,14 +98,16 @@ class SourceFile:
         self.shape = Report()
         document = read_file(path, name, self.shape)
         self.document = (
-            None if document is None or report_wrong_kind(document, self.shape) else document
+            None
+            if document is None or document_check.report_wrong_kind(document, self.shape)
+            else document
         )
         self.kind: Kind = "robot"
-        if is_study(self.document):
+        if document_check.is_study(self.document):
             self.kind = "study"
-        elif is_scenario(self.document):
+        elif document_check.is_scenario(self.document):
             self.kind = "scenario"
-        elif is_fleet(self.document):
+        elif document_check.is_fleet(self.document):
             self.kind = "fleet"
 
     def check_shape(self, document: Node) -> Node:
@@ -121,8 +116,8 @@ class SourceFile:
         The later stages of the compiler use the valid part of the document, so that one run reports
         the errors of all stages.
         """
-        check(document, self.kind, self.shape)
-        return without_invalid_values(document, self.shape)
+        document_check.check(document, self.kind, self.shape)
+        return document_check.without_invalid_values(document, self.shape)
 
 
 @dataclass

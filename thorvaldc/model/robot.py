@@ -13,16 +13,9 @@ from dataclasses import dataclass, field
 
 from thorvaldc.diagnostics import DiagnosticError, Span
 from thorvaldc.model import quantities as si
+from thorvaldc.model import settings
 from thorvaldc.model.bus import Bus, Scalar
 from thorvaldc.model.element import Element
-from thorvaldc.model.settings import (
-    DEFAULT_SETTINGS,
-    CalculatorChoice,
-    DriverSettings,
-    ParameterSet,
-    RosSettings,
-    TwistInput,
-)
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
 # -- modules: the types of the module library that the robot consists of ----------------
@@ -498,16 +491,16 @@ class Robot(Element):
     batteries: tuple[Battery, ...]
     buses: tuple[Bus, ...]
     meshes: tuple[Mesh, ...]
-    calculator: CalculatorChoice
-    driver: DriverSettings
+    calculator: settings.CalculatorChoice
+    driver: settings.DriverSettings
     inertial: Inertial
     span: Span
     urdf_extensions: tuple[str, ...] = ()
-    parameter_sets: tuple[ParameterSet, ...] = ()
-    twist_sources: tuple[TwistInput, ...] = ()
-    twist_locks: tuple[TwistInput, ...] = ()
+    parameter_sets: tuple[settings.ParameterSet, ...] = ()
+    twist_sources: tuple[settings.TwistInput, ...] = ()
+    twist_locks: tuple[settings.TwistInput, ...] = ()
     joint_servos: tuple[JointServo, ...] = ()
-    ros: RosSettings = DEFAULT_SETTINGS
+    ros: settings.RosSettings = settings.DEFAULT_SETTINGS
     modules: tuple[Module, ...] = ()
     design_slope: si.Radians | None = None
     battery_connection: str | None = None

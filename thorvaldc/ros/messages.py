@@ -12,17 +12,11 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import BatteryState, JointState
 
 from thorvaldc.model import Robot
+from thorvaldc.runtime import se2
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryState as ReportedBattery
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import DriveMode, DriverState
-from thorvaldc.runtime.se2 import (
-    Cov3,
-    covariance_numbers,
-    pose_numbers,
-    recorded_joints,
-    twist_numbers,
-)
 
 OK, WARN, ERROR = (b"\x00", b"\x01", b"\x02")
 _MOVABLE = ("continuous", "revolute", "prismatic")
@@ -37,7 +31,7 @@ def optional_type(package: str, name: str) -> Any | None:
 
 
 def odometry_message(
-    state: DriverState, twist_covariance: Cov3, stamp: Any, odom_frame: str, base_frame: str
+    state: DriverState, twist_covariance: se2.Cov3, stamp: Any, odom_frame: str, base_frame: str
 ) -> Any:
     """Returns the odometry: the pose in ``odom_frame``, the twist in ``base_frame``.
 
@@ -48,12 +42,12 @@ def odometry_message(
     message.header.stamp, message.header.frame_id = stamp, odom_frame
     message.child_frame_id = base_frame
     _set_pose(message.pose.pose.position, message.pose.pose.orientation, state)
-    message.pose.covariance = covariance_numbers(state.pose_covariance, state.pose.yaw)
+    message.pose.covariance = se2.covariance_numbers(state.pose_covariance, state.pose.yaw)
     twist = message.twist.twist
     linear, angular = twist.linear, twist.angular
-    numbers = twist_numbers(state.odometry.twist)
+    numbers = se2.twist_numbers(state.odometry.twist)
     linear.x, linear.y, linear.z, angular.x, angular.y, angular.z = numbers
-    message.twist.covariance = covariance_numbers(twist_covariance)
+    message.twist.covariance = se2.covariance_numbers(twist_covariance)
     return message
 
 
@@ -68,7 +62,7 @@ def transform_message(state: DriverState, stamp: Any, odom_frame: str, base_fram
 
 
 def _set_pose(position: Any, rotation: Any, state: DriverState) -> None:
-    numbers = pose_numbers(state.pose)
+    numbers = se2.pose_numbers(state.pose)
     position.x, position.y, position.z = numbers[:3]
     rotation.x, rotation.y, rotation.z, rotation.w = numbers[3:]
 
@@ -81,7 +75,7 @@ class JointMessages:
     """
 
     def __init__(self, robot: Robot) -> None:
-        drives, steering = recorded_joints(robot)
+        drives, steering = se2.recorded_joints(robot)
         joints = [j.name for j in robot.joints if j.type in _MOVABLE]
         self._names = [robot.prefix + name for name in joints]
         index = {name: i for i, name in enumerate(joints)}

@@ -23,6 +23,7 @@ from concurrent.futures import Future
 from typing import Any, TypeVar
 
 from thorvaldc.model import Robot
+from thorvaldc.runtime import service_table
 from thorvaldc.runtime.arming import ArmableRobot
 from thorvaldc.runtime.base_interface import BaseHandle, RequestRefused
 from thorvaldc.runtime.control_channel import ControlServer
@@ -30,14 +31,6 @@ from thorvaldc.runtime.driver import BaseDriver, DriveMode, DriverState
 from thorvaldc.runtime.pace import Clock, Gap, Pace, SimulatedTime, gap_text
 from thorvaldc.runtime.run_time_parameters import LIMITS
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.runtime.service_table import (
-    THIS_PROGRAM,
-    Argument,
-    Caller,
-    Service,
-    ServiceError,
-    Services,
-)
 
 Watch = Callable[["DrivenRobot", DriverState], None]
 """Function that is called after each control cycle with the robot and the driver's state."""
@@ -107,7 +100,7 @@ class DrivenRobot(ArmableRobot):
         self._was_ready = False
         self._settled = -math.inf
         self._void_reason = ""
-        self.services = Services([*robot_services(self), *base.services()])
+        self.services = service_table.Services([*robot_services(self), *base.services()])
         self.channel: ControlServer | None = None
         if channel:
             self.open_channel(channel)
@@ -295,9 +288,11 @@ class DrivenRobot(ArmableRobot):
 
     # -- services ----------------------------------------------------------------------------------
 
-    def call(self, service: str, owner: str = THIS_PROGRAM, **arguments: Any) -> Any:
+    def call(self, service: str, owner: str = service_table.THIS_PROGRAM, **arguments: Any) -> Any:
         """Calls a service and returns its result.  Raises ``ServiceError`` if it is refused."""
-        caller = Caller(owner, void=self.void_reason() if owner != THIS_PROGRAM else "")
+        caller = service_table.Caller(
+            owner, void=self.void_reason() if owner != service_table.THIS_PROGRAM else ""
+        )
         return self.services.call(service, arguments, self.input_time, caller)
 
     def state(self) -> dict[str, Any]:
@@ -332,7 +327,7 @@ class DrivenRobot(ArmableRobot):
 # -- services, for other programs and for ROS ---------------------------------------------------
 
 
-def robot_services(robot: ArmableRobot) -> list[Service]:
+def robot_services(robot: ArmableRobot) -> list[service_table.Service]:
     """Returns the services that command twists, arm and stop the robot, return its state, reset the
     odometry and change parameters.
 
@@ -341,7 +336,7 @@ def robot_services(robot: ArmableRobot) -> list[Service]:
 
     def twist(
         now: float,
-        caller: Caller,
+        caller: service_table.Caller,
         source: str,
         vx: float = 0.0,
         vy: float = 0.0,
@@ -349,7 +344,7 @@ def robot_services(robot: ArmableRobot) -> list[Service]:
     ) -> None:
         published = now - caller.age
         if refusal := robot.multiplexer.publish(source, Twist(vx, vy, wz), published, caller.name):
-            raise ServiceError(refusal)
+            raise service_table.ServiceError(refusal)
 
     def set_drive_parameters(
         set: str | None = None,
@@ -358,89 +353,97 @@ def robot_services(robot: ArmableRobot) -> list[Service]:
     ) -> None:
         changes = {name: value for name, value in limits.items() if value is not None}
         if set is None and not radii and not changes:
-            raise ServiceError("`set_drive_parameters` needs `set`, `radii` or a limit")
+            raise service_table.ServiceError(
+                "`set_drive_parameters` needs `set`, `radii` or a limit"
+            )
         if set is not None and (radii or changes):
-            raise ServiceError("`set` cannot be combined; change single values in another call")
+            raise service_table.ServiceError(
+                "`set` cannot be combined; change single values in another call"
+            )
         robot.set_drive_parameters(set or None, radii=radii, limits=changes)
 
     return [
-        Service(
+        service_table.Service(
             "twist",
             "Command the twist of a source (m/s, m/s, rad/s); it is valid until the time-out of the"
             " source, while the connection is open.",
             twist,
         ),
-        Service(
+        service_table.Service(
             "state",
             "Return the state of the robot.",
             lambda now: robot_state(robot, now),
             valid_late=True,
         ),
-        Service(
+        service_table.Service(
             "description",
             "Return the robot's constants: names, top speeds, rate.",
             lambda: robot_description(robot),
             valid_late=True,
         ),
-        Service(
+        service_table.Service(
             "reset_odometry",
             "Set the pose of the odometry to zero.",
             lambda: robot.driver.reset_pose(),
         ),
-        Service(
+        service_table.Service(
             "set_drive_parameters",
             "Change to a parameter set (`set`; empty: the default values), or change radii (m, by"
             " wheel) and limits.",
             set_drive_parameters,
-            tuple(Argument(name, "number", None) for name in LIMITS),
+            tuple(service_table.Argument(name, "number", None) for name in LIMITS),
         ),
         *_permission_services(robot),
     ]
 
 
-def _permission_services(robot: ArmableRobot) -> list[Service]:
+def _permission_services(robot: ArmableRobot) -> list[service_table.Service]:
     """Returns the services that let the robot move, stop it, and set and release locks."""
 
-    def lock(caller: Caller, name: str, locked: bool = True, force: bool = False) -> None:
+    def lock(
+        caller: service_table.Caller, name: str, locked: bool = True, force: bool = False
+    ) -> None:
         if caller.void and not locked:
-            raise ServiceError(caller.void)
+            raise service_table.ServiceError(caller.void)
         robot.lock(name, locked, owner=caller.name, force=force)
 
-    def release_safety_stop(caller: Caller, force: bool = False) -> None:
+    def release_safety_stop(caller: service_table.Caller, force: bool = False) -> None:
         robot.safety_stop(False, owner=caller.name, force=force)
 
     return [
-        Service(
+        service_table.Service(
             "arm",
             "Accept motion, if all pre-arm checks pass; homes the steering first if needed, while"
             " the connection is open. Refused with every reason.",
             lambda caller: robot.arm(caller.name) or None,
         ),
-        Service(
+        service_table.Service(
             "disarm",
             "Accept no motion until `arm`; a moving robot ramps to rest.",
             lambda: robot.disarm(),
             valid_late=True,
         ),
-        Service("home_steering", "Home all steering joints; they turn.", robot.home_steering),
-        Service(
+        service_table.Service(
+            "home_steering", "Home all steering joints; they turn.", robot.home_steering
+        ),
+        service_table.Service(
             "reset_faults",
             "Leave a fault or a stop; the stop must be released, and zero commanded.",
             robot.reset,
         ),
-        Service(
+        service_table.Service(
             "lock",
             "Set a lock, which blocks sources up to its priority, or release it.",
             lock,
             valid_late=True,  # the function refuses a late release
         ),
-        Service(
+        service_table.Service(
             "safety_stop",
             "Stop all motors and switch them off, until release and reset.",
             lambda caller: robot.safety_stop(owner=caller.name),
             valid_late=True,
         ),
-        Service(
+        service_table.Service(
             "release_safety_stop",
             "Release the safety stop of this connection (`force`: of every connection); to drive"
             " again, call `reset_faults` and `arm`.",

@@ -21,7 +21,8 @@ from tests.devices import (
     signal,
     simple,
 )
-from thorvaldc.compiler.bus.assemble_buses import BusSpec, Device, connect_actuators
+from thorvaldc.compiler.bus.assemble_buses import connect_actuators
+from thorvaldc.compiler.bus.device_sections import BusSpec, Device
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report
 

@@ -14,7 +14,7 @@ from tests.devices import (
     line,
     simple,
 )
-from thorvaldc.compiler.bus.assemble_buses import BusSpec
+from thorvaldc.compiler.bus.device_sections import BusSpec
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.devices import BATTERY, Bench, line
-from thorvaldc.compiler.bus.assemble_buses import BusSpec
+from thorvaldc.compiler.bus.device_sections import BusSpec
 
 SPRAYER = """
 sprayer:

@@ -10,7 +10,7 @@ import pytest
 from tests.devices import BATTERY, DRIVE, Bench, line
 from tests.robots import FOUR_STEERED, make_robot
 from tests.slow import mostly_slow
-from thorvaldc.compiler.bus.assemble_buses import BusSpec
+from thorvaldc.compiler.bus.device_sections import BusSpec
 from thorvaldc.compiler.bus.node_ids import Lock, has_pins, lock_text, read_lock
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Report

@@ -20,15 +20,7 @@ from typing import Any, NamedTuple
 
 from thorvaldc.can.canopen import HEARTBEAT, NMT, SYNC, NmtCommand
 from thorvaldc.compiler.bus import bus_checks, device_frames
-from thorvaldc.compiler.bus.device_sections import (
-    MASTER,
-    MASTER_HEARTBEAT_PERIOD,
-    MASTER_ID,
-    BusSpec,
-    Device,
-    Placed,
-    Wire,
-)
+from thorvaldc.compiler.bus import device_sections as sections
 from thorvaldc.compiler.bus.node_ids import Lock, assign_ids, bus_name
 from thorvaldc.compiler.bus.stopping_distance import master_heartbeat_period
 from thorvaldc.compiler.modules.library import Library
@@ -43,9 +35,6 @@ from thorvaldc.model import Actuator, Bus, FrameDefinition, Joint, Node, Signal
 from thorvaldc.model.bus import CANOPEN
 from thorvaldc.model.bus_timing import bus_load, frame_response_times
 from thorvaldc.schema import inlined
-
-__all__ = ["BusSpec", "Device", "Wire", "build_buses", "connect_actuators"]
-
 
 DEFAULT_BUS = "main"
 
@@ -96,7 +85,7 @@ class Wiring(NamedTuple):
         - ``period``: control cycle of the base driver in s.
         - ``watchdog``: longest heartbeat consumer time of a drive in s.
         """
-        devices: list[Device] = []
+        devices: list[sections.Device] = []
         for leaf in robot.leaves():
             can = leaf.type.document.get("can") if leaf.type is not None else None
             if can is not None:
@@ -126,24 +115,26 @@ class Wiring(NamedTuple):
             remembered[key] = buses
         return buses
 
-    def _specs(self) -> list[BusSpec]:
+    def _specs(self) -> list[sections.BusSpec]:
         named = self.document.get("name") or self.document
         unstated = {DEFAULT_BUS: source.Node({}, named.span)}
         schema = inlined("robot")["properties"]["buses"]["additionalProperties"]
         specs = []
         for name, entry in (entries(self.document.get("buses")) or unstated).items():
             bitrate = round(Section(entry, schema, self.scope)["bitrate"])
-            specs.append(BusSpec(name, bitrate, entry.where, entry.get("bitrate") is not None))
+            specs.append(
+                sections.BusSpec(name, bitrate, entry.where, entry.get("bitrate") is not None)
+            )
         return specs
 
-    def _device(self, leaf: Instance, can: source.Node) -> Device:
-        wires: list[Wire] = []
+    def _device(self, leaf: Instance, can: source.Node) -> sections.Device:
+        wires: list[sections.Wire] = []
         for channel, node in leaf.wiring.items():
             wire = self._wire(leaf, channel, node)
             if wire is not None:
                 wires.append(wire)
         document = leaf.type.document if leaf.type is not None else can
-        return Device(
+        return sections.Device(
             path=leaf.path,
             name=name_prefix(leaf.path),
             can=can,
@@ -154,7 +145,7 @@ class Wiring(NamedTuple):
             span=leaf.span,
         )
 
-    def _wire(self, leaf: Instance, channel: str, node: source.Node) -> Wire | None:
+    def _wire(self, leaf: Instance, channel: str, node: source.Node) -> sections.Wire | None:
         inside = leaf.parent if leaf.parent is not None else leaf
         reference = inside.scope.text(node)
         if not reference:
@@ -166,10 +157,10 @@ class Wiring(NamedTuple):
         if actuator is None:
             return None
         joint = self.joints[actuator.joint]
-        return Wire(channel, actuator, joint.lower, joint.upper, node.where)
+        return sections.Wire(channel, actuator, joint.lower, joint.upper, node.where)
 
 
-def _inputs(device: Device) -> Hashable:
+def _inputs(device: sections.Device) -> Hashable:
     """Returns all of a device that its nodes and frames depend on.
 
     The expressions in the section `can` use only the parameters of the module, and values that the
@@ -188,8 +179,8 @@ NMT_COMMANDS = tuple((command.value, command.name.lower()) for command in NmtCom
 
 
 def build_buses(
-    devices: Sequence[Device],
-    specs: Sequence[BusSpec],
+    devices: Sequence[sections.Device],
+    specs: Sequence[sections.BusSpec],
     actuators: Sequence[Actuator],
     sync_period: float,
     report: Report,
@@ -257,7 +248,7 @@ def connect_actuators(actuators: Sequence[Actuator], buses: Sequence[Bus]) -> tu
     )
 
 
-def _is_present(device: Device, report: Report) -> bool:
+def _is_present(device: sections.Device, report: Report) -> bool:
     """Returns whether a module of the robot contains a CAN device.
 
     The key `when` in the section `can` can depend on the parameters of the module.  For example, an
@@ -278,13 +269,13 @@ def _is_present(device: Device, report: Report) -> bool:
 
 
 def _build_bus(
-    spec: BusSpec,
-    placed: Sequence[Placed],
+    spec: sections.BusSpec,
+    placed: Sequence[sections.Placed],
     sync_period: float,
     watchdog: float,
     report: Report,
 ) -> Bus:
-    heartbeat_period = MASTER_HEARTBEAT_PERIOD
+    heartbeat_period = sections.MASTER_HEARTBEAT_PERIOD
     if math.isfinite(watchdog):
         times = [device.node.heartbeat_consumer_time for device in placed]
         shortest = min((time for time in times if time is not None), default=math.inf)
@@ -348,7 +339,10 @@ def _fast_enough(bus: Bus, report: Report) -> Bus:
 
 
 def _master_frames(
-    spec: BusSpec, placed: Sequence[Placed], sync_period: float, heartbeat_period: float
+    spec: sections.BusSpec,
+    placed: Sequence[sections.Placed],
+    sync_period: float,
+    heartbeat_period: float,
 ) -> Iterator[FrameDefinition]:
     """Yields the CAN frames NMT, SYNC and heartbeat, which the master sends to all CANopen nodes.
 
@@ -361,7 +355,7 @@ def _master_frames(
         "nmt",
         NMT,
         "nmt",
-        MASTER,
+        sections.MASTER,
         nodes,
         2,
         None,
@@ -374,7 +368,7 @@ def _master_frames(
         "sync",
         SYNC,
         "sync",
-        MASTER,
+        sections.MASTER,
         nodes,
         0,
         sync_period,
@@ -384,7 +378,12 @@ def _master_frames(
         "The control cycle's beat, after its commands.",
     )
     yield device_frames.heartbeat(
-        MASTER, HEARTBEAT + MASTER_ID, MASTER, nodes, heartbeat_period, spec.span
+        sections.MASTER,
+        HEARTBEAT + sections.MASTER_ID,
+        sections.MASTER,
+        nodes,
+        heartbeat_period,
+        spec.span,
     )
 
 
@@ -394,8 +393,8 @@ PROTOCOL = "foreign"
 
 
 def foreign_devices(
-    section: source.Node | None, specs: Sequence[BusSpec], report: Report
-) -> list[Placed]:
+    section: source.Node | None, specs: Sequence[sections.BusSpec], report: Report
+) -> list[sections.Placed]:
     """Returns the foreign CAN devices of a robot with the CAN frames that the base driver relays.
 
     - ``section``: section `foreign_devices` of the robot file.
@@ -422,7 +421,7 @@ def foreign_devices(
         ]
         span = id_node.span if id_node is not None else device.where
         devices.append(
-            Placed(
+            sections.Placed(
                 name,
                 bus_name(device.get("bus"), specs, report),
                 span,
@@ -452,8 +451,8 @@ def _relayed(
             f"{name}_{key}",
             cob_id.value,
             "relay",
-            MASTER if to_device else name,
-            (name,) if to_device else (MASTER,),
+            sections.MASTER if to_device else name,
+            (name,) if to_device else (sections.MASTER,),
             length.value if length is not None and type(length.value) is int else 8,
             None,
             None,

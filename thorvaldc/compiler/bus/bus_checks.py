@@ -11,14 +11,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from thorvaldc.can.canopen import LSS_REQUEST, LSS_RESPONSE, TIME_STAMP
-from thorvaldc.compiler.bus.device_sections import (
-    MASTER,
-    Device,
-    Placed,
-    Wire,
-    listed,
-    serial_number,
-)
+from thorvaldc.compiler.bus import device_sections as sections
 from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
@@ -27,7 +20,7 @@ from thorvaldc.model import Actuator, Bus, FrameDefinition, Robot
 LOAD_LIMIT, LOAD_WARNING = 0.80, 0.50
 
 
-def check_bus(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
+def check_bus(bus: Bus, placed: Sequence[sections.Placed], report: Report) -> None:
     """Runs all checks of one CAN bus."""
     same = check_ids(bus, placed, report)
     _check_bitrate(bus, placed, report)
@@ -39,7 +32,7 @@ def check_bus(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
     _check_deadlines(bus, placed, report)
 
 
-def _check_bitrate(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
+def _check_bitrate(bus: Bus, placed: Sequence[sections.Placed], report: Report) -> None:
     """Reports the CAN devices that do not support the bitrate of their bus, in one diagnostic."""
     limited = [device for device in placed if device.node.bitrates]
     unable = [device for device in limited if bus.bitrate not in device.node.bitrates]
@@ -94,7 +87,7 @@ def late_frames(bus: Bus) -> list[FrameDefinition]:
     ]
 
 
-def _check_deadlines(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
+def _check_deadlines(bus: Bus, placed: Sequence[sections.Placed], report: Report) -> None:
     """Checks that every periodic CAN frame meets its deadline in the worst case."""
     owners = {frame.name: device for device in placed for frame in device.frames}
     late = late_frames(bus)
@@ -124,13 +117,15 @@ def _check_deadlines(bus: Bus, placed: Sequence[Placed], report: Report) -> None
     )
 
 
-def _check_heartbeats(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
+def _check_heartbeats(bus: Bus, placed: Sequence[sections.Placed], report: Report) -> None:
     """Checks the heartbeat time-outs of all CANopen nodes of a bus.
 
     A heartbeat time-out must be at least two heartbeat periods.  A CiA 402 drive must monitor the
     heartbeat of the CANopen master, so that the drive stops if the master stops.
     """
-    periods = [f.period for f in bus.frames if f.kind == "heartbeat" and f.producer == MASTER]
+    periods = [
+        f.period for f in bus.frames if f.kind == "heartbeat" and f.producer == sections.MASTER
+    ]
     master_period = periods[0] if periods else None
     for device in placed:
         node = device.node
@@ -185,12 +180,12 @@ STANDARD = (
 )
 
 
-def check_ids(bus: Bus, placed: Sequence[Placed], report: Report) -> dict[str, None]:
+def check_ids(bus: Bus, placed: Sequence[sections.Placed], report: Report) -> dict[str, None]:
     """Reports an error if two devices of a CAN bus have the same node id.
 
     Returns the names of the devices whose node id another device already has.
     """
-    first: dict[tuple[str, int], Placed] = {}
+    first: dict[tuple[str, int], sections.Placed] = {}
     duplicates: dict[str, None] = {}
     for device in placed:
         key = (device.node.id_space, device.node.id)
@@ -211,17 +206,17 @@ def check_ids(bus: Bus, placed: Sequence[Placed], report: Report) -> dict[str, N
     return duplicates
 
 
-def check_serials(placed: Sequence[Placed], report: Report) -> None:
+def check_serials(placed: Sequence[sections.Placed], report: Report) -> None:
     """Checks that all CAN devices of a vendor have different serial numbers, on all buses.
 
     Only a device with LSS or with a complete identity (object 0x1018) can report a serial number.
     """
-    first: dict[tuple[int | None, int | str], Placed] = {}
+    first: dict[tuple[int | None, int | str], sections.Placed] = {}
     for device in placed:
         serial = device.node.serial
         if serial is None:
             continue
-        number = serial_number(serial)
+        number = sections.serial_number(serial)
         if not device.node.lss and device.node.product_code is None:
             report.add(
                 "can-serial-unreadable",
@@ -253,7 +248,7 @@ def check_serials(placed: Sequence[Placed], report: Report) -> None:
             )
 
 
-def check_restricted(placed: Sequence[Placed], report: Report) -> None:
+def check_restricted(placed: Sequence[sections.Placed], report: Report) -> None:
     """Reports an error for a frame with an identifier that CANopen reserves.
 
     On a bus without CANopen nodes the modules may use all identifiers.  Relayed frames may not,
@@ -281,11 +276,11 @@ class _Claim(NamedTuple):
     what: str
     owner: str
     span: Span
-    device: Placed | None
+    device: sections.Placed | None
 
 
 def check_cob_ids(
-    bus: Bus, placed: Sequence[Placed], skipped: dict[str, None], report: Report
+    bus: Bus, placed: Sequence[sections.Placed], skipped: dict[str, None], report: Report
 ) -> None:
     """Reports an error if two CAN frames of a bus have the same COB-ID.
 
@@ -322,17 +317,19 @@ def check_cob_ids(
         )
 
 
-def _claims(bus: Bus, placed: Sequence[Placed], skipped: dict[str, None]) -> Iterator[_Claim]:
+def _claims(
+    bus: Bus, placed: Sequence[sections.Placed], skipped: dict[str, None]
+) -> Iterator[_Claim]:
     own = {frame.name for device in placed for frame in device.frames}
     canopen = False
     for frame in bus.frames:
         if frame.name not in own:
             canopen = True
             what = {"nmt": "NMT", "sync": "SYNC"}.get(frame.kind, frame.kind)
-            yield _Claim(frame.cob_id, what, MASTER, bus.span, None)
+            yield _Claim(frame.cob_id, what, sections.MASTER, bus.span, None)
     if canopen:
         for cob_id, service in STANDARD:
-            yield _Claim(cob_id, service, MASTER, bus.span, None)
+            yield _Claim(cob_id, service, sections.MASTER, bus.span, None)
     for device in placed:
         if device.node.name in skipped:
             continue
@@ -342,14 +339,14 @@ def _claims(bus: Bus, placed: Sequence[Placed], skipped: dict[str, None]) -> Ite
             yield _Claim(frame.cob_id, what, device.path, device.span, device)
 
 
-def check_names(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
+def check_names(bus: Bus, placed: Sequence[sections.Placed], report: Report) -> None:
     """Checks that the names of nodes and CAN frames on a bus are unique.
 
     The DBC file and the base driver identify CAN nodes and CAN frames by name.
     """
     spans = {frame.name: device.span for device in placed for frame in device.frames}
     seen: dict[str, FrameDefinition] = {}
-    named: dict[str, Placed] = {}
+    named: dict[str, sections.Placed] = {}
     for device in placed:
         twin = named.setdefault(device.node.name, device)
         if twin is not device:
@@ -361,10 +358,10 @@ def check_names(bus: Bus, placed: Sequence[Placed], report: Report) -> None:
                 labels=[Label(twin.span, "the first")],
                 hint="give one of them another name",
             )
-        if device.node.name == MASTER:
+        if device.node.name == sections.MASTER:
             report.add(
                 "can-name-conflict",
-                f"a device has the name `{MASTER}`, which is that of the bus's master",
+                f"a device has the name `{sections.MASTER}`, which is that of the bus's master",
                 device.span,
                 hint="give the module another name",
             )
@@ -388,14 +385,16 @@ _SIDE_TOLERANCE = 1e-3
 """Difference of positions (m) below which two wheels are on the same side."""
 
 
-def check_wiring(devices: Sequence[Device], actuators: Sequence[Actuator], report: Report) -> None:
+def check_wiring(
+    devices: Sequence[sections.Device], actuators: Sequence[Actuator], report: Report
+) -> None:
     """Checks the connections between motors and motor controllers.
 
     A motor can be connected to only one motor controller channel, and the channel must have the
     role of the motor.  Reports motors without a motor controller, and motor controllers without a
     motor.
     """
-    owners: dict[str, tuple[Device, Wire]] = {}
+    owners: dict[str, tuple[sections.Device, sections.Wire]] = {}
     for device in devices:
         roles = _roles(device)
         for wire in device.wires:
@@ -405,7 +404,7 @@ def check_wiring(devices: Sequence[Device], actuators: Sequence[Actuator], repor
                     "channel-unknown",
                     f"`{device.path}` has no channel `{wire.channel}`",
                     wire.span,
-                    hint=did_you_mean(wire.channel, roles, listed(roles)),
+                    hint=did_you_mean(wire.channel, roles, sections.listed(roles)),
                 )
                 continue
             if motor.name in owners:
@@ -481,5 +480,5 @@ def check_sides(robot: Robot, root: Instance, report: Report) -> None:
                 )
 
 
-def _roles(device: Device) -> dict[str, str]:
+def _roles(device: sections.Device) -> dict[str, str]:
     return {n: device.scope.text(node.get("role")) for n, node in entries(device.channels).items()}

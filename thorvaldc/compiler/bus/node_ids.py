@@ -17,16 +17,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+from thorvaldc.compiler.bus import device_sections as sections
 from thorvaldc.compiler.bus.device_frames import CHANNEL_DIMENSIONS, channel_names, frames_of
-from thorvaldc.compiler.bus.device_sections import (
-    MASTER_ID,
-    BusSpec,
-    Device,
-    Placed,
-    integer,
-    listed,
-    objects_of,
-)
 from thorvaldc.compiler.source import node as source
 from thorvaldc.compiler.source.dimensions import EXPECTED
 from thorvaldc.compiler.values.document_section import Section
@@ -62,15 +54,15 @@ Taken = dict[tuple[str, str], dict[int, None]]  # (bus, id space) -> node ids in
 
 
 def assign_ids(
-    devices: Sequence[Device],
-    foreign: Sequence[Placed],
-    specs: Sequence[BusSpec],
+    devices: Sequence[sections.Device],
+    foreign: Sequence[sections.Placed],
+    specs: Sequence[sections.BusSpec],
     sync_period: float,
     lock: Lock,
     report: Report,
     *,
     watchdog: float = math.inf,
-) -> list[Placed]:
+) -> list[sections.Placed]:
     """Assigns a node id to each CAN device, and creates the CAN frames of the device.
 
     - ``devices``: devices without node ids.
@@ -111,9 +103,9 @@ def assign_ids(
         if node.heartbeat_consumer_time is not None:
             consumer_time = min(node.heartbeat_consumer_time, watchdog)
             node = replace(node, heartbeat_consumer_time=consumer_time)
-        node = replace(node, objects=objects_of(named, node, frames, report))
+        node = replace(node, objects=sections.objects_of(named, node, frames, report))
         placed.append(
-            Placed(
+            sections.Placed(
                 device.path,
                 request.bus,
                 request.span,
@@ -126,7 +118,9 @@ def assign_ids(
     return placed
 
 
-def _request(device: Device, specs: Sequence[BusSpec], report: Report) -> _Request:
+def _request(
+    device: sections.Device, specs: Sequence[sections.BusSpec], report: Report
+) -> _Request:
     default = specs[0].name
     address = device.address
     if address is None:
@@ -145,7 +139,7 @@ def _request(device: Device, specs: Sequence[BusSpec], report: Report) -> _Reque
     )
 
 
-def bus_name(node: source.Node | None, specs: Sequence[BusSpec], report: Report) -> str:
+def bus_name(node: source.Node | None, specs: Sequence[sections.BusSpec], report: Report) -> str:
     """Returns the name of the CAN bus to which a device is connected.
 
     A CAN device without a bus name is on the first bus of the robot file.  If the name of the CAN
@@ -161,13 +155,13 @@ def bus_name(node: source.Node | None, specs: Sequence[BusSpec], report: Report)
         "can-bus-unknown",
         f"there is no bus `{name}`",
         node.span,
-        hint=did_you_mean(name, known, listed(known)),
+        hint=did_you_mean(name, known, sections.listed(known)),
     )
     return known[0]
 
 
 def _id(
-    device: Device,
+    device: sections.Device,
     request: _Request,
     pins: dict[tuple[str, str, str], Pin],
     taken: Taken,
@@ -179,7 +173,7 @@ def _id(
     free.
     """
     id_space = _id_space(device)
-    low, high = _id_range(device, "ids", (1, MASTER_ID))
+    low, high = _id_range(device, "ids", (1, sections.MASTER_ID))
     if request.id is not None:
         if low <= request.id <= high:
             return request.id
@@ -210,8 +204,8 @@ def _id(
 
 
 def _pinned(
-    requests: Sequence[tuple[Device, _Request]],
-    foreign: Sequence[Placed],
+    requests: Sequence[tuple[sections.Device, _Request]],
+    foreign: Sequence[sections.Placed],
     lock: Lock,
     report: Report,
 ) -> dict[tuple[str, str, str], Pin]:
@@ -245,7 +239,7 @@ def _pinned(
                     "lock file; a device that still has the old id must be given the new one",
                 )
             continue
-        low, high = _id_range(device, "ids", (1, MASTER_ID))
+        low, high = _id_range(device, "ids", (1, sections.MASTER_ID))
         owner = owners.setdefault((request.bus, id_space, pin.id), (device.path, pin.span))
         if not low <= pin.id <= high:
             report.add(
@@ -271,17 +265,17 @@ def _pinned(
     return kept
 
 
-def _id_space(device: Device) -> str:
+def _id_space(device: sections.Device) -> str:
     return device.scope.text(device.can.get("id_space"), CANOPEN)
 
 
-def _id_range(device: Device, key: str, default: tuple[int, int]) -> tuple[int, int]:
-    ends = [integer(device.scope, node, 0) for node in items(device.can.get(key))]
+def _id_range(device: sections.Device, key: str, default: tuple[int, int]) -> tuple[int, int]:
+    ends = [sections.integer(device.scope, node, 0) for node in items(device.can.get(key))]
     return (ends[0], ends[1]) if len(ends) == 2 else default
 
 
 def _node(
-    device: Device,
+    device: sections.Device,
     node_id: int,
     request: _Request,
     frames: Sequence[FrameDefinition],
@@ -291,7 +285,7 @@ def _node(
 
     def number(key: str) -> int | None:
         node = can.get(key)
-        value = integer(scope, node, 0)
+        value = sections.integer(scope, node, 0)
         if node is None or 0 <= value <= 0xFFFFFFFF:
             return value if node is not None else None
         scope.report.add(

@@ -13,13 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from thorvaldc.compiler.extras import xacro_expand
-from thorvaldc.compiler.extras.join_extras import (
-    Attachments,
-    ExtrasJoiner,
-    FindAttachment,
-    Placement,
-)
+from thorvaldc.compiler.extras import join_extras, xacro_expand
 from thorvaldc.compiler.extras.ros2_controls import check_controls, servos_of
 from thorvaldc.compiler.extras.urdf_elements import call_labels
 from thorvaldc.compiler.extras.urdf_reader import UrdfParts, read_urdf
@@ -64,7 +58,7 @@ def add_extras(
         base_dir,
         links={link.name: link.span for link in parts.links},
         joints={joint.name: joint.span for joint in parts.joints},
-        attach=Attachments(document, robot, hardware, parts).find,
+        attach=join_extras.Attachments(document, robot, hardware, parts).find,
         report=report,
         trust=trust,
     )
@@ -105,7 +99,7 @@ def load_extras(
     *,
     links: Mapping[str, Span],
     joints: Mapping[str, Span],
-    attach: FindAttachment,
+    attach: join_extras.FindAttachment,
     report: Report,
     trust: bool = False,
 ) -> ExtraParts:
@@ -135,7 +129,7 @@ def _load(
     base_dir: Path,
     links: Mapping[str, Span],
     joints: Mapping[str, Span],
-    attach: FindAttachment,
+    attach: join_extras.FindAttachment,
     report: Report,
     trust: bool,
 ) -> ExtraParts:
@@ -144,7 +138,7 @@ def _load(
     paths = xacro_expand.DisplayPaths(base_dir, "" if display == "." else display, {})
     all_entries = [_Entry.read(node, base_dir, paths, report) for node in entries]
     valid_entries = [entry for entry in all_entries if entry is not None]
-    joiner = ExtrasJoiner(dict(links), dict(joints), attach, report)
+    joiner = join_extras.ExtrasJoiner(dict(links), dict(joints), attach, report)
     requests = [
         xacro_expand.ExpansionRequest(e.file, e.args, e.packages, e.env) for e in valid_entries
     ]
@@ -193,8 +187,10 @@ class _Entry:
         file_node = self.node.get("xacro")
         return file_node.span if file_node is not None else self.node.span
 
-    def placement(self, arguments: Sequence[str]) -> Placement:
-        return Placement(self.span, self.parent, self.pose, self.placement_node, arguments)
+    def placement(self, arguments: Sequence[str]) -> join_extras.Placement:
+        return join_extras.Placement(
+            self.span, self.parent, self.pose, self.placement_node, arguments
+        )
 
     @staticmethod
     def read(

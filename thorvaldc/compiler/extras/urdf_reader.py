@@ -10,28 +10,12 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from thorvaldc import model
 from thorvaldc.compiler.extras.ros2_controls import stated_servos
 from thorvaldc.compiler.extras.urdf_elements import ELEMENTS, EXTENSIONS, ElementReader
 from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.compiler.shapes.solids import solid_of_shapes
 from thorvaldc.diagnostics import Report
-from thorvaldc.model import (
-    Box,
-    Collision,
-    Cylinder,
-    Inertial,
-    Joint,
-    JointServo,
-    Link,
-    Mesh,
-    MeshShape,
-    Mimic,
-    Pose,
-    Shape,
-    Sphere,
-    Vec3,
-    Visual,
-)
 from thorvaldc.model.spatial import clean, clean3, norm, scale
 
 RGBA = tuple[float, float, float, float]
@@ -53,7 +37,7 @@ _COMMON_COLORS: dict[str, RGBA] = {
     "yellow": (0.9, 0.8, 0.0, 1.0),
 }
 
-MeshLoader = Callable[[str, Element, Vec3, bool], Mesh | None]
+MeshLoader = Callable[[str, Element, model.Vec3, bool], model.Mesh | None]
 # Edge length of the box that stands for a mesh that cannot be read, in m.
 _PLACEHOLDER = 0.05
 
@@ -66,11 +50,11 @@ class UrdfParts:
     elements among them.
     """
 
-    links: tuple[Link, ...]
-    joints: tuple[Joint, ...]
-    meshes: tuple[Mesh, ...]
+    links: tuple[model.Link, ...]
+    joints: tuple[model.Joint, ...]
+    meshes: tuple[model.Mesh, ...]
     extensions: tuple[str, ...]
-    servos: tuple[JointServo, ...] = ()
+    servos: tuple[model.JointServo, ...] = ()
     controls: tuple[Element, ...] = ()
 
 
@@ -111,11 +95,11 @@ class _Reader(ElementReader):
         self.load_mesh = load_mesh
         self.density = density
         self.materials: dict[str, RGBA] = {}
-        self.meshes: dict[str, Mesh] = {}
+        self.meshes: dict[str, model.Mesh] = {}
 
     def read(self, elements: Sequence[Element]) -> UrdfParts:
-        links: list[Link | None] = []
-        joints: list[Joint | None] = []
+        links: list[model.Link | None] = []
+        joints: list[model.Joint | None] = []
         extensions: list[Element] = []
         for element in elements:
             self.collect_materials(element)
@@ -137,21 +121,21 @@ class _Reader(ElementReader):
             tuple(element for element in extensions if element.tag == "ros2_control"),
         )
 
-    def pose(self, owner: Element) -> Pose:
+    def pose(self, owner: Element) -> model.Pose:
         origin = owner.find("origin")
         values = self.numbers(origin) if origin is not None else None
         if values is None:
-            return Pose()
-        return Pose.from_xyz_rpy(values["xyz"], values["rpy"]).clean()
+            return model.Pose()
+        return model.Pose.from_xyz_rpy(values["xyz"], values["rpy"]).clean()
 
     # -- links -------------------------------------------------------------------
 
-    def link(self, element: Element) -> Link | None:
+    def link(self, element: Element) -> model.Link | None:
         name = self.text(element, "name")
         self.check_content(element)
-        visuals: list[Visual] = []
-        collisions: list[Collision] = []
-        unread: list[tuple[Pose, RGBA]] = []  # visual meshes that cannot be read
+        visuals: list[model.Visual] = []
+        collisions: list[model.Collision] = []
+        unread: list[tuple[model.Pose, RGBA]] = []  # visual meshes that cannot be read
         for child in element.children:
             if child.tag in ("visual", "collision"):
                 self.check_content(child)
@@ -161,26 +145,28 @@ class _Reader(ElementReader):
                 if shape is None:
                     unread += [(pose, color)] if child.tag == "visual" else []
                 elif child.tag == "visual":
-                    visuals.append(Visual(shape, pose, color))
+                    visuals.append(model.Visual(shape, pose, color))
                 else:
-                    collisions.append(Collision(shape, pose))
+                    collisions.append(model.Collision(shape, pose))
         inertial = self.inertial(element, name or "", visuals, collisions)
         if unread and collisions:
-            visuals += [Visual(c.shape, c.pose, unread[0][1]) for c in collisions]
+            visuals += [model.Visual(c.shape, c.pose, unread[0][1]) for c in collisions]
         elif unread:
-            box = Box((_PLACEHOLDER, _PLACEHOLDER, _PLACEHOLDER))
-            visuals += [Visual(box, pose, color) for pose, color in unread]
+            box = model.Box((_PLACEHOLDER, _PLACEHOLDER, _PLACEHOLDER))
+            visuals += [model.Visual(box, pose, color) for pose, color in unread]
         if name is None:
             return None
-        return Link(name, self.module, inertial, tuple(visuals), tuple(collisions), element.span)
+        return model.Link(
+            name, self.module, inertial, tuple(visuals), tuple(collisions), element.span
+        )
 
     def inertial(
         self,
         link_element: Element,
         link: str,
-        visuals: Sequence[Visual],
-        collisions: Sequence[Collision],
-    ) -> Inertial | None:
+        visuals: Sequence[model.Visual],
+        collisions: Sequence[model.Collision],
+    ) -> model.Inertial | None:
         """Returns the mass and inertia of a link in its frame.
 
         What the URDF element does not state is computed from the shapes of the link, see
@@ -208,7 +194,7 @@ class _Reader(ElementReader):
         if mass is None or entries is None:
             return None
         tensor = tuple(entries[name] for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))
-        inertial = Inertial(mass["value"], (0.0, 0.0, 0.0), tensor)
+        inertial = model.Inertial(mass["value"], (0.0, 0.0, 0.0), tensor)
         low, middle, high = inertial.principal_moments()
         tolerance = 1e-6 * high + 1e-12
         if inertial.mass == 0.0 and high > tolerance:
@@ -232,10 +218,10 @@ class _Reader(ElementReader):
         self,
         element: Element,
         link: str,
-        visuals: Sequence[Visual],
-        collisions: Sequence[Collision],
+        visuals: Sequence[model.Visual],
+        collisions: Sequence[model.Collision],
         mass: float | None,
-    ) -> Inertial | None:
+    ) -> model.Inertial | None:
         """Computes the inertia of a link from its collision shapes, or from its visual shapes.
 
         - ``element``: URDF element that does not state the inertia.
@@ -272,7 +258,7 @@ class _Reader(ElementReader):
             )
         return None
 
-    def geometry(self, owner: Element) -> Shape | None:
+    def geometry(self, owner: Element) -> model.Shape | None:
         geometry = owner.find("geometry")
         if geometry is None or not geometry.children:
             self.add("extra-element", f"<{owner.tag}> has no geometry", geometry or owner)
@@ -292,14 +278,14 @@ class _Reader(ElementReader):
         if values is None:
             return None
         if shape.tag == "box":
-            return Box(clean3(values["size"]))
+            return model.Box(clean3(values["size"]))
         if shape.tag == "cylinder":
-            return Cylinder(clean(values["radius"]), clean(values["length"]))
-        return Sphere(clean(values["radius"]))
+            return model.Cylinder(clean(values["radius"]), clean(values["length"]))
+        return model.Sphere(clean(values["radius"]))
 
     def mesh(
         self, element: Element, values: dict[str, Any] | None, is_visual: bool
-    ) -> MeshShape | None:
+    ) -> model.MeshShape | None:
         file_name = self.text(element, "filename")
         if file_name is None or values is None:
             return None
@@ -307,7 +293,7 @@ class _Reader(ElementReader):
         if mesh is None:
             return None
         self.meshes.setdefault(mesh.name, mesh)
-        return MeshShape(mesh.name, clean3(values["scale"]))
+        return model.MeshShape(mesh.name, clean3(values["scale"]))
 
     # -- materials ---------------------------------------------------------------
 
@@ -355,7 +341,7 @@ class _Reader(ElementReader):
 
     # -- joints ------------------------------------------------------------------
 
-    def joint(self, element: Element) -> Joint | None:
+    def joint(self, element: Element) -> model.Joint | None:
         name = self.text(element, "name")
         self.check_content(element)
         kind = element.attributes.get("type", "")
@@ -374,14 +360,14 @@ class _Reader(ElementReader):
         if name is None or parent is None or child is None:
             return None
         if kind == "fixed":
-            return Joint(name, self.module, kind, parent, child, pose, element.span)
+            return model.Joint(name, self.module, kind, parent, child, pose, element.span)
         limits = self.limits(element, kind, name)
         axis = self.axis(element, name)
         if limits is None or axis is None:
             return None
         dynamics = element.find("dynamics")
         losses = (self.numbers(dynamics) if dynamics is not None else None) or {}
-        return Joint(
+        return model.Joint(
             name,
             self.module,
             kind,
@@ -408,7 +394,7 @@ class _Reader(ElementReader):
         self.check_content(element)
         return self.text(element, "link")
 
-    def axis(self, joint: Element, name: str) -> Vec3 | None:
+    def axis(self, joint: Element, name: str) -> model.Vec3 | None:
         element = joint.find("axis")
         if element is None:
             return (1.0, 0.0, 0.0)  # default axis of a joint in URDF
@@ -450,7 +436,7 @@ class _Reader(ElementReader):
             return None
         return limits
 
-    def mimic(self, joint: Element) -> Mimic | None:
+    def mimic(self, joint: Element) -> model.Mimic | None:
         element = joint.find("mimic")
         if element is None:
             return None
@@ -458,4 +444,4 @@ class _Reader(ElementReader):
         leader = self.text(element, "joint")
         if leader is None or values is None:
             return None
-        return Mimic(leader, values["multiplier"], values["offset"])
+        return model.Mimic(leader, values["multiplier"], values["offset"])

@@ -16,12 +16,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from thorvaldc import model
-from thorvaldc.compiler.hardware.joint_reader import (
-    ModuleValues,
-    read_joints,
-    read_motors,
-    with_common_limits,
-)
+from thorvaldc.compiler.hardware import joint_reader
 from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY, ModuleType
 from thorvaldc.compiler.modules.module_parameters import Scope, hint_of_known
 from thorvaldc.compiler.shapes.meshes import load_mesh
@@ -116,7 +111,7 @@ class _HardwareReader:
         self.module = module
         self.scope = scope
         self.report = report
-        self.values = ModuleValues(module, scope, report)
+        self.values = joint_reader.ModuleValues(module, scope, report)
         self.masses: list[model.SourcedMass] = []
         self.meshes: dict[str, model.Mesh] = {}  # of all parts, by file name
 
@@ -132,8 +127,10 @@ class _HardwareReader:
             )
             return Hardware()
         links = tuple(self._link(name, section("links")[name]) for name in values.link_names)
-        joints = read_joints(values)
-        joints, motors = with_common_limits(joints, read_motors(values, joints))
+        joints = joint_reader.read_joints(values)
+        joints, motors = joint_reader.with_common_limits(
+            joints, joint_reader.read_motors(values, joints)
+        )
         for port in section("ports").values():
             values.link_name(port.get("link"))
         mount = document.get("mount")

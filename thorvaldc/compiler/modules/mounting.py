@@ -8,15 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from thorvaldc.compiler.modules import module_tree
 from thorvaldc.compiler.modules.module_parameters import hint_of_known
-from thorvaldc.compiler.modules.module_tree import (
-    Instance,
-    Mount,
-    References,
-    last_name,
-    name_prefix,
-    used_by,
-)
 from thorvaldc.compiler.source.node import Node, removal
 from thorvaldc.compiler.values.value_reader import items
 from thorvaldc.diagnostics import Label, Proposal, Report
@@ -26,11 +19,11 @@ from thorvaldc.model import Pose, Robot
 class Mounting:
     """Finds the port or link where each module is mounted, and the root module of an assembly."""
 
-    def __init__(self, references: References, report: Report) -> None:
+    def __init__(self, references: module_tree.References, report: Report) -> None:
         self.references = references
         self.report = report
 
-    def root_of(self, assembly: Instance, node: Node) -> Instance | None:
+    def root_of(self, assembly: module_tree.Instance, node: Node) -> module_tree.Instance | None:
         """Returns the root module of an assembly.
 
         The root module has no `mount` entry and carries the other modules of the assembly.
@@ -63,14 +56,14 @@ class Mounting:
             self.report.add(
                 "root-ambiguous",
                 f"{name} has two modules without `mount`: "
-                f"`{last_name(first.path)}` and `{last_name(second.path)}`",
+                f"`{module_tree.last_name(first.path)}` and `{module_tree.last_name(second.path)}`",
                 second.entry.where,
                 labels=[Label(first.entry.where, "the first one")],
-                hint=f"mount it: `mount: {last_name(first.path)}.<port>`",
+                hint=f"mount it: `mount: {module_tree.last_name(first.path)}.<port>`",
             )
         return None
 
-    def mount_parts(self, assembly: Instance) -> None:
+    def mount_parts(self, assembly: module_tree.Instance) -> None:
         """Sets the attribute ``mount`` of each module of an assembly with a valid `mount` entry."""
         for child in assembly.children.values():
             if not child.is_leaf:
@@ -78,10 +71,12 @@ class Mounting:
             node = child.entry.get("mount")
             if node is not None:
                 # A part that does not fit in an assembly was chosen by a line of the robot file.
-                with self.report.used_by(used_by(child.path, child.span)):
+                with self.report.used_by(module_tree.used_by(child.path, child.span)):
                     self._mount_part(assembly, child, node)
 
-    def _mount_part(self, assembly: Instance, child: Instance, node: Node) -> None:
+    def _mount_part(
+        self, assembly: module_tree.Instance, child: module_tree.Instance, node: Node
+    ) -> None:
         if not child.is_mechanical and child.is_complete:
             self.report.add(
                 "mount-without-hardware",
@@ -94,7 +89,9 @@ class Mounting:
         if mounted_leaf is not None:
             mounted_leaf.mount = self._read_mount(assembly, mounted_leaf, node)
 
-    def _read_mount(self, inside: Instance, mounted_leaf: Instance, node: Node) -> Mount | None:
+    def _read_mount(
+        self, inside: module_tree.Instance, mounted_leaf: module_tree.Instance, node: Node
+    ) -> module_tree.Mount | None:
         """Reads the `mount` entry of a module.
 
         Returns ``None`` and reports an error if the `mount` entry is not valid.
@@ -120,11 +117,15 @@ class Mounting:
         kind = leaf.scope.text(port_section.get("kind"))
         self._check_kind(mounted_leaf, kind, reference, port, port_section)
         link = leaf.scope.text(port_section.get("link"))
-        return Mount(leaf, link, leaf.scope.pose(port_section) * pose, port.span)
+        return module_tree.Mount(leaf, link, leaf.scope.pose(port_section) * pose, port.span)
 
     def _free_mount(
-        self, inside: Instance, mounted_leaf: Instance, parent: Node, pose: Pose
-    ) -> Mount | None:
+        self,
+        inside: module_tree.Instance,
+        mounted_leaf: module_tree.Instance,
+        parent: Node,
+        pose: Pose,
+    ) -> module_tree.Mount | None:
         """Reads a `mount` entry that names a module and a pose instead of a port.
 
         The document of the carrying module must contain the key `free_mount`.
@@ -162,12 +163,17 @@ class Mounting:
             )
             return None
         self._check_kind(mounted_leaf, leaf.scope.text(free.get("kind")), reference, parent, free)
-        return Mount(
+        return module_tree.Mount(
             leaf, leaf.scope.text(free.get("link")), leaf.scope.pose(free) * pose, parent.span
         )
 
     def _check_kind(
-        self, mounted_leaf: Instance, kind: str, reference: str, node: Node, port_section: Node
+        self,
+        mounted_leaf: module_tree.Instance,
+        kind: str,
+        reference: str,
+        node: Node,
+        port_section: Node,
     ) -> None:
         """Checks that the kind of a port fits the mount kinds of the module type."""
         if mounted_leaf.type is None or not kind:
@@ -184,9 +190,9 @@ class Mounting:
             labels=[Label(port_section.where, f"`{kind}` is declared here")],
         )
 
-    def check_places(self, robot: Instance) -> None:
+    def check_places(self, robot: module_tree.Instance) -> None:
         """Reports two modules on the same port or at the same position of a module."""
-        first_at: dict[tuple[int, str, Pose], tuple[Instance, Mount]] = {}
+        first_at: dict[tuple[int, str, Pose], tuple[module_tree.Instance, module_tree.Mount]] = {}
         mounted = [(leaf, leaf.mount) for leaf in robot.leaves() if leaf.mount is not None]
         for leaf, mount in mounted:
             first_at.setdefault(mount.place, (leaf, mount))
@@ -208,20 +214,23 @@ class Mounting:
             )
 
     def _free_ports(
-        self, mounted: Instance, carrier: Instance, occupied: set[tuple[int, str, Pose]]
+        self,
+        mounted: module_tree.Instance,
+        carrier: module_tree.Instance,
+        occupied: set[tuple[int, str, Pose]],
     ) -> list[str]:
         """Returns the references to the free ports of a module that fit a mounted module."""
         references = []
         for name, section in carrier.type.section("ports").items() if carrier.type else ():
             link = carrier.scope.text(section.get("link"))
-            mount = Mount(carrier, link, carrier.scope.pose(section), section.span)
+            mount = module_tree.Mount(carrier, link, carrier.scope.pose(section), section.span)
             kind = carrier.scope.text(section.get("kind"))
             is_present = carrier.scope.boolean(section.get("when"), True)
             if is_present and mount.place not in occupied and kind in mount_kinds(mounted):
                 references.append(f"{carrier.path}.{name}")
         return references
 
-    def check_no_cycle(self, robot: Instance) -> None:
+    def check_no_cycle(self, robot: module_tree.Instance) -> None:
         """Reports modules that are mounted on each other in a cycle.
 
         A chain of mounts may end at a module with an invalid mount, because the invalid mount has
@@ -248,7 +257,7 @@ class Mounting:
             )
 
 
-def mount_kinds(leaf: Instance) -> list[str]:
+def mount_kinds(leaf: module_tree.Instance) -> list[str]:
     """Returns the kinds of ports that a module fits."""
     mount = leaf.type.document.get("mount") if leaf.type is not None else None
     kinds = mount.get("kinds") if mount is not None else None
@@ -276,13 +285,13 @@ class MountingPort(NamedTuple):
     carries: tuple[str, ...]
 
 
-def mounting_ports(tree: Instance, robot: Robot) -> list[MountingPort]:
+def mounting_ports(tree: module_tree.Instance, robot: Robot) -> list[MountingPort]:
     """Returns the ports of the modules of a robot without errors.
 
     ``tree`` is the tree of module instances that the robot was made from.  The ports of an assembly
     are ports of its modules, and have the paths of these.
     """
-    references = References(Report())
+    references = module_tree.References(Report())
     carried: dict[tuple[str, str], list[str]] = {}
     for inside, name, reference, node in _mounted(tree):
         leaf_and_port = references.find_port(inside, reference, node)
@@ -304,7 +313,7 @@ def mounting_ports(tree: Instance, robot: Robot) -> list[MountingPort]:
                     MountingPort(
                         f"{leaf.path}.{port}",
                         scope.text(section.get("kind")),
-                        f"{name_prefix(leaf.path)}_{link_name}"
+                        f"{module_tree.name_prefix(leaf.path)}_{link_name}"
                         if link_name
                         else first_links[leaf.path],
                         scope.pose(section),
@@ -314,7 +323,7 @@ def mounting_ports(tree: Instance, robot: Robot) -> list[MountingPort]:
     return ports
 
 
-def _mounted(tree: Instance) -> Iterator[tuple[Instance, str, str, Node]]:
+def _mounted(tree: module_tree.Instance) -> Iterator[tuple[module_tree.Instance, str, str, Node]]:
     """Yields the references to ports in the `mount` entries of modules and in the extras.
 
     A reference consists of the assembly or robot that it is in, the path of the mounted module, its

@@ -36,14 +36,7 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from thorvaldc.diagnostics import Report
-from thorvaldc.diagnostics.files import (
-    STAGE_PREFIX,
-    keep_owner,
-    read_bounded,
-    read_json,
-    uninterrupted,
-    write_file,
-)
+from thorvaldc.diagnostics import files as file_access
 
 MANIFEST = "manifest.json"
 _MAX_MANIFEST_BYTES = 16_000_000
@@ -124,7 +117,7 @@ def write_locks(locks: Mapping[Path, str], report: Report) -> list[Path]:
         target = Path(os.path.realpath(path))
         try:
             _check_writable(target if target.exists() else target.parent, str(path))
-            write_file(target, text)
+            file_access.write_file(target, text)
             written.append(path)
         except (OSError, WriteError) as error:
             message = str(error)
@@ -161,7 +154,7 @@ def _is_inside(path: str) -> bool:
         and ".." not in pure.parts
         and "\\" not in path
         and "\0" not in path
-        and not pure.parts[0].startswith(STAGE_PREFIX)
+        and not pure.parts[0].startswith(file_access.STAGE_PREFIX)
     )
 
 
@@ -178,7 +171,11 @@ def _reason(error: OSError, target: Path) -> str:
     """
     text = error.strerror or str(error)
     file_name = error.filename
-    if file_name is None or str(file_name) == str(target) or STAGE_PREFIX in str(file_name):
+    if (
+        file_name is None
+        or str(file_name) == str(target)
+        or file_access.STAGE_PREFIX in str(file_name)
+    ):
         return text
     return f"{text} ({file_name})"
 
@@ -198,7 +195,7 @@ def _write(files: Mapping[str, bytes], target: Path, shown: str) -> None:
             _check_content(_list_content(target), files, shown)
     with staging_folder(target) as stage:
         _fill(stage, files)
-        with locked(target.parent), uninterrupted():
+        with locked(target.parent), file_access.uninterrupted():
             if not target.exists():
                 os.rename(stage, target)
                 return
@@ -206,7 +203,7 @@ def _write(files: Mapping[str, bytes], target: Path, shown: str) -> None:
             _check_content(content, files, shown)
             os.chmod(stage, stat.S_IMODE(target.stat().st_mode))
             for path in (stage, *stage.rglob("*")):
-                keep_owner(path, target)
+                file_access.keep_owner(path, target)
             can_exchange = is_exchangeable(target, stage) and _link(
                 content.user_files, stage, target
             )
@@ -252,7 +249,9 @@ def listed_files(target: Path) -> dict[str, None] | None:
     folder contains no manifest.
     """
     with contextlib.suppress(OSError, ValueError, AttributeError, TypeError, LookupError):
-        manifest_content = read_json(read_bounded(target / MANIFEST, _MAX_MANIFEST_BYTES))
+        manifest_content = file_access.read_json(
+            file_access.read_bounded(target / MANIFEST, _MAX_MANIFEST_BYTES)
+        )
         if manifest_content.get("format") == FORMAT:
             paths = [path for path in manifest_content["files"] if _is_inside(path)]
             return dict.fromkeys([*paths, MANIFEST])
@@ -265,7 +264,7 @@ def _list_content(target: Path) -> _FolderContent:
     user_files = []
     for root, folders, names in os.walk(target, onerror=_raise):
         here = Path(root)
-        folders[:] = sorted(f for f in folders if not f.startswith(STAGE_PREFIX))
+        folders[:] = sorted(f for f in folders if not f.startswith(file_access.STAGE_PREFIX))
         # A symbolic link to a folder is treated as a file.  Files inside a symbolically linked
         # folder are not listed.
         links = [f for f in folders if (here / f).is_symlink()]
@@ -317,7 +316,7 @@ def _link(user_files: list[str], stage: Path, target: Path) -> bool:
                 if not (stage / folder).exists():
                     (stage / folder).mkdir()
                     shutil.copystat(target / folder, stage / folder)
-                    keep_owner(stage / folder, target / folder)
+                    file_access.keep_owner(stage / folder, target / folder)
             if not is_folder:
                 os.link(target / path, stage / path, follow_symlinks=False)
     except (OSError, NotImplementedError):
@@ -357,14 +356,14 @@ def _move_in(
     If a file cannot be replaced, all files of the old build are moved back.
     """
     old_files = [p for p in content.built or {} if p != MANIFEST and _is_file(target / p)]
-    backup = stage / f"{STAGE_PREFIX}old"
+    backup = stage / f"{file_access.STAGE_PREFIX}old"
     # While the files of a build are moved, the manifest lists the files of the old and the new
     # build.  If the process is killed, the next build may therefore replace the files of both
     # builds.
     interim_manifest = json.loads(files[MANIFEST])
     interim_manifest["complete"] = False
     interim_manifest["files"] = dict.fromkeys([*old_files, *interim_manifest["files"]], "")
-    interim_path = stage / f"{STAGE_PREFIX}manifest"
+    interim_path = stage / f"{file_access.STAGE_PREFIX}manifest"
     interim_path.write_text(json.dumps(interim_manifest), encoding="utf-8")
     moved_away: list[str] = []
     moved_in: list[str] = []
@@ -431,7 +430,7 @@ def staging_folder(target: Path) -> Iterator[Path]:
     handle = None
     try:
         for i, parent in enumerate(parents):
-            stage = parent / f"{STAGE_PREFIX}{os.getpid()}-{os.urandom(4).hex()}"
+            stage = parent / f"{file_access.STAGE_PREFIX}{os.getpid()}-{os.urandom(4).hex()}"
             try:
                 with locked(parent):
                     _delete_abandoned(parent)
@@ -443,7 +442,7 @@ def staging_folder(target: Path) -> Iterator[Path]:
                     raise
         yield stage
     finally:
-        with uninterrupted():
+        with file_access.uninterrupted():
             shutil.rmtree(stage, ignore_errors=True)
             if handle is not None:
                 os.close(handle)
@@ -466,7 +465,7 @@ def _is_fixed(target: Path) -> bool:
 def _delete_abandoned(parent: Path) -> None:
     """Deletes the staging folders of killed processes in a folder."""
     with contextlib.suppress(OSError):
-        for stage in sorted(parent.glob(f"{STAGE_PREFIX}*")):
+        for stage in sorted(parent.glob(f"{file_access.STAGE_PREFIX}*")):
             handle = _lock(stage, wait=False)
             if handle is not None:
                 shutil.rmtree(stage, ignore_errors=True)

@@ -7,14 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from thorvaldc.compiler.recordings import ros_bag
 from thorvaldc.compiler.recordings.csv_table import TIME, Table, read_table
-from thorvaldc.compiler.recordings.ros_bag import (
-    COMMANDED_TWIST,
-    LIMITED_TWIST,
-    MissingPackageError,
-    is_bag,
-    read_bag,
-)
 from thorvaldc.diagnostics import Report, Span, did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import Command
@@ -46,7 +40,7 @@ def read_twists(
     topic : name of a topic in a ROS bag.  Empty: the topic is chosen by the name of each robot.
     files : the function adds each file that was read, by the name of the file in spans.
     """
-    if is_bag(path):
+    if ros_bag.is_bag(path):
         bag_files = sorted(path.iterdir()) if path.is_dir() else [path]
         files.update((f"{display}/{f.name}" if path.is_dir() else display, f) for f in bag_files)
         return _read_bag(path, display, span, robots, topic, report)
@@ -135,8 +129,8 @@ def _read_bag(
         return _twist_topics(topics) if not topic else [topic] if topic in topics else []
 
     try:
-        bag = read_bag(path, display, span, choose_topics, report)
-    except MissingPackageError as error:
+        bag = ros_bag.read_bag(path, display, span, choose_topics, report)
+    except ros_bag.MissingPackageError as error:
         report.add("script-log", str(error), span)
         return {}
     if bag is None:
@@ -159,7 +153,7 @@ def _read_bag(
                 "script-log",
                 f"`{display}` has "
                 + (f"{len(candidates)} topics" if candidates else "no topic")
-                + f" with velocities, and none is `/{name}/{COMMANDED_TWIST}`",
+                + f" with velocities, and none is `/{name}/{ros_bag.COMMANDED_TWIST}`",
                 span,
                 hint=f"add `topic:`; {_list_topics(candidates)}" if candidates else None,
             )
@@ -167,7 +161,9 @@ def _read_bag(
         # In a record of this program, each commanded twist is valid until the next commanded twist.
         # In the log of a real robot, each commanded twist is valid for the command time-out of the
         # base driver.  Only records of this program contain a topic with limited twists.
-        limited_topic = f"{robot_topic.removesuffix(COMMANDED_TWIST)}{LIMITED_TWIST}"
+        limited_topic = (
+            f"{robot_topic.removesuffix(ros_bag.COMMANDED_TWIST)}{ros_bag.LIMITED_TWIST}"
+        )
         timeout = math.inf if limited_topic in bag.topics else robot.driver.command_timeout
         commands = _commands_of_messages(bag.messages[robot_topic], timeout)
         if commands is None:
@@ -188,12 +184,12 @@ def _twist_topics(topics: Mapping[str, str]) -> list[str]:
     Topics with limited twists in records of this program are left out.
     """
     twists = {name for name, type_ in topics.items() if type_ in (TWIST, TWIST_STAMPED)}
-    limited_suffix = f"/{LIMITED_TWIST}"
+    limited_suffix = f"/{ros_bag.LIMITED_TWIST}"
     limited_twists = {
         name
         for name in twists
         if name.endswith(limited_suffix)
-        and f"{name.removesuffix(LIMITED_TWIST)}{COMMANDED_TWIST}" in twists
+        and f"{name.removesuffix(ros_bag.LIMITED_TWIST)}{ros_bag.COMMANDED_TWIST}" in twists
     }
     return sorted(twists - limited_twists)
 
@@ -205,7 +201,7 @@ def _topic_of(robot: str, candidates: Sequence[str]) -> str | None:
     the robot and the ROS bag contains only one twist topic, the only twist topic is returned.
     Returns ``None`` if the ROS topic cannot be determined.
     """
-    robot_topic = f"/{robot}/{COMMANDED_TWIST}"
+    robot_topic = f"/{robot}/{ros_bag.COMMANDED_TWIST}"
     if robot_topic in candidates:
         return robot_topic
     return candidates[0] if len(candidates) == 1 else None

@@ -24,13 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
-from thorvaldc.compiler.shapes.mesh_formats import (
-    IMPORTS,
-    CheckedMesh,
-    MeshError,
-    check_mesh,
-    too_large,
-)
+from thorvaldc.compiler.shapes import mesh_formats
 from thorvaldc.compiler.source.input_file import missing_file_hint, near_path
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, Span, plain
@@ -107,7 +101,7 @@ def load_mesh(
         return None
     try:
         mesh, checked = _read(path, status.st_mtime_ns, status.st_size, scale, is_builtin)
-    except MeshError as error:
+    except mesh_formats.MeshError as error:
         report.add(error.code, f"mesh file `{display}` {error.text}", span, hint=error.hint)
         return None
     if checked.size > MAX_EXTENT:
@@ -155,21 +149,23 @@ _workers: ContextVar[dict[bool, WorkerProcess] | None] = ContextVar("mesh worker
 @functools.lru_cache(maxsize=512)
 def _read(
     path: Path, mtime_ns: int, size: int, scale: Vec3, is_builtin: bool
-) -> tuple[Mesh, CheckedMesh]:
+) -> tuple[Mesh, mesh_formats.CheckedMesh]:
     """Reads, checks and converts a mesh file.
 
     Raises ``MeshError``.  The meshes are cached.  ``mtime_ns`` is the modification time of the file
     (ns).  A mesh file with a new modification time is read again.
     """
     if size > MAX_FILE_BYTES:
-        raise too_large(f"has {size / 1e6:.0f} MB; at most {MAX_FILE_BYTES / 1e6:.0f} are read")
+        raise mesh_formats.too_large(
+            f"has {size / 1e6:.0f} MB; at most {MAX_FILE_BYTES / 1e6:.0f} are read"
+        )
     data = _content(path)
     if data.startswith(b"version https://git-lfs"):
         text = "is a Git LFS pointer, not the mesh"
-        raise MeshError("mesh-invalid", text, "fetch it: git lfs pull")
+        raise mesh_formats.MeshError("mesh-invalid", text, "fetch it: git lfs pull")
     suffix = path.suffix.lower().lstrip(".")
     if is_builtin and suffix not in CONVERTED:
-        checked = check_mesh(suffix, data, scale)
+        checked = mesh_formats.check_mesh(suffix, data, scale)
     else:
         checked = _read_in_worker(path, suffix, data, scale)
     digest = hashlib.sha256(checked.data).hexdigest()
@@ -182,18 +178,18 @@ def _content(path: Path) -> bytes:
         return read_bounded(path, MAX_FILE_BYTES)
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise MeshError(
+        raise mesh_formats.MeshError(
             "mesh-missing", f"cannot be read: {reason}", "check the file's permissions"
         ) from error
 
 
-def _read_in_worker(path: Path, suffix: str, data: bytes, scale: Vec3) -> CheckedMesh:
+def _read_in_worker(path: Path, suffix: str, data: bytes, scale: Vec3) -> mesh_formats.CheckedMesh:
     """Reads a mesh in a worker process, with the files that it refers to."""
     from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError
 
     converts = suffix in CONVERTED
     if converts and find_spec("trimesh") is None:
-        raise MeshError(
+        raise mesh_formats.MeshError(
             "mesh-format",
             f"has the format `{suffix}`, which needs trimesh; it is not installed",
             "install trimesh and pycollada, or convert the mesh to STL",
@@ -210,11 +206,11 @@ def _read_in_worker(path: Path, suffix: str, data: bytes, scale: Vec3) -> Checke
                 worker = _worker(workers, converts)
                 answer, data = worker.ask(request, b"".join(files.values()))
             except WorkerLimitError as error:
-                raise too_large(str(error)) from error
+                raise mesh_formats.too_large(str(error)) from error
         if "code" in answer:
-            raise MeshError(answer["code"], answer["text"], answer["hint"])
+            raise mesh_formats.MeshError(answer["code"], answer["text"], answer["hint"])
         if "needs" not in answer:
-            return CheckedMesh(data, **answer)
+            return mesh_formats.CheckedMesh(data, **answer)
         files[answer["needs"]] = _needed_file(path, answer["needs"], files)
 
 
@@ -224,7 +220,9 @@ def _worker(workers: dict[bool, WorkerProcess], converts: bool) -> WorkerProcess
 
     if converts not in workers:
         path = [os.path.abspath(folder) for folder in sys.path] if converts else []
-        imports = [name for name in IMPORTS if converts and find_spec(name) is not None]
+        imports = [
+            name for name in mesh_formats.IMPORTS if converts and find_spec(name) is not None
+        ]
         workers[converts] = WorkerProcess(
             "thorvaldc.compiler.shapes.mesh_formats",
             WorkerLimits(**LIMITS),
@@ -241,12 +239,16 @@ def _needed_file(mesh: Path, name: str, files: dict[str, bytes]) -> bytes:
     shown = name if len(name) < 100 else f"{name[:100]}..."
     if not needed.is_relative_to(folder):
         text = f"refers to the file `{shown}`, which is not below its folder"
-        raise MeshError("mesh-invalid", text, "put the file beside the mesh")
+        raise mesh_formats.MeshError("mesh-invalid", text, "put the file beside the mesh")
     try:
         data = _content(needed)
-    except MeshError as error:
+    except mesh_formats.MeshError as error:
         text = f"refers to the file `{shown}`, which {error.text}"
-        raise MeshError("mesh-invalid", text, "put the file beside the mesh") from error
+        raise mesh_formats.MeshError(
+            "mesh-invalid", text, "put the file beside the mesh"
+        ) from error
     if len(files) > _MAX_NEEDED_FILES or len(data) + len(b"".join(files.values())) > MAX_FILE_BYTES:
-        raise too_large(f"has more than {MAX_FILE_BYTES / 1e6:.0f} MB with its other files")
+        raise mesh_formats.too_large(
+            f"has more than {MAX_FILE_BYTES / 1e6:.0f} MB with its other files"
+        )
     return data

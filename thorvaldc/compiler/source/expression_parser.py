@@ -34,14 +34,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from thorvaldc.compiler.source import units
 from thorvaldc.compiler.source.unit_table import Dimension
-from thorvaldc.compiler.source.units import (
-    UNIT_NAME,
-    UNIT_POWER,
-    UnitError,
-    parse_unit,
-    parse_with_dimension,
-)
 from thorvaldc.diagnostics import did_you_mean
 
 MAX_LENGTH = 1000
@@ -148,7 +142,7 @@ _NOT_KEYWORD = rf"(?!(?:{'|'.join(KEYWORDS)})\b)"
 # language, such as `and`, are never read as units.  Outside expressions, `%` is the unit percent,
 # and a quote is the unit inch or foot.  Inside expressions, `%` is the remainder operator, and a
 # quote starts a text.
-_UNIT = rf"{_NOT_KEYWORD}(?!%|\"|')(?:{UNIT_NAME})(?:{UNIT_POWER})?"
+_UNIT = rf"{_NOT_KEYWORD}(?!%|\"|')(?:{units.UNIT_NAME})(?:{units.UNIT_POWER})?"
 _TOKENS = re.compile(
     rf"""\s*(?:
         (?P<hexadecimal>0x[0-9A-Fa-f]{{1,15}}\b)
@@ -246,8 +240,8 @@ def _make_number(match: re.Match[str]) -> Token:
         literal = digits + unit
         divisors = tuple(re.findall(rf"/\s*({_WORD})(?=[\s/·⋅]|$)", unit))
     try:
-        value, dimension = parse_with_dimension(literal)
-    except UnitError as error:
+        value, dimension = units.parse_with_dimension(literal)
+    except units.UnitError as error:
         raise syntax_error(error.message, offset, error.hint) from None
     if unit is not None and match.string[offset + len(literal) :].lstrip().startswith("**"):
         raise syntax_error(
@@ -260,8 +254,8 @@ def _make_number(match: re.Match[str]) -> Token:
 
 def _is_unit(unit: str) -> bool:
     try:
-        parse_unit(unit.strip())
-    except UnitError:
+        units.parse_unit(unit.strip())
+    except units.UnitError:
         return False
     return True
 

@@ -7,13 +7,7 @@ import operator
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from thorvaldc.compiler.source.expression_parser import (
-    FUNCTIONS,
-    ExpressionError,
-    Part,
-    Token,
-    parse,
-)
+from thorvaldc.compiler.source import expression_parser as syntax
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import did_you_mean
 
@@ -51,7 +45,7 @@ def evaluate(text: str, scope: Mapping[str, Any]) -> Any:
     name is unknown.  Raises ``ExpressionError`` if the expression has a syntax error, an unknown
     name or no value.  Other exceptions that ``scope`` raises are not caught.
     """
-    return parse(text)(_Values(scope))
+    return syntax.parse(text)(_Values(scope))
 
 
 # -- values ---------------------------------------------------------------------------
@@ -76,7 +70,7 @@ def _show(value: Any) -> str:
 
 def _require_number(value: Any, offset: int, name: str) -> Number:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ExpressionError(f"`{name}` requires a number, got {_show(value)}", offset)
+        raise syntax.ExpressionError(f"`{name}` requires a number, got {_show(value)}", offset)
     return value
 
 
@@ -91,7 +85,7 @@ def _require_truth(value: Any, offset: int, name: str) -> bool:
         return value
     if value is None or isinstance(value, Mapping):
         return value is not None
-    raise ExpressionError(
+    raise syntax.ExpressionError(
         f"`{name}` requires true or false, got {_show(value)}",
         offset,
         hint="compare it, as in `count > 0`",
@@ -109,7 +103,7 @@ def _require_finite(value: Any, offset: int) -> Any:
     else:
         in_range = not isinstance(value, int) or -(2**63) <= value < 2**63
     if not in_range:
-        raise ExpressionError("the result is too large", offset)
+        raise syntax.ExpressionError("the result is too large", offset)
     return value
 
 
@@ -122,10 +116,10 @@ class _Values:
     def __init__(self, scope: Mapping[str, Any]) -> None:
         self.scope = scope
 
-    def constant(self, token: Token) -> Any:
+    def constant(self, token: syntax.Token) -> Any:
         for name in token.divisors:
             if name in self.scope:
-                raise ExpressionError(
+                raise syntax.ExpressionError(
                     f"`{name}` in `{token.text}` is a unit and also a known name",
                     token.offset,
                     hint=f"to divide by the value, write parentheses: `/ ({name})`",
@@ -138,8 +132,10 @@ class _Values:
         except KeyError:
             if name in _CONSTANTS:
                 return _CONSTANTS[name]
-        hint = f"call a function with parentheses: `{name}(...)`" if name in FUNCTIONS else None
-        raise ExpressionError(
+        hint = (
+            f"call a function with parentheses: `{name}(...)`" if name in syntax.FUNCTIONS else None
+        )
+        raise syntax.ExpressionError(
             f"unknown name `{name}`",
             offset,
             hint=hint or did_you_mean(name, self.scope, _list_names(self.scope)),
@@ -148,11 +144,11 @@ class _Values:
 
     def attribute(self, operand: Any, name: str, offset: int) -> Any:
         if not isinstance(operand, Mapping):
-            raise ExpressionError(f"{_show(operand)} has no attribute `{name}`", offset)
+            raise syntax.ExpressionError(f"{_show(operand)} has no attribute `{name}`", offset)
         try:
             return operand[name]
         except KeyError:
-            raise ExpressionError(
+            raise syntax.ExpressionError(
                 f"unknown attribute `.{name}`",
                 offset,
                 hint=did_you_mean(name, operand, _list_names(operand)),
@@ -161,24 +157,26 @@ class _Values:
 
     def element(self, operand: Any, index: Any, offset: int) -> Any:
         if not isinstance(operand, (list, tuple)):
-            raise ExpressionError(f"{_show(operand)} has no elements", offset)
+            raise syntax.ExpressionError(f"{_show(operand)} has no elements", offset)
         if isinstance(index, float) and index.is_integer():
             index = int(index)
         if isinstance(index, bool) or not isinstance(index, int):
-            raise ExpressionError(f"an index is a whole number, not {_show(index)}", offset)
+            raise syntax.ExpressionError(f"an index is a whole number, not {_show(index)}", offset)
         if not -len(operand) <= index < len(operand):
-            raise ExpressionError(
+            raise syntax.ExpressionError(
                 f"index {index} is outside a list of {len(operand)}",
                 offset,
                 hint="the first element has the index 0",
             )
         return operand[index]
 
-    def choose(self, condition: Part, value: Part, otherwise: Part, offset: int) -> Any:
+    def choose(
+        self, condition: syntax.Part, value: syntax.Part, otherwise: syntax.Part, offset: int
+    ) -> Any:
         is_true = _require_truth(condition(self), offset, "if")
         return value(self) if is_true else otherwise(self)
 
-    def logical(self, word: str, decisive: bool, operands: list[Part], offset: int) -> bool:
+    def logical(self, word: str, decisive: bool, operands: list[syntax.Part], offset: int) -> bool:
         """Stops at the first operand that decides the result."""
         for operand in operands:
             if _require_truth(operand(self), offset, word) is decisive:
@@ -205,24 +203,26 @@ class _Values:
         return combine(symbol, left, right, offset)
 
     def call(self, name: str, arguments: list[Any], offset: int) -> Any:
-        function, _ = FUNCTIONS[name]
+        function, _ = syntax.FUNCTIONS[name]
         if name == "len":
             if not isinstance(arguments[0], (list, tuple, str)):
-                raise ExpressionError(f"`len` requires a list, got {_show(arguments[0])}", offset)
+                raise syntax.ExpressionError(
+                    f"`len` requires a list, got {_show(arguments[0])}", offset
+                )
             return len(arguments[0])
         first = arguments[0]
         if name in ("min", "max") and len(arguments) == 1 and isinstance(first, (list, tuple)):
             arguments = list(first)
             if not arguments:
-                raise ExpressionError(f"`{name}` of an empty list", offset)
+                raise syntax.ExpressionError(f"`{name}` of an empty list", offset)
         numbers = [_require_number(value, offset, name) for value in arguments]
         try:
             return _require_finite(function(*numbers), offset)
         except OverflowError:
-            raise ExpressionError("the result is too large", offset) from None
+            raise syntax.ExpressionError("the result is too large", offset) from None
         except ValueError:
             listed = ", ".join(_show(number) for number in numbers)
-            raise ExpressionError(f"`{name}({listed})` has no value", offset) from None
+            raise syntax.ExpressionError(f"`{name}({listed})` has no value", offset) from None
 
 
 def _list_names(scope: Mapping[str, Any]) -> str | None:
@@ -248,19 +248,19 @@ def combine(symbol: str, left: Any, right: Any, offset: int) -> Any:
             joined = [*left, *right]
         if joined is not None:
             if len(joined) > MAX_ELEMENTS:
-                raise ExpressionError("the result is too long", offset)
+                raise syntax.ExpressionError("the result is too long", offset)
             return joined
     left = _require_number(left, offset, symbol)
     right = _require_number(right, offset, symbol)
     try:
         return _require_finite(_OPERATIONS[symbol](left, right), offset)
     except ZeroDivisionError:
-        raise ExpressionError(f"`{symbol}` divides by zero", offset) from None
+        raise syntax.ExpressionError(f"`{symbol}` divides by zero", offset) from None
     except OverflowError:
-        raise ExpressionError("the result is too large", offset) from None
+        raise syntax.ExpressionError("the result is too large", offset) from None
     except ValueError:
         message = f"`{_show(left)} {symbol} {_show(right)}` has no real value"
-        raise ExpressionError(message, offset) from None
+        raise syntax.ExpressionError(message, offset) from None
 
 
 def _raise_to_power(base: Number, exponent: Number) -> Number:

@@ -9,14 +9,7 @@ from dataclasses import dataclass
 from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
 from thorvaldc.model.facts.stability import DIRECTIONS
-from thorvaldc.model.statics.mobility import (
-    Center,
-    Twist,
-    cannot_turn,
-    feasible_twists,
-    roll_speeds,
-    tightest_turn,
-)
+from thorvaldc.model.statics import mobility
 from thorvaldc.model.statics.slope import SlopeForces, SlopeStatics, steepest_angle, steepest_stops
 from thorvaldc.model.statics.tip_over import footprint, support_of
 from thorvaldc.model.stopping import driven_wheels
@@ -71,22 +64,22 @@ def driving_of(robot: Robot) -> Driving:
     )
 
 
-def _top_speed(robot: Robot, direction: Twist) -> float:
+def _top_speed(robot: Robot, direction: mobility.Twist) -> float:
     """Return the top speed in m/s in a direction, 0 if the wheels do not roll in this direction.
 
     The wheels of a robot that does not turn have its speed, so the limit of the base driver, which
     the slowest wheel determines, holds for every direction.
     """
     driven = any(wheel.driven for wheel in robot.wheels)
-    allowed = driven and roll_speeds(robot, direction) is not None
+    allowed = driven and mobility.roll_speeds(robot, direction) is not None
     return robot.driver.max_linear_velocity if allowed else 0.0
 
 
 def _turn(robot: Robot) -> Turn | None:
     if not any(wheel.driven for wheel in robot.wheels):
         return None
-    skids = feasible_twists(robot) == 1 and cannot_turn(robot)
-    center = (0.0, 0.0) if skids else tightest_turn(robot)
+    skids = mobility.feasible_twists(robot) == 1 and mobility.cannot_turn(robot)
+    center = (0.0, 0.0) if skids else mobility.tightest_turn(robot)
     if center is None:
         return None
     x, y = center
@@ -103,7 +96,7 @@ def _turn(robot: Robot) -> Turn | None:
     )
 
 
-def _yaw_rate(robot: Robot, center: Center) -> float:
+def _yaw_rate(robot: Robot, center: mobility.Center) -> float:
     """Return the highest yaw rate in rad/s about a centre of rotation.
 
     The limits are those of the base driver for the velocity of ``base_link`` and for the yaw rate,
@@ -114,7 +107,7 @@ def _yaw_rate(robot: Robot, center: Center) -> float:
     radius = math.hypot(x, y)
     if radius * limit > robot.driver.max_linear_velocity:
         limit = robot.driver.max_linear_velocity / radius
-    speeds = roll_speeds(robot, (y, -x, 1.0))
+    speeds = mobility.roll_speeds(robot, (y, -x, 1.0))
     for wheel, motor in driven_wheels(robot.wheels, robot.actuators):
         lever = (
             abs(speeds[wheel.name])

@@ -11,16 +11,9 @@ from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
 from thorvaldc.model.element import once_per_model
 from thorvaldc.model.facts import electrics, masses
+from thorvaldc.model.facts import stability as standing_facts
 from thorvaldc.model.facts.driving import Driving, Slopes, driving_of, slopes_of
 from thorvaldc.model.facts.size import Size, size_of
-from thorvaldc.model.facts.stability import (
-    SoilLoad,
-    Stability,
-    WheelLoad,
-    soil_load_of,
-    stability_of,
-    wheel_loads_of,
-)
 from thorvaldc.model.spatial import clean
 from thorvaldc.model.statics.slope import StandingSlopes, standing_slopes
 
@@ -45,9 +38,9 @@ class RobotFacts:
     modules: tuple[masses.ModuleMass, ...]
     mass_sources: tuple[masses.MassShare, ...]
     center_of_mass: si.Position
-    wheels: tuple[WheelLoad, ...]
-    soil: SoilLoad | None
-    stability: Stability
+    wheels: tuple[standing_facts.WheelLoad, ...]
+    soil: standing_facts.SoilLoad | None
+    stability: standing_facts.Stability
     driving: Driving
     slopes: Slopes | None
     standing: StandingSlopes | None
@@ -66,9 +59,9 @@ _SECTIONS: dict[str, Callable[[Robot], Any]] = {
     "modules": masses.masses_of,
     "mass_sources": lambda robot: masses.mass_by_source(masses.masses_of(robot)),
     "center_of_mass": lambda robot: robot.inertial.com,
-    "wheels": wheel_loads_of,
-    "soil": soil_load_of,
-    "stability": stability_of,
+    "wheels": standing_facts.wheel_loads_of,
+    "soil": standing_facts.soil_load_of,
+    "stability": standing_facts.stability_of,
     "driving": driving_of,
     "slopes": slopes_of,
     "standing": standing_slopes,

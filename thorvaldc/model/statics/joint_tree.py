@@ -8,20 +8,8 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
-from thorvaldc.model import Inertial, Joint, Link, Pose, Robot, Vec3, Wheel
+from thorvaldc.model import Inertial, Joint, Link, Pose, Robot, Vec3, Wheel, spatial
 from thorvaldc.model.element import once_per_model
-from thorvaldc.model.spatial import (
-    add,
-    combine,
-    cross,
-    float_sum,
-    norm,
-    quat_from_axis_angle,
-    quat_multiply,
-    quat_normalize,
-    rotate,
-    sub,
-)
 
 
 class JointTree:
@@ -110,9 +98,9 @@ class JointTree:
             inertial = self.links[name].inertial
             if inertial is not None and name in self.pose:
                 pose = self.pose[name]
-                raised = Pose(add(pose.xyz, (0.0, 0.0, lift)), pose.quat)
+                raised = Pose(spatial.add(pose.xyz, (0.0, 0.0, lift)), pose.quat)
                 bodies.append(inertial.transformed(raised))
-        return combine(bodies)
+        return spatial.combine(bodies)
 
 
 @once_per_model
@@ -126,7 +114,7 @@ def _joint_motion(joint: Joint, position: float) -> Pose:
     x, y, z = joint.axis
     if joint.type == "prismatic":
         return Pose((position * x, position * y, position * z))
-    return Pose(quat=quat_from_axis_angle(joint.axis, position))
+    return Pose(quat=spatial.quat_from_axis_angle(joint.axis, position))
 
 
 class RigidGroups:
@@ -172,7 +160,7 @@ class RigidGroups:
             (p[0] / m, p[1] / m, p[2] / m) if m > 0.0 else (0.0, 0.0, 0.0)
             for m, p in zip(mass, moment, strict=True)
         ]
-        self.total_mass = float_sum(mass)
+        self.total_mass = spatial.float_sum(mass)
 
     def group_of(self, link: str) -> int:
         """Return the number of the group to which a link belongs."""
@@ -208,10 +196,13 @@ class RigidGroups:
                 d = positions[g - 1]
                 transforms.append(Pose(parent.apply((d * x, d * y, d * z)), parent.quat))
             else:
-                q = quat_from_axis_angle(axis, positions[g - 1])
-                shift = sub(origin, rotate(q, origin))
+                q = spatial.quat_from_axis_angle(axis, positions[g - 1])
+                shift = spatial.sub(origin, spatial.rotate(q, origin))
                 transforms.append(
-                    Pose(parent.apply(shift), quat_normalize(quat_multiply(parent.quat, q)))
+                    Pose(
+                        parent.apply(shift),
+                        spatial.quat_normalize(spatial.quat_multiply(parent.quat, q)),
+                    )
                 )
         return transforms, frames
 
@@ -372,4 +363,7 @@ def _is_indifferent(tree: JointTree, joint: Joint, carries_wheel: bool) -> bool:
     if carries_wheel:
         return False
     body = tree.inertial(tree.links_below(joint.child))
-    return body.mass <= 0.0 or norm(cross(sub(body.com, pose.xyz), axis)) < _ON_AXIS
+    return (
+        body.mass <= 0.0
+        or spatial.norm(spatial.cross(spatial.sub(body.com, pose.xyz), axis)) < _ON_AXIS
+    )

@@ -31,24 +31,9 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from thorvaldc.model import Joint, Pose, Robot, Vec3, Wheel
+from thorvaldc.model import Joint, Pose, Robot, Vec3, Wheel, spatial
 from thorvaldc.model.element import once_per_model
-from thorvaldc.model.spatial import (
-    GRAVITY,
-    clean,
-    float_sum,
-    quat_from_axis_angle,
-    quat_multiply,
-    quat_normalize,
-)
-from thorvaldc.model.statics.joint_tree import (
-    Coordinate,
-    JointTree,
-    RigidGroups,
-    coordinates_of,
-    held_joints,
-    tree_of,
-)
+from thorvaldc.model.statics import joint_tree as trees
 from thorvaldc.model.statics.static_loads import (
     least_squares_loads,
     maximize,
@@ -124,7 +109,10 @@ class _Body:
     """The robot as a function of the pose of its base and of its coordinates."""
 
     def __init__(
-        self, tree: JointTree, wheels: Sequence[Wheel], coordinates: Sequence[Coordinate]
+        self,
+        tree: trees.JointTree,
+        wheels: Sequence[Wheel],
+        coordinates: Sequence[trees.Coordinate],
     ) -> None:
         self.coordinates = coordinates
         owner = {
@@ -132,7 +120,9 @@ class _Body:
             for k, coordinate in enumerate(coordinates)
             for member in coordinate.members
         }
-        self.groups = RigidGroups(tree, [joint for joint in tree.moving if joint.name in owner])
+        self.groups = trees.RigidGroups(
+            tree, [joint for joint in tree.moving if joint.name in owner]
+        )
         self.owners = [owner[joint.name] for joint in self.groups.joints]
         self.wheels = []
         for wheel in wheels:
@@ -141,7 +131,7 @@ class _Body:
             group = self.groups.group_of(wheel.link)
             self.wheels.append(_Wheel(group, pose.xyz, axis, wheel.radius))
         self.paths = [self.groups.path_of(g) for g in range(len(self.groups.parent))]
-        self.weight = self.groups.total_mass * GRAVITY
+        self.weight = self.groups.total_mass * spatial.GRAVITY
         self.limits = [coordinate.limits() for coordinate in coordinates]
 
     def start(self) -> _State:
@@ -169,10 +159,10 @@ class _Body:
         energy = 0.0
         for g, (mass, com) in enumerate(zip(self.groups.mass, self.groups.com, strict=True)):
             x, y, z = transforms[g].apply(com)
-            energy += mass * GRAVITY * z
+            energy += mass * spatial.GRAVITY * z
             # Weight has no horizontal component, so only the lift of the centre of mass does work.
             for k, lift in enumerate(self._lift(g, x, y, base, frames)):
-                gradient[k] += mass * GRAVITY * lift
+                gradient[k] += mass * spatial.GRAVITY * lift
         for joint, (k, member), q in zip(
             self.groups.joints, self.owners, self.positions(values), strict=True
         ):
@@ -188,8 +178,8 @@ class _Body:
         quat = state.base.quat
         if angle > 0.0:
             # A rotation about the world's axes, and none about z: yaw changes no height.
-            turn = quat_from_axis_angle((step[1] / angle, step[2] / angle, 0.0), angle)
-            quat = quat_normalize(quat_multiply(turn, quat))
+            turn = spatial.quat_from_axis_angle((step[1] / angle, step[2] / angle, 0.0), angle)
+            quat = spatial.quat_normalize(spatial.quat_multiply(turn, quat))
         values = [a + b for a, b in zip(state.values, step[3:], strict=True)]
         return Pose((x, y, z + step[0]), quat), values
 
@@ -198,10 +188,10 @@ class _Body:
         heights, _, transforms, _ = self._heights(base, values)
         parts = [-load * height for load, height in zip(loads, heights, strict=True)]
         for mass, com, transform in zip(self.groups.mass, self.groups.com, transforms, strict=True):
-            parts.append(mass * GRAVITY * transform.apply(com)[2])
+            parts.append(mass * spatial.GRAVITY * transform.apply(com)[2])
         for joint, q in zip(self.groups.joints, self.positions(values), strict=True):
             parts.append(joint.stiffness * (q - joint.spring_reference) ** 2 / 2.0)
-        return float_sum(parts)
+        return spatial.float_sum(parts)
 
     def _heights(
         self, base: Pose, values: Sequence[float]
@@ -267,7 +257,7 @@ def _settle(body: _Body) -> tuple[_State, list[float] | None]:
     state, radius = body.start(), _LARGEST_STEP
     for _ in range(_MAX_STEPS):
         step, loads = _fall(body, state, radius)
-        decrease = -float_sum(a * b for a, b in zip(state.gradient, step, strict=True))
+        decrease = -spatial.float_sum(a * b for a, b in zip(state.gradient, step, strict=True))
         if decrease < _EQUILIBRIUM * body.weight or radius < _SMALLEST_STEP:
             return state, loads
         after = body.at(*body.moved(state, step))
@@ -325,9 +315,9 @@ def _softest_motion(
         rest = list(vector)
         for _ in range(2):  # the second pass removes the rounding errors of the first
             for unit in basis:
-                share = float_sum(a * b for a, b in zip(rest, unit, strict=True))
+                share = spatial.float_sum(a * b for a, b in zip(rest, unit, strict=True))
                 rest = [a - share * b for a, b in zip(rest, unit, strict=True)]
-        length = math.sqrt(float_sum(v * v for v in rest))
+        length = math.sqrt(spatial.float_sum(v * v for v in rest))
         if length > 1e-6:
             basis.append([v / length for v in rest])
             if is_motion:
@@ -336,7 +326,8 @@ def _softest_motion(
         return [], math.inf
     vector, least = _least_eigenvector(_curvatures(body, state, loads, motions))
     motion = [
-        float_sum(w * unit[k] for w, unit in zip(vector, motions, strict=True)) for k in range(n)
+        spatial.float_sum(w * unit[k] for w, unit in zip(vector, motions, strict=True))
+        for k in range(n)
     ]
     return motion, least
 
@@ -375,7 +366,7 @@ def _curvatures(
 
     def value(*terms: tuple[float, Sequence[float]]) -> float:
         step = [
-            float_sum(factor * unit[k] for factor, unit in terms)
+            spatial.float_sum(factor * unit[k] for factor, unit in terms)
             for k in range(len(state.gradient))
         ]
         return body.lagrangian(*body.moved(state, step), loads)
@@ -406,7 +397,7 @@ def _moving_joints(body: _Body, motion: Sequence[float]) -> tuple[str, ...]:
 
 
 def find_standing(
-    tree: JointTree, wheels: Sequence[Wheel], stopped: Collection[str], *, sprung: bool
+    tree: trees.JointTree, wheels: Sequence[Wheel], stopped: Collection[str], *, sprung: bool
 ) -> Standing | None:
     """Return how a robot stands, or ``None`` for a robot without passive joints.
 
@@ -416,7 +407,7 @@ def find_standing(
     - ``sprung``: false leaves the joints with springs at position 0, as if they were rigid. The
       rest positions of the springs follow from the loads of this robot.
     """
-    coordinates = coordinates_of(tree, wheels, stopped, sprung=sprung)
+    coordinates = trees.coordinates_of(tree, wheels, stopped, sprung=sprung)
     if not coordinates or len(wheels) < 3:
         return None
     body = _Body(tree, wheels, coordinates)
@@ -485,7 +476,9 @@ def _balance(body: _Body, state: _State, loads: list[float]) -> _Balance:
             k: sign
             * (
                 state.gradient[k]
-                - float_sum(n * row[k] for n, row in zip(balancing, state.jacobian, strict=True))
+                - spatial.float_sum(
+                    n * row[k] for n, row in zip(balancing, state.jacobian, strict=True)
+                )
             )
             for k, sign in signs.items()
         }
@@ -513,7 +506,7 @@ def _non_negative_loads(
             for i, load in zip(active, solution, strict=True):
                 loads[i] = max(load, 0.0)
             errors = [
-                abs(float_sum(a * b for a, b in zip(row, loads, strict=True)) - value)
+                abs(spatial.float_sum(a * b for a, b in zip(row, loads, strict=True)) - value)
                 for row, value in balances
             ]
             return loads if max(errors) < 1e-4 * weight else None
@@ -522,7 +515,10 @@ def _non_negative_loads(
 
 
 def spring_loads(
-    tree: JointTree, joints: Sequence[Joint], wheels: Sequence[Wheel], stopped: Collection[str]
+    tree: trees.JointTree,
+    joints: Sequence[Joint],
+    wheels: Sequence[Wheel],
+    stopped: Collection[str],
 ) -> tuple[list[Joint], list[float]]:
     """Return the joints with the rest positions of their springs, and the wheel loads in N.
 
@@ -539,7 +535,7 @@ def spring_loads(
         loads = static_loads([wheel.contact_point for wheel in wheels], body)
     else:
         loads = [0.0] * len(wheels)
-    loads = [clean(load) for load in loads]
+    loads = [spatial.clean(load) for load in loads]
     joints = [
         replace(joint, spring_reference=spring_reference(joint, tree, wheels, loads))
         if joint.stiffness > 0.0
@@ -548,7 +544,7 @@ def spring_loads(
     ]
     is_sprung = any(joint.stiffness > 0.0 for joint in joints)
     if standing is not None and is_sprung and any(standing.positions.values()):
-        sprung_tree = JointTree(list(tree.links.values()), joints)
+        sprung_tree = trees.JointTree(list(tree.links.values()), joints)
         sprung = find_standing(sprung_tree, wheels, stopped, sprung=True)
         loads = sprung.loads if sprung is not None else loads
     return joints, loads
@@ -557,4 +553,4 @@ def spring_loads(
 @once_per_model
 def standing_of(robot: Robot) -> Standing | None:
     """Return how a robot stands on its springs, or ``None`` for one without passive joints."""
-    return find_standing(tree_of(robot), robot.wheels, held_joints(robot), sprung=True)
+    return find_standing(trees.tree_of(robot), robot.wheels, trees.held_joints(robot), sprung=True)

@@ -35,16 +35,8 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from thorvaldc.model import Joint, Pose, Robot, Vec3, Wheel
+from thorvaldc.model import Joint, Pose, Robot, Vec3, Wheel, spatial
 from thorvaldc.model.element import once_per_model
-from thorvaldc.model.spatial import (
-    GRAVITY,
-    clean,
-    float_sum,
-    quat_from_axis_angle,
-    quat_multiply,
-    quat_normalize,
-)
 from thorvaldc.model.statics import joint_tree, wheel_contact
 from thorvaldc.model.statics.mass_matrix import BranchSparse, inverse_weights
 from thorvaldc.model.statics.standing import standing_of
@@ -132,7 +124,7 @@ class _Stance(joint_tree.RigidGroups):
         ``wheels`` lists each wheel with its spin axis and its effective inverse weight.
         """
         super().__init__(tree, compliant)
-        self.weight = self.total_mass * GRAVITY
+        self.weight = self.total_mass * spatial.GRAVITY
         self.paths = [[0], [0, 1], [0, 1, 2]]
         for g in range(1, len(self.parent)):
             self.paths.append([*self.paths[self.parent[g] + 2], g + 2])
@@ -149,7 +141,7 @@ class _Stance(joint_tree.RigidGroups):
         transforms, frames = self.place(base, positions)
         # Vertical force on each rigid group of links, and its moments about the world's x and y
         # axes.
-        vertical = [-m * GRAVITY for m in self.mass]
+        vertical = [-m * spatial.GRAVITY for m in self.mass]
         about_x: list[float] = []
         about_y: list[float] = []
         for t, c, f in zip(transforms, self.com, vertical, strict=True):
@@ -334,8 +326,8 @@ def _moved(base: Pose, step: Sequence[float]) -> Pose:
     x, y, z = base.xyz
     quat = base.quat
     if angle > 0.0:
-        turn = quat_from_axis_angle((step[1] / angle, step[2] / angle, 0.0), angle)
-        quat = quat_normalize(quat_multiply(turn, quat))
+        turn = spatial.quat_from_axis_angle((step[1] / angle, step[2] / angle, 0.0), angle)
+        quat = spatial.quat_normalize(spatial.quat_multiply(turn, quat))
     return Pose((x, y, z + step[0]), quat)
 
 
@@ -359,7 +351,7 @@ def solve_statics(robot: Robot) -> Statics:
     weights = [max(w, 1e-9) for w in weights]
     softened = wheel_contact.softened_weights(weights, [wheel.load for wheel in robot.wheels])
     damping_ratios = [
-        clean(wheel_contact.SOLREF[1] * math.sqrt(soft / w))
+        spatial.clean(wheel_contact.SOLREF[1] * math.sqrt(soft / w))
         for soft, w in zip(softened, weights, strict=True)
     ]
     axes = [spin_axis(tree, wheel) for wheel in robot.wheels]
@@ -369,7 +361,7 @@ def solve_statics(robot: Robot) -> Statics:
     }
     for joint in tree.moving:
         if joint.mimic is not None:
-            positions[joint.name] = clean(
+            positions[joint.name] = spatial.clean(
                 joint.mimic.multiplier * positions.get(joint.mimic.joint, 0.0) + joint.mimic.offset
             )
     wheels = list(zip(robot.wheels, axes, softened, strict=True))
@@ -378,7 +370,8 @@ def solve_statics(robot: Robot) -> Statics:
         base, compliant_positions, forces = equilibrium
         base = base.clean()
         positions |= {
-            j.name: clean(q) for j, q in zip(stance.joints, compliant_positions, strict=True)
+            j.name: spatial.clean(q)
+            for j, q in zip(stance.joints, compliant_positions, strict=True)
         }
         depths, tilts = forces.depths, forces.tilts
     else:
@@ -423,7 +416,7 @@ def _equilibrium(
     start, starts = Pose(), {}
     if standing is not None and is_passive:
         start, starts = standing.base, standing.positions
-        positions |= {name: clean(starts[name]) for name in standing.at_limit}
+        positions |= {name: spatial.clean(starts[name]) for name in standing.at_limit}
         coordinates = [c for c in coordinates if c.members[0].joint.name not in standing.at_limit]
         moving = {member.joint.name for c in coordinates for member in c.members}
     else:
@@ -439,7 +432,7 @@ def _equilibrium(
     if not wheels or stance.weight <= 0.0 or (standing is not None and not standing.stands):
         return stance, None
     n = len(wheels)
-    softness = float_sum(weight for _, _, weight in wheels) / n
+    softness = spatial.float_sum(weight for _, _, weight in wheels) / n
     x, y, z = start.xyz
     base = Pose(
         (x, y, z - wheel_contact.penetration_under(stance.weight / n, softness) / 2), start.quat

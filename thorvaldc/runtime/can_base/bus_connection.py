@@ -11,12 +11,7 @@ from thorvaldc.can.frame import CanFrame, CanInterface, ErrorState
 from thorvaldc.model import Bus, FrameDefinition, Node, Robot
 from thorvaldc.model.bus import MASTER
 from thorvaldc.model.stopping import watchdog_time, yaw_per_metre
-from thorvaldc.runtime.can_base import frame_receiver, node_watchdog
-from thorvaldc.runtime.can_base.battery_and_io_drivers import (
-    BatteryDriver,
-    IoBoardDriver,
-    battery_driver,
-)
+from thorvaldc.runtime.can_base import battery_and_io_drivers, frame_receiver, node_watchdog
 from thorvaldc.runtime.can_base.foreign_frame_relay import Relay
 from thorvaldc.runtime.can_base.motor_controller import (
     Intent,
@@ -65,8 +60,8 @@ class BusConnection:
         self.bus = bus
         self.interface = interface
         self.controllers: list[MotorController] = []
-        self.batteries: list[BatteryDriver] = []
-        self.boards: list[IoBoardDriver] = []
+        self.batteries: list[battery_and_io_drivers.BatteryDriver] = []
+        self.boards: list[battery_and_io_drivers.IoBoardDriver] = []
         for node in bus.nodes:
             self._add_driver(node)
         self.relay = Relay(bus)
@@ -133,8 +128,8 @@ class BusConnection:
         if has_motors:
             self.controllers.append(controller_class(node)(self.robot, self.bus, node))
         elif node.protocol == "thorvald_io":
-            self.boards.append(IoBoardDriver(self.bus, node))
-        elif (battery := battery_driver(self.bus, node)) is not None:
+            self.boards.append(battery_and_io_drivers.IoBoardDriver(self.bus, node))
+        elif (battery := battery_and_io_drivers.battery_driver(self.bus, node)) is not None:
             self.batteries.append(battery)
 
     # -- receiving ---------------------------------------------------------------------------------

@@ -44,23 +44,8 @@ from thorvaldc.model import Robot
 from thorvaldc.model.settings import AT_START
 from thorvaldc.model.spatial import finite
 from thorvaldc.model.stopping import REPORT_TIMEOUT
-from thorvaldc.runtime.base_interface import (
-    BaseHandle,
-    ComponentStatus,
-    JointCommands,
-    JointStates,
-)
-from thorvaldc.runtime.can_base.base_state_machine import (
-    BaseState,
-    BaseStateMachine,
-    StateChange,
-    Times,
-)
-from thorvaldc.runtime.can_base.battery_and_io_drivers import (
-    BatteryLevel,
-    BatteryState,
-    BatterySupervision,
-)
+from thorvaldc.runtime import base_interface
+from thorvaldc.runtime.can_base import base_state_machine, battery_and_io_drivers
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.bus_services import (
     BusServices,
@@ -75,7 +60,7 @@ SEND_TIME = 0.25
 """Longest waiting time of one frame for room in the send queue, as a share of the cycle."""
 
 
-class CanBase(BaseHandle):
+class CanBase(base_interface.BaseHandle):
     """A robot base whose joints are measured and commanded over CAN.
 
     The method ``read`` decodes the received CAN frames, and the method ``write`` sends the CAN
@@ -89,7 +74,7 @@ class CanBase(BaseHandle):
         interfaces: Mapping[str, CanInterface],
         *,
         threaded: bool = True,
-        times: Times | None = None,
+        times: base_state_machine.Times | None = None,
     ) -> None:
         """Creates the drivers of all nodes on the buses of ``robot``.
 
@@ -119,15 +104,17 @@ class CanBase(BaseHandle):
                 connection.receiver.stop()
             raise
         homes_at_start = robot.driver.homing == AT_START
-        self.state_machine = BaseStateMachine(
+        self.state_machine = base_state_machine.BaseStateMachine(
             robot, self.connections, times, homes_at_start=homes_at_start
         )
         self.state_machine.changed = self._note_change
-        self.changes: list[StateChange] = []
+        self.changes: list[base_state_machine.StateChange] = []
         """Changes of the state since the start of the run."""
         batteries = [battery for c in self.connections for battery in c.batteries]
-        self.battery_supervision = BatterySupervision(robot.driver.battery, batteries)
-        self._battery_level = BatteryLevel.OK
+        self.battery_supervision = battery_and_io_drivers.BatterySupervision(
+            robot.driver.battery, batteries
+        )
+        self._battery_level = battery_and_io_drivers.BatteryLevel.OK
         self.nodes = BusServices(self.connections, lambda: self.standing)
         self.cycles = 0
         """Number of control cycles whose frames were all sent."""
@@ -141,18 +128,21 @@ class CanBase(BaseHandle):
     @property
     def hold_reason(self) -> str:
         state_machine = self.state_machine
-        if state_machine.state in (BaseState.FAULT, BaseState.ESTOP):
+        if state_machine.state in (
+            base_state_machine.BaseState.FAULT,
+            base_state_machine.BaseState.ESTOP,
+        ):
             return f"{state_machine.state.value}: {state_machine.reason}"
         if state_machine.ending:
             return "the driver is shutting down"
-        if state_machine.state is BaseState.STANDBY:
+        if state_machine.state is base_state_machine.BaseState.STANDBY:
             return "not homed; arming homes the steering"
         if not state_machine.state.drives:
             return str(state_machine.state.value)
         return ""
 
     @property
-    def state(self) -> BaseState:
+    def state(self) -> base_state_machine.BaseState:
         return self.state_machine.state
 
     @property
@@ -160,7 +150,7 @@ class CanBase(BaseHandle):
         """``True`` if no wheel turns and no wheel is commanded to turn."""
         return not self._turning and all(c.standing for c in self.state_machine.controllers)
 
-    def read(self, now: float) -> JointStates:
+    def read(self, now: float) -> base_interface.JointStates:
         """Decodes the received CAN frames and returns the measured positions and velocities of the
         joints.
 
@@ -182,9 +172,9 @@ class CanBase(BaseHandle):
                 rates[axis.wheel] = axis.velocity if valid else math.nan
             else:
                 speeds[axis.wheel] = axis.velocity if valid else math.nan
-        return JointStates(total / max(len(self._axes), 1), speeds, angles, rates)
+        return base_interface.JointStates(total / max(len(self._axes), 1), speeds, angles, rates)
 
-    def write(self, commands: JointCommands, now: float) -> None:
+    def write(self, commands: base_interface.JointCommands, now: float) -> None:
         state_machine = self.state_machine
         follows = state_machine.state.drives and not state_machine.ending
         if follows and not self._set_targets(commands):
@@ -228,17 +218,17 @@ class CanBase(BaseHandle):
 
     @property
     def disarming_reason(self) -> str:
-        if self._battery_level is BatteryLevel.STOP:
+        if self._battery_level is battery_and_io_drivers.BatteryLevel.STOP:
             return self.battery_supervision.reason
         return ""
 
     @property
     def is_homed(self) -> bool:
-        return self.state_machine.state is not BaseState.STANDBY
+        return self.state_machine.state is not base_state_machine.BaseState.STANDBY
 
     @property
     def is_homing(self) -> bool:
-        return self.state_machine.state is BaseState.HOMING
+        return self.state_machine.state is base_state_machine.BaseState.HOMING
 
     @property
     def ended(self) -> bool:
@@ -287,7 +277,7 @@ class CanBase(BaseHandle):
             while connection.outbox:
                 connection.send(connection.outbox.popleft(), self.period)
 
-    def batteries(self) -> dict[str, BatteryState]:
+    def batteries(self) -> dict[str, battery_and_io_drivers.BatteryState]:
         return {b.node.name: b.state for c in self.connections for b in c.batteries}
 
     def warnings(self, now: float) -> list[str]:
@@ -307,7 +297,7 @@ class CanBase(BaseHandle):
             "not_relayed": self.nodes.relay_drops(),
         }
 
-    def component_statuses(self, now: float) -> Iterator[ComponentStatus]:
+    def component_statuses(self, now: float) -> Iterator[base_interface.ComponentStatus]:
         return component_statuses(self.state_machine, self.battery_supervision, self.changes, now)
 
     def send_to_device(self, frame: CanFrame, now: float) -> str:
@@ -325,12 +315,12 @@ class CanBase(BaseHandle):
     def services(self) -> list[Service]:
         return list(bus_services(self.nodes))
 
-    def _note_change(self, now: float, state: BaseState, reason: str) -> None:
-        self.changes.append(StateChange(now, state, reason))
+    def _note_change(self, now: float, state: base_state_machine.BaseState, reason: str) -> None:
+        self.changes.append(base_state_machine.StateChange(now, state, reason))
 
     # -- inside --------------------------------------------------------------------------------
 
-    def _set_targets(self, commands: JointCommands) -> bool:
+    def _set_targets(self, commands: base_interface.JointCommands) -> bool:
         """Sets the target wheel speeds and target steering angles of all motors.
 
         Returns ``False`` and keeps all previous targets if a joint command is not a finite number.

@@ -43,13 +43,8 @@ from typing import NamedTuple
 from thorvaldc.can.canopen import NmtCommand
 from thorvaldc.model import Robot, stopping
 from thorvaldc.model.statics.slope import holds_without_torque
+from thorvaldc.runtime.can_base import motor_controller
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
-from thorvaldc.runtime.can_base.motor_controller import (
-    STANDING,
-    Axis,
-    FollowLimits,
-    MotorController,
-)
 
 
 class Rung(enum.IntEnum):
@@ -101,7 +96,9 @@ class StopTimes(NamedTuple):
 class _Climber:
     """A motor controller on the ladder."""
 
-    def __init__(self, connection: BusConnection, controller: MotorController) -> None:
+    def __init__(
+        self, connection: BusConnection, controller: motor_controller.MotorController
+    ) -> None:
         self.connection = connection
         self.controller = controller
         self.supervision = MotionSupervision(controller.axes, controller.follow_limits)
@@ -335,7 +332,7 @@ class StopLadder:
 #
 #     OFF            it stands; a motor that turns without torque is pushed by hand, or rolls
 
-LIMITS = FollowLimits()
+LIMITS = motor_controller.FollowLimits()
 REST_TRAVEL = 0.5
 """Longest travel (rad) of a wheel that is commanded to stand."""
 GRACE = 0.15
@@ -379,7 +376,7 @@ class _Target(NamedTuple):
 class _Follower:
     """Judges whether one motor follows its target."""
 
-    def __init__(self, axis: Axis, limits: FollowLimits) -> None:
+    def __init__(self, axis: motor_controller.Axis, limits: motor_controller.FollowLimits) -> None:
         self.axis = axis
         self.limits = limits
         self.forget()
@@ -426,7 +423,9 @@ class _Follower:
         axis, limits = self.axis, self.limits
         if axis.steering:
             error = target - axis.position
-            approaches = axis.velocity * error > 0.0 and abs(axis.velocity) >= STANDING
+            approaches = (
+                axis.velocity * error > 0.0 and abs(axis.velocity) >= motor_controller.STANDING
+            )
             deviates = abs(error) > limits.angle and not approaches
         else:
             deviates = self._update_wheel(now, target)
@@ -451,7 +450,7 @@ class _Follower:
             targets.append(_Target(now, self._rolling))
         while targets[0].time < now - self.limits.time:
             targets.popleft()
-        if not self.stands_by_command or abs(axis.velocity) <= STANDING:
+        if not self.stands_by_command or abs(axis.velocity) <= motor_controller.STANDING:
             self._travel = 0.0
         else:
             self._travel += axis.velocity * dt
@@ -472,7 +471,7 @@ class _Follower:
 class _Stopper:
     """Judges whether one motor slows down as promised after the command to stop."""
 
-    def __init__(self, axis: Axis) -> None:
+    def __init__(self, axis: motor_controller.Axis) -> None:
         self.axis = axis
         self.begin(0.0, 0.0)
 
@@ -498,13 +497,13 @@ class _Stopper:
         axis, dt = self.axis, min(now - self._updated_at, LONGEST_STEP)
         self._updated_at = now
         speed = abs(axis.velocity)
-        if speed > STANDING:
+        if speed > motor_controller.STANDING:
             self._turns_since = now
         rate = STOP_SHARE * axis.actuator.max_acceleration
         allowed = self._speed - rate * max(now - self._falls_at, 0.0)
         if allowed < LIMITS.speed:
             # The motor should stand by now.
-            self._travel = self._travel + speed * dt if speed > STANDING else 0.0
+            self._travel = self._travel + speed * dt if speed > motor_controller.STANDING else 0.0
         too_fast = speed > max(allowed, LIMITS.speed) and now > self._falls_at
         self._too_fast_since = min(self._too_fast_since, axis.time) if too_fast else math.inf
 
@@ -515,7 +514,9 @@ class MotionSupervision:
     The supervision starts anew whenever the command changes.
     """
 
-    def __init__(self, axes: Sequence[Axis], limits: FollowLimits = LIMITS) -> None:
+    def __init__(
+        self, axes: Sequence[motor_controller.Axis], limits: motor_controller.FollowLimits = LIMITS
+    ) -> None:
         """``limits``: limits of the driver, of which only the stricter ones count."""
         limits = LIMITS.stricter(limits)
         self._followers = [_Follower(axis, limits) for axis in axes]
@@ -563,9 +564,9 @@ class MotionSupervision:
         stands = all(stopper.stands(now) for stopper in self._stoppers)
         return Obedience.STANDS if stands else Obedience.SLOWS
 
-    def turning(self) -> Iterator[Axis]:
+    def turning(self) -> Iterator[motor_controller.Axis]:
         """Yields the motors that turn, by their newest reports."""
-        return (s.axis for s in self._stoppers if abs(s.axis.velocity) > STANDING)
+        return (s.axis for s in self._stoppers if abs(s.axis.velocity) > motor_controller.STANDING)
 
 
 RESET_TIME = 2.0

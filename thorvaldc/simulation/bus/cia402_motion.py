@@ -27,14 +27,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from thorvaldc.can.canopen import (
-    CHANGE_IMMEDIATELY,
-    NEW_SET_POINT,
-    REMOTE,
-    VOLTAGE_ENABLED,
-    DriveState,
-    Mode,
-)
+from thorvaldc.can import canopen
 
 # -- speed ramps and trapezoidal moves -------------------------------------------------------------
 
@@ -148,14 +141,17 @@ class Motion:
 
     def control(self, word: int) -> None:
         """Handles the bits of the CiA 402 control word that depend on the mode of operation."""
-        start = bool(word & NEW_SET_POINT)
+        start = bool(word & canopen.NEW_SET_POINT)
         if start and not self.start:
             self._start_pending = True
         if not start:
             self.acknowledged = self._next_goal is not None
         self.start = start
         self.halt = bool(word & HALT)
-        self._relative, self._immediately = bool(word & RELATIVE), bool(word & CHANGE_IMMEDIATELY)
+        self._relative, self._immediately = (
+            bool(word & RELATIVE),
+            bool(word & canopen.CHANGE_IMMEDIATELY),
+        )
 
     def rest(self, position: float, mode: int) -> None:
         """Stops the set-point at ``position`` (rad) and discards pending target positions."""
@@ -223,7 +219,7 @@ class Motion:
         ``dt`` is the time step (s) of the control loop.  Returns the speed set-point (rad/s) at the
         end of the speed ramp.
         """
-        if self.halt and self.mode == Mode.PROFILE_VELOCITY:
+        if self.halt and self.mode == canopen.Mode.PROFILE_VELOCITY:
             target = 0.0
         allowed = min(max(target, -bounds.velocity), bounds.velocity)
         room = (bounds.upper - position) if allowed > 0.0 else (position - bounds.lower)
@@ -334,7 +330,7 @@ class Reaction(NamedTuple):
     """
 
     quick: bool
-    next_state: DriveState
+    next_state: canopen.DriveState
 
 
 class StateMachine:
@@ -345,15 +341,15 @@ class StateMachine:
     """
 
     def __init__(self) -> None:
-        self.state = DriveState.NOT_READY
+        self.state = canopen.DriveState.NOT_READY
         self.reaction: Reaction | None = None
         self._control_word = 0
 
     def statusword(self) -> int:
-        word = self.state.value | REMOTE
-        if self.state is not DriveState.NOT_READY:
-            word |= VOLTAGE_ENABLED
-        if self.state in (DriveState.SWITCH_ON_DISABLED, DriveState.FAULT):
+        word = self.state.value | canopen.REMOTE
+        if self.state is not canopen.DriveState.NOT_READY:
+            word |= canopen.VOLTAGE_ENABLED
+        if self.state in (canopen.DriveState.SWITCH_ON_DISABLED, canopen.DriveState.FAULT):
             word |= QUICK_STOP_INACTIVE if self._control_word & QUICK_STOP else 0
         return word
 
@@ -366,52 +362,52 @@ class StateMachine:
         reset = bool(word & FAULT_RESET) and not self._control_word & FAULT_RESET
         self._control_word = word
         state = self.state
-        if state is DriveState.FAULT:
+        if state is canopen.DriveState.FAULT:
             if reset:
-                self.state = DriveState.SWITCH_ON_DISABLED
+                self.state = canopen.DriveState.SWITCH_ON_DISABLED
             return
-        if state in (DriveState.NOT_READY, DriveState.FAULT_REACTION_ACTIVE):
+        if state in (canopen.DriveState.NOT_READY, canopen.DriveState.FAULT_REACTION_ACTIVE):
             return
         if not word & ENABLE_VOLTAGE:
             self.disable()
         elif not word & QUICK_STOP:
-            if state is DriveState.OPERATION_ENABLED:
+            if state is canopen.DriveState.OPERATION_ENABLED:
                 self.quick_stop(quick_stop_option)
-            elif state is not DriveState.QUICK_STOP_ACTIVE:
+            elif state is not canopen.DriveState.QUICK_STOP_ACTIVE:
                 self.disable()
         elif not word & SWITCH_ON:
-            if state is not DriveState.QUICK_STOP_ACTIVE:
-                self._enter(DriveState.READY_TO_SWITCH_ON)
+            if state is not canopen.DriveState.QUICK_STOP_ACTIVE:
+                self._enter(canopen.DriveState.READY_TO_SWITCH_ON)
         elif not word & ENABLE_OPERATION:
             self._switch_on(disable_option)
         else:
             self._enable()
 
     def _switch_on(self, disable_option: int) -> None:
-        if self.state is DriveState.READY_TO_SWITCH_ON:
-            self._enter(DriveState.SWITCHED_ON)
-        elif self.state is DriveState.OPERATION_ENABLED and self.reaction is None:
+        if self.state is canopen.DriveState.READY_TO_SWITCH_ON:
+            self._enter(canopen.DriveState.SWITCHED_ON)
+        elif self.state is canopen.DriveState.OPERATION_ENABLED and self.reaction is None:
             if disable_option == 1:
-                self.reaction = Reaction(False, DriveState.SWITCHED_ON)
+                self.reaction = Reaction(False, canopen.DriveState.SWITCHED_ON)
             else:
-                self._enter(DriveState.SWITCHED_ON)
+                self._enter(canopen.DriveState.SWITCHED_ON)
 
     def _enable(self) -> None:
         if self.state in (
-            DriveState.READY_TO_SWITCH_ON,
-            DriveState.SWITCHED_ON,
-            DriveState.OPERATION_ENABLED,
+            canopen.DriveState.READY_TO_SWITCH_ON,
+            canopen.DriveState.SWITCHED_ON,
+            canopen.DriveState.OPERATION_ENABLED,
         ):
-            self._enter(DriveState.OPERATION_ENABLED)
-        elif self.state is DriveState.QUICK_STOP_ACTIVE:
+            self._enter(canopen.DriveState.OPERATION_ENABLED)
+        elif self.state is canopen.DriveState.QUICK_STOP_ACTIVE:
             reaction = self.reaction
-            if reaction is None or reaction.next_state is DriveState.QUICK_STOP_ACTIVE:
-                self._enter(DriveState.OPERATION_ENABLED)
+            if reaction is None or reaction.next_state is canopen.DriveState.QUICK_STOP_ACTIVE:
+                self._enter(canopen.DriveState.OPERATION_ENABLED)
 
     def disable(self) -> None:
         """Switches the power stage of the drive off without a stop ramp."""
-        if self.state is not DriveState.FAULT:
-            self._enter(DriveState.SWITCH_ON_DISABLED)
+        if self.state is not canopen.DriveState.FAULT:
+            self._enter(canopen.DriveState.SWITCH_ON_DISABLED)
 
     def quick_stop(self, option: int) -> None:
         """Starts a quick stop of the motor.
@@ -425,14 +421,16 @@ class StateMachine:
         The option codes 1 and 5 use the profile deceleration, and the option codes 2 and 6 use the
         quick stop deceleration.
         """
-        if self.state is not DriveState.OPERATION_ENABLED:
+        if self.state is not canopen.DriveState.OPERATION_ENABLED:
             return
         if option == 0:
             self.disable()
             return
         stays = option >= 5
-        next_state = DriveState.QUICK_STOP_ACTIVE if stays else DriveState.SWITCH_ON_DISABLED
-        self.state = DriveState.QUICK_STOP_ACTIVE
+        next_state = (
+            canopen.DriveState.QUICK_STOP_ACTIVE if stays else canopen.DriveState.SWITCH_ON_DISABLED
+        )
+        self.state = canopen.DriveState.QUICK_STOP_ACTIVE
         self.reaction = Reaction(option not in (1, 5), next_state)
 
     def fault(self, option: int) -> bool:
@@ -441,13 +439,13 @@ class StateMachine:
         ``option`` is the value of object 0x605E, which defines whether the motor stops on a ramp
         first.  Returns ``False`` if the drive is in the state FAULT already.
         """
-        if self.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
+        if self.state in (canopen.DriveState.FAULT, canopen.DriveState.FAULT_REACTION_ACTIVE):
             return False
         if self.state.powered and option != 0:
-            self.state = DriveState.FAULT_REACTION_ACTIVE
-            self.reaction = Reaction(option != 1, DriveState.FAULT)
+            self.state = canopen.DriveState.FAULT_REACTION_ACTIVE
+            self.reaction = Reaction(option != 1, canopen.DriveState.FAULT)
         else:
-            self._enter(DriveState.FAULT)
+            self._enter(canopen.DriveState.FAULT)
         return True
 
     def stopped(self) -> None:
@@ -455,6 +453,6 @@ class StateMachine:
         if self.reaction is not None:
             self._enter(self.reaction.next_state)
 
-    def _enter(self, state: DriveState) -> None:
+    def _enter(self, state: canopen.DriveState) -> None:
         self.state = state
         self.reaction = None

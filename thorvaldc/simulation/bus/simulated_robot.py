@@ -12,15 +12,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.can.frame import (
-    NEVER,
-    RECEIVE_LIMIT,
-    SEND_LIMIT,
-    CanFrame,
-    ErrorState,
-    ReceivedFrame,
-    to_ns,
-)
+from thorvaldc.can import frame as can_frame
 from thorvaldc.commissioning.planner import AttachStep
 from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.diagnostics.files import write_file
@@ -95,8 +87,8 @@ class VirtualTimeInterface:
         name: str = "client",
         bitrate: int | None = None,
         *,
-        send_limit: int = SEND_LIMIT,
-        receive_limit: int = RECEIVE_LIMIT,
+        send_limit: int = can_frame.SEND_LIMIT,
+        receive_limit: int = can_frame.RECEIVE_LIMIT,
         receive_own: bool = False,
         listen_only: bool = False,
         fifo: bool = False,
@@ -106,7 +98,7 @@ class VirtualTimeInterface:
         self.name = name
         self.receive_limit = receive_limit
         self.overruns = 0
-        self.received: deque[ReceivedFrame] = deque()
+        self.received: deque[can_frame.ReceivedFrame] = deque()
         self.controller = CanController(
             wire,
             name,
@@ -123,7 +115,7 @@ class VirtualTimeInterface:
         self.controller.switch_on()
 
     @property
-    def state(self) -> ErrorState:
+    def state(self) -> can_frame.ErrorState:
         return self.controller.state
 
     @property
@@ -135,7 +127,7 @@ class VirtualTimeInterface:
     def received_until(self) -> float:
         return self.timeline.seconds
 
-    def send(self, frame: CanFrame, timeout: float = 0.0) -> bool:
+    def send(self, frame: can_frame.CanFrame, timeout: float = 0.0) -> bool:
         """Adds a CAN frame to the send queue.
 
         The method waits at most ``timeout`` s for space in the send queue.  Returns ``False`` if
@@ -143,11 +135,11 @@ class VirtualTimeInterface:
         """
         controller = self.controller
         if controller.pending >= controller.queue_limit and timeout > 0.0:
-            limit = self.timeline.now + to_ns(timeout)
+            limit = self.timeline.now + can_frame.to_ns(timeout)
             self.timeline.run_until(limit, lambda: controller.pending < controller.queue_limit)
         return controller.send(frame)
 
-    def receive(self, timeout: float | None = None) -> ReceivedFrame | None:
+    def receive(self, timeout: float | None = None) -> can_frame.ReceivedFrame | None:
         """Returns the oldest CAN frame in the receive queue.
 
         Virtual time advances until a CAN frame is received.  Returns ``None`` if no CAN frame is
@@ -155,7 +147,11 @@ class VirtualTimeInterface:
         the simulation has no further events.
         """
         if not self.received and (timeout is None or timeout > 0.0):
-            limit = NEVER - 1 if timeout is None else self.timeline.now + to_ns(timeout)
+            limit = (
+                can_frame.NEVER - 1
+                if timeout is None
+                else self.timeline.now + can_frame.to_ns(timeout)
+            )
             if timeout is None:
                 while not self.received and self.timeline.next_time < limit:
                     self.timeline.run_until(self.timeline.next_time)
@@ -168,14 +164,14 @@ class VirtualTimeInterface:
 
         CAN frames that are received during the wait are added to the receive queue.
         """
-        self.timeline.run_until(self.timeline.now + to_ns(seconds))
+        self.timeline.run_until(self.timeline.now + can_frame.to_ns(seconds))
 
     def sleep_until(self, time: float) -> None:
         """Advances the virtual time to ``time`` (s).
 
         The method returns immediately if ``time`` is in the past.
         """
-        self.timeline.run_until(to_ns(time))
+        self.timeline.run_until(can_frame.to_ns(time))
 
     def restart(self) -> None:
         """Restarts the CAN controller after bus-off."""
@@ -184,11 +180,11 @@ class VirtualTimeInterface:
     def close(self) -> None:
         self.wire.detach(self.controller)
 
-    def _queue_received(self, frame: CanFrame, own: bool = False) -> None:
+    def _queue_received(self, frame: can_frame.CanFrame, own: bool = False) -> None:
         if len(self.received) >= self.receive_limit:
             self.overruns += 1
         else:
-            self.received.append(ReceivedFrame(self.timeline.now, frame, own))
+            self.received.append(can_frame.ReceivedFrame(self.timeline.now, frame, own))
 
 
 class SimulatedRobot:
@@ -281,7 +277,7 @@ class SimulatedRobot:
 
     def run(self, seconds: float) -> None:
         """Runs the simulation for ``seconds`` s of virtual time."""
-        self.timeline.run_until(self.timeline.now + to_ns(seconds))
+        self.timeline.run_until(self.timeline.now + can_frame.to_ns(seconds))
 
     def _add(
         self,

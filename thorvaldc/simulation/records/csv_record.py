@@ -27,13 +27,7 @@ from thorvaldc.model.scenario import GROUPS
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import Pose2, Twist, recorded_joints
 from thorvaldc.simulation.control_loop import Sample
-from thorvaldc.simulation.records.joint_csv import (
-    COMMAND,
-    POSITION,
-    POSITION_COMMAND,
-    VELOCITY,
-    joint_column,
-)
+from thorvaldc.simulation.records import joint_csv
 from thorvaldc.simulation.records.recorder import RecordedRun, SampleInterval, report_missing_robot
 
 _TWIST = ("vx", "vy", "wz")
@@ -54,9 +48,15 @@ def columns(robot: Robot, groups: Sequence[str]) -> list[str]:
     if "joints" in groups:
         drives, steering = recorded_joints(robot)
         for joint in drives:
-            names += [joint_column(joint, q) for q in (POSITION, VELOCITY, COMMAND)]
+            names += [
+                joint_csv.joint_column(joint, q)
+                for q in (joint_csv.POSITION, joint_csv.VELOCITY, joint_csv.COMMAND)
+            ]
         for joint in steering:
-            names += [joint_column(joint, q) for q in (POSITION, POSITION_COMMAND)]
+            names += [
+                joint_csv.joint_column(joint, q)
+                for q in (joint_csv.POSITION, joint_csv.POSITION_COMMAND)
+            ]
     return names
 
 
@@ -272,10 +272,10 @@ def sample_of(cells: Mapping[str, float], robot: Robot, has_joints: bool) -> Sam
     if has_joints:
         joints = JointStates(
             time,
-            _drives(cells, robot, VELOCITY),
-            _steering(cells, robot, POSITION),
-            _steering(cells, robot, VELOCITY),
-            _drives(cells, robot, POSITION),
+            _drives(cells, robot, joint_csv.VELOCITY),
+            _steering(cells, robot, joint_csv.POSITION),
+            _steering(cells, robot, joint_csv.VELOCITY),
+            _drives(cells, robot, joint_csv.POSITION),
         )
     z, roll, pitch = (cells.get(f"true_{part}", math.nan) for part in ("z", "roll", "pitch"))
     return Sample(
@@ -293,14 +293,17 @@ def sample_of(cells: Mapping[str, float], robot: Robot, has_joints: bool) -> Sam
 
 def commands_of(cells: Mapping[str, float], robot: Robot) -> JointCommands:
     """Returns the joint commands of a record from its values by column."""
-    return JointCommands(_drives(cells, robot, COMMAND), _steering(cells, robot, POSITION_COMMAND))
+    return JointCommands(
+        _drives(cells, robot, joint_csv.COMMAND),
+        _steering(cells, robot, joint_csv.POSITION_COMMAND),
+    )
 
 
 def _drives(cells: Mapping[str, float], robot: Robot, quantity: str) -> list[float]:
     joints = (wheel.spin_joint if wheel.driven else "" for wheel in robot.wheels)
-    return [cells.get(joint_column(joint, quantity), 0.0) for joint in joints]
+    return [cells.get(joint_csv.joint_column(joint, quantity), 0.0) for joint in joints]
 
 
 def _steering(cells: Mapping[str, float], robot: Robot, quantity: str) -> list[float]:
     joints = (wheel.steering_joint or "" for wheel in robot.wheels)
-    return [cells.get(joint_column(joint, quantity), 0.0) for joint in joints]
+    return [cells.get(joint_csv.joint_column(joint, quantity), 0.0) for joint in joints]

@@ -14,14 +14,8 @@ from thorvaldc.model import Robot
 from thorvaldc.model.scenario import GROUPS
 from thorvaldc.model.spatial import matrix_to_rpy, quat_to_matrix
 from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist, recorded_joints
+from thorvaldc.simulation.records import joint_csv
 from thorvaldc.simulation.records.csv_record import COLUMNS, commands_of, read_csv_record, sample_of
-from thorvaldc.simulation.records.joint_csv import (
-    COMMAND,
-    POSITION,
-    POSITION_COMMAND,
-    VELOCITY,
-    joint_column,
-)
 from thorvaldc.simulation.records.recorder import RecordedRun, report_missing_robot
 
 
@@ -230,15 +224,15 @@ class _BagRun:
                 names = [f"{name}_{part}" for part in Twist._fields]
                 cells |= zip(names, _twist(message.twist), strict=True)
         for topic, quantities in (
-            (ros_bag.JOINTS, (POSITION, VELOCITY)),
-            (ros_bag.COMMANDS, (POSITION_COMMAND, COMMAND)),
+            (ros_bag.JOINTS, (joint_csv.POSITION, joint_csv.VELOCITY)),
+            (ros_bag.COMMANDS, (joint_csv.POSITION_COMMAND, joint_csv.COMMAND)),
         ):
             message = self._message(topic, time)
             if message is not None:
                 for quantity, numbers in zip(
                     quantities, (message.position, message.velocity), strict=True
                 ):
-                    names = [joint_column(joint, quantity) for joint in message.name]
+                    names = [joint_csv.joint_column(joint, quantity) for joint in message.name]
                     cells |= zip(names, numbers.tolist(), strict=False)
         return cells
 

@@ -16,15 +16,7 @@ from thorvaldc.model import Inertial, Mesh, Pose
 from thorvaldc.model.spatial import float_sum
 from thorvaldc.model.statics.tip_over import convex_hull
 from thorvaldc.model.stl import RECORD, stl_triangles
-from thorvaldc.tools.audit.audit_facts import (
-    Body,
-    BodyJoint,
-    Description,
-    Evidence,
-    Fact,
-    ParameterSection,
-    SolidShape,
-)
+from thorvaldc.tools.audit import audit_facts as facts
 
 # Rounded inertias of thin bodies may break the triangle inequality a little.
 TOLERANCE = 0.01
@@ -34,13 +26,13 @@ MAX_LENGTH = 20.0  # m
 MAX_ANGLE = 4.0 * math.pi + 0.01  # rad; larger limits of joints are probably degrees
 
 
-def _bodies(evidence: Evidence) -> Iterator[tuple[Description, Body]]:
+def _bodies(evidence: facts.Evidence) -> Iterator[tuple[facts.Description, facts.Body]]:
     for description in evidence.descriptions:
         for body in description.bodies.values():
             yield description, body
 
 
-def _moving(description: Description) -> set[str]:
+def _moving(description: facts.Description) -> set[str]:
     """Returns the bodies that move against their parent and carry no fixed body with a mass."""
     moving = {
         joint.child for joint in description.joints.values() if joint.kind not in ("fixed", "free")
@@ -53,7 +45,7 @@ def _moving(description: Description) -> set[str]:
     return moving - carrying
 
 
-def check_masses(evidence: Evidence, report: Report) -> None:
+def check_masses(evidence: facts.Evidence, report: Report) -> None:
     """Reports masses that are negative, and moving bodies whose mass is zero."""
     for description, body in _bodies(evidence):
         if body.mass is None or body.mass_span is None:
@@ -69,7 +61,7 @@ def check_masses(evidence: Evidence, report: Report) -> None:
             )
 
 
-def check_inertias(evidence: Evidence, report: Report) -> None:
+def check_inertias(evidence: facts.Evidence, report: Report) -> None:
     """Reports inertias that no body has, and those too large for the size of the body."""
     for description, body in _bodies(evidence):
         if body.inertia is None or body.inertia_span is None or len(body.inertia) != 6:
@@ -105,7 +97,7 @@ def check_inertias(evidence: Evidence, report: Report) -> None:
             )
 
 
-def _half_diagonal(shape: SolidShape) -> float | None:
+def _half_diagonal(shape: facts.SolidShape) -> float | None:
     size = shape.size
     if shape.kind == "box":
         return math.hypot(*size) / 2.0
@@ -118,7 +110,7 @@ def _half_diagonal(shape: SolidShape) -> float | None:
     return None
 
 
-def _reach(body: Body) -> float | None:
+def _reach(body: facts.Body) -> float | None:
     """Returns an upper limit of the distance of two points of a body in m, if it is known."""
     reaches: list[float] = []
     for shape in body.shapes:
@@ -129,7 +121,7 @@ def _reach(body: Body) -> float | None:
     return 2.0 * max(reaches) if reaches else None
 
 
-def _volume(shape: SolidShape) -> float | None:
+def _volume(shape: facts.SolidShape) -> float | None:
     size = shape.size
     if shape.kind == "box":
         return size[0] * size[1] * size[2]
@@ -144,7 +136,7 @@ def _volume(shape: SolidShape) -> float | None:
     return None
 
 
-def check_densities(evidence: Evidence, report: Report) -> None:
+def check_densities(evidence: facts.Evidence, report: Report) -> None:
     """Reports bodies that are denser than any metal, or lighter than air in a foil."""
     for description, body in _bodies(evidence):
         if body.mass is None or body.mass_span is None or body.mass <= 0.0:
@@ -170,7 +162,7 @@ def check_densities(evidence: Evidence, report: Report) -> None:
             )
 
 
-def _carriers(description: Description) -> set[str]:
+def _carriers(description: facts.Description) -> set[str]:
     """Returns bodies to which fixed joints attach bodies with shapes: their mass may be merged."""
     return {
         joint.parent
@@ -181,7 +173,7 @@ def _carriers(description: Description) -> set[str]:
     }
 
 
-def check_lengths(evidence: Evidence, report: Report) -> None:
+def check_lengths(evidence: facts.Evidence, report: Report) -> None:
     """Reports shapes and meshes of a size that suggests millimetres, and missing mesh files."""
     for _, body in _bodies(evidence):
         for shape in body.shapes:
@@ -226,7 +218,7 @@ def check_lengths(evidence: Evidence, report: Report) -> None:
             )
 
 
-def _size_of_others(body: Body, mesh: SolidShape) -> float | None:
+def _size_of_others(body: facts.Body, mesh: facts.SolidShape) -> float | None:
     """Returns the largest half diagonal of the other shapes of a body, if it is known."""
     halves = [_half_diagonal(shape) for shape in body.shapes if shape is not mesh]
     known = [half for half in halves if half is not None and half > 0.0]
@@ -239,10 +231,10 @@ MAX_MESHES = 300
 _VERTICES = 30_000  # of a mesh with more, a part is read
 
 
-def _meshes(evidence: Evidence) -> list[tuple[Body, SolidShape, Path]]:
+def _meshes(evidence: facts.Evidence) -> list[tuple[facts.Body, facts.SolidShape, Path]]:
     """Returns the meshes of URDF and SDF with their files, if their package is audited."""
     paths: dict[tuple[Path, str], Path | None] = {}
-    meshes: list[tuple[Body, SolidShape, Path]] = []
+    meshes: list[tuple[facts.Body, facts.SolidShape, Path]] = []
     for description, body in _bodies(evidence):
         for shape in body.shapes if description.format != "MJCF" else ():
             if shape.kind == "mesh":
@@ -254,7 +246,7 @@ def _meshes(evidence: Evidence) -> list[tuple[Body, SolidShape, Path]]:
     return meshes
 
 
-def _mesh_path(name: str, description: Description, evidence: Evidence) -> Path | None:
+def _mesh_path(name: str, description: facts.Description, evidence: facts.Evidence) -> Path | None:
     for scheme in ("package://", "model://", "$(find "):
         if name.startswith(scheme):
             return evidence.file_in_package(
@@ -300,7 +292,7 @@ def _points(mesh: Mesh) -> list[tuple[float, ...]]:
     return list(itertools.chain.from_iterable(stl_triangles(mesh.data, step)))
 
 
-def check_angles(evidence: Evidence, report: Report) -> None:
+def check_angles(evidence: facts.Evidence, report: Report) -> None:
     """Reports angles of joints that suggest degrees."""
     for description in evidence.descriptions:
         for joint in description.joints.values():
@@ -330,17 +322,17 @@ FOOTPRINT_TOLERANCE = 0.02  # m
 Point = tuple[float, float]
 
 
-def footprint_of(section: ParameterSection) -> Fact | None:
+def footprint_of(section: facts.ParameterSection) -> facts.Fact | None:
     """Returns the polygon (m) or the radius (m) of a costmap, or ``None``."""
     subject = f"`{section.node}`"
     node = section.values.get("footprint")
     if node is not None and isinstance(node.value, str) and len(node.value) < 10_000:
         polygon = _polygon(node.value)
         if polygon is not None:
-            return Fact("footprint", subject, polygon, node.span, "m")
+            return facts.Fact("footprint", subject, polygon, node.span, "m")
     radius = section.number("robot_radius")
     if radius is not None and radius > 0.0:
-        return Fact("footprint", subject, radius, section.values["robot_radius"].span, "m")
+        return facts.Fact("footprint", subject, radius, section.values["robot_radius"].span, "m")
     return None
 
 
@@ -359,9 +351,9 @@ def _polygon(text: str) -> tuple[Point, ...] | None:
     return tuple((float(x), float(y)) for x, y in points)
 
 
-def check_footprints_agree(evidence: Evidence, report: Report) -> None:
+def check_footprints_agree(evidence: facts.Evidence, report: Report) -> None:
     """Reports costmaps of one file with different footprints."""
-    by_file: dict[str, Fact] = {}
+    by_file: dict[str, facts.Fact] = {}
     for section in evidence.sections:
         fact = footprint_of(section)
         if fact is None or not section.short_name.endswith("costmap"):
@@ -379,14 +371,14 @@ def check_footprints_agree(evidence: Evidence, report: Report) -> None:
             )
 
 
-def _shown(fact: Fact) -> str:
+def _shown(fact: facts.Fact) -> str:
     if isinstance(fact.value, tuple):
         points = ", ".join(f"[{x:g}, {y:g}]" for x, y in fact.value[:8])
         return f"[{points}{', ...' if len(fact.value) > 8 else ''}]"
     return f"of radius {plain(fact.value)} m"
 
 
-def check_footprints_cover(evidence: Evidence, report: Report) -> None:
+def check_footprints_cover(evidence: facts.Evidence, report: Report) -> None:
     """Reports footprints that leave out a part of the collision shapes."""
     for section in evidence.sections:
         fact = footprint_of(section)
@@ -412,8 +404,8 @@ def check_footprints_cover(evidence: Evidence, report: Report) -> None:
 
 
 def farthest_outside(
-    description: Description, base: str, fact: Fact
-) -> tuple[float, str, SolidShape] | None:
+    description: facts.Description, base: str, fact: facts.Fact
+) -> tuple[float, str, facts.SolidShape] | None:
     """Returns how far a body stands out of a footprint (m; negative: inside), and its shape.
 
     Only bodies on fixed joints and wheels count: an arm moves.  Meshes are left out.
@@ -423,7 +415,7 @@ def farthest_outside(
         return None
     parents = {joint.child: joint for joint in description.joints.values()}
     X_BW = poses[base].inverse()
-    best: tuple[float, str, SolidShape] | None = None
+    best: tuple[float, str, facts.SolidShape] | None = None
     for name, body in description.bodies.items():
         if not _is_rigid(name, parents):
             continue
@@ -437,7 +429,7 @@ def farthest_outside(
     return best
 
 
-def _is_rigid(name: str, parents: Mapping[str, BodyJoint]) -> bool:
+def _is_rigid(name: str, parents: Mapping[str, facts.BodyJoint]) -> bool:
     for _ in range(100):
         joint = parents.get(name)
         if joint is None:
@@ -448,7 +440,7 @@ def _is_rigid(name: str, parents: Mapping[str, BodyJoint]) -> bool:
     return False
 
 
-def _outline(shape: SolidShape, X_BL: Pose) -> list[Point]:
+def _outline(shape: facts.SolidShape, X_BL: Pose) -> list[Point]:
     """Returns points of a shape that stand out farthest, in the frame of the robot."""
     pose = X_BL * shape.pose
     size = shape.size
@@ -467,7 +459,7 @@ def _outline(shape: SolidShape, X_BL: Pose) -> list[Point]:
 _CIRCLE = [(math.cos(i * math.pi / 12), math.sin(i * math.pi / 12)) for i in range(24)]
 
 
-def _distance(fact: Fact, x: float, y: float) -> float:
+def _distance(fact: facts.Fact, x: float, y: float) -> float:
     """Returns the distance of a point from a footprint in m, negative inside."""
     if not isinstance(fact.value, tuple):
         return math.hypot(x, y) - float(fact.value)

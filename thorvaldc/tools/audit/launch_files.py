@@ -13,13 +13,7 @@ from typing import Any
 from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Span
-from thorvaldc.tools.audit.audit_facts import (
-    Evidence,
-    Fact,
-    LaunchedNode,
-    LaunchFile,
-    UnreadableFileError,
-)
+from thorvaldc.tools.audit import audit_facts as facts
 from thorvaldc.tools.audit.descriptions import walk
 
 # -- plain values in the syntax tree of a Python launch file ----------------------------
@@ -162,7 +156,7 @@ def is_python_launch(data: bytes) -> bool:
     return b"generate_launch_description" in data
 
 
-def read_python(data: bytes, file: str, path: Path) -> LaunchFile:
+def read_python(data: bytes, file: str, path: Path) -> facts.LaunchFile:
     """Reads a Python launch file.  Raises ``UnreadableFileError``."""
     try:
         with warnings.catch_warnings():
@@ -170,9 +164,9 @@ def read_python(data: bytes, file: str, path: Path) -> LaunchFile:
             tree = ast.parse(data)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         line = f" (line {error.lineno})" if isinstance(error, SyntaxError) else ""
-        raise UnreadableFileError(f"it is not Python{line}") from None
+        raise facts.UnreadableFileError(f"it is not Python{line}") from None
     values = LaunchValues(tree)
-    launch = LaunchFile(file, path)
+    launch = facts.LaunchFile(file, path)
     for call, conditional in _calls(tree):
         name = call_name(call)
         span = _span(call, file)
@@ -184,7 +178,7 @@ def read_python(data: bytes, file: str, path: Path) -> LaunchFile:
                 source = source[0] if len(source) == 1 else None
             if isinstance(source, str):
                 kind = "conditional include" if conditional else "include"
-                launch.includes.append(Fact(kind, "launch file", source, span))
+                launch.includes.append(facts.Fact(kind, "launch file", source, span))
     return launch
 
 
@@ -209,13 +203,13 @@ def _calls(tree: ast.AST) -> Iterator[tuple[ast.Call, bool]]:
 
 def _python_node(
     call: ast.Call, values: LaunchValues, span: Span, conditional: bool
-) -> LaunchedNode:
+) -> facts.LaunchedNode:
     def text(name: str) -> str:
         value = values.value(keyword(call, name))
         return value if isinstance(value, str) else ""
 
-    parameters: dict[str, Fact] = {}
-    files: list[Fact] = []
+    parameters: dict[str, facts.Fact] = {}
+    files: list[facts.Fact] = []
     listed = keyword(call, "parameters")
     if isinstance(listed, ast.Name):
         listed = values.names.get(listed.id)
@@ -223,11 +217,11 @@ def _python_node(
         value = values.value(item)
         place = _span(item, span.file)
         if isinstance(value, str):
-            files.append(Fact("parameter file", text("name"), value, place))
+            files.append(facts.Fact("parameter file", text("name"), value, place))
         for name, entry in plain_parameters(value).items():
-            parameters[name] = Fact("parameter", name, entry, _entry_span(item, name, place))
+            parameters[name] = facts.Fact("parameter", name, entry, _entry_span(item, name, place))
     remappings = values.value(keyword(call, "remappings"))
-    return LaunchedNode(
+    return facts.LaunchedNode(
         package=text("package"),
         executable=text("executable") or text("plugin"),
         name=text("name"),
@@ -276,9 +270,9 @@ def _texts(value: Any) -> list[str]:
 _SUBSTITUTION = re.compile(r"\$\(([\w-]+)\s*([^()]*)\)")
 
 
-def read_xml(root: Element, file: str, path: Path) -> LaunchFile:
+def read_xml(root: Element, file: str, path: Path) -> facts.LaunchFile:
     """Reads the element ``<launch>`` of an XML launch file."""
-    launch = LaunchFile(file, path)
+    launch = facts.LaunchFile(file, path)
     defaults = {
         element.attributes.get("name", ""): element.attributes["default"]
         for element in walk(root)
@@ -297,7 +291,7 @@ def read_xml(root: Element, file: str, path: Path) -> LaunchFile:
                 kind = "conditional include" if decided else "include"
                 name = substituted(attributes.get("file", ""), defaults)
                 if name is not None:
-                    launch.includes.append(Fact(kind, "launch file", name, child.span))
+                    launch.includes.append(facts.Fact(kind, "launch file", name, child.span))
             elif child.tag in ("node", "composable_node"):
                 launch.nodes.append(_node_of(child, defaults, decided, namespace))
             else:
@@ -307,7 +301,7 @@ def read_xml(root: Element, file: str, path: Path) -> LaunchFile:
     return launch
 
 
-def read_yaml(document: Node, file: str, path: Path) -> LaunchFile:
+def read_yaml(document: Node, file: str, path: Path) -> facts.LaunchFile:
     """Reads the list ``launch`` of a YAML launch file, whose entries are elements as in XML."""
     return read_xml(_element("launch", document, path), file, path)
 
@@ -336,10 +330,10 @@ def _element(tag: str, node: Node, path: Path) -> Element:
 
 def _node_of(
     element: Element, defaults: dict[str, str], conditional: bool, namespace: str
-) -> LaunchedNode:
+) -> facts.LaunchedNode:
     attributes = element.attributes
-    parameters: dict[str, Fact] = {}
-    files: list[Fact] = []
+    parameters: dict[str, facts.Fact] = {}
+    files: list[facts.Fact] = []
     remappings: list[tuple[str, str]] = []
     for child in element.children:
         if child.tag == "remap":
@@ -350,11 +344,11 @@ def _node_of(
         name = child.attributes.get("name", "")
         text = substituted(source or child.attributes.get("value", ""), defaults)
         if not source:
-            parameters[name] = Fact("parameter", name, _scalar(text), child.span)
+            parameters[name] = facts.Fact("parameter", name, _scalar(text), child.span)
         elif text is not None:
-            files.append(Fact("parameter file", name, text, child.span))
+            files.append(facts.Fact("parameter file", name, text, child.span))
     own = attributes.get("namespace", attributes.get("ns", ""))
-    return LaunchedNode(
+    return facts.LaunchedNode(
         package=attributes.get("pkg", ""),
         executable=attributes.get("exec", attributes.get("type", attributes.get("plugin", ""))),
         name=attributes.get("name", ""),
@@ -404,7 +398,9 @@ def _scalar(text: str | None) -> Any:
 MAX_LAUNCH_FILES = 200
 
 
-def launched_nodes(launch: LaunchFile, evidence: Evidence) -> Iterator[LaunchedNode]:
+def launched_nodes(
+    launch: facts.LaunchFile, evidence: facts.Evidence
+) -> Iterator[facts.LaunchedNode]:
     """Yields the nodes of a launch file and of the files that it includes without condition."""
     by_path = {os.path.realpath(other.path): other for other in evidence.launches}
     open_files, known = [launch], {os.path.realpath(launch.path)}
@@ -419,7 +415,7 @@ def launched_nodes(launch: LaunchFile, evidence: Evidence) -> Iterator[LaunchedN
                 open_files.append(by_path[real])
 
 
-def resolved(fact: Fact, launch: LaunchFile, evidence: Evidence) -> Path | None:
+def resolved(fact: facts.Fact, launch: facts.LaunchFile, evidence: facts.Evidence) -> Path | None:
     """Returns the path of a file that a launch file names, or ``None`` outside of the audit."""
     name = str(fact.value)
     if name.startswith("package://"):

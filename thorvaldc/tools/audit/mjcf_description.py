@@ -12,17 +12,7 @@ from pathlib import Path
 
 from thorvaldc.compiler.extras.xacro_expand import Element
 from thorvaldc.diagnostics import Report, did_you_mean
-from thorvaldc.model import Pose, Vec3
-from thorvaldc.model.spatial import (
-    add,
-    norm,
-    quat_from_axis_angle,
-    quat_from_z_to,
-    quat_multiply,
-    quat_normalize,
-    scale,
-    sub,
-)
+from thorvaldc.model import Pose, Vec3, spatial
 from thorvaldc.tools.audit.audit_facts import Body, BodyJoint, Description, Fact, SolidShape
 from thorvaldc.tools.audit.descriptions import numbers, vector
 
@@ -106,25 +96,29 @@ class _Reader:
         position = vector(attributes.get("pos"))
         quat = numbers(attributes.get("quat"), 4)
         if quat is not None and any(quat):
-            return Pose(position, quat_normalize((quat[0], quat[1], quat[2], quat[3])))
+            return Pose(position, spatial.quat_normalize((quat[0], quat[1], quat[2], quat[3])))
         axis_angle = numbers(attributes.get("axisangle"), 4)
         if axis_angle is not None and any(axis_angle[:3]):
             axis = (axis_angle[0], axis_angle[1], axis_angle[2])
-            return Pose(position, quat_from_axis_angle(_unit(axis), axis_angle[3] * self.angle))
+            return Pose(
+                position, spatial.quat_from_axis_angle(_unit(axis), axis_angle[3] * self.angle)
+            )
         euler = numbers(attributes.get("euler"), 3)
         if euler is not None:
             rotation = (1.0, 0.0, 0.0, 0.0)
             for letter, value in zip(self.sequence, euler, strict=False):
                 axis = _AXES.get(letter.lower(), (1.0, 0.0, 0.0))
-                turn = quat_from_axis_angle(axis, value * self.angle)
+                turn = spatial.quat_from_axis_angle(axis, value * self.angle)
                 intrinsic = letter.islower()
                 rotation = (
-                    quat_multiply(rotation, turn) if intrinsic else quat_multiply(turn, rotation)
+                    spatial.quat_multiply(rotation, turn)
+                    if intrinsic
+                    else spatial.quat_multiply(turn, rotation)
                 )
-            return Pose(position, quat_normalize(rotation))
+            return Pose(position, spatial.quat_normalize(rotation))
         z_axis = vector(attributes.get("zaxis"))
         if any(z_axis):
-            return Pose(position, quat_from_z_to(_unit(z_axis)))
+            return Pose(position, spatial.quat_from_z_to(_unit(z_axis)))
         return Pose(position)
 
     def children(self, element: Element, owner: str, class_name: str, offset: Pose) -> None:
@@ -198,11 +192,11 @@ class _Reader:
         ends = numbers(attributes.get("fromto"), 6)
         if ends is not None and sizes:
             start, end = (ends[0], ends[1], ends[2]), (ends[3], ends[4], ends[5])
-            along = sub(end, start)
-            if norm(along) > 0.0:
-                middle = scale(0.5, add(start, end))
-                pose = Pose(middle, quat_from_z_to(_unit(along)))
-                sizes = (sizes[0], norm(along) / 2.0)
+            along = spatial.sub(end, start)
+            if spatial.norm(along) > 0.0:
+                middle = spatial.scale(0.5, spatial.add(start, end))
+                pose = Pose(middle, spatial.quat_from_z_to(_unit(along)))
+                sizes = (sizes[0], spatial.norm(along) / 2.0)
         collides = (
             attributes.get("contype", "1") != "0" or attributes.get("conaffinity", "1") != "0"
         )
@@ -253,4 +247,4 @@ def _is_number(text: str) -> bool:
 
 
 def _unit(a: Vec3) -> Vec3:
-    return scale(1.0 / norm(a), a)
+    return spatial.scale(1.0 / spatial.norm(a), a)

@@ -19,16 +19,7 @@ from pathlib import Path
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, plain
 from thorvaldc.model.spatial import float_sum
-from thorvaldc.tools.importer import devices, frame_and_drives, original_file
-from thorvaldc.tools.importer.robot_text import (
-    ROOT_MODULE,
-    Module,
-    Mount,
-    Names,
-    Robot,
-    as_id,
-    render,
-)
+from thorvaldc.tools.importer import devices, frame_and_drives, original_file, robot_text
 
 _DRIVES = "motor_drives"
 _MAX_NESTING = 8
@@ -99,7 +90,7 @@ def _import(path: Path, report: Report) -> ImportResult:
         f"Converted from {path.name}, a configuration file of the original system.",
         "Numbers that are not in this file come from the library.",
     ]
-    return ImportResult(render(robot), report, log.conversions)
+    return ImportResult(robot_text.render(robot), report, log.conversions)
 
 
 def _find_root(node: Node, key: original_file.Key) -> tuple[original_file.Key, Node] | None:
@@ -122,20 +113,20 @@ def _robot_name(root: original_file.OriginalMapping, path: Path) -> str:
     `robot_name`, the name of the robot is the key of the innermost mapping that contains
     `motor_drives`.  If no mapping key is a robot name, the name of the robot is the file name.
     """
-    outer_keys = [key for key in root.key if as_id(key) not in _GENERIC_KEYS]
+    outer_keys = [key for key in root.key if robot_text.as_id(key) not in _GENERIC_KEYS]
     return (
-        as_id(root.text("robot_name") or "")
-        or next((as_id(key) for key in reversed(outer_keys)), "")
-        or as_id(path.name.split(".")[0])
+        robot_text.as_id(root.text("robot_name") or "")
+        or next((robot_text.as_id(key) for key in reversed(outer_keys)), "")
+        or robot_text.as_id(path.name.split(".")[0])
         or "robot"
     )
 
 
-def _convert(root: original_file.OriginalMapping, name: str) -> Robot | None:
-    robot = Robot(name)
+def _convert(root: original_file.OriginalMapping, name: str) -> robot_text.Robot | None:
+    robot = robot_text.Robot(name)
     _convert_settings(root, robot)
     calculator = root.text("base_calculator")
-    names = Names((ROOT_MODULE,))
+    names = robot_text.Names((robot_text.ROOT_MODULE,))
     drives = frame_and_drives.read_drives(root.children(_DRIVES), names)
     if not drives and not root.report.has_errors:
         root.report_error("import-missing", f"`{_DRIVES}` is empty: a robot has at least one drive")
@@ -154,8 +145,10 @@ def _convert(root: original_file.OriginalMapping, name: str) -> Robot | None:
     robot.base_calculator = _base_calculator(root, calculator, wheel_modules)
     robot.defaults = frame_and_drives.share_params(wheel_modules)
     robot.modules = [
-        Module(
-            ROOT_MODULE, "frame/open", comments=[f"height over the ground: {plain(frame.height)} m"]
+        robot_text.Module(
+            robot_text.ROOT_MODULE,
+            "frame/open",
+            comments=[f"height over the ground: {plain(frame.height)} m"],
         ),
         *frame.modules,
         *beams,
@@ -168,14 +161,14 @@ def _convert(root: original_file.OriginalMapping, name: str) -> Robot | None:
     return robot
 
 
-def _convert_settings(root: original_file.OriginalMapping, robot: Robot) -> None:
+def _convert_settings(root: original_file.OriginalMapping, robot: robot_text.Robot) -> None:
     """Converts the parameters of the original base driver that robot.yaml can express."""
     rate = root.number("rate", low=1.0, high=1000.0)
     if rate is not None:
         robot.driver["rate"] = f"{rate:g} Hz"
     prefix = root.text("tf_prefix")
     if prefix:
-        robot.namespace = as_id(prefix)
+        robot.namespace = robot_text.as_id(prefix)
     for key, reason in (
         ("can_interface_type", "the bus is chosen when the driver starts"),
         ("can_interface_name", "the bus is chosen when the driver starts"),
@@ -190,7 +183,7 @@ def _convert_settings(root: original_file.OriginalMapping, robot: Robot) -> None
 
 
 def _base_calculator(
-    root: original_file.OriginalMapping, text: str | None, wheel_modules: list[Module]
+    root: original_file.OriginalMapping, text: str | None, wheel_modules: list[robot_text.Module]
 ) -> str:
     """Returns the name of the base calculator that replaces the original base calculator.
 
@@ -235,8 +228,8 @@ def _base_calculator(
 
 
 def _read_sensors(
-    root: original_file.OriginalMapping, parents: devices.ParentFrames, names: Names
-) -> list[Module]:
+    root: original_file.OriginalMapping, parents: devices.ParentFrames, names: robot_text.Names
+) -> list[robot_text.Module]:
     """Returns the modules of all sensors in the original file.
 
     The value of a sensor key is one sensor, a list of sensors or a mapping of sensors.
@@ -271,12 +264,12 @@ Point = tuple[float, float]  # x, y in base_link, m
 
 
 def add_casters(
-    wheel_modules: Sequence[Module],
+    wheel_modules: Sequence[robot_text.Module],
     source: original_file.OriginalMapping,
     frame_height: float,
     frame_center_x: float,
-    names: Names,
-) -> list[Module]:
+    names: robot_text.Names,
+) -> list[robot_text.Module]:
     """Returns two casters if all driven wheels are on one straight line.
 
     If the driven wheels are not on one straight line, no casters are needed and the list is empty.
@@ -299,10 +292,10 @@ def add_casters(
         hint="correct type and position of the passive wheels in the robot.yaml",
     )
     return [
-        Module(
+        robot_text.Module(
             names.make(f"support_{i}", "support"),
             module_type,
-            Mount((x, y, height - frame_height)),
+            robot_text.Mount((x, y, height - frame_height)),
             {"height": height},
             comments=["assumed: original files do not contain passive wheels"],
         )

@@ -17,15 +17,9 @@ from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.tools.language_server import code_completion, module_references
+from thorvaldc.tools.language_server import code_completion, module_references, open_document
 from thorvaldc.tools.language_server.hover import hover_at
 from thorvaldc.tools.language_server.module_view import ModuleView
-from thorvaldc.tools.language_server.open_document import (
-    OpenDocument,
-    SourceText,
-    uri_of,
-    workspace_documents,
-)
 
 MAX_VIEWS = 16
 """Number of documents whose modules stay in memory."""
@@ -64,7 +58,7 @@ class Features:
     def __init__(self) -> None:
         self._views: OrderedDict[object, ModuleView] = OrderedDict()
 
-    def _view(self, document: OpenDocument, session: Session) -> ModuleView | None:
+    def _view(self, document: open_document.OpenDocument, session: Session) -> ModuleView | None:
         """Returns the modules of a document, from the cache if no open text has changed.
 
         Returns ``None`` if the document is not one of thorvaldc.
@@ -82,7 +76,7 @@ class Features:
     # -- one document -------------------------------------------------------------------
 
     def hover(
-        self, document: OpenDocument, params: types.HoverParams, session: Session
+        self, document: open_document.OpenDocument, params: types.HoverParams, session: Session
     ) -> types.Hover | None:
         view = self._view(document, session)
         if view is None:
@@ -96,7 +90,7 @@ class Features:
         return types.Hover(content, document.source.range(span))
 
     def completion(
-        self, document: OpenDocument, params: types.CompletionParams, session: Session
+        self, document: open_document.OpenDocument, params: types.CompletionParams, session: Session
     ) -> types.CompletionList | None:
         if document.kind is None:
             return None
@@ -114,7 +108,7 @@ class Features:
         return types.CompletionList(False, items)
 
     def definition(
-        self, document: OpenDocument, params: types.DefinitionParams, session: Session
+        self, document: open_document.OpenDocument, params: types.DefinitionParams, session: Session
     ) -> types.Location | None:
         view = self._view(document, session)
         if view is None:
@@ -124,14 +118,14 @@ class Features:
         return _location(*target, document, session) if target is not None else None
 
     def symbols(
-        self, document: OpenDocument, params: object, session: object
+        self, document: open_document.OpenDocument, params: object, session: object
     ) -> list[types.DocumentSymbol]:
         if document.kind is None or document.tree is None:
             return []
         return _symbols(document.tree, document.source)
 
     def formatting(
-        self, document: OpenDocument, params: object, session: object
+        self, document: open_document.OpenDocument, params: object, session: object
     ) -> list[types.TextEdit]:
         if document.kind is None:
             return []
@@ -141,7 +135,7 @@ class Features:
     # -- references ---------------------------------------------------------------------
 
     def _module(
-        self, document: OpenDocument, position: types.Position, session: Session
+        self, document: open_document.OpenDocument, position: types.Position, session: Session
     ) -> tuple[ModuleView, str, Span] | None:
         """Returns the name of the module at a position of a robot or assembly, and its span."""
         view = self._view(document, session)
@@ -152,17 +146,17 @@ class Features:
         return (view, *module) if module is not None else None
 
     def _uses(
-        self, document: OpenDocument, position: types.Position, session: Session
+        self, document: open_document.OpenDocument, position: types.Position, session: Session
     ) -> tuple[ModuleView, list[module_references.Use]] | None:
         module = self._module(document, position, session)
         if module is None or module[0].tree.get("modules") is None:
             return None
         view, name, _ = module
-        others = workspace_documents(session.workspace, session.texts, session.uris)
+        others = open_document.workspace_documents(session.workspace, session.texts, session.uris)
         return view, module_references.uses_of(view, document, name, others)
 
     def references(
-        self, document: OpenDocument, params: types.ReferenceParams, session: Session
+        self, document: open_document.OpenDocument, params: types.ReferenceParams, session: Session
     ) -> list[types.Location]:
         answer = self._uses(document, params.position, session)
         return [
@@ -172,7 +166,10 @@ class Features:
         ]
 
     def prepare_rename(
-        self, document: OpenDocument, params: types.PrepareRenameParams, session: Session
+        self,
+        document: open_document.OpenDocument,
+        params: types.PrepareRenameParams,
+        session: Session,
     ) -> types.PrepareRenamePlaceholder | None:
         module = self._module(document, params.position, session)
         if module is None:
@@ -181,7 +178,7 @@ class Features:
         return types.PrepareRenamePlaceholder(document.source.range(span), name)
 
     def rename(
-        self, document: OpenDocument, params: types.RenameParams, session: Session
+        self, document: open_document.OpenDocument, params: types.RenameParams, session: Session
     ) -> types.WorkspaceEdit:
         """Returns the changes of all documents.  Raises ``RenameError``."""
         answer = self._uses(document, params.position, session)
@@ -201,7 +198,11 @@ class Features:
 
 
 def _completion_item(
-    source: SourceText, start: int, offset: int, number: int, proposal: code_completion.Proposed
+    source: open_document.SourceText,
+    start: int,
+    offset: int,
+    number: int,
+    proposal: code_completion.Proposed,
 ) -> types.CompletionItem:
     place = types.Range(source.position(start + proposal.start), source.position(offset))
     text = proposal.text
@@ -221,7 +222,9 @@ def _completion_item(
     )
 
 
-def _location(path: Path, span: Span, document: OpenDocument, session: Session) -> types.Location:
+def _location(
+    path: Path, span: Span, document: open_document.OpenDocument, session: Session
+) -> types.Location:
     if path == document.path:
         return types.Location(document.uri, document.source.range(span))
     real_path = os.path.realpath(path)
@@ -231,8 +234,8 @@ def _location(path: Path, span: Span, document: OpenDocument, session: Session) 
             text = path.read_bytes() if span.line > 1 or span.column > 1 else b""
         except OSError:
             text = b""
-    source = SourceText(text.decode("utf-8", "replace"))
-    uri = session.uris.get(real_path, uri_of(real_path))
+    source = open_document.SourceText(text.decode("utf-8", "replace"))
+    uri = session.uris.get(real_path, open_document.uri_of(real_path))
     return types.Location(uri, source.range(span))
 
 
@@ -243,7 +246,9 @@ MAX_ENTRIES = 2000
 _NAMED = frozenset(["modules", "robots", "params", "links", "joints", "ports", "motors", "wheels"])
 
 
-def _symbols(node: Node, source: SourceText, section: str = "") -> list[types.DocumentSymbol]:
+def _symbols(
+    node: Node, source: open_document.SourceText, section: str = ""
+) -> list[types.DocumentSymbol]:
     """Returns the entries of a document, or of one of its sections, with the modules inside."""
     symbols: list[types.DocumentSymbol] = []
     for key, child in list(entries(node).items())[:MAX_ENTRIES]:
@@ -353,9 +358,9 @@ def _formatted_line(line: str) -> str:
     return stripped[: flow.end()] + _COMMA.sub(", ", stripped[flow.end() :])
 
 
-def _line_edits(source: SourceText, text: str) -> Iterable[types.TextEdit]:
+def _line_edits(source: open_document.SourceText, text: str) -> Iterable[types.TextEdit]:
     """Yields an edit for each changed group of lines, so that the cursor stays in its line."""
-    after = SourceText(text).lines
+    after = open_document.SourceText(text).lines
     matcher = difflib.SequenceMatcher(None, source.lines, after, autojunk=False)
     starts = [*source.starts, len(source.text)]
     for tag, start, end, new_start, new_end in matcher.get_opcodes():

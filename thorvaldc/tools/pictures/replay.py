@@ -9,14 +9,8 @@ from contextlib import ExitStack
 from itertools import pairwise
 from pathlib import Path
 
+from thorvaldc.cli import run_outputs
 from thorvaldc.cli.diagnostic_output import message, print_json, report_of, show_report, table_width
-from thorvaldc.cli.run_outputs import (
-    Robots,
-    RunPictures,
-    open_recorders,
-    record_summary,
-    write_errors,
-)
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.compiler.result import Compilation
 from thorvaldc.diagnostics import DiagnosticError, Report, Span
@@ -219,7 +213,7 @@ def replay_run(
     compilation: Compilation,
     model: Robot | Fleet,
     source: str,
-    pictures: RunPictures,
+    pictures: run_outputs.RunPictures,
     record: str,
     json: bool,
 ) -> int:
@@ -275,30 +269,32 @@ def arrangement(
     return arrange
 
 
-def _robots_of(model: Robot | Fleet) -> Robots:
+def _robots_of(model: Robot | Fleet) -> run_outputs.Robots:
     if isinstance(model, Fleet):
         return [(placement.name, placement.robot) for placement in model.placements]
     return [(model.name, model)]
 
 
 def _read_record(
-    source: str, robots: Robots, *, for_plot: bool
+    source: str, robots: run_outputs.Robots, *, for_plot: bool
 ) -> tuple[dict[str, RecordedRun] | None, int]:
     """Returns the recorded runs by robot name, and the exit status for the diagnostics of the
     record."""
     report = Report()
-    with write_errors(source):
+    with run_outputs.write_errors(source):
         runs = read_replay_record(Path(source), robots, report, for_plot=for_plot)
     return runs, show_report(report, text_sources(Path(source)))
 
 
-def _convert_record(record: str, robots: Robots, runs: Mapping[str, RecordedRun]) -> None:
+def _convert_record(
+    record: str, robots: run_outputs.Robots, runs: Mapping[str, RecordedRun]
+) -> None:
     groups: Sequence[str] = next(iter(runs.values())).groups
     with ExitStack() as stack:
-        for recorder in open_recorders(record, robots, groups, 0.0, stack):
+        for recorder in run_outputs.open_recorders(record, robots, groups, 0.0, stack):
             for name, sample, commands in _by_time(runs):
                 recorder.record(name, sample, commands)
-    message(record_summary(record, robots))
+    message(run_outputs.record_summary(record, robots))
 
 
 def _by_time(

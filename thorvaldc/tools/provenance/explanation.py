@@ -11,15 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc import backends
+from thorvaldc.comparison import robot_difference as difference
 from thorvaldc.comparison.robot_comparison import is_derived
-from thorvaldc.comparison.robot_difference import (
-    ABSENT,
-    ORDER,
-    ValuePath,
-    field_unit,
-    leaf_differences,
-    model_document,
-)
 from thorvaldc.compiler.modules.module_parameters import ModuleChoice, Scope
 from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.pipeline import emit
@@ -113,7 +106,7 @@ class Explainer:
     ) -> None:
         self.robot = robot
         self.probe = influence_search.RobotProbe(path, library, trust, stack)
-        self.document = model_document(robot)
+        self.document = difference.model_document(robot)
 
     def explain(self, text: str) -> Explanation:
         """Returns the explanation of a value: of the model, of a module or of an output.
@@ -135,7 +128,7 @@ class Explainer:
     def _explain_model_value(self, text: str) -> Explanation:
         path = value_paths.resolve_path(self.document, text)
         value = value_paths.value_at(self.document, path)
-        explanation = Explanation(".".join(path), value, field_unit(path))
+        explanation = Explanation(".".join(path), value, difference.field_unit(path))
         explanation.element = _span_of(self.robot, path)
         explanation.types = self._types(_module_at(self.document, path))
         new = value_paths.changed_value(value, influence_search.SMALL_CHANGE)
@@ -164,7 +157,7 @@ class Explainer:
 
         path = value_paths.resolve_path(document(self.robot), text)
         value = value_paths.value_at(document(self.robot), path)
-        explanation = Explanation(".".join(path), value, field_unit(path))
+        explanation = Explanation(".".join(path), value, difference.field_unit(path))
         explanation.is_varied = (
             value_paths.changed_value(explanation.value, influence_search.SMALL_CHANGE) is not None
         )
@@ -207,7 +200,9 @@ class Explainer:
         changed = self._changed(sources)
         explanation.is_varied = changed is not None
         if changed is not None:
-            leaves = list(leaf_differences(self.document, model_document(changed)))
+            leaves = list(
+                difference.leaf_differences(self.document, difference.model_document(changed))
+            )
             leaves.sort(key=is_derived)
             explanation.model_values = [leaf.text_path for leaf in leaves]
             explanation.uses = list(self._uses(lambda: changed))
@@ -267,7 +262,9 @@ class Explainer:
             explanation.types = self._types(modules.pop())
         return explanation
 
-    def _model_sources(self, read: Callable[[Robot], Any]) -> tuple[list[ValuePath], bool]:
+    def _model_sources(
+        self, read: Callable[[Robot], Any]
+    ) -> tuple[list[difference.ValuePath], bool]:
         """Returns the values of the model that an output value is computed from.
 
         A robot with other numbers in all documents gives each value of the model another value.
@@ -281,10 +278,11 @@ class Explainer:
         changes = {
             leaf.path: leaf.after
             for robot in search.robots_with_other_numbers(self.probe.values())
-            for leaf in leaf_differences(self.document, model_document(robot))
-            if ABSENT not in (leaf.before, leaf.after) and ORDER not in leaf.path
+            for leaf in difference.leaf_differences(self.document, difference.model_document(robot))
+            if difference.ABSENT not in (leaf.before, leaf.after)
+            and difference.ORDER not in leaf.path
         }
-        sources: list[ValuePath] = []
+        sources: list[difference.ValuePath] = []
         groups = [list(changes)]
         emissions = 0
         while groups and emissions < MOST_EMISSIONS:
@@ -363,7 +361,7 @@ def _changed_lines(content: bytes, other: bytes) -> Iterator[tuple[int, str]]:
             yield from ((number + 1, lines[number].strip()) for number in range(first, last))
 
 
-def _span_of(robot: Robot, path: ValuePath) -> Span | None:
+def _span_of(robot: Robot, path: difference.ValuePath) -> Span | None:
     """Returns the span of the innermost element of the model at a path."""
     element: Any = robot
     span: Span | None = robot.span
@@ -378,7 +376,7 @@ def _span_of(robot: Robot, path: ValuePath) -> Span | None:
     return span
 
 
-def _module_at(document: Any, path: ValuePath) -> str:
+def _module_at(document: Any, path: difference.ValuePath) -> str:
     """Returns the path of the module that an element of the model belongs to, or an empty text."""
     module = ""
     for key in path:
