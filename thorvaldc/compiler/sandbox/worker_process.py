@@ -170,8 +170,9 @@ def _start() -> subprocess.Popen[bytes]:
     environment = {"LC_ALL": "C.UTF-8", "PYTHONHASHSEED": "0"}
     # The memory of each thread would count for the limit of memory.
     environment["OPENBLAS_NUM_THREADS"] = "1"
-    if "SYSTEMROOT" in os.environ:  # Windows cannot start a process without the variable SYSTEMROOT
-        environment["SYSTEMROOT"] = os.environ["SYSTEMROOT"]
+    # Bags are unpacked in TMPDIR. Windows cannot start a process without SYSTEMROOT.
+    for name in {"SYSTEMROOT", "TMPDIR"} & os.environ.keys():
+        environment[name] = os.environ[name]
     return subprocess.Popen(
         # The Python options of the worker exclude the site packages, the folder of the user and the
         # folder of the script from the module path.  The Python option -B prevents the writing of

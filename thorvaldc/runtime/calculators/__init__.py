@@ -1,5 +1,9 @@
 """Base calculators convert a twist to joint commands, and joint states to a twist estimate.
 
+``general`` has the inverse kinematics of any set of driven and steered wheels (``steering_branch``
+chooses the direction of a wheel, ``reachable_twists`` keeps the limits), and ``twist_estimator``
+the twist from the joints; the other calculators are checks and commands over ``general``.
+
 To add a base calculator to this package, list its class in ``base_calculator``.  Other Python
 packages add base calculators with the entry point group ``thorvaldc.base_calculators``.
 """
