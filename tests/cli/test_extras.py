@@ -71,8 +71,9 @@ def test_a_missing_package_is_one_line_with_the_extra_that_installs_it(
     arguments: tuple[str, ...],
     extra: str,
 ) -> None:
-    for name in list(sys.modules):  # python-can's interfaces keep the packages that they use
-        if name.partition(".")[0] == package or name.startswith("can.interfaces."):
+    users = ("can.interfaces.", "thorvaldc.tools.")  # modules that keep the packages that they use
+    for name in list(sys.modules):
+        if name.partition(".")[0] == package or name.startswith(users):
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.setenv("PATH", "")  # no ffmpeg

@@ -13,9 +13,16 @@ from dataclasses import dataclass, field
 
 from thorvaldc.diagnostics import DiagnosticError, Span
 from thorvaldc.model import quantities as si
-from thorvaldc.model import settings
 from thorvaldc.model.bus import Bus, Scalar
 from thorvaldc.model.element import Element
+from thorvaldc.model.settings import (
+    DEFAULT_SETTINGS,
+    CalculatorChoice,
+    DriverSettings,
+    ParameterSet,
+    RosSettings,
+    TwistInput,
+)
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
 # -- modules: the types of the module library that the robot consists of ----------------
@@ -491,16 +498,16 @@ class Robot(Element):
     batteries: tuple[Battery, ...]
     buses: tuple[Bus, ...]
     meshes: tuple[Mesh, ...]
-    calculator: settings.CalculatorChoice
-    driver: settings.DriverSettings
+    calculator: CalculatorChoice
+    driver: DriverSettings
     inertial: Inertial
     span: Span
     urdf_extensions: tuple[str, ...] = ()
-    parameter_sets: tuple[settings.ParameterSet, ...] = ()
-    twist_sources: tuple[settings.TwistInput, ...] = ()
-    twist_locks: tuple[settings.TwistInput, ...] = ()
+    parameter_sets: tuple[ParameterSet, ...] = ()
+    twist_sources: tuple[TwistInput, ...] = ()
+    twist_locks: tuple[TwistInput, ...] = ()
     joint_servos: tuple[JointServo, ...] = ()
-    ros: settings.RosSettings = settings.DEFAULT_SETTINGS
+    ros: RosSettings = DEFAULT_SETTINGS
     modules: tuple[Module, ...] = ()
     design_slope: si.Radians | None = None
     battery_connection: str | None = None

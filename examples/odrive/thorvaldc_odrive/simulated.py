@@ -13,10 +13,16 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from thorvaldc.can.frame import CanFrame, to_ns
-from thorvaldc.model.scenario import Command
 from thorvaldc.simulation.bus.simulated_device import SimulatedDevice
 from thorvaldc.simulation.bus.simulated_motors import Encoder, MotorModel
-from thorvaldc_odrive.protocol import BROADCAST_ID, READ, VELOCITY_CONTROL, AxisState, Error
+from thorvaldc_odrive.protocol import (
+    BROADCAST_ID,
+    READ,
+    VELOCITY_CONTROL,
+    AxisState,
+    Command,
+    Error,
+)
 
 if TYPE_CHECKING:
     from typing import Self

@@ -38,6 +38,7 @@ COLUMNS = {
     "twist": tuple(f"{twist}_{part}" for twist in ("asked", "aimed") for part in _TWIST),
 }
 """Columns of the groups that have the same columns for every robot."""
+RECORDS_ARE_WRITTEN_BY = "`thorvaldc sim --record` writes records"
 
 
 def columns(robot: Robot, groups: Sequence[str]) -> list[str]:
@@ -220,7 +221,7 @@ def _read_run(path: Path, robot: Robot, report: Report) -> RecordedRun | None:
             f"`{display}` is not a record: a record has no column "
             f"`{next(c for c in table.columns if c != csv_table.TIME)}`",
             Span(display, 1, 1, 1, 1),
-            hint="`thorvaldc sim --record` writes records",
+            hint=RECORDS_ARE_WRITTEN_BY,
         )
         return None
     if not _columns_match(table, robot, groups, report):
@@ -247,6 +248,13 @@ def _columns_match(
             f"the record of {robot.name} has a column `{unknown}`",
             table.span_of(unknown),
             hint=did_you_mean(unknown, known, other_robot, fixable=False),
+        )
+    elif missing is not None and groups == ("joints",):
+        report.add(
+            "record-unreadable",
+            f"`{table.display}` is a joint log and not a record: it has no column `{missing}`",
+            Span(table.display, 1, 1, 1, 1),
+            hint=RECORDS_ARE_WRITTEN_BY,
         )
     elif missing is not None:
         report.add(
