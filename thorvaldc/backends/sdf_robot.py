@@ -20,13 +20,8 @@ import math
 from collections.abc import Mapping
 
 from thorvaldc import model as ir
+from thorvaldc.backends import ros2_parts
 from thorvaldc.backends.ros2_controllers import CONTROLLER_FILE
-from thorvaldc.backends.ros2_parts import (
-    JOINT_STATES,
-    TRUE_ODOMETRY,
-    joint_commands,
-    sensor_topics,
-)
 from thorvaldc.backends.xml_writer import Element, numbers
 from thorvaldc.model.spatial import clean, clean3, combine, quat_from_z_to
 from thorvaldc.model.statics.joint_tree import JointTree, tree_of
@@ -203,7 +198,7 @@ class _RobotWriter:
         add_system(model, "odometry-publisher", "OdometryPublisher").fill(
             odom_frame=f"{self.prefix}odom",
             robot_base_frame=self.prefix + self.robot.links[0].name,
-            odom_topic=self.prefix + TRUE_ODOMETRY,
+            odom_topic=self.prefix + ros2_parts.TRUE_ODOMETRY,
             odom_publish_frequency=rate,
             dimensions=3,
         )
@@ -212,10 +207,10 @@ class _RobotWriter:
             return
         states = add_system(model, "joint-state-publisher", "JointStatePublisher")
         # By default, Gazebo publishes the states after each step, 1000 times a second.
-        states.fill(topic=self.prefix + JOINT_STATES, update_rate=rate)
+        states.fill(topic=self.prefix + ros2_parts.JOINT_STATES, update_rate=rate)
         for joint in self.tree.moving:
             states.fill(joint_name=self.prefix + joint.name)
-        topics = dict(joint_commands(self.robot))
+        topics = dict(ros2_parts.joint_commands(self.robot))
         motors: list[ir.Actuator | ir.JointServo] = [
             *self.robot.actuators,
             *self.robot.joint_servos,
@@ -299,7 +294,7 @@ def add_sensor(link: Element, sensor: ir.Sensor, pose: ir.Pose, prefix: str) -> 
     element = link.add("sensor", name=prefix + sensor.name, type=kind)
     add_pose(element, pose * CAMERA if kind == "camera" else pose)
     element.fill(always_on=True, update_rate=_number(values, "rate", 10.0))
-    first, *others = (prefix + topic for topic, _, _ in sensor_topics(sensor))
+    first, *others = (prefix + topic for topic, _, _ in ros2_parts.sensor_topics(sensor))
     # A lidar publishes scans on its topic, and points on the topic ``points`` below it.
     element.fill(topic=first.removesuffix("/points"), gz_frame_id=prefix + sensor.link)
     if kind == "camera":
