@@ -108,7 +108,7 @@ test-core: $(READY)
 	  $(patsubst %,':!%',$(shell grep -l thorvaldc.tools bench/*.py)) | \
 	  tar --null --files-from - --create | tar --extract --directory $(CORE)
 	cd $(CORE) && export PYTHONPATH="$(abspath $(CORE))" PATH="$(abspath $(BIN)):$$PATH" && \
-	  ruff check . && lint-imports && mypy && python -m pytest -n $(JOBS) -m "not slow" $(TESTS)
+	  ruff check . && lint-imports && mypy && python -m pytest --dist loadgroup -n $(JOBS) -m "not slow" $(TESTS)
 
 test-matrix: $(READY)
 	@$(BIN)/python -c 'import uv' 2>/dev/null || $(call PIP_INSTALL,$(BIN)) uv
