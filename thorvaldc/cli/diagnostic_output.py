@@ -147,7 +147,7 @@ def _broken(line: str, width: int) -> str:
 
 def print_json(value: Any, *, one_line: bool = False) -> None:
     """Prints the result of a command as JSON on stdout."""
-    from thorvaldc.model.spatial import finite
+    from thorvaldc.diagnostics.files import finite
 
     indent = None if one_line else 1
     print(json.dumps(finite(value), indent=indent, ensure_ascii=False), flush=one_line)

@@ -13,10 +13,9 @@ from thorvaldc.can.frame import NANOSECONDS, CanFrame, CanInterface, ErrorState
 from thorvaldc.commissioning.bus_configuration import ParameterValue
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Bus
+from thorvaldc.model.bus import MASTER
 from thorvaldc.model.bus_timing import worst_case_bits
 
-MASTER = "master"
-"""Name of the master as a producer of frames in the robot model."""
 SEND_TIMEOUT = 0.1
 """Longest time (s) to wait for room in the send queue."""
 _OWN_FRAME = CanFrame(0x7FF)

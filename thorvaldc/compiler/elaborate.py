@@ -20,11 +20,7 @@ from thorvaldc.compiler.modules.library import Library
 from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.modules.module_tree import Instance, used_by
 from thorvaldc.compiler.modules.resolve import Resolver
-from thorvaldc.compiler.robot_settings import robot_sections
-from thorvaldc.compiler.robot_settings.driver_settings import (
-    DriverSettingsReader,
-    read_twist_inputs,
-)
+from thorvaldc.compiler.robot_settings import driver_settings, robot_sections
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.values.document_section import read_section
 from thorvaldc.compiler.values.value_reader import items
@@ -176,7 +172,7 @@ class _Elaborator(NamedTuple):
         # measured wheel radius.
         tolerance = 1e-6 if self.calibration is None else self.calibration.tolerance
         settings = read_section(document, "robot", "driver", scope)
-        settings_reader = DriverSettingsReader(
+        settings_reader = driver_settings.DriverSettingsReader(
             settings,
             read_section(document, "robot", "parameter_sets", scope),
             wheels,
@@ -192,7 +188,7 @@ class _Elaborator(NamedTuple):
             driver, parameter_sets, settings.node.get("command_timeout"), driven
         )
         watchdog = stopping_distance.longest_watchdog(driver, parameter_sets, driven)
-        twist_sources, twist_locks = read_twist_inputs(
+        twist_sources, twist_locks = driver_settings.read_twist_inputs(
             settings, driver.command_timeout, self.report
         )
         buses = self._wiring(parts, self.report).buses(self.instance, 1.0 / driver.rate, watchdog)

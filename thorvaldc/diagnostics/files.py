@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import json
+import math
 import os
 import signal
 import stat
@@ -90,6 +91,20 @@ STAGE_PREFIX = ".thorvaldc-"
 """Start of the names of files and folders that exist only while something is written."""
 INCOMPLETE = ".incomplete"
 """End of the name of a file that could not be written to its end."""
+
+
+def finite(value: Any) -> Any:
+    """Replace infinities and NaN by ``None`` in nested dictionaries, lists and tuples.
+
+    JSON can express neither infinities nor NaN.
+    """
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(entry) for entry in value]
+    return value
 
 
 def write_file(path: Path, content: str | bytes, *, new: bool = False) -> None:

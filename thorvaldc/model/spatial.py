@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 from thorvaldc.model import quantities as si
 
@@ -339,17 +338,3 @@ def symmetric_eigenvalues(m: Mat3) -> Vec3:
     high = q + 2 * p * math.cos(phi)
     low = q + 2 * p * math.cos(phi + 2 * math.pi / 3)
     return (low, 3 * q - high - low, high)
-
-
-def finite(value: Any) -> Any:
-    """Replace infinities and NaN by ``None`` in nested dictionaries, lists and tuples.
-
-    JSON can express neither infinities nor NaN.
-    """
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {key: finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(entry) for entry in value]
-    return value

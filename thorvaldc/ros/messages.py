@@ -13,6 +13,7 @@ from sensor_msgs.msg import BatteryState, JointState
 
 from thorvaldc.model import Robot
 from thorvaldc.runtime import se2
+from thorvaldc.runtime.base_interface import recorded_joints
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryState as ReportedBattery
 from thorvaldc.runtime.driven_robot import DrivenRobot
@@ -75,7 +76,7 @@ class JointMessages:
     """
 
     def __init__(self, robot: Robot) -> None:
-        drives, steering = se2.recorded_joints(robot)
+        drives, steering = recorded_joints(robot)
         joints = [j.name for j in robot.joints if j.type in _MOVABLE]
         self._names = [robot.prefix + name for name in joints]
         index = {name: i for i, name in enumerate(joints)}

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from thorvaldc.can.frame import CanFrame
+from thorvaldc.model import Robot
 from thorvaldc.runtime.service_table import Service
 
 
@@ -68,6 +69,22 @@ class JointCommands:
 
     speeds: Sequence[float]
     angles: Sequence[float]
+
+
+def recorded_joints(robot: Robot) -> tuple[dict[str, int], dict[str, int]]:
+    """Returns the drive joints and the steering joints of a robot.
+
+    The joints are mappings from the joint name to the index of the first wheel on the joint.  Two
+    wheels may share a steering joint or a drive joint.
+    """
+    drives: dict[str, int] = {}
+    steering: dict[str, int] = {}
+    for i, wheel in enumerate(robot.wheels):
+        if wheel.driven:
+            drives.setdefault(wheel.spin_joint, i)
+        if wheel.steering_joint is not None:
+            steering.setdefault(wheel.steering_joint, i)
+    return drives, steering
 
 
 class BaseHandle(abc.ABC):

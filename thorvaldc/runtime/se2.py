@@ -20,7 +20,6 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from thorvaldc.model import Robot
 from thorvaldc.model.spatial import quat_from_rpy
 
 Row3 = tuple[float, float, float]
@@ -319,19 +318,3 @@ def covariance_numbers(planar: Cov3, yaw: float = 0.0) -> tuple[float, ...]:
         xa, ya = c * xa - s * ya, s * xa + c * ya
     x_and_y_rows = (xx, xy, 0.0, 0.0, 0.0, xa, xy, yy, 0.0, 0.0, 0.0, ya)
     return (*x_and_y_rows, *_UNKNOWN_COVARIANCE[:18], xa, ya, 0.0, 0.0, 0.0, aa)
-
-
-def recorded_joints(robot: Robot) -> tuple[dict[str, int], dict[str, int]]:
-    """Returns the drive joints and the steering joints of a robot.
-
-    The joints are mappings from the joint name to the index of the first wheel on the joint.  Two
-    wheels may share a steering joint or a drive joint.
-    """
-    drives: dict[str, int] = {}
-    steering: dict[str, int] = {}
-    for i, wheel in enumerate(robot.wheels):
-        if wheel.driven:
-            drives.setdefault(wheel.spin_joint, i)
-        if wheel.steering_joint is not None:
-            steering.setdefault(wheel.steering_joint, i)
-    return drives, steering

@@ -11,6 +11,7 @@ manager of a spawner.
 
 from __future__ import annotations
 
+import abc
 import argparse
 import re
 import runpy
@@ -82,12 +83,12 @@ class Started:
 # -- substitutions ----------------------------------------------------------------
 
 
-class Substitution:
+class Substitution(abc.ABC):
     def __str__(self) -> str:
         raise LaunchError(f"{type(self).__name__} is used as a text before the launch resolves it")
 
-    def perform(self, context: Context) -> str:
-        raise NotImplementedError
+    @abc.abstractmethod
+    def perform(self, context: Context) -> str: ...
 
 
 class LaunchConfiguration(Substitution):
@@ -137,7 +138,7 @@ class UnlessCondition(IfCondition):
 # -- actions ------------------------------------------------------------------------
 
 
-class Action:
+class Action(abc.ABC):
     def __init__(self, *, condition: IfCondition | None = None) -> None:
         self.condition = condition
 
@@ -145,8 +146,8 @@ class Action:
         if self.condition is None or self.condition.holds(context):
             self.execute(context)
 
-    def execute(self, context: Context) -> None:
-        raise NotImplementedError
+    @abc.abstractmethod
+    def execute(self, context: Context) -> None: ...
 
 
 class LaunchDescription:

@@ -23,7 +23,7 @@ from itertools import groupby
 from operator import itemgetter
 
 from thorvaldc.model import Bus, Node, ObjectValue
-from thorvaldc.model.bus import FIRST_INDEX, OBJECT_TYPES, STRIDE, motor_numbers
+from thorvaldc.model.bus import FIRST_INDEX, MASTER, OBJECT_TYPES, STRIDE, motor_numbers
 
 BAUDRATES = (10, 20, 50, 125, 250, 500, 800, 1000)  # kbit/s, the list of CiA 306
 MANDATORY = (0x1000, 0x1001, 0x1018)
@@ -205,7 +205,7 @@ def _least_version(bus: Bus) -> Iterator[str]:
 
 
 def _master_heartbeat(bus: Bus) -> Iterator[str]:
-    period = _heartbeat(bus, "master")
+    period = _heartbeat(bus, MASTER)
     yield "  heartbeat_consumer: true"
     if period is None:
         return

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from thorvaldc.diagnostics import CODES, Diagnostic
 from thorvaldc.model import Bus, FrameDefinition, Signal
+from thorvaldc.model.bus import MASTER
 
 ENCODING = "cp1252"  # the encoding that readers of DBC files assume
 LONGEST_NAME = 32  # characters of a name in a DBC file; an attribute contains a longer name
@@ -70,7 +71,7 @@ class _Names(NamedTuple):
 def dbc_text(bus: Bus) -> str:
     """Return the DBC file of a CAN bus as text."""
     names = _Names(
-        _short_names(["master", *(node.name for node in bus.nodes)]),
+        _short_names([MASTER, *(node.name for node in bus.nodes)]),
         _short_names(frame.name for frame in bus.frames),
         {frame.name: _short_names(s.name for s in frame.signals) for frame in bus.frames},
     )

@@ -32,7 +32,7 @@ from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Actuator, Bus, FrameDefinition, Joint, Node, Signal
-from thorvaldc.model.bus import CANOPEN
+from thorvaldc.model.bus import CANOPEN, MASTER
 from thorvaldc.model.bus_timing import bus_load, frame_response_times
 from thorvaldc.schema import inlined
 
@@ -355,7 +355,7 @@ def _master_frames(
         "nmt",
         NMT,
         "nmt",
-        sections.MASTER,
+        MASTER,
         nodes,
         2,
         None,
@@ -368,7 +368,7 @@ def _master_frames(
         "sync",
         SYNC,
         "sync",
-        sections.MASTER,
+        MASTER,
         nodes,
         0,
         sync_period,
@@ -378,9 +378,9 @@ def _master_frames(
         "The control cycle's beat, after its commands.",
     )
     yield device_frames.heartbeat(
-        sections.MASTER,
+        MASTER,
         HEARTBEAT + sections.MASTER_ID,
-        sections.MASTER,
+        MASTER,
         nodes,
         heartbeat_period,
         spec.span,
@@ -451,8 +451,8 @@ def _relayed(
             f"{name}_{key}",
             cob_id.value,
             "relay",
-            sections.MASTER if to_device else name,
-            (name,) if to_device else (sections.MASTER,),
+            MASTER if to_device else name,
+            (name,) if to_device else (MASTER,),
             length.value if length is not None and type(length.value) is int else 8,
             None,
             None,

@@ -16,6 +16,7 @@ from thorvaldc.compiler.modules.module_tree import Instance, name_prefix
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Label, Report, Span, did_you_mean
 from thorvaldc.model import Actuator, Bus, FrameDefinition, Robot
+from thorvaldc.model.bus import MASTER
 
 LOAD_LIMIT, LOAD_WARNING = 0.80, 0.50
 
@@ -123,9 +124,7 @@ def _check_heartbeats(bus: Bus, placed: Sequence[sections.Placed], report: Repor
     A heartbeat time-out must be at least two heartbeat periods.  A CiA 402 drive must monitor the
     heartbeat of the CANopen master, so that the drive stops if the master stops.
     """
-    periods = [
-        f.period for f in bus.frames if f.kind == "heartbeat" and f.producer == sections.MASTER
-    ]
+    periods = [f.period for f in bus.frames if f.kind == "heartbeat" and f.producer == MASTER]
     master_period = periods[0] if periods else None
     for device in placed:
         node = device.node
@@ -326,10 +325,10 @@ def _claims(
         if frame.name not in own:
             canopen = True
             what = {"nmt": "NMT", "sync": "SYNC"}.get(frame.kind, frame.kind)
-            yield _Claim(frame.cob_id, what, sections.MASTER, bus.span, None)
+            yield _Claim(frame.cob_id, what, MASTER, bus.span, None)
     if canopen:
         for cob_id, service in STANDARD:
-            yield _Claim(cob_id, service, sections.MASTER, bus.span, None)
+            yield _Claim(cob_id, service, MASTER, bus.span, None)
     for device in placed:
         if device.node.name in skipped:
             continue
@@ -358,10 +357,10 @@ def check_names(bus: Bus, placed: Sequence[sections.Placed], report: Report) -> 
                 labels=[Label(twin.span, "the first")],
                 hint="give one of them another name",
             )
-        if device.node.name == sections.MASTER:
+        if device.node.name == MASTER:
             report.add(
                 "can-name-conflict",
-                f"a device has the name `{sections.MASTER}`, which is that of the bus's master",
+                f"a device has the name `{MASTER}`, which is that of the bus's master",
                 device.span,
                 hint="give the module another name",
             )

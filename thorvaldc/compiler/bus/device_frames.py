@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 from thorvaldc.can.canopen import EMCY, HEARTBEAT, SDO_REQUEST, SDO_RESPONSE, NmtState
-from thorvaldc.compiler.bus.device_sections import MASTER, Device, Wire, integer, listed
+from thorvaldc.compiler.bus.device_sections import Device, Wire, integer, listed
 from thorvaldc.compiler.bus.frame_checks import check_channels, check_layout, check_scales
 from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source import dimensions
@@ -23,7 +23,7 @@ from thorvaldc.compiler.source.units import UnitError, parse_unit
 from thorvaldc.compiler.values.value_reader import entries, items
 from thorvaldc.diagnostics import Label, Proposal, Report, Span, did_you_mean
 from thorvaldc.model import FrameDefinition, Signal
-from thorvaldc.model.bus import OBJECT_TYPES
+from thorvaldc.model.bus import MASTER, OBJECT_TYPES
 
 HEARTBEAT_PERIOD = 0.1  # default heartbeat period of a device in s
 LAST_PDO = 512

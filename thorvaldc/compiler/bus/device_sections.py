@@ -16,9 +16,8 @@ from thorvaldc.compiler.source import node as source
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Label, Report, Span
 from thorvaldc.model import Actuator, FrameDefinition, Node, ObjectValue
-from thorvaldc.model.bus import OBJECT_TYPES
+from thorvaldc.model.bus import MASTER, OBJECT_TYPES
 
-MASTER = "master"
 MASTER_ID = 127
 MASTER_HEARTBEAT_PERIOD = 0.1  # s
 

@@ -11,13 +11,13 @@ from thorvaldc.can.frame import CanFrame, CanInterface, ErrorState
 from thorvaldc.model import Bus, FrameDefinition, Node, Robot
 from thorvaldc.model.bus import MASTER
 from thorvaldc.model.stopping import watchdog_time, yaw_per_metre
-from thorvaldc.runtime.can_base import battery_and_io_drivers, frame_receiver, node_watchdog
-from thorvaldc.runtime.can_base.foreign_frame_relay import Relay
-from thorvaldc.runtime.can_base.motor_controller import (
-    Intent,
-    MotorController,
-    controller_class,
+from thorvaldc.runtime.can_base import (
+    battery_and_io_drivers,
+    frame_receiver,
+    motor_controller,
+    node_watchdog,
 )
+from thorvaldc.runtime.can_base.foreign_frame_relay import Relay
 
 OCCASIONAL_AT_REST, OCCASIONAL_DRIVING = 8, 1
 """Largest number of occasional frames in a cycle: at rest, and while the robot drives."""
@@ -59,7 +59,7 @@ class BusConnection:
         self.robot = robot
         self.bus = bus
         self.interface = interface
-        self.controllers: list[MotorController] = []
+        self.controllers: list[motor_controller.MotorController] = []
         self.batteries: list[battery_and_io_drivers.BatteryDriver] = []
         self.boards: list[battery_and_io_drivers.IoBoardDriver] = []
         for node in bus.nodes:
@@ -126,7 +126,9 @@ class BusConnection:
     def _add_driver(self, node: Node) -> None:
         has_motors = any(channel.actuator is not None for channel in node.channels)
         if has_motors:
-            self.controllers.append(controller_class(node)(self.robot, self.bus, node))
+            self.controllers.append(
+                motor_controller.controller_class(node)(self.robot, self.bus, node)
+            )
         elif node.protocol == "thorvald_io":
             self.boards.append(battery_and_io_drivers.IoBoardDriver(self.bus, node))
         elif (battery := battery_and_io_drivers.battery_driver(self.bus, node)) is not None:
@@ -292,7 +294,9 @@ class BusConnection:
     # -- sending -----------------------------------------------------------------------------------
 
     def queue_nmt(
-        self, command: canopen.NmtCommand, controllers: Sequence[MotorController] | None = None
+        self,
+        command: canopen.NmtCommand,
+        controllers: Sequence[motor_controller.MotorController] | None = None,
     ) -> None:
         """Queues an NMT command for each CANopen motor controller in ``controllers``.
 
@@ -307,7 +311,9 @@ class BusConnection:
                     CanFrame(canopen.NMT, canopen.nmt_message(command, controller.node.id))
                 )
 
-    def queue_setting(self, controller: MotorController, name: str, value: float) -> None:
+    def queue_setting(
+        self, controller: motor_controller.MotorController, name: str, value: float
+    ) -> None:
         """Queues the frame that changes a setting of a motor controller.
 
         Raises ``ValueError`` if the motor controller has no setting ``name`` or does not accept the
@@ -336,7 +342,7 @@ class BusConnection:
             ]
         )
 
-    def cyclic_frames(self, intent: Intent, now: float) -> list[CanFrame]:
+    def cyclic_frames(self, intent: motor_controller.Intent, now: float) -> list[CanFrame]:
         """Returns the motor command frames of a control cycle in the order of their CAN
         identifiers.
 
@@ -345,7 +351,7 @@ class BusConnection:
         return sorted(frame for c in self.controllers for frame in c.cyclic_frames(intent, now))
 
     def occasional_frames(
-        self, intent: Intent, now: float, commands: bool, driving: bool
+        self, intent: motor_controller.Intent, now: float, commands: bool, driving: bool
     ) -> Iterator[CanFrame]:
         """Yields the CAN frames of this control cycle that are not sent in every cycle.
 

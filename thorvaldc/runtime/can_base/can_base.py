@@ -40,9 +40,9 @@ from typing import Any
 from thorvaldc.can.canopen import NmtCommand
 from thorvaldc.can.frame import CanFrame, CanInterface
 from thorvaldc.diagnostics import DiagnosticError
+from thorvaldc.diagnostics.files import finite
 from thorvaldc.model import Robot
 from thorvaldc.model.settings import AT_START
-from thorvaldc.model.spatial import finite
 from thorvaldc.model.stopping import REPORT_TIMEOUT
 from thorvaldc.runtime import base_interface
 from thorvaldc.runtime.can_base import base_state_machine, battery_and_io_drivers

@@ -12,6 +12,7 @@ from thorvaldc.can import lss
 from thorvaldc.can.canopen import HEARTBEAT
 from thorvaldc.can.frame import NANOSECONDS, CanFrame, to_ns
 from thorvaldc.model import Actuator, Bus, Channel, FrameDefinition, Node, Robot
+from thorvaldc.model.bus import MASTER
 from thorvaldc.model.scenario import Quirk
 from thorvaldc.simulation.bus.object_dictionary import parameter_name
 from thorvaldc.simulation.bus.simulated_motors import Encoder, IdealMotor, MotorModel
@@ -263,8 +264,6 @@ class SimulatedDevice:
 
 
 # -- data of a node --------------------------------------------------------------------------------
-
-MASTER = "master"
 
 
 @dataclass

@@ -24,8 +24,8 @@ from thorvaldc.diagnostics import Report, Span, did_you_mean
 from thorvaldc.diagnostics.files import AtomicFile
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import GROUPS
-from thorvaldc.runtime.base_interface import JointCommands, JointStates
-from thorvaldc.runtime.se2 import Pose2, Twist, recorded_joints
+from thorvaldc.runtime.base_interface import JointCommands, JointStates, recorded_joints
+from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.records import joint_csv
 from thorvaldc.simulation.records.recorder import RecordedRun, SampleInterval, report_missing_robot

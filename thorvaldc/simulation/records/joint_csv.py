@@ -27,9 +27,9 @@ from typing import TYPE_CHECKING
 from thorvaldc.compiler.recordings import csv_table
 from thorvaldc.diagnostics import Report, Span, did_you_mean
 from thorvaldc.model import Robot
+from thorvaldc.runtime.base_interface import recorded_joints
 from thorvaldc.runtime.driver import DriverState
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL
-from thorvaldc.runtime.se2 import recorded_joints
 
 if TYPE_CHECKING:
     from _typeshed import SupportsWrite

@@ -13,7 +13,8 @@ from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import GROUPS
 from thorvaldc.model.spatial import matrix_to_rpy, quat_to_matrix
-from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist, recorded_joints
+from thorvaldc.runtime.base_interface import recorded_joints
+from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
 from thorvaldc.simulation.records import joint_csv
 from thorvaldc.simulation.records.csv_record import COLUMNS, commands_of, read_csv_record, sample_of
 from thorvaldc.simulation.records.recorder import RecordedRun, report_missing_robot

@@ -22,8 +22,8 @@ from thorvaldc.compiler.result import Compilation
 from thorvaldc.compiler.scenario.scenario_compilation import metric_units
 from thorvaldc.compiler.scenario.variations import Change, Variations
 from thorvaldc.diagnostics import files
+from thorvaldc.diagnostics.files import finite
 from thorvaldc.diagnostics.text_layout import text_table
-from thorvaldc.model.spatial import finite
 from thorvaldc.simulation.worker_processes import ignored_interrupts, worker_pool
 
 

@@ -9,12 +9,12 @@ from typing import Any
 
 from thorvaldc.can.canopen import NMT, SYNC, NmtCommand
 from thorvaldc.model import Bus, FrameDefinition, Node, ObjectValue, Robot, scenario, stopping
+from thorvaldc.model.bus import MASTER
 from thorvaldc.model.bus_timing import reading_time, required_objects
 from thorvaldc.model.statics.slope import roll_out
 from thorvaldc.runtime.can_base.motor_controller import controller_class
 from thorvaldc.tools.fault_matrix.rehearsal import Rehearsal
 
-MASTER = "master"
 START, IDLE, DRIVING, STOPPING = PHASES = ("start-up", "idle", "driving", "stopping")
 MOVING_PHASES = (DRIVING, STOPPING)
 
