@@ -35,8 +35,9 @@ HINTS = [
     ("plotly", ("study", "report", "study.yaml"), "study"),
     ("aiohttp", ("preview", "good.yaml", "--no-browser"), "preview"),
 ]
-# Modules that were imported before keep the packages that they use.
-USERS = ("can.interfaces.", "thorvaldc.")
+# Modules that were imported before keep the packages that they use.  Those of an interface of
+# python-can also keep functions of each other.
+INTERFACES = "can.interfaces."
 # Hints of which other tests show that they appear.
 SHOWN_ELSEWHERE = {"gym"}
 
@@ -80,8 +81,10 @@ def test_a_missing_package_is_one_line_with_the_extra_that_installs_it(
     extra: str,
 ) -> None:
     for name, module in list(sys.modules.items()):
-        is_of_package = name.partition(".")[0] == package
-        if is_of_package or (name.startswith(USERS) and holds(module, package)):
+        is_of_package = name.partition(".")[0] == package or name.startswith(INTERFACES)
+        if is_of_package or (name.startswith("thorvaldc.") and holds(module, package)):
+            folder, _, child = name.rpartition(".")
+            monkeypatch.delattr(sys.modules.get(folder, sys), child, raising=False)
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.setenv("PATH", "")  # no ffmpeg

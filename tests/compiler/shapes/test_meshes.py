@@ -226,6 +226,7 @@ struct.pack_into("<f", NAN, 84 + 50 + 12 + 20, float("nan"))
         ("a.glb", b"glTF....", "mesh-invalid", "glb"),
         ("a.ply", b"ply\nwhat", "mesh-invalid", "ply"),
     ],
+    ids=lambda value: str(value)[:40],
 )
 def test_invalid_mesh_is_refused(
     tmp_path: Path, name: str, data: bytes, code: str, words: str
