@@ -338,6 +338,7 @@ def read_until(ours: int, end: bytes) -> bytes:
     return data
 
 
+@pytest.mark.slow
 def test_slcan_sets_the_bitrate_and_passes_frames(serial_line: tuple[int, str], bus: Bus) -> None:
     ours, path = serial_line
     interface = open_python_can(f"slcan:{path}", bus)

@@ -221,6 +221,7 @@ def test_on_the_bus_of_another_process(
         assert verified.status == 0, verified.out
 
 
+@pytest.mark.slow
 def test_through_a_serial_adapter(
     thorvaldc: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,7 +23,7 @@ def model(thorvaldc: Command) -> Path:
     [
         ("info", "ROBOT"),
         ("diff", "ROBOT", "good.yaml"),
-        ("run", "ROBOT", "--bus", "virtual", "--twist", "0.1,0,0", "--duration", "100 ms"),
+        ("run", "ROBOT", "--bus", "virtual", "--fast", "--twist", "0.1,0,0", "--duration", "1 s"),
         ("can", "plan", "ROBOT", "--bus", "virtual"),
     ],
     ids=lambda words: words[0],

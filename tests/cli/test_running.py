@@ -222,6 +222,7 @@ def over_slcan(
     return process.returncode, out, err, adapter, frames_seen, fastest
 
 
+@pytest.mark.slow
 def test_over_a_bus_in_another_process(tmp_path: Path) -> None:
     (tmp_path / "good.yaml").write_text(GOOD + SLOW)
     with running(tmp_path, "good.yaml") as (bus, listing):

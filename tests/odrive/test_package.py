@@ -92,6 +92,7 @@ def test_the_faults_of_the_fault_table(tmp_path: Path, odrive_package: list[str]
     assert "unlimited" in killed, "after the death of the driver the wheels coast"
 
 
+@pytest.mark.slow
 def test_two_processes(tmp_path: Path, odrive_package: list[str]) -> None:
     command = [sys.executable, "-m", "thorvaldc", "bus", ROBOT, "--json"]
     environ = environment(tmp_path, *odrive_package)

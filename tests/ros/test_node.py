@@ -147,6 +147,7 @@ def test_node_with_mujoco_and_its_clock(distro: str, build: Path, tmp_path: Path
         end(process)
 
 
+@pytest.mark.slow
 def test_node_on_a_bus(distro: str, build: Path, tmp_path: Path) -> None:
     """After a kill the drives stop by themselves, and the next node is disarmed."""
     with running(tmp_path, str(build / "model.json"), "--channel", "r"):

@@ -122,6 +122,7 @@ def hostile_files() -> dict[str, tuple[bytes | str, str, str]]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of memory require Linux")
 @pytest.mark.timeout(300)
 def test_every_hostile_mesh_has_a_diagnostic(tmp_path: Path) -> None:

@@ -227,6 +227,7 @@ def test_canopen_scans_for_nodes(robot: tuple[SimulatedRobot, str]) -> None:
         assert {1, 4} <= set(network.scanner.nodes)
 
 
+@pytest.mark.slow
 def test_lss_master_of_canopen(robot: tuple[SimulatedRobot, str]) -> None:
     simulated, channel = robot
     with canopen.Network() as network:

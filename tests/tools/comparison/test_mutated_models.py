@@ -40,6 +40,7 @@ def mutated(value: Any, factor: float) -> Any:
     return f"{value}x" if isinstance(value, str) else value
 
 
+@pytest.mark.slow
 def test_a_changed_value_is_a_difference() -> None:
     robot = example_robot("4wd4ws_wide")
     text = to_json(robot)

@@ -13,6 +13,7 @@ from tests.simulation.bus.robots import ROBOTS
 from tests.tools.fault_matrix.fault_table_page import BEGIN, END, PAGE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drives", ROBOTS)
 def test_every_promise_is_kept_and_is_on_the_page(drives: str) -> None:
     """The matrix runs in a process of its own, which copies itself for each fault."""

@@ -258,6 +258,7 @@ def click(page: Page, point: Locator) -> None:
     page.mouse.click(*place)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_pictures")
 def test_ranges_of_parallel_coordinates_dim_the_other_designs(
     browser: Browser, run: Command, tmp_path: Path
