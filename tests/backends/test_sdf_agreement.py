@@ -53,6 +53,7 @@ def fleets() -> dict[str, Fleet]:
     return found
 
 
+@pytest.mark.slow
 def test_libsdformat_accepts_every_model_and_world(tmp_path: Path, ign: str) -> None:
     """A world contains the models of its robots; the models alone are those of three robots."""
     models: dict[str, Robot | Fleet] = {name: example_robot(name) for name in EXAMPLES}

@@ -186,6 +186,7 @@ def test_a_second_master_on_this_computer_is_refused(
         assert "TV875" in listening.err, "no lock is needed, and there is no such bus"
 
 
+@pytest.mark.slow
 def test_on_the_bus_of_another_process(
     thorvaldc: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -167,7 +167,11 @@ def test_an_empty_bus(thorvaldc: Command) -> None:
 # -- by the clock, and by signals -----------------------------------------------------------------
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=["SIGTERM", "SIGINT"])
+@pytest.mark.parametrize(
+    "number",
+    [pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGINT],
+    ids=["SIGTERM", "SIGINT"],
+)
 def test_a_signal_stops_the_robot_and_disables_the_drives(number: int, tmp_path: Path) -> None:
     (tmp_path / "good.yaml").write_text(GOOD)
     process = started(tmp_path, "good.yaml", "--bus", "virtual", "--twist", "0.5,0,0")

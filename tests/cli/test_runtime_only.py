@@ -110,6 +110,7 @@ def test_help_shows_every_command(folder: Path) -> None:
     assert "  run " in result.stdout
 
 
+@pytest.mark.slow
 def test_a_robot_on_a_simulated_bus_of_another_process(folder: Path) -> None:
     with running(folder, "good.yaml") as (_, listing):
         bus = ("model.json", "--bus", f"sim:{listing['channel']}")

@@ -20,6 +20,7 @@ from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 
+@pytest.mark.slow
 def test_the_odometry_experiment_over_the_bus() -> None:
     """The asymmetric six-wheeler drives about 80 m in 77 s; odometry ends within 0.1 m.
 

@@ -119,6 +119,7 @@ def test_an_interrupt_leaves_no_tasks_and_the_study_continues(
     assert table("dask") == table("one")
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_not_there(run: Command) -> None:
     Path("study.yaml").write_text(STUDY)
     start = time.monotonic()
