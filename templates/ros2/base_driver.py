@@ -1,9 +1,9 @@
-"""Starts the base driver of thorvaldc."""
+"""Starts the base driver of thorvaldc, or the guard of the joints in another program."""
 
 import sys
 
 try:
-    from thorvaldc.ros.base_driver import main
+    from thorvaldc.ros.base_driver import guard, main
 except ModuleNotFoundError as error:
     if not str(error.name).startswith("thorvaldc"):
         raise
@@ -11,6 +11,8 @@ except ModuleNotFoundError as error:
         f"The Python of this ROS 2, {sys.executable}, has no package thorvaldc; "
         "the README of {{ package }} says how to install it."
     )
+
+__all__ = ["guard", "main"]
 
 if __name__ == "__main__":
     main()

@@ -29,6 +29,11 @@ setup(
     description="{{ description }}",
     license="unspecified",
     # % if has_driver
-    entry_points={"console_scripts": ["base_driver = {{ package }}.base_driver:main"]},
+    entry_points={
+        "console_scripts": [
+            "base_driver = {{ package }}.base_driver:main",
+            "joint_guard = {{ package }}.base_driver:guard",
+        ]
+    },
     # % endif
 )

@@ -34,10 +34,11 @@ from thorvaldc.backends.ros2_controllers import (
     swerve_problem,
 )
 from thorvaldc.backends.ros2_parameters import parameter_file
-from thorvaldc.backends.ros2_parts import bridged_topics, topic_of
+from thorvaldc.backends.ros2_parts import CLOCK_TOPIC, bridged_topics
 from thorvaldc.backends.sdf import model_text
 from thorvaldc.backends.urdf import urdf_text
 from thorvaldc.model import JointServo, Robot
+from thorvaldc.model.joint_topics import topic_of
 
 # Parameters that a controller has in each distribution, with this name and type: ros2_controllers
 # 4.x (jazzy), 5.x (kilted) and 6.x (lyrical), read on 2026-08-18 from the parameter files of the
@@ -47,6 +48,7 @@ LIMITS = (
     *("max_acceleration_reverse", "max_deceleration_reverse", "max_jerk", "min_jerk"),
 )
 COMMON: dict[str, dict[Any, str]] = {
+    "joint_state_broadcaster": {bool: "use_local_topics"},
     "diff_drive_controller": {
         list[str]: "left_wheel_names right_wheel_names",
         float: "wheel_separation wheel_radius wheel_separation_multiplier cmd_vel_timeout "
@@ -456,20 +458,20 @@ def test_the_bridge_connects_the_topics_of_the_model(share: str | None) -> None:
     for name, robot in every_robot().items():
         bridged = bridged_topics(robot, ros2_control=share is not None)
         assert {t.gazebo for t in bridged} == gazebo_topics(robot, share), name
-        assert all(t.gazebo == robot.prefix + t.ros for t in bridged)
+        # The topic `joint_states` is that of the base driver in ROS.
+        assert all(t.gazebo == robot.prefix + t.ros.removeprefix("engine/") for t in bridged)
         names = [t.ros for t in bridged]
         assert len(set(names)) == len(names)
 
 
 def test_bridge_file_is_the_list_that_the_bridge_reads() -> None:
     robot = example_robot("4wd4ws_wide")
-    entries = yaml.safe_load(gz_bridge(robot))
+    entries = yaml.safe_load(gz_bridge([CLOCK_TOPIC, *bridged_topics(robot)]))
     keys = {"ros_topic_name", "gz_topic_name", "ros_type_name", "gz_type_name", "direction"}
     assert all(set(entry) == keys for entry in entries)
     assert entries[0]["gz_topic_name"] == "/clock"
     commands = [e for e in entries if e["direction"] == "ROS_TO_GZ"]
     assert len(commands) == len(robot.actuators)
-    assert "clock" not in gz_bridge(robot, clock=False)
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist, TwistStamped
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Odometry
-from rcl_interfaces.srv import DescribeParameters, SetParametersAtomically
-from rclpy.parameter import Parameter
+from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParametersAtomically
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
@@ -121,6 +121,13 @@ class Client:
         result = self.request(SetParametersAtomically, name, request).result
         assert result.successful is not bool(result.reason)
         return str(result.reason)
+
+    def get(self, name: str) -> Any:
+        """Returns the value of a parameter."""
+        answer = self.request(
+            GetParameters, "base_driver/get_parameters", GetParameters.Request(names=[name])
+        )
+        return parameter_value_to_python(answer.values[0])
 
     def describe(self, name: str) -> Any:
         request = DescribeParameters.Request(names=[name])

@@ -105,7 +105,27 @@ def parameters(client: Client) -> None:
     client.wait("0.4 m/s", lambda: client.speed() > 0.399, lambda: client.send(1.0))
     client.wait("the set", lambda: client.values("driver").get("parameter_set") == "rail")
     assert client.trigger("use_ordinary_parameters") == (True, "")
+    radii_and_noise(client)
     client.rest()
+
+
+def radii_and_noise(client: Client) -> None:
+    """Radii change at rest alone, and follow the parameter set; noise changes while it drives."""
+    client.drive(0.3)
+    work = {"radius.left_wheel": 0.12}
+    assert "its wheel radii can change only at rest" in client.set(**work)
+    assert client.set(**{"noise.speed_ratio": 0.02}) == ""
+    assert client.set(**{"noise.speed_ratio": -1.0})
+    client.rest()
+    client.wait("a change at rest", lambda: client.set(**work) == "")
+    described = client.describe("radius.left_wheel")
+    assert described.description.endswith("it can be changed at rest [m]")
+    assert described.floating_point_range[0].to_value == 0.125 * 1.5
+    assert client.set(**{"radius.left_wheel": 0.5})
+    assert client.trigger("use_rail") == (True, "")
+    assert client.get("radius.left_wheel") == 0.09
+    assert client.trigger("use_ordinary_parameters") == (True, "")
+    assert client.get("radius.left_wheel") == 0.125
 
 
 def limits(client: Client) -> None:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+from pathlib import Path
+
 from lifecycle_msgs.msg import Transition
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -17,10 +21,16 @@ def main() -> None:
     client.listen(Clock, "/clock")
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     client.listen(String, "/r1/robot_description", latched)
+    client.listen(String, "/r1/robot_model", latched)
     client.wait("clock", lambda: client.node.get_clock().now().nanoseconds > 0)
     client.wait(
         "description", lambda: "<robot" in getattr(client.last.get("robot_description"), "data", "")
     )
+    client.wait("model", lambda: "robot_model" in client.last)
+    model = json.loads(client.last["robot_model"].data)
+    content = Path(model["model_file"]).read_bytes()
+    assert model["sha256"] == hashlib.sha256(content).hexdigest()
+    assert json.loads(content)["model"]["name"] == model["robot"]
     assert client.lifecycle() == "active"  # by autostart, and not armed
     assert max(client.keep(0.3, 0.4)) < 0.01
     client.arm()

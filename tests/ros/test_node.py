@@ -227,7 +227,10 @@ def test_mission_over_topics_follows_the_path_of_the_mission_without_ros(
         ({"model_file": ""}, "error: the parameter model_file is missing: --ros-args -p model"),
         ({"model_file": "/nowhere/model.json"}, "error: cannot read /nowhere/model.json: No such"),
         ({"model_file": "/"}, "error: model_file is /, a folder; expected the model.json of"),
-        ({"base": "gazebo"}, "error: base is 'gazebo'; expected ideal, mujoco, virtual, bus"),
+        (
+            {"base": "gazebo"},
+            "error: base is 'gazebo'; expected ideal, mujoco, virtual, bus, topics",
+        ),
         (
             {"twist_covariance": "best"},
             "twist_covariance is 'best'; expected measured, for_filters",

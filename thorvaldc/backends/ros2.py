@@ -8,6 +8,7 @@ the modules whose names begin with ``ros2_``, and the texts that are not paramet
 from __future__ import annotations
 
 import posixpath
+from collections.abc import Iterable
 
 from thorvaldc.backends import (
     Backend,
@@ -52,10 +53,13 @@ def fleet_package(fleet: Fleet) -> dict[str, bytes]:
     package = package_name(f"{fleet.name}_fleet")
     while package in members:
         package += "_all"
-    launch = ros2_package_files.fleet_launch_file(fleet)
+    launch = ros2_package_files.fleet_launch_file(fleet, package)
+    robots = [placement.robot for placement in fleet.placements]
+    poses = [placement.pose for placement in fleet.placements]
     files = {
         "README.md": ros2_package_files.fleet_readme(fleet, package).encode(),
         "launch/fleet.launch.py": launch.encode(),
+        **world_files(fleet.name, robots, fleet.world, poses),
     }
     description = f"The fleet {fleet.name}, made by thorvaldc"
     return {
@@ -140,41 +144,32 @@ def _parameter_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, bytes]:
 
 def left_out_of_control(robot: Robot) -> list[tuple[str, str]]:
     """Return what ros2_control cannot do with the robot, and the reasons."""
-    reasons = []
-    if controllers.twist_controller(robot) is None:
-        reasons.append(
-            (
-                "twists in ros2_control.launch.py and gazebo.launch.py",
-                "no released controller computes the joints of this robot from a twist; topics of "
-                "the joints move them",
-            )
-        )
     problem = hardware_problem(robot, "can")
-    reasons.append(
-        (
-            "ros2_control on the CAN bus",
-            problem
-            or "the tool dcfgen of ros2_canopen makes the files of the master from can/bus.yml",
-        )
-    )
-    return reasons
+    files = "the tool dcfgen of ros2_canopen makes the files of the master from can/bus.yml"
+    return [("ros2_control on the CAN bus", problem or files)]
 
 
 def control_files(robot: Robot) -> dict[str, bytes]:
-    """Return the parameters, descriptions and models of ros2_control and Gazebo, by path."""
+    """Return the parameters, descriptions and models of ros2_control and Gazebo, by path.
+
+    In Gazebo the base driver moves every robot by a topic of each joint; the files with
+    ``ros2_control`` in their names are those for a robot that its standard controllers can move.
+    """
     package = robot.ros.package
     meshes, share = f"package://{package}/meshes", f"$(find {package})"
     is_driven = controllers.twist_controller(robot) is not None
     kinds = ["mock", "mujoco", *(["gazebo"] if is_driven else [])]
     files = {f"urdf/robot_{kind}.urdf": urdf_text(robot, meshes, kind, share) for kind in kinds}
-    files["sdf/model.sdf"] = model_text(
-        robot, f"model://{package}/meshes", share if is_driven else None
-    )
-    files["config/gz_bridge.yaml"] = gz_bridge(robot, ros2_control=is_driven)
+    files["sdf/model.sdf"] = model_text(robot, f"model://{package}/meshes")
+    files["config/gz_bridge.yaml"] = gz_bridge(ros2_parts.bridged_topics(robot))
+    files["config/gz_bridge_clock.yaml"] = gz_bridge([ros2_parts.CLOCK_TOPIC])
     files[controllers.CONTROLLER_FILE] = parameter_file(
         controllers.controller_parameters(robot)[controllers.CONTROLLER_FILE]
     )
     if is_driven:
+        topics = ros2_parts.bridged_topics(robot, ros2_control=True)
+        files["sdf/model_ros2_control.sdf"] = model_text(robot, f"model://{package}/meshes", share)
+        files["config/gz_bridge_ros2_control.yaml"] = gz_bridge(topics)
         mux = {f"{ros2_parts.node_space(robot)}twist_mux": ros2_parameters.twist_mux(robot)}
         files["config/twist_mux.yaml"] = parameter_file(mux)
     return {
@@ -183,22 +178,8 @@ def control_files(robot: Robot) -> dict[str, bytes]:
     }
 
 
-def gz_bridge(robot: Robot, *, ros2_control: bool = False, clock: bool = True) -> str:
-    """Return the text of the YAML file ``config_file`` of the node ros_gz_bridge.
-
-    ``clock`` adds the topic ``/clock`` of Gazebo, as ``GAZEBO_CLOCK`` in ROS: Gazebo sends it at
-    every step of the physics, and neither Gazebo nor the bridge can send it less often. Each
-    message wakes every node that takes its time from ``/clock``, and costs a node in Python 0.7 ms.
-    So a node in ``gazebo.launch.py`` passes on only one of ten messages. Only one bridge of a fleet
-    may have the clock. See ``bridged_topics`` for ``ros2_control``.
-    """
-    topics = ros2_parts.bridged_topics(robot, ros2_control=ros2_control)
-    if clock:
-        types = ("rosgraph_msgs/msg/Clock", "gz.msgs.Clock")
-        topics = [
-            ros2_parts.BridgedTopic(ros2_parts.GAZEBO_CLOCK, f"/{ros2_parts.CLOCK}", *types),
-            *topics,
-        ]
+def gz_bridge(topics: Iterable[ros2_parts.BridgedTopic]) -> str:
+    """Return the text of the YAML file ``config_file`` of the node ros_gz_bridge."""
     entries = [
         f"- ros_topic_name: {quoted(topic.ros)}\n"
         f"  gz_topic_name: {quoted(topic.gazebo)}\n"

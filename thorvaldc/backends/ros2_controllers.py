@@ -9,7 +9,7 @@ Which controller drives the base depends on the wheels (see ``base_controllers``
 - two steered wheels that are not driven, and two fixed driven wheels: the controller
   ``ackermann_steering_controller``;
 - all others: no released controller of ros2_controllers computes the joints from a twist. Forward
-  controllers pass on the commands of another program for each joint.
+  controllers pass on the commands of the base driver for each joint.
 
 Both controllers take ``base_link`` to be in the middle of the axle of the fixed wheels. On robots
 where it is not, the forward and angular velocity are right, and the pose is that of the axle.
@@ -22,7 +22,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from thorvaldc.backends.ros2_parameters import Parameters
-from thorvaldc.model import Robot, Wheel
+from thorvaldc.model import Robot, Wheel, wheel_joints
+from thorvaldc.model.joint_topics import ANGLE_CONTROLLER, BROADCASTER, SPEED_CONTROLLER
 from thorvaldc.model.settings import DRIVER
 from thorvaldc.model.spatial import float_sum
 
@@ -70,8 +71,12 @@ def controllers(robot: Robot) -> tuple[Controller, ...]:
     the base: both command the same joints.
     """
     base, swerve = base_controllers(robot)
+    # The topic `joint_states` is that of the base driver, where it drives the forward controllers.
+    is_standard = any(controller.odometry_topic for controller in base)
     broadcaster = Controller(
-        "joint_state_broadcaster", "joint_state_broadcaster/JointStateBroadcaster", {}
+        BROADCASTER,
+        "joint_state_broadcaster/JointStateBroadcaster",
+        {} if is_standard else {"use_local_topics": True},
     )
     return (broadcaster, *base, *_extra_controllers(robot), *swerve)
 
@@ -342,18 +347,12 @@ def _forward(robot: Robot) -> list[Controller]:
     """Return the controllers that pass on joint commands: speeds of the drives in rad/s, angles of
     the steering joints in rad, in the order of the wheels."""
     forward = []
-    for name, interface, joints in (
-        (
-            "drive_velocity_controller",
-            "velocity",
-            _spin_joints(robot, [wheel for wheel in robot.wheels if wheel.driven]),
-        ),
-        (
-            "steering_position_controller",
-            "position",
-            _steering_joints(robot, [wheel for wheel in robot.wheels if wheel.steered]),
-        ),
+    drives, steering = wheel_joints(robot)
+    for name, interface, motors in (
+        (SPEED_CONTROLLER, "velocity", drives),
+        (ANGLE_CONTROLLER, "position", steering),
     ):
+        joints = [robot.prefix + joint for joint in motors]
         if joints:
             note = f"diff_drive_controller: {diff_drive_problem(robot)}; "
             note += f"ackermann_steering_controller: {ackermann_problem(robot)}"

@@ -35,7 +35,8 @@ LAUNCHES = {
     "robot": "the real robot; `bus:=socketcan:can0`",
     "teleop": "a pad moves the robot",
     "gazebo": "simulation in Gazebo",
-    "ros2_control": "controllers of ros2_control in place of the base driver; `hardware:=mock`",
+    "ros2_control": "joints of ros2_control; `hardware:=mock`",
+    "joint_states": "the robot in Isaac Sim, by messages JointState",
     "gnss": "GNSS, odometry and IMU give the pose in `map`",
     "slam": "slam_toolbox makes a map",
     "navigation": "Nav2 with its localization, beside a launch file that starts the robot",
@@ -43,7 +44,8 @@ LAUNCHES = {
 }
 """Content of each launch file, for the README."""
 _LAUNCH_TEMPLATES = Templates("ros2/launch")
-_CLOCK = {"use_sim_time": "true", "publish_clock": "true"}
+_SIM_TIME = {"use_sim_time": "true"}
+_CLOCK = {**_SIM_TIME, "publish_clock": "true"}
 # The launch files that include ``base.launch.py``: what they start, and their arguments.
 _BASES = {
     "ideal": ("Simulation with ideal joints, without physics.", {"base": "ideal"}),
@@ -53,6 +55,10 @@ _BASES = {
     ),
     "virtual": ("The real driver on a simulated bus with simulated drives.", {"base": "virtual"}),
     "robot": ("The real robot on its CAN bus.", {"base": "bus"}),
+    "joint_states": (
+        "The robot in Isaac Sim, or in another program that takes and sends JointState messages.",
+        {"base": "topics", "joint_topics": "joint_states", "guard": "true", **_SIM_TIME},
+    ),
 }
 
 
@@ -175,17 +181,20 @@ def rviz_text(robot: Robot, parts: ros2_parts.Parts) -> str:
 # names of the package, of its name space and of topics; the parameter files have all other values.
 
 
-def fleet_launch_file(fleet: Fleet) -> str:
+def fleet_launch_file(fleet: Fleet, package: str) -> str:
     """Return the text of the launch file that starts all robots of a fleet at their places.
 
-    MuJoCo is not among the bases: each base driver would have its own world and its own clock.
+    ``package``: the package of the launch file, with the world of Gazebo.  MuJoCo is not among the
+    bases: each base driver would have its own world and its own clock.
     """
     robots = []
     for placement in fleet.placements:
         robot, pose = placement.robot, placement.pose
         w, *xyz = pose.quat
-        robots.append((robot.ros.package, robot.namespace, [*pose.xyz, *xyz, w]))
-    return _LAUNCH_TEMPLATES.render("fleet.launch.py", fleet=fleet.name, robots=robots)
+        place = [*pose.xyz, *xyz, w]
+        robots.append((robot.ros.package, robot.namespace, place, list(pose.clean().rpy())))
+    values = {"package": package, "fleet": fleet.name, "robots": robots}
+    return _LAUNCH_TEMPLATES.render("fleet.launch.py", **values)
 
 
 def launch_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, str]:
@@ -200,7 +209,7 @@ def launch_files(robot: Robot, parts: ros2_parts.Parts) -> dict[str, str]:
     if parts.navigation:
         names.append("navigation")
     if robot.actuators:
-        names += ["gazebo", "ros2_control"]
+        names += ["gazebo", "ros2_control", "joint_states"]
     values = _values(robot, parts)
     texts = {}
     for name in names:
@@ -241,6 +250,5 @@ def _values(robot: Robot, parts: ros2_parts.Parts) -> dict[str, Any]:
         "controller_manager": f"{ros2_parts.node_space(robot)}controller_manager",
         "command_topic": controller.command_topic if controller is not None else "",
         "odometry_remapping": odometry,
-        "urdf": "robot_gazebo.urdf" if controller is not None else "robot.urdf",
         "gazebo_clock": ros2_parts.GAZEBO_CLOCK,
     }

@@ -7,17 +7,16 @@ that sensors have in Gazebo.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
 from typing import NamedTuple
 
-from thorvaldc.model import Robot, Sensor
+from thorvaldc.model import Robot, Sensor, joint_topics
+from thorvaldc.model.joint_topics import topic_of
 from thorvaldc.model.settings import EKF, MAP_FRAME, ODOM_FRAME
 
 CLOCK, JOINT_STATES, TRUE_ODOMETRY = "clock", "joint_states", "odometry/true"
+"""Topics in Gazebo."""
 GAZEBO_CLOCK = "gazebo_clock"
-"""Topic in ROS with the time of every step of Gazebo's physics; see ``gz_bridge``."""
-VELOCITY_COMMAND, POSITION_COMMAND = "cmd_vel", "cmd_pos"
+"""Topic in ROS with the time of every step of Gazebo's physics; see ``CLOCK_TOPIC``."""
 
 SENSOR_TOPICS = {
     "lidar_2d": (("scan", "sensor_msgs/msg/LaserScan", "gz.msgs.LaserScan"),),
@@ -30,7 +29,6 @@ SENSOR_TOPICS = {
     ),
 }
 """Topics of a sensor below its name, with the type in ROS and in Gazebo, by the sensor's type."""
-_NO_TOPIC = re.compile(r"[^A-Za-z0-9_]")
 
 
 class Parts(NamedTuple):
@@ -155,6 +153,12 @@ class BridgedTopic(NamedTuple):
     to_gazebo: bool = False
 
 
+# Gazebo sends the time at every step of the physics, and neither Gazebo nor the bridge can send it
+# less often.  Each message wakes every node that takes its time from ``/clock``, and costs a node
+# in Python 0.7 ms.  So a node in ``gazebo.launch.py`` passes on only one of ten messages.
+CLOCK_TOPIC = BridgedTopic(GAZEBO_CLOCK, f"/{CLOCK}", "rosgraph_msgs/msg/Clock", "gz.msgs.Clock")
+
+
 def sensor_topics(sensor: Sensor) -> list[tuple[str, str, str]]:
     """Return the topics of a sensor relative to the name space of the robot, each with its type in
     ROS and in Gazebo; an empty list for a sensor that Gazebo does not simulate."""
@@ -162,26 +166,6 @@ def sensor_topics(sensor: Sensor) -> list[tuple[str, str, str]]:
         (topic_of(f"{sensor.name}/{name}"), ros_type, gazebo_type)
         for name, ros_type, gazebo_type in SENSOR_TOPICS.get(sensor.type, ())
     ]
-
-
-def topic_of(name: str) -> str:
-    """Return a name as a topic of ROS.
-
-    Each character that ROS does not allow becomes an underscore. A part that begins with a digit
-    gets an underscore in front.
-    """
-    parts = [_NO_TOPIC.sub("_", part) for part in name.split("/") if part]
-    return "/".join(f"_{part}" if part[0].isdigit() else part for part in parts)
-
-
-def joint_commands(robot: Robot) -> Iterator[tuple[str, str]]:
-    """Yield each driven joint and the topic of its command relative to the name space."""
-    for actuator in robot.actuators:
-        command = VELOCITY_COMMAND if actuator.role == "propulsion" else POSITION_COMMAND
-        yield actuator.joint, topic_of(f"{actuator.joint}/{command}")
-    for servo in robot.joint_servos:
-        command = VELOCITY_COMMAND if servo.interface == "velocity" else POSITION_COMMAND
-        yield servo.joint, topic_of(f"{servo.joint}/{command}")
 
 
 def bridged_topics(robot: Robot, *, ros2_control: bool = False) -> list[BridgedTopic]:
@@ -193,11 +177,9 @@ def bridged_topics(robot: Robot, *, ros2_control: bool = False) -> list[BridgedT
     prefix = robot.prefix
     topics = []
     if not ros2_control:
-        state = BridgedTopic(
-            JOINT_STATES, prefix + JOINT_STATES, "sensor_msgs/msg/JointState", "gz.msgs.Model"
-        )
-        topics.append(state)
-        for _, topic in joint_commands(robot):
+        states = ("sensor_msgs/msg/JointState", "gz.msgs.Model")
+        topics.append(BridgedTopic(joint_topics.JOINT_STATES, prefix + JOINT_STATES, *states))
+        for _, topic in joint_topics.command_topics(robot):
             number = ("std_msgs/msg/Float64", "gz.msgs.Double")
             topics.append(BridgedTopic(topic, prefix + topic, *number, to_gazebo=True))
     odometry = ("nav_msgs/msg/Odometry", "gz.msgs.Odometry")

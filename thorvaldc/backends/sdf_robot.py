@@ -23,6 +23,7 @@ from thorvaldc import model as ir
 from thorvaldc.backends import ros2_parts
 from thorvaldc.backends.ros2_controllers import CONTROLLER_FILE
 from thorvaldc.backends.xml_writer import Element, numbers
+from thorvaldc.model import joint_topics
 from thorvaldc.model.spatial import clean, clean3, combine, quat_from_z_to
 from thorvaldc.model.statics.joint_tree import JointTree, tree_of
 from thorvaldc.model.statics.standing_pose import spin_axis
@@ -210,7 +211,7 @@ class _RobotWriter:
         states.fill(topic=self.prefix + ros2_parts.JOINT_STATES, update_rate=rate)
         for joint in self.tree.moving:
             states.fill(joint_name=self.prefix + joint.name)
-        topics = dict(ros2_parts.joint_commands(self.robot))
+        topics = dict(joint_topics.command_topics(self.robot))
         motors: list[ir.Actuator | ir.JointServo] = [
             *self.robot.actuators,
             *self.robot.joint_servos,

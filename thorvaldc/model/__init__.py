@@ -33,6 +33,7 @@ from thorvaldc.model.robot import (
     Tread,
     Visual,
     Wheel,
+    wheel_joints,
 )
 from thorvaldc.model.settings import (
     CalculatorChoice,
@@ -87,4 +88,5 @@ __all__ = [
     "Wheel",
     "World",
     "Zone",
+    "wheel_joints",
 ]

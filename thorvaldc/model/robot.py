@@ -559,3 +559,19 @@ class Robot(Element):
                 hint="give its motors controllers; the assembly `assembly/steered_drive` contains"
                 " one",
             )
+
+
+def wheel_joints(robot: Robot) -> tuple[dict[str, int], dict[str, int]]:
+    """Returns the drive joints and the steering joints of a robot, in the order of the wheels.
+
+    The joints are mappings from the joint name to the index of the first wheel on the joint.  Two
+    wheels may share a steering joint or a drive joint.
+    """
+    drives: dict[str, int] = {}
+    steering: dict[str, int] = {}
+    for i, wheel in enumerate(robot.wheels):
+        if wheel.driven:
+            drives.setdefault(wheel.spin_joint, i)
+        if wheel.steering_joint is not None:
+            steering.setdefault(wheel.steering_joint, i)
+    return drives, steering

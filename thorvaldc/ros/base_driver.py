@@ -1,4 +1,4 @@
-"""The program ``base_driver``: runs the ROS 2 node until it is ended.
+"""The programs ``base_driver`` and ``joint_guard``: each runs a ROS 2 node until it is ended.
 
 python -m thorvaldc.ros.base_driver --ros-args -p model_file:=build/robot/model.json -p base:=ideal
 """
@@ -6,6 +6,7 @@ python -m thorvaldc.ros.base_driver --ros-args -p model_file:=build/robot/model.
 from __future__ import annotations
 
 import contextlib
+import importlib
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -26,12 +27,21 @@ def main(args: Sequence[str] | None = None) -> int:
     ``args``: arguments of the program, by default those of the process.  Errors are one line on
     stderr.
     """
+    return _run("thorvaldc.ros.lifecycle_node", "BaseDriverNode", args)
+
+
+def guard(args: Sequence[str] | None = None) -> int:
+    """Runs the node ``joint_guard``, as ``main`` runs ``base_driver``."""
+    return _run("thorvaldc.ros.joint_guard", "JointGuard", args)
+
+
+def _run(module: str, node: str, args: Sequence[str] | None) -> int:
     try:
         import rclpy
         from rclpy.exceptions import ParameterException
         from rclpy.signals import SignalHandlerOptions
 
-        from thorvaldc.ros.lifecycle_node import BaseDriverNode
+        factory = getattr(importlib.import_module(module), node)
     except ModuleNotFoundError as error:
         if str(error.name).startswith("thorvaldc"):
             raise
@@ -47,7 +57,7 @@ def main(args: Sequence[str] | None = None) -> int:
         except Exception as error:
             return _fail(str(error), INPUT)
         try:
-            return run_nodes([BaseDriverNode], ended)
+            return run_nodes([factory], ended)
         except DiagnosticError as error:
             return _fail(error.one_line, INPUT)
         except (NodeError, ParameterException) as error:

@@ -7,9 +7,11 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +34,10 @@ from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model.settings import FOR_FILTERS
 from thorvaldc.ros import messages
 from thorvaldc.ros.bases import NodeError, description_text, open_robot
-from thorvaldc.ros.node_parameters import NodeParameters
+from thorvaldc.ros.node_parameters import Changes, NodeParameters
 from thorvaldc.ros.node_services import create_services
+from thorvaldc.ros.parameters import TOPICS
+from thorvaldc.ros.topic_base import TopicBase, robot_behind_topics
 from thorvaldc.ros.topic_twists import ClockWatch, TwistInputs
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.odometry import filter_covariance
@@ -147,6 +151,7 @@ class BaseDriverNode(GuardedLifecycleNode):
         self.values = self.parameters.values
         self.model = self.parameters.robot
         self.model_file = Path(self.values["model_file"])
+        self._model_text = self._described_model()  # of the file as it is now
         self.robot: DrivenRobot | None = None
         self.inputs = TwistInputs(self.model, self.values, self.get_logger().warning)
         self.clock_watch = ClockWatch()
@@ -207,8 +212,9 @@ class BaseDriverNode(GuardedLifecycleNode):
     def run_due(self) -> None:
         """Runs the control cycle and sends the messages that are due."""
         robot = self.robot
+        if robot is not None:
+            self._watch_clock(robot)  # also while no cycle is due because the time stands
         if robot is not None and robot.wait() <= 0.0:
-            self._watch_clock(robot)
             try:
                 robot.run_due_cycle()
             except BaseException:
@@ -245,13 +251,16 @@ class BaseDriverNode(GuardedLifecycleNode):
         if values["base"] == "bus" and not values["bus"].startswith("sim:"):
             self.get_logger().warning(UNTESTED)
         try:
-            self.robot = open_robot(
-                self.model,
-                self.model_file,
-                values["base"],
-                values["bus"],
-                values["real_time_factor"],
-            )
+            if values["base"] == TOPICS:
+                self.robot = robot_behind_topics(self, self.model, values["joint_topics"])
+            else:
+                self.robot = open_robot(
+                    self.model,
+                    self.model_file,
+                    values["base"],
+                    values["bus"],
+                    values["real_time_factor"],
+                )
         except DiagnosticError as error:
             self.problem = error.one_line
         except (NodeError, OSError) as error:
@@ -264,13 +273,14 @@ class BaseDriverNode(GuardedLifecycleNode):
         self.get_logger().error(self.problem)
         return False
 
-    def _use_parameters(self, parameter_set: str | None, limits: Mapping[str, Any]) -> None:
+    def _use_parameters(self, parameter_set: str | None, changes: Changes) -> None:
         if self.robot is None:
             return
         if parameter_set is not None:
             self.robot.driver.use(parameter_set or None)
-        if limits:
-            self.robot.driver.update(**limits)
+        if any(changes.values()):
+            new = {"radii": changes["radii"], "noise": changes["noise"], **changes["limits"]}
+            self.robot.driver.update(**new)
 
     def _create_topics(self) -> None:
         model, add = self.model, self._entities.append
@@ -308,11 +318,25 @@ class BaseDriverNode(GuardedLifecycleNode):
             )
         if any(frame.kind == "relay" for bus in model.buses for frame in bus.frames):
             self._create_relay()
+        model_topic = self.create_publisher(String, "robot_model", latched())
+        add(model_topic)
+        model_topic.publish(String(data=self._model_text))
         if self.values["publish_description"]:
             description = self.create_publisher(String, "robot_description", latched())
             add(description)
             description.publish(String(data=description_text(model, self.model_file)))
         self._entities += create_services(self)
+
+    def _described_model(self) -> str:
+        """Returns which model the node drives, as JSON."""
+        content = self.model_file.read_bytes()
+        values = {
+            "robot": self.model.name,
+            "namespace": self.model.namespace,
+            "model_file": str(self.model_file.resolve()),
+            "sha256": hashlib.sha256(content).hexdigest(),
+        }
+        return json.dumps(values)
 
     def _create_relay(self) -> None:
         frame = self._frame_type
@@ -377,28 +401,21 @@ class BaseDriverNode(GuardedLifecycleNode):
     # -- messages out --------------------------------------------------------------------------
 
     def _stamp(self, robot: DrivenRobot | None) -> Any:
-        if self.owns_clock and robot is not None:
+        """Returns the time of the robot's joint states, where another program measures them."""
+        if robot is not None and self.owns_clock:
             nanoseconds = round(robot.now * 1e9)
-            return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
-        return self.get_clock().now().to_msg()
+        elif robot is not None and isinstance(robot.base, TopicBase):
+            nanoseconds = robot.base.stamp
+        else:
+            return self.get_clock().now().to_msg()
+        return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
 
     def _publish(self, robot: DrivenRobot) -> None:
-        state, values = robot.driver.state, self.values
-        stamp = self._stamp(robot)
+        state, stamp = robot.driver.state, self._stamp(robot)
         if self._clock_topic is not None:
             self._clock_topic.publish(Clock(clock=stamp))
-        frames = values["odom_frame_id"], values["base_frame_id"]
-        covariance = state.odometry.covariance
-        if values["twist_covariance"] == FOR_FILTERS:
-            estimator, period = robot.driver.calculator.estimator, 1.0 / values["rate"]
-            covariance = filter_covariance(estimator, state.joints, state.odometry, period)
-        self._odometry.publish(messages.odometry_message(state, covariance, stamp, *frames))
-        if self._tf is not None and values["enable_odom_tf"]:
-            transform = messages.transform_message(state, stamp, *frames)
-            self._tf.publish(self._tf_type(transforms=[transform]))
-        joints = self._joints.message(state, stamp)
-        if joints is not None:
-            self._joint_states.publish(joints)
+        if not robot.base.is_blind:
+            self._publish_motion(robot, stamp)
         if self._from_devices is not None:
             for frame in robot.base.frames_from_devices():
                 message = self._frame_type(id=frame.id, dlc=len(frame.data))
@@ -412,6 +429,21 @@ class BaseDriverNode(GuardedLifecycleNode):
         if summary != self._reported:
             self._reported = summary
             self._next_report = 0.0
+
+    def _publish_motion(self, robot: DrivenRobot, stamp: Any) -> None:
+        state, values = robot.driver.state, self.values
+        frames = values["odom_frame_id"], values["base_frame_id"]
+        covariance = state.odometry.covariance
+        if values["twist_covariance"] == FOR_FILTERS:
+            estimator, period = robot.driver.calculator.estimator, 1.0 / values["rate"]
+            covariance = filter_covariance(estimator, state.joints, state.odometry, period)
+        self._odometry.publish(messages.odometry_message(state, covariance, stamp, *frames))
+        if self._tf is not None and values["enable_odom_tf"]:
+            transform = messages.transform_message(state, stamp, *frames)
+            self._tf.publish(self._tf_type(transforms=[transform]))
+        joints = self._joints.message(state, stamp, robot.base.other_joints())
+        if joints is not None:
+            self._joint_states.publish(joints)
 
     def _publish_end(self, robot: DrivenRobot) -> None:
         """Publishes the robot at its last measurement.

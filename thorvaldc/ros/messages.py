@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -11,9 +12,8 @@ from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import BatteryState, JointState
 
-from thorvaldc.model import Robot
+from thorvaldc.model import Robot, wheel_joints
 from thorvaldc.runtime import se2
-from thorvaldc.runtime.base_interface import recorded_joints
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryState as ReportedBattery
 from thorvaldc.runtime.driven_robot import DrivenRobot
@@ -76,17 +76,22 @@ class JointMessages:
     """
 
     def __init__(self, robot: Robot) -> None:
-        drives, steering = recorded_joints(robot)
+        drives, steering = wheel_joints(robot)
         joints = [j.name for j in robot.joints if j.type in _MOVABLE]
         self._names = [robot.prefix + name for name in joints]
-        index = {name: i for i, name in enumerate(joints)}
+        self._index = index = {name: i for i, name in enumerate(joints)}
         self._drives = [(index[name], wheel) for name, wheel in drives.items()]
         self._steering = [(index[name], wheel) for name, wheel in steering.items()]
         self._turned = [0.0] * len(robot.wheels)
         self._time = math.nan
 
-    def message(self, state: DriverState, stamp: Any) -> Any | None:
-        """Returns a JointState message, or ``None`` while a measurement is missing."""
+    def message(
+        self, state: DriverState, stamp: Any, others: Mapping[str, tuple[float, float]] = {}
+    ) -> Any | None:
+        """Returns a JointState message, or ``None`` while a measurement is missing.
+
+        ``others``: position and speed of joints that the driver does not command.
+        """
         joints = state.joints
         if joints is None:
             return None
@@ -105,6 +110,9 @@ class JointMessages:
         for i, wheel in self._steering:
             positions[i] = float(joints.angles[wheel])
             velocities[i] = float(joints.angle_rates[wheel])
+        for name, (position, speed) in others.items():
+            if (index := self._index.get(name)) is not None:
+                positions[index], velocities[index] = position, speed
         if not all(map(math.isfinite, positions + velocities)):
             return None
         message = JointState()

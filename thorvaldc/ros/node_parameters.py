@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,22 @@ from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import load_model
 from thorvaldc.ros.bases import NodeError
-from thorvaldc.ros.parameters import MODEL_FILE, PARAMETER_SET, PARAMETERS, NodeParameter
+from thorvaldc.ros.parameters import (
+    MODEL_FILE,
+    NOISE,
+    PARAMETER_SET,
+    PARAMETERS,
+    RADIUS,
+    NodeParameter,
+    parameters_of,
+)
 from thorvaldc.runtime.base_interface import ParameterError
 from thorvaldc.runtime.run_time_parameters import COMMAND_TIMEOUT, LIMITS, Parameters
 
 _LIMITS = (*LIMITS, COMMAND_TIMEOUT)
+Changes = dict[str, dict[str, Any]]
+"""New values of the driver by name: `radii`, `noise` and `limits`, as `Parameters.changed` takes
+them."""
 
 
 def load_robot_model(path: str) -> Robot:
@@ -36,14 +48,31 @@ def load_robot_model(path: str) -> Robot:
     return model
 
 
+def declared(node: Any, name: str) -> Any:
+    """Declares one parameter of the table on a node, and returns its value.
+
+    Raises ``NodeError`` if the value is not one of the choices.
+    """
+    parameter = next(parameter for parameter in PARAMETERS if parameter.name == name)
+    value = node.declare_parameter(name, parameter.default, _descriptor(parameter, None)).value
+    return _chosen(parameter, value)
+
+
+def _chosen(parameter: NodeParameter, value: Any) -> Any:
+    if parameter.choices and value not in parameter.choices:
+        choices = ", ".join(parameter.choices)
+        raise NodeError(f"{parameter.name} is {value!r}; expected {choices}")
+    return value
+
+
 class NodeParameters:
     """The parameters of a node.
 
     - ``values``: values by name.
-    - ``driver``: the limits and radii in force.
-    - ``give``: function that gives a parameter set and limits to the base driver of an active node.
-      The set is ``None`` if it stays, and an empty text for the ordinary values.  ``give`` raises
-      ``ParameterError`` or ``DiagnosticError`` if the driver does not accept them now.
+    - ``driver``: the limits, radii and noise in force.
+    - ``give``: function that gives a parameter set and changes to the base driver of an active
+      node.  The set is ``None`` if it stays, and an empty text for the ordinary values.  ``give``
+      raises ``ParameterError`` or ``DiagnosticError`` if the driver does not accept them now.
     """
 
     def __init__(self, node: Any) -> None:
@@ -52,44 +81,40 @@ class NodeParameters:
         Raises ``NodeError`` or ``DiagnosticError`` if a value is wrong.
         """
         self._node = node
-        self.give: Callable[[str | None, Mapping[str, Any]], None] = lambda name, limits: None
-        table = {parameter.name: parameter for parameter in PARAMETERS}
-        model_file = table.pop(MODEL_FILE)
-        value = node.declare_parameter(MODEL_FILE, "", _descriptor(model_file, None)).value
-        self.values: dict[str, Any] = {MODEL_FILE: value}
-        self.robot = robot = load_robot_model(value)
+        self.give: Callable[[str | None, Changes], None] = lambda name, changes: None
+        self.values: dict[str, Any] = {MODEL_FILE: declared(node, MODEL_FILE)}
+        self.robot = robot = load_robot_model(self.values[MODEL_FILE])
+        table = {parameter.name: parameter for parameter in parameters_of(robot)}
+        del table[MODEL_FILE]
         for name, parameter in table.items():
             descriptor = _descriptor(parameter, robot)
             default = parameter.default_for(robot)
-            self.values[name] = node.declare_parameter(name, default, descriptor).value
-            if parameter.choices and self.values[name] not in parameter.choices:
-                choices = ", ".join(parameter.choices)
-                raise NodeError(f"{name} is {self.values[name]!r}; expected {choices}")
+            value = node.declare_parameter(name, default, descriptor).value
+            self.values[name] = _chosen(parameter, value)
         if self.values["rate"] != robot.driver.rate:
             raise NodeError(
                 f"rate is {self.values['rate']:g} Hz; the model has {robot.driver.rate:g} Hz:"
                 " change `driver.rate` in the robot file and build again"
             )
         overridden = set(getattr(node, "_parameter_overrides", ()))
-        limits = {name: self.values[name] for name in _LIMITS if name in overridden}
+        changes = _changes({n: self.values[n] for n in self.values if n in overridden})
         try:
             start = Parameters.from_robot(robot, self.values[PARAMETER_SET] or None)
-            self.driver = start.changed(robot, limits=limits)
+            self.driver = start.changed(robot, **changes)
         except ParameterError as error:
             raise NodeError(str(error)) from None
         self._show()
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
 
-    def _changes(self, parameters: Iterable[Any]) -> tuple[str | None, dict[str, Any]]:
-        """Returns the new parameter set, or ``None`` if it stays, and the new limits."""
+    def _changed(self, parameters: Iterable[Any]) -> tuple[str | None, Changes]:
+        """Returns the new parameter set, or ``None`` if it stays, and the changes."""
         new_values = {p.name: p.value for p in parameters}
         present = self.values[PARAMETER_SET]
         parameter_set = new_values.get(PARAMETER_SET, present)
-        limits = {name: new_values[name] for name in _LIMITS if name in new_values}
-        return None if parameter_set == present else parameter_set, limits
+        return None if parameter_set == present else parameter_set, _changes(new_values)
 
-    def _proposed(self, parameter_set: str | None, limits: Mapping[str, Any]) -> Parameters:
+    def _proposed(self, parameter_set: str | None, changes: Changes) -> Parameters:
         """Returns the parameters of the driver after a change.
 
         Raises ``ParameterError`` or ``DiagnosticError`` if a value is wrong.
@@ -97,17 +122,17 @@ class NodeParameters:
         driver = self.driver
         if parameter_set is not None:
             driver = Parameters.from_robot(self.robot, parameter_set or None)
-        return driver.changed(self.robot, limits=limits)
+        return driver.changed(self.robot, **changes)
 
     def _check(self, parameters: list[Any]) -> Any:
         unset = [p.name for p in parameters if p.value is None and p.name in self.values]
         if unset:
             reason = f"{unset[0]} needs a value; it cannot be removed"
             return SetParametersResult(successful=False, reason=reason)
-        changes = self._changes(parameters)
+        changed = self._changed(parameters)
         try:
-            self._proposed(*changes)
-            self.give(*changes)
+            self._proposed(*changed)
+            self.give(*changed)
         except DiagnosticError as error:
             return SetParametersResult(successful=False, reason=error.one_line)
         except ParameterError as error:
@@ -115,29 +140,45 @@ class NodeParameters:
         return SetParametersResult(successful=True)
 
     def _apply(self, parameters: list[Any]) -> None:
-        self.driver = self._proposed(*self._changes(parameters))
+        self.driver = self._proposed(*self._changed(parameters))
         self.values.update({p.name: p.value for p in parameters if p.name in self.values})
         self._show()
 
     def give_all(self) -> None:
         """Gives the present values to the base driver of a node that becomes active."""
-        self.give(self.values[PARAMETER_SET], _limits(self.driver))
+        self.give(self.values[PARAMETER_SET], _changes(self._in_force()))
+
+    def _in_force(self) -> dict[str, Any]:
+        """Returns the values of the driver by the names of the parameters."""
+        driver = self.driver
+        radii = zip(self.robot.wheels, driver.radii, strict=True)
+        return {
+            **{name: getattr(driver.settings, name) for name in _LIMITS},
+            **{f"{RADIUS}{wheel.name}": radius for wheel, radius in radii},
+            **{f"{NOISE}{n}": v for n, v in asdict(driver.noise).items() if v is not None},
+        }
 
     def _show(self) -> None:
-        """Sets the limits of the node to those of the driver, after a change of the set."""
-        shown = _limits(self.driver)
+        """Sets the parameters of the node to those of the driver, after a change of the set."""
+        shown = self._in_force()
         different = [
             Parameter(name, value=value)
             for name, value in shown.items()
-            if value != self.values[name]
+            if value != self.values.get(name, value)
         ]
         if different:
             self._node.set_parameters(different)
-            self.values.update(shown)
+            self.values.update({name: shown[name] for name in shown if name in self.values})
 
 
-def _limits(parameters: Parameters) -> dict[str, Any]:
-    return {name: getattr(parameters.settings, name) for name in _LIMITS}
+def _changes(values: Mapping[str, Any]) -> Changes:
+    """Returns the changes of the driver that new values of parameters mean."""
+
+    def beginning_with(start: str) -> dict[str, Any]:
+        return {n.removeprefix(start): v for n, v in values.items() if n.startswith(start)}
+
+    limits = {name: values[name] for name in _LIMITS if name in values}
+    return {"radii": beginning_with(RADIUS), "noise": beginning_with(NOISE), "limits": limits}
 
 
 def _descriptor(parameter: NodeParameter, robot: Robot | None) -> Any:

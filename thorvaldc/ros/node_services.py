@@ -78,7 +78,7 @@ def create_services(node: Any) -> list[Any]:
             switches[_name(f"{board}_set_{output}")] = lambda on, board=board, output=output: call(  # type: ignore[misc]
                 "set_output", board=board, output=output, on=on
             )
-    else:
+    elif base in ("ideal", "mujoco"):
         switches["pause_simulation"] = pause
         triggers["reset_simulation"] = reset
     if node.model.parameter_sets:

@@ -4,17 +4,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from thorvaldc.model import Robot
 from thorvaldc.model.settings import DRIVER, FOR_FILTERS, MEASURED, ODOM_FRAME
-from thorvaldc.runtime.run_time_parameters import COMMAND_TIMEOUT, LIMITS, Parameters
+from thorvaldc.runtime.run_time_parameters import (
+    COMMAND_TIMEOUT,
+    LARGEST,
+    LIMITS,
+    RADIUS_RATIO,
+    Parameters,
+)
 
 ParameterValue = str | bool | float
-BASES = ("ideal", "mujoco", "virtual", "bus")
+TOPICS = "topics"
+BASES = ("ideal", "mujoco", "virtual", "bus", TOPICS)
 """Values of the parameter ``base``: ideal joints, a simulation in MuJoCo, a simulated bus in the
-process of the node, or the buses of the robot."""
+process of the node, the buses of the robot, or joints behind topics of another program."""
+GAZEBO, ROS2_CONTROL, JOINT_STATES = "gazebo", "ros2_control", "joint_states"
+DIALECTS = (GAZEBO, ROS2_CONTROL, JOINT_STATES)
+"""Values of the parameter ``joint_topics``, see ``joint_messages.py``."""
 MODEL_FILE, PARAMETER_SET = "model_file", "parameter_set"
+RADIUS, NOISE = "radius.", "noise."
+"""Beginnings of the names of parameters for each wheel and each measurement error."""
 SMALLEST = 1e-6
 """Smallest age (s) of a command that is refused; 0 is not allowed."""
 
@@ -100,6 +112,13 @@ PARAMETERS: tuple[NodeParameter, ...] = (
         "bus", "socketcan:can0", "CAN interface of the base `bus`, as `run --bus` takes it"
     ),
     NodeParameter(
+        "joint_topics",
+        GAZEBO,
+        "topics of the joints of the base `topics`: one topic for each joint, two forward"
+        " controllers of ros2_control, or messages JointState",
+        choices=DIALECTS,
+    ),
+    NodeParameter(
         "real_time_factor",
         1.0,
         "speed of a simulation relative to the real time; 0: as fast as possible",
@@ -181,4 +200,33 @@ PARAMETERS: tuple[NodeParameter, ...] = (
         highest=1.0,
     ),
 )
-"""All parameters of the node, in the order in which they are declared."""
+"""Parameters of the node of every robot, in the order in which they are declared."""
+
+
+def parameters_of(robot: Robot) -> list[NodeParameter]:
+    """Returns all parameters of the node of a robot: with its wheel radii and its noise."""
+    radii = [
+        NodeParameter(
+            f"{RADIUS}{wheel.name}",
+            wheel.radius,
+            f"rolling radius of the wheel {wheel.name}; it can be changed at rest",
+            "m",
+            read_only=False,
+            lowest=min((wheel.radius, *dict(wheel.radii).values())) / RADIUS_RATIO,
+            highest=max((wheel.radius, *dict(wheel.radii).values())) * RADIUS_RATIO,
+        )
+        for wheel in robot.wheels
+    ]
+    noise = [
+        NodeParameter(
+            f"{NOISE}{name}",
+            value,
+            f"standard deviation `{name}` of the measurements, as in the robot file",
+            read_only=False,
+            lowest=0.0,
+            highest=LARGEST,
+        )
+        for name, value in asdict(Parameters.from_robot(robot).noise).items()
+        if value is not None  # it follows from another one
+    ]
+    return [*PARAMETERS, *radii, *noise]

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.model import Robot
 from thorvaldc.runtime.service_table import Service
 
 
@@ -71,22 +70,6 @@ class JointCommands:
     angles: Sequence[float]
 
 
-def recorded_joints(robot: Robot) -> tuple[dict[str, int], dict[str, int]]:
-    """Returns the drive joints and the steering joints of a robot.
-
-    The joints are mappings from the joint name to the index of the first wheel on the joint.  Two
-    wheels may share a steering joint or a drive joint.
-    """
-    drives: dict[str, int] = {}
-    steering: dict[str, int] = {}
-    for i, wheel in enumerate(robot.wheels):
-        if wheel.driven:
-            drives.setdefault(wheel.spin_joint, i)
-        if wheel.steering_joint is not None:
-            steering.setdefault(wheel.steering_joint, i)
-    return drives, steering
-
-
 class BaseHandle(abc.ABC):
     """The joints of one robot, with the same interface for simulated and real robots.
 
@@ -140,6 +123,11 @@ class BaseHandle(abc.ABC):
     def ended(self) -> bool:
         """``True`` if the joints are at rest and have no torque after ``end``, as far as known."""
         return True
+
+    @property
+    def is_blind(self) -> bool:
+        """``True`` while no joint state can be measured, so that no odometry is published."""
+        return False
 
     @property
     def gaps_are_faults(self) -> bool:
@@ -227,6 +215,10 @@ class BaseHandle(abc.ABC):
     def frames_from_devices(self) -> Iterable[CanFrame]:
         """Returns the CAN frames that foreign devices have sent since the last call."""
         return ()
+
+    def other_joints(self) -> Mapping[str, tuple[float, float]]:
+        """Returns the position (rad, m) and speed of joints that the driver does not command."""
+        return {}
 
     def services(self) -> Sequence[Service]:
         """Returns the services that only this kind of base has."""

@@ -69,6 +69,7 @@ class DrivenRobot(ArmableRobot):
         real_time: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
         keep_starts: bool = False,
+        pace: Pace | None = None,
     ) -> None:
         """Creates the base driver of the robot.
 
@@ -77,7 +78,8 @@ class DrivenRobot(ArmableRobot):
           ``None`` for a clock that goes on by itself; a simulation has 1 by default;
         - ``parameters``: name of the initial parameter set, ``None`` for the ordinary values;
         - ``arming``: replaces the setting of the robot file;
-        - ``channel``: name of the control channel, or empty for no control channel.
+        - ``channel``: name of the control channel, or empty for no control channel;
+        - ``pace``: when cycles are due, where no fixed period says it.
 
         Raises ``DiagnosticError`` if the parameter set is unknown or the calculator cannot drive
         the robot, and ``OSError`` if another program uses the control channel.
@@ -88,7 +90,7 @@ class DrivenRobot(ArmableRobot):
         if self.owns_clock and factor is None:
             factor = 1.0
         period = base.period or 1.0 / driver.settings.rate
-        pace = Pace(
+        pace = pace or Pace(
             self.clock, period, factor, real_time=real_time, sleep=sleep, keep_starts=keep_starts
         )
         super().__init__(base, driver, pace, arming)

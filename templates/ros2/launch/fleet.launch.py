@@ -4,30 +4,44 @@ import os
 
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    IncludeLaunchDescription,
+    OpaqueFunction,
+)
 from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-# Package, name space, and place in the frame map: x, y, z in m, quaternion x, y, z, w.
+PACKAGE = "{{ package }}"
+# Package, name space, and place in the frame map: x, y, z in m, quaternion x, y, z, w, and the
+# angles roll, pitch, yaw in rad.
 ROBOTS = [
-    # % for package, namespace, pose in robots
-    ("{{ package }}", "{{ namespace }}", {{ pose }}),
+    # % for package, namespace, pose, angles in robots
+    ("{{ package }}", "{{ namespace }}", {{ pose }}, {{ angles }}),
     # % endfor
 ]
 
 
-def robot(package, namespace, pose):
+def robot(number, base, package, namespace, pose, angles):
     options = ("--x", "--y", "--z", "--qx", "--qy", "--qz", "--qw")
     place = [text for item in zip(options, pose) for text in (item[0], str(item[1]))]
     share = get_package_share_directory(package)
+    file, arguments = "base.launch.py", {"base": base}
+    if base == "gazebo":
+        world = os.path.join(get_package_share_directory(PACKAGE), "sdf", "world.sdf")
+        places = zip(("x", "y", "z", "R", "P", "Y"), (*pose[:3], *angles))
+        file = "gazebo.launch.py"
+        # One Gazebo runs, with the world of the fleet.
+        arguments = {"world": world if number == 0 else "", **{k: str(v) for k, v in places}}
     # The group keeps the arguments of a robot from the others.
     return GroupAction(
         [
             IncludeLaunchDescription(
-                PythonLaunchDescriptionSource(os.path.join(share, "launch", "base.launch.py")),
-                launch_arguments={"base": LaunchConfiguration("base")}.items(),
+                PythonLaunchDescriptionSource(os.path.join(share, "launch", file)),
+                launch_arguments=arguments.items(),
             ),
             Node(
                 condition=IfCondition(LaunchConfiguration("poses")),
@@ -41,20 +55,25 @@ def robot(package, namespace, pose):
     )
 
 
+def start(context):
+    base = LaunchConfiguration("base").perform(context)
+    return [robot(number, base, *values) for number, values in enumerate(ROBOTS)]
+
+
 def generate_launch_description():
     return LaunchDescription(
         [
             DeclareLaunchArgument(
                 "base",
                 default_value="ideal",
-                choices=["ideal", "virtual"],
-                description="ideal joints, or simulated buses",
+                choices=["ideal", "virtual", "gazebo"],
+                description="ideal joints, simulated buses, or one Gazebo with all robots",
             ),
             DeclareLaunchArgument(
                 "poses",
                 default_value="true",
                 description="publish the transforms from map to the odom frame of each robot",
             ),
-            *[robot(*values) for values in ROBOTS],
+            OpaqueFunction(function=start),
         ]
     )

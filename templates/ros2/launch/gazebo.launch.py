@@ -8,14 +8,18 @@ from launch.actions import (
     AppendEnvironmentVariable,
     DeclareLaunchArgument,
     IncludeLaunchDescription,
+    OpaqueFunction,
 )
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+# % if command_topic
 from launch_ros.parameter_descriptions import ParameterValue
+# % endif
 
 PACKAGE = "{{ package }}"
 NAMESPACE = "{{ namespace }}"
+PLACE = ("x", "y", "z", "R", "P", "Y")
 # % if command_topic
 CONTROLLERS = [
     # % for name in controllers
@@ -26,93 +30,159 @@ CONTROLLERS = [
 
 
 def generate_launch_description():
-    share = get_package_share_directory(PACKAGE)
-    config = os.path.join(share, "config")
-    with open(os.path.join(share, "urdf", "{{ urdf }}"), encoding="utf-8") as file:
-        description = file.read().replace("$(find {{ package }})", share)
-    with open(os.path.join(share, "sdf", "model.sdf"), encoding="utf-8") as file:
-        model = file.read().replace("$(find {{ package }})", share)
-    use_sim_time = {"use_sim_time": True}
-    gazebo = get_package_share_directory("ros_gz_sim")
     return LaunchDescription(
         [
             DeclareLaunchArgument(
                 "gz_args", default_value="-r", description="options of gz sim; -r -s: no window"
             ),
-            # Gazebo finds the meshes of the package in this folder.
-            AppendEnvironmentVariable("GZ_SIM_RESOURCE_PATH", os.path.dirname(share)),
-            IncludeLaunchDescription(
-                PythonLaunchDescriptionSource(os.path.join(gazebo, "launch", "gz_sim.launch.py")),
-                launch_arguments={
-                    "gz_args": [
-                        LaunchConfiguration("gz_args"),
-                        " ",
-                        os.path.join(share, "sdf", "world.sdf"),
-                    ]
-                }.items(),
-            ),
-            Node(
-                package="ros_gz_sim",
-                executable="create",
-                name="create",
-                namespace=NAMESPACE,
-                output="screen",
-                arguments=["-name", "{{ model_name }}", "-string", model],
-            ),
-            Node(
-                package="ros_gz_bridge",
-                executable="parameter_bridge",
-                name="gz_bridge",
-                namespace=NAMESPACE,
-                output="screen",
-                parameters=[{"config_file": os.path.join(config, "gz_bridge.yaml")}, use_sim_time],
-            ),
-            # Gazebo sends the time at every step of the physics; the nodes get every 10th.
-            Node(
-                package="topic_tools",
-                executable="drop",
-                name="clock_drop",
-                namespace=NAMESPACE,
-                output="screen",
-                parameters=[
-                    {
-                        "input_topic": "{{ gazebo_clock }}",
-                        "output_topic": "/clock",
-                        "X": 9,
-                        "Y": 10,
-                    }
-                ],
-            ),
-            Node(
-                package="robot_state_publisher",
-                executable="robot_state_publisher",
-                name="robot_state_publisher",
-                namespace=NAMESPACE,
-                output="screen",
-                parameters=[
-                    os.path.join(config, "robot_state_publisher.yaml"),
-                    {"robot_description": ParameterValue(description, value_type=str)},
-                    use_sim_time,
-                ],
+            DeclareLaunchArgument(
+                "world",
+                default_value=os.path.join(
+                    get_package_share_directory(PACKAGE), "sdf", "world.sdf"
+                ),
+                description="world of Gazebo; empty: Gazebo runs already, with the time on /clock",
             ),
             # % if command_topic
-            Node(
-                package="controller_manager",
-                executable="spawner",
-                name="spawner",
-                namespace=NAMESPACE,
-                output="screen",
-                arguments=[*CONTROLLERS, "--controller-manager", "{{ controller_manager }}"],
-            ),
-            Node(
-                package="twist_mux",
-                executable="twist_mux",
-                name="twist_mux",
-                namespace=NAMESPACE,
-                output="screen",
-                parameters=[os.path.join(config, "twist_mux.yaml"), use_sim_time],
-                remappings=[("cmd_vel_out", "{{ command_topic }}")],
+            DeclareLaunchArgument(
+                "controller",
+                default_value="base_driver",
+                choices=["base_driver", "standard"],
+                description="the base driver, or the controllers of ros2_control",
             ),
             # % endif
+            *[
+                DeclareLaunchArgument(
+                    name, default_value="0.0", description="place in the world, in m and rad"
+                )
+                for name in PLACE
+            ],
+            DeclareLaunchArgument("rviz", default_value="false", description="start RViz"),
+            OpaqueFunction(function=start),
         ]
     )
+
+
+def start(context):
+    share = get_package_share_directory(PACKAGE)
+    config = os.path.join(share, "config")
+    # % if command_topic
+    standard = LaunchConfiguration("controller").perform(context) == "standard"
+    variant, moved_by = ("_ros2_control", controllers) if standard else ("", base_driver)
+    # % else
+    variant, moved_by = "", base_driver
+    # % endif
+    with open(os.path.join(share, "sdf", f"model{variant}.sdf"), encoding="utf-8") as file:
+        model = file.read().replace("$(find {{ package }})", share)
+    place = [text for name in PLACE for text in (f"-{name}", LaunchConfiguration(name))]
+    return [
+        # Gazebo finds the meshes of the package in this folder.
+        AppendEnvironmentVariable("GZ_SIM_RESOURCE_PATH", os.path.dirname(share)),
+        *gazebo(LaunchConfiguration("world").perform(context), config),
+        Node(
+            package="ros_gz_sim",
+            executable="create",
+            name="create",
+            namespace=NAMESPACE,
+            output="screen",
+            arguments=["-name", "{{ model_name }}", "-string", model, *place],
+        ),
+        Node(
+            package="ros_gz_bridge",
+            executable="parameter_bridge",
+            name="gz_bridge",
+            namespace=NAMESPACE,
+            output="screen",
+            parameters=[
+                {"config_file": os.path.join(config, f"gz_bridge{variant}.yaml")},
+                {"use_sim_time": True},
+            ],
+        ),
+        *moved_by(share),
+    ]
+
+
+def gazebo(world, config):
+    if not world:
+        return []
+    launch = os.path.join(get_package_share_directory("ros_gz_sim"), "launch", "gz_sim.launch.py")
+    return [
+        IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(launch),
+            launch_arguments={"gz_args": [LaunchConfiguration("gz_args"), " ", world]}.items(),
+        ),
+        Node(
+            package="ros_gz_bridge",
+            executable="parameter_bridge",
+            name="gz_bridge_clock",
+            namespace=NAMESPACE,
+            output="screen",
+            parameters=[{"config_file": os.path.join(config, "gz_bridge_clock.yaml")}],
+        ),
+        # Gazebo sends the time at every step of the physics; the nodes get every 10th.
+        Node(
+            package="topic_tools",
+            executable="drop",
+            name="clock_drop",
+            namespace=NAMESPACE,
+            output="screen",
+            parameters=[
+                {"input_topic": "{{ gazebo_clock }}", "output_topic": "/clock", "X": 9, "Y": 10}
+            ],
+        ),
+    ]
+
+
+def base_driver(share):
+    return [
+        IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(os.path.join(share, "launch", "base.launch.py")),
+            launch_arguments={
+                "base": "topics",
+                "joint_topics": "gazebo",
+                "guard": "true",
+                "use_sim_time": "true",
+                "rviz": LaunchConfiguration("rviz"),
+            }.items(),
+        )
+    ]
+
+# % if command_topic
+
+
+def controllers(share):
+    config = os.path.join(share, "config")
+    with open(os.path.join(share, "urdf", "robot_gazebo.urdf"), encoding="utf-8") as file:
+        description = file.read().replace("$(find {{ package }})", share)
+    use_sim_time = {"use_sim_time": True}
+    return [
+        Node(
+            package="robot_state_publisher",
+            executable="robot_state_publisher",
+            name="robot_state_publisher",
+            namespace=NAMESPACE,
+            output="screen",
+            parameters=[
+                os.path.join(config, "robot_state_publisher.yaml"),
+                {"robot_description": ParameterValue(description, value_type=str)},
+                use_sim_time,
+            ],
+        ),
+        Node(
+            package="controller_manager",
+            executable="spawner",
+            name="spawner",
+            namespace=NAMESPACE,
+            output="screen",
+            arguments=[*CONTROLLERS, "--controller-manager", "{{ controller_manager }}"],
+        ),
+        Node(
+            package="twist_mux",
+            executable="twist_mux",
+            name="twist_mux",
+            namespace=NAMESPACE,
+            output="screen",
+            parameters=[os.path.join(config, "twist_mux.yaml"), use_sim_time],
+            remappings=[("cmd_vel_out", "{{ command_topic }}")],
+        ),
+    ]
+# % endif

@@ -1,13 +1,20 @@
-"""Controllers of ros2_control move the robot, without the base driver."""
+"""Joints of ros2_control, which its controllers move, or the base driver through them."""
 
 import os
 
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
+# % if command_topic
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
+# % else
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+# % endif
 
 PACKAGE = "{{ package }}"
 NAMESPACE = "{{ namespace }}"
@@ -36,23 +43,14 @@ def start(context):
     share = get_package_share_directory(PACKAGE)
     config = os.path.join(share, "config")
     hardware = LaunchConfiguration("hardware").perform(context)
+    has_clock = hardware == "mujoco"
+    use_sim_time = {"use_sim_time": has_clock}
+    package = "mujoco_ros2_control" if has_clock else "controller_manager"
+    # % if command_topic
     with open(os.path.join(share, "urdf", f"robot_{hardware}.urdf"), encoding="utf-8") as file:
         description = file.read().replace("$(find {{ package }})", share)
-    use_sim_time = {"use_sim_time": hardware == "mujoco"}
-    package = "mujoco_ros2_control" if hardware == "mujoco" else "controller_manager"
+    # % endif
     return [
-        Node(
-            package="robot_state_publisher",
-            executable="robot_state_publisher",
-            name="robot_state_publisher",
-            namespace=NAMESPACE,
-            output="screen",
-            parameters=[
-                os.path.join(config, "robot_state_publisher.yaml"),
-                {"robot_description": ParameterValue(description, value_type=str)},
-                use_sim_time,
-            ],
-        ),
         Node(
             package=package,
             executable="ros2_control_node",
@@ -72,6 +70,18 @@ def start(context):
         ),
         # % if command_topic
         Node(
+            package="robot_state_publisher",
+            executable="robot_state_publisher",
+            name="robot_state_publisher",
+            namespace=NAMESPACE,
+            output="screen",
+            parameters=[
+                os.path.join(config, "robot_state_publisher.yaml"),
+                {"robot_description": ParameterValue(description, value_type=str)},
+                use_sim_time,
+            ],
+        ),
+        Node(
             package="twist_mux",
             executable="twist_mux",
             name="twist_mux",
@@ -79,6 +89,17 @@ def start(context):
             output="screen",
             parameters=[os.path.join(config, "twist_mux.yaml"), use_sim_time],
             remappings=[("cmd_vel_out", "{{ command_topic }}")],
+        ),
+        # % else
+        IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(os.path.join(share, "launch", "base.launch.py")),
+            launch_arguments={
+                "base": "topics",
+                "joint_topics": "ros2_control",
+                "guard": "true",
+                "use_sim_time": str(has_clock).lower(),
+                "urdf": f"robot_{hardware}.urdf",
+            }.items(),
         ),
         # % endif
     ]

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from tests.backends.rcl_parameters import read
-from tests.backends.ros2.launch_double import spawned_controllers
+from tests.backends.ros2.launch_double import Started, spawned_controllers
 from tests.backends.ros2.packages import launch, variant
 from tests.backends.ros2.test_launch_files import depends
 from tests.examples import ROBOTS, example_robot
@@ -77,33 +77,54 @@ def test_a_robot_without_a_controller_has_no_twist_mux(tmp_path: Path) -> None:
     started = launch(robot, tmp_path, "ros2_control").started
     assert "twist_mux" not in {n.executable for n in started}
     assert "config/twist_mux.yaml" not in package_of(robot)
-    assert "- twists in ros2_control.launch.py" in package_of(robot)["README.md"].decode()
 
 
-@pytest.mark.parametrize("name", [DRIVEN, OTHER])
-def test_gazebo(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("file", "dialect"), [("ros2_control", "ros2_control"), ("gazebo", "gazebo")]
+)
+def test_the_base_driver_moves_a_robot_that_no_controller_moves(
+    file: str, dialect: str, tmp_path: Path
+) -> None:
+    """Its guard has the same topics, and no other node owns the topic of the joint states."""
+    robot = variant(OTHER, namespace="r1")
+    nodes = {n.executable: n for n in launch(robot, tmp_path, file).started}
+    for name in ("base_driver", "joint_guard"):
+        assert nodes[name].parameters["joint_topics"] == dialect
+    assert nodes["base_driver"].parameters["base"] == "topics"
+    values = read(package_of(robot)["config/controllers.yaml"].decode())
+    assert values["/r1/joint_state_broadcaster"]["use_local_topics"] is True
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [(DRIVEN, {"controller": "standard"}), (DRIVEN, {}), (OTHER, {})],
+    ids=["controllers of ros2_control", "base driver", "base driver, steered"],
+)
+def test_gazebo(name: str, arguments: dict[str, str], tmp_path: Path) -> None:
     """Gazebo gets the model of the package, the bridge its topics, and all nodes its time."""
     robot = variant(name, namespace="r1")
-    context = launch(robot, tmp_path, "gazebo")
-    nodes = {n.executable: n for n in context.started}
-    model = ElementTree.fromstring(nodes["create"].arguments[-1])
+    context = launch(robot, tmp_path, "gazebo", **arguments)
+    nodes = {n.name: n for n in context.started}
+    create = nodes["create"].arguments
+    options = dict(zip(create[::2], create[1::2], strict=True))
+    assert {options[f"-{axis}"] for axis in "xyzRPY"} == {"0.0"}
+    model = ElementTree.fromstring(options["-string"])
     share = f"model://{robot.ros.package}/"
     uris = {uri.text or "" for uri in model.iter("uri")}
     assert uris
     assert all(uri.removeprefix(share) in package_of(robot) for uri in uris)
-    config = Path(nodes["parameter_bridge"].parameters["config_file"])
-    bridge = yaml.safe_load(config.read_text(encoding="utf-8"))
-    topics = {entry["ros_topic_name"] for entry in bridge}
-    assert "gazebo_clock" in topics
-    for parameter_node in ("robot_state_publisher", "parameter_bridge"):
+    topics = {entry["ros_topic_name"] for entry in bridged(nodes["gz_bridge"])}
+    for parameter_node in ("robot_state_publisher", "gz_bridge"):
         assert nodes[parameter_node].parameters["use_sim_time"] is True
     assert str(tmp_path) in context.environment["GZ_SIM_RESOURCE_PATH"]
     assert context.configurations["gz_args"].startswith("-r ")
     assert Path(context.configurations["gz_args"].removeprefix("-r ")).is_file()
-    plugins = [plugin.get("name") for plugin in model.iter("plugin")]
-    if name == DRIVEN:
-        assert "twist_mux" in nodes
-        assert any("ros2_control" in str(plugin) for plugin in plugins)
+    plugins = [str(plugin.get("name")) for plugin in model.iter("plugin")]
+    assert "joint_states" not in topics  # of the base driver or of joint_state_broadcaster
+    has_controllers = any("ros2_control" in plugin for plugin in plugins)
+    assert has_controllers is ("twist_mux" in nodes) is ("spawner" in nodes) is bool(arguments)
+    assert ("base_driver" in nodes) is ("joint_guard" in nodes) is not has_controllers
+    if arguments:
         files = [p.text or "" for p in model.iter("parameters")]
         parameters = read(Path(files[0]).read_text(encoding="utf-8"))
         spawned_by, names = spawned_controllers(nodes["spawner"])
@@ -111,22 +132,26 @@ def test_gazebo(name: str, tmp_path: Path) -> None:
         assert spawned_by == "/r1/controller_manager"
         assert names
         assert all(f"{controller}.type" in parameters[spawned_by] for controller in names)
-        assert "joint_states" not in topics  # of joint_state_broadcaster
     else:
-        assert "twist_mux" not in nodes
-        assert "joint_states" in topics
+        assert "engine/joint_states" in topics
+        assert nodes["base_driver"].parameters["joint_topics"] == "gazebo"
+
+
+def bridged(bridge: Started) -> list[dict[str, str]]:
+    text = Path(bridge.parameters["config_file"]).read_text(encoding="utf-8")
+    entries: list[dict[str, str]] = yaml.safe_load(text)
+    return entries
 
 
 @pytest.mark.parametrize("name", [DRIVEN, OTHER])
 def test_nodes_get_the_time_of_gazebo_100_times_per_second(name: str, tmp_path: Path) -> None:
     """Gazebo sends the time at each step; a message of /clock costs a Python node 0.7 ms."""
     robot = variant(name, namespace="r1")
-    nodes = {n.executable: n for n in launch(robot, tmp_path, "gazebo").started}
-    config = Path(nodes["parameter_bridge"].parameters["config_file"])
-    bridge = yaml.safe_load(config.read_text(encoding="utf-8"))
-    assert "/clock" not in {entry["ros_topic_name"] for entry in bridge}
-    (clock,) = (entry for entry in bridge if entry["gz_topic_name"] == "/clock")
-    drop = nodes["drop"]
+    nodes = {n.name: n for n in launch(robot, tmp_path, "gazebo").started}
+    entries = [*bridged(nodes["gz_bridge"]), *bridged(nodes["gz_bridge_clock"])]
+    assert "/clock" not in {entry["ros_topic_name"] for entry in entries}
+    (clock,) = (entry for entry in entries if entry["gz_topic_name"] == "/clock")
+    drop = nodes["clock_drop"]
     assert drop.parameters["input_topic"] == clock["ros_topic_name"]
     assert drop.parameters["output_topic"] == "/clock"
     assert "use_sim_time" not in drop.parameters

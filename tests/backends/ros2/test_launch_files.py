@@ -13,7 +13,14 @@ import yaml
 
 from tests.backends.rcl_parameters import read
 from tests.backends.ros2.launch_double import LaunchError, Started, run
-from tests.backends.ros2.packages import DISTROS, install, install_fleet, launch, variant
+from tests.backends.ros2.packages import (
+    DISTROS,
+    install,
+    install_fleet,
+    launch,
+    variant,
+    write,
+)
 from tests.examples import ROBOTS, example_fleet, example_robot
 from thorvaldc.backends.ros2 import package_of
 from thorvaldc.model import Robot
@@ -75,11 +82,12 @@ def test_everything_that_a_launch_file_names_exists(name: str, tmp_path: Path) -
     """Packages are dependencies, executables exist, and each parameter file has its node."""
     robot = example_robot(name)
     declared = depends(robot)
+    setup = package_of(robot)["setup.py"].decode()
     for file in launch_names(robot):
         context = launch(robot, tmp_path, file)
         for node in context.started:
             if node.package == robot.ros.package:
-                assert f"{robot.ros.package}/{node.executable}.py" in package_of(robot)
+                assert f'"{node.executable} = {node.package}.' in setup
             else:
                 assert node.package in declared
                 assert node.executable in EXECUTABLES[node.package]
@@ -110,16 +118,18 @@ def extra_arguments(file: str) -> dict[str, str]:
         ("mujoco", "mujoco", True),
         ("virtual", "virtual", False),
         ("robot", "bus", False),
+        ("joint_states", "topics", True),
     ],
 )
 def test_bases(file: str, base: str, simulated_time: bool, tmp_path: Path) -> None:
     """Each node gets the time from /clock, or none does; the base driver publishes it."""
     robot = example_robot("4wd4ws_wide")
     nodes = started(robot, tmp_path, file, rviz="true")
-    assert set(nodes) == {"base_driver", "robot_state_publisher", "rviz2"}
+    guard = {"joint_guard"} if base == "topics" else set()
+    assert set(nodes) == {"base_driver", "robot_state_publisher", "rviz2", *guard}
     driver = nodes["base_driver"].parameters
     assert driver["base"] == base
-    assert driver["publish_clock"] is simulated_time
+    assert driver["publish_clock"] is (base == "mujoco")
     assert all(node.parameters["use_sim_time"] is simulated_time for node in nodes.values())
     assert Path(driver["model_file"]).is_file()
     assert driver["real_time_factor"] == 1.0
@@ -136,6 +146,22 @@ def test_arguments_reach_the_base_driver(tmp_path: Path) -> None:
         launch(robot, tmp_path, "base", base="real")
     with pytest.raises(LaunchError, match="declares no argument"):
         launch(robot, tmp_path, "ideal", basis="ideal")
+
+
+def test_a_package_starts_the_robot_of_another_build(tmp_path: Path) -> None:
+    """Model, description, parameters and name space are those of the other build."""
+    other = write(tmp_path / "build" / "ros2", package_of(variant("car", namespace="r7")))
+    model = str(other / "config" / "model.json")
+    nodes = started(example_robot("4wd4ws_wide"), tmp_path / "installed", "ideal", model=model)
+    driver = nodes["base_driver"]
+    assert full_name(driver) == "/r7/base_driver"
+    assert driver.package == "thorvald_4wd4ws_wide"
+    assert driver.parameters["model_file"] == model
+    assert driver.files == [other / "config" / "base_driver.yaml"]
+    publisher = nodes["robot_state_publisher"]
+    assert "r7/base_link" in publisher.parameters["robot_description"]
+    nodes = started(example_robot("car"), tmp_path / "car", "ideal", namespace="r8")
+    assert {node.namespace for node in nodes.values()} == {"r8"}
 
 
 @pytest.mark.parametrize("owner", ["driver", "ekf"])
@@ -220,6 +246,49 @@ def test_fleet(tmp_path: Path) -> None:
     assert len(without.started) == 2 * len(fleet.placements)
 
 
+GZ_SIM_NODE = b"""\
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+def generate_launch_description():
+    arguments = [LaunchConfiguration("gz_args")]
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("gz_args", default_value="", description="options of gz sim"),
+            Node(package="gz", executable="sim", arguments=arguments),
+        ]
+    )
+"""
+
+
+def test_a_fleet_in_one_gazebo(tmp_path: Path) -> None:
+    """One world and one clock, and for each robot its model, its bridge, its driver and a guard."""
+    fleet = example_fleet("fleet_of_four")
+    shares = install_fleet(fleet, tmp_path)
+    shares["ros_gz_sim"] = write(tmp_path / "gz", {"launch/gz_sim.launch.py": GZ_SIM_NODE})
+    file = shares["fleet_of_four_fleet"] / "launch" / "fleet.launch.py"
+    context = run(file, shares, base="gazebo")
+    (sim,) = (node for node in context.started if node.package == "gz")
+    nodes = {full_name(node): node for node in context.started if node is not sim}
+    assert len(nodes) == len(context.started) - 1
+    assert [name.rpartition("/")[2] for name in nodes].count("gz_bridge_clock") == 1
+    world = Path(sim.arguments[0].removeprefix("-r "))
+    assert world.parent.parent == shares["fleet_of_four_fleet"]
+    models = {str(model.get("name")) for model in ElementTree.parse(world).iter("model")}
+    assert not models & {placement.name for placement in fleet.placements}
+    for placement in fleet.placements:
+        create = nodes[f"/{placement.name}/create"].arguments
+        options = dict(zip(create[::2], create[1::2], strict=True))
+        assert options["-name"] == placement.name
+        assert float(options["-x"]) == placement.pose.xyz[0]
+        assert float(options["-Y"]) == pytest.approx(placement.pose.rpy()[2])
+        for name in ("base_driver", "joint_guard"):
+            parameters = nodes[f"/{placement.name}/{name}"].parameters
+            assert parameters["joint_topics"] == "gazebo"
+            assert parameters["use_sim_time"] is True
+
+
 def test_rviz_shows_the_frames_and_topics_of_the_robot() -> None:
     robot = variant("4wd4ws_wide", namespace="r1")
     config: Any = yaml.safe_load(package_of(robot)["rviz/robot.rviz"])
@@ -278,7 +347,7 @@ def test_the_node_declares_every_parameter_of_the_base_driver(owner: str, tmp_pa
     """Names and types are those of the table of the node; the defaults are those of the robot."""
     table = {parameter.name: parameter for parameter in PARAMETERS}
     robot = variant("4wd4ws_wide", odom_tf=owner, namespace="r1")
-    for file in ("ideal", "mujoco", "virtual", "robot"):
+    for file in ("ideal", "mujoco", "virtual", "robot", "joint_states"):
         driver = started(robot, tmp_path, file)["base_driver"]
         values = read(driver.files[0].read_text(encoding="utf-8"))["/r1/base_driver"]
         for name, value in {**values, **driver.parameters}.items():

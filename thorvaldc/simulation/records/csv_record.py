@@ -22,9 +22,9 @@ from pathlib import Path
 from thorvaldc.compiler.recordings import csv_table
 from thorvaldc.diagnostics import Report, Span, did_you_mean
 from thorvaldc.diagnostics.files import AtomicFile
-from thorvaldc.model import Robot
+from thorvaldc.model import Robot, wheel_joints
 from thorvaldc.model.scenario import GROUPS
-from thorvaldc.runtime.base_interface import JointCommands, JointStates, recorded_joints
+from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.records import joint_csv
@@ -47,7 +47,7 @@ def columns(robot: Robot, groups: Sequence[str]) -> list[str]:
     for group, group_columns in COLUMNS.items():
         names += group_columns if group in groups else ()
     if "joints" in groups:
-        drives, steering = recorded_joints(robot)
+        drives, steering = wheel_joints(robot)
         for joint in drives:
             names += [
                 joint_csv.joint_column(joint, q)
@@ -93,7 +93,7 @@ class CsvRecorder:
         self._robots = dict(robots)
         self._joints = {
             name: (list(drives.values()), list(steering.values()))
-            for name, (drives, steering) in ((n, recorded_joints(robot)) for n, robot in robots)
+            for name, (drives, steering) in ((n, wheel_joints(robot)) for n, robot in robots)
         }
         if path.suffix == ".csv":
             self._paths = dict.fromkeys(self._robots, path)

@@ -26,8 +26,7 @@ from typing import TYPE_CHECKING
 
 from thorvaldc.compiler.recordings import csv_table
 from thorvaldc.diagnostics import Report, Span, did_you_mean
-from thorvaldc.model import Robot
-from thorvaldc.runtime.base_interface import recorded_joints
+from thorvaldc.model import Robot, wheel_joints
 from thorvaldc.runtime.driver import DriverState
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL
 
@@ -66,7 +65,7 @@ class _Joint:
 
 def _joints(robot: Robot) -> tuple[list[_Joint], list[_Joint]]:
     """Returns the drive joints and the steering joints of a robot."""
-    drives, steering = recorded_joints(robot)
+    drives, steering = wheel_joints(robot)
     motors = {name: robot.actuator_of(name) for name in steering}
     return [_Joint(name, wheel) for name, wheel in drives.items()], [
         _Joint(name, steering[name], motor.encoder_offset if motor is not None else 0.0)
@@ -156,7 +155,7 @@ def read_log(path: Path, display: str, robot: Robot, report: Report) -> JointLog
         return None
     times = columns[csv_table.TIME]
     _report_gaps(times, display, report)
-    drives, steering = recorded_joints(robot)
+    drives, steering = wheel_joints(robot)
 
     def of(joints: Iterable[str], quantity: str) -> dict[str, Sequence[float]]:
         return {
@@ -205,7 +204,7 @@ def _joints_match(header: Sequence[str], display: str, robot: Robot, report: Rep
     logged = list(
         dict.fromkeys(name.rpartition(".")[0] for name in header if name != csv_table.TIME)
     )
-    drives, steering = recorded_joints(robot)
+    drives, steering = wheel_joints(robot)
     needed = [*drives, *steering]
     if logged and not known.intersection(logged):
         report.add(

@@ -33,9 +33,9 @@ from typing import Any
 
 from thorvaldc.compiler.recordings import ros_bag
 from thorvaldc.diagnostics.files import INCOMPLETE, errors_with_name, uninterrupted
-from thorvaldc.model import Robot
+from thorvaldc.model import Robot, wheel_joints
 from thorvaldc.runtime import se2
-from thorvaldc.runtime.base_interface import JointCommands, JointStates, recorded_joints
+from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import ZERO_COV, Pose2
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.records.recorder import SampleInterval
@@ -374,7 +374,7 @@ class _RobotTopics:
         self._recorder = recorder
         odom, base = f"{robot.prefix}odom", f"{robot.prefix}base_link"
         true_base = f"{base}_true"
-        drives, steering = recorded_joints(robot)
+        drives, steering = wheel_joints(robot)
         self._drives, self._steering = list(drives.values()), list(steering.values())
         self._odometry = odometry_template(odom, base)
         self._truth = odometry_template("map", true_base)

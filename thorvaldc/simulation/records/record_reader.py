@@ -10,10 +10,9 @@ from typing import Any
 from thorvaldc.compiler.recordings import ros_bag
 from thorvaldc.compiler.recordings.csv_table import TIME
 from thorvaldc.diagnostics import Report, Span
-from thorvaldc.model import Robot
+from thorvaldc.model import Robot, wheel_joints
 from thorvaldc.model.scenario import GROUPS
 from thorvaldc.model.spatial import matrix_to_rpy, quat_to_matrix
-from thorvaldc.runtime.base_interface import recorded_joints
 from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
 from thorvaldc.simulation.records import joint_csv
 from thorvaldc.simulation.records.csv_record import COLUMNS, commands_of, read_csv_record, sample_of
@@ -180,7 +179,7 @@ class _BagRun:
         first = next(iter(self._by_time.get(ros_bag.JOINTS, {}).values()), None)
         if first is None:
             return True
-        drives, steering = recorded_joints(self._robot)
+        drives, steering = wheel_joints(self._robot)
         expected = (*drives, *steering)
         recorded = list(first.name)
         unknown = next((name for name in recorded if name not in expected), None)

@@ -32,5 +32,10 @@ setup(
     maintainer_email="unknown@example.org",
     description="The robot thorvald_4wd4ws_wide, made by thorvaldc",
     license="unspecified",
-    entry_points={"console_scripts": ["base_driver = thorvald_4wd4ws_wide.base_driver:main"]},
+    entry_points={
+        "console_scripts": [
+            "base_driver = thorvald_4wd4ws_wide.base_driver:main",
+            "joint_guard = thorvald_4wd4ws_wide.base_driver:guard",
+        ]
+    },
 )

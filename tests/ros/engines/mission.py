@@ -1,0 +1,147 @@
+"""Drives robots in an engine over the topics of their base drivers, and compares their odometry.
+
+``python -m tests.ros.engines.mission SECONDS NAMESPACE[,NAMESPACE ...]`` prints for each robot the
+true path (m), and the error of the odometry at the end: distance (m) and yaw (rad).  The time is
+that of the engine.  An empty name space is written as ``-``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from typing import Any
+
+import rclpy
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Odometry
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool, Trigger
+
+TIMEOUT = 60.0  # s, real time without progress
+REST = 3.0
+"""Time (s) at the end in which zero is commanded."""
+Pose = tuple[float, float, float]
+
+
+def twist_at(now: float, seconds: float) -> tuple[float, float]:
+    """Returns the speed (m/s) and the yaw rate (rad/s) of the mission: curves to both sides."""
+    if now < 0.5 or now > seconds - REST:
+        return 0.0, 0.0
+    return 0.5 * min((now - 0.5) / 2.0, 1.0), 0.3 * math.sin(0.4 * now)
+
+
+def pose_of(message: Any) -> Pose:
+    pose = message.pose.pose
+    return (
+        pose.position.x,
+        pose.position.y,
+        2.0 * math.atan2(pose.orientation.z, pose.orientation.w),
+    )
+
+
+def relative(pose: Pose, start: Pose) -> Pose:
+    """Returns a pose in the frame of ``start``."""
+    dx, dy = pose[0] - start[0], pose[1] - start[1]
+    c, s = math.cos(start[2]), math.sin(start[2])
+    yaw = math.remainder(pose[2] - start[2], math.tau)
+    return c * dx + s * dy, c * dy - s * dx, yaw
+
+
+class Robot:
+    """The topics of one robot: its twists, its odometry and its true motion."""
+
+    def __init__(self, node: Any, namespace: str) -> None:
+        space = f"/{namespace}" if namespace != "-" else ""
+        self.twists = node.create_publisher(Twist, f"{space}/auto_nav/cmd_vel", 1)
+        node.create_subscription(Odometry, f"{space}/odometry/base_raw", self._measured, 10)
+        node.create_subscription(Odometry, f"{space}/odometry/true", self._true, 10)
+        self.enable = node.create_client(SetBool, f"{space}/enable")
+        self.state = node.create_client(Trigger, f"{space}/state")
+        self.reset = node.create_client(Trigger, f"{space}/reset_faults")
+        self.measured: Pose | None = None
+        self.truths: dict[float, Pose] = {}
+        self.time = 0.0
+        self.start: tuple[Pose, Pose] | None = None
+        self.path = 0.0
+        self._last: Pose | None = None
+
+    def _measured(self, message: Any) -> None:
+        self.measured = pose_of(message)
+        self.time = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+
+    def _true(self, message: Any) -> None:
+        stamp = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+        pose = pose_of(message)
+        if self._last is not None:
+            self.path += math.dist(pose[:2], self._last[:2])
+        self._last = pose
+        self.truths[round(stamp, 6)] = pose
+
+    def pair(self) -> tuple[Pose, Pose] | None:
+        """Returns the measured and the true pose of the same time."""
+        truth = self.truths.get(round(self.time, 6))
+        return (self.measured, truth) if self.measured and truth else None
+
+    def send(self, vx: float, wz: float) -> None:
+        message = Twist()
+        message.linear.x, message.angular.z = vx, wz
+        self.twists.publish(message)
+
+    def error(self) -> dict[str, float]:
+        pair = self.pair()
+        assert pair is not None
+        assert self.start is not None
+        measured, true = (relative(now, start) for now, start in zip(pair, self.start, strict=True))
+        distance = math.dist(measured[:2], true[:2])
+        yaw = abs(math.remainder(measured[2] - true[2], math.tau))
+        return {"path": self.path, "distance": distance, "yaw": yaw}
+
+
+def wait(node: Any, what: str, condition: Any) -> None:
+    end = time.monotonic() + TIMEOUT
+    while not condition():
+        assert time.monotonic() < end, what
+        rclpy.spin_once(node, timeout_sec=0.05)
+
+
+def call(node: Any, client: Any, request: Any) -> Any:
+    wait(node, client.srv_name, client.service_is_ready)
+    future = client.call_async(request)
+    wait(node, client.srv_name, future.done)
+    return future.result()
+
+
+def main() -> None:
+    seconds, namespaces = float(sys.argv[1]), sys.argv[2].split(",")
+    rclpy.init()
+    node = rclpy.create_node("mission")
+    robots = [Robot(node, namespace) for namespace in namespaces]
+    for robot in robots:
+        wait(node, "the odometry", robot.pair)
+    for robot in robots:
+        end = time.monotonic() + TIMEOUT
+        while not (answer := call(node, robot.enable, SetBool.Request(data=True))).success:
+            assert time.monotonic() < end, answer.message
+            call(node, robot.reset, Trigger.Request())  # the engine may have run away before
+        robot.start, robot.path = robot.pair(), 0.0
+    continues = node.create_publisher(Float64, "/engine/continue", 1)
+    begin = robots[0].time
+    while (now := robots[0].time - begin) < seconds:
+        for robot in robots:
+            robot.send(*twist_at(now, seconds))
+        continues.publish(Float64(data=robots[0].time))
+        wait(node, "the time of the engine", lambda now=now: robots[0].time - begin > now)
+    states = [json.loads(call(node, robot.state, Trigger.Request()).message) for robot in robots]
+    for robot in robots:
+        wait(node, "the odometry", robot.pair)
+    results = {
+        name: {**robot.error(), "fault": state["fault"]}
+        for name, robot, state in zip(namespaces, robots, states, strict=True)
+    }
+    print(json.dumps(results))
+
+
+if __name__ == "__main__":
+    main()

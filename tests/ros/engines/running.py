@@ -1,0 +1,80 @@
+"""Starts engines, base drivers and guards of the tests, each in a process of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from tests.child_process import ChildProcess, end_at_hang_up
+from tests.ros.environments import ROOT, python_of, variables
+
+GUARD = "import sys; from thorvaldc.ros.base_driver import guard; sys.exit(guard())"
+
+
+def python_with_dart() -> str:
+    """Returns the Python with DART; the test is skipped without it."""
+    from tests.outside_tools import without
+
+    python = ROOT / ".venv" / "dart" / "bin" / "python"
+    if not python.exists():
+        without("there is no environment .venv/dart with DART")
+    return str(python)
+
+
+@contextlib.contextmanager
+def process(distro: str, folder: Path, arguments: Sequence[str]) -> Iterator[ChildProcess]:
+    """Runs a Python program with ROS 2."""
+    started = ChildProcess(
+        [python_of(distro), *arguments],
+        env=variables(folder),
+        preexec_fn=end_at_hang_up,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield started
+    finally:
+        started.end()
+
+
+def engine(
+    distro: str, folder: Path, physics: str, file: Path, packages: Sequence[Path], *options: str
+) -> contextlib.AbstractContextManager[ChildProcess]:
+    """Runs the engine with packages in one world."""
+    python = python_with_dart() if physics == "dart" else sys.executable
+    arguments = ["-m", "tests.ros.engines.gazebo_engine", "--physics", physics]
+    arguments += ["--python", python, "--file", str(file), *options, *map(str, packages)]
+    return process(distro, folder, arguments)
+
+
+def node(
+    distro: str, folder: Path, package: Path, namespace: str = "", guard: bool = False
+) -> contextlib.AbstractContextManager[ChildProcess]:
+    """Runs the base driver of a package, or its guard, as the launch files start it."""
+    values: dict[str, Any] = {"model_file": str(package / "config" / "model.json")}
+    values |= {"joint_topics": "gazebo", "use_sim_time": True}
+    if not guard:
+        values |= {"base": "topics", "stamped": False}
+    arguments = ["-c", GUARD] if guard else ["-m", "thorvaldc.ros.base_driver"]
+    arguments.append("--ros-args")
+    for name, value in values.items():
+        arguments += ["-p", f"{name}:={json.dumps(value)}"]
+    if namespace:
+        arguments += ["-r", f"__ns:=/{namespace}"]
+    return process(distro, folder, arguments)
+
+
+def end(started: ChildProcess) -> dict[str, Any]:
+    """Ends an engine, and returns its report."""
+    started.send_signal(signal.SIGTERM)
+    out, err = started.communicate(timeout=30)
+    assert started.returncode == 0, err
+    report: dict[str, Any] = json.loads(out)
+    return report

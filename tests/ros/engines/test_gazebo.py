@@ -1,0 +1,208 @@
+"""The base driver drives generated robots in an engine that speaks the topics of Gazebo.
+
+Gazebo itself cannot run here: ``gazebo_engine`` stands for it, over DART and over MuJoCo.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.backends.ros2.packages import write
+from tests.examples import ROBOTS, example_fleet, example_robot
+from tests.ros.engines import running
+from tests.ros.environments import DISTROS, each_distro
+from tests.ros.test_node import run_client
+from thorvaldc.compiler.pipeline import emit
+
+pytestmark = each_distro()
+STEERED = "4wd4ws_wide"
+
+LOCKSTEP = ("--lockstep", "--factor", "0")
+RATIO = 0.003
+"""Largest error of the odometry, as a share of the path; that of the base `mujoco` is 0.0017."""
+YAW = 0.008
+"""Largest error of the yaw in rad."""
+# With one driven wheel, all else follows from wheels that slip sideways a little in DART.
+LARGER = {"1wd1ws_front": 0.02, "1wd1ws_rear": 0.02}
+# SDF 1.9 has no couplings of joints, so that this robot would tip over its free rockers.
+COUPLED = ("rocker_bogie",)
+
+
+def first_distro(distro: str) -> None:
+    """Skips a test of the generated files, which are the same in every distribution."""
+    if distro != DISTROS[0]:
+        pytest.skip("one distribution is enough for the files")
+
+
+def scene(physics: str, folder: Path, package: Path) -> Path:
+    """Returns the file with the scene or world of a build."""
+    dart = package / "sdf" / "world.sdf"
+    return dart if physics == "dart" else folder / "mjcf" / "scene.xml"
+
+
+def build(name: str, folder: Path) -> Path:
+    """Builds the package of an example, and returns its folder."""
+    write(folder, emit(example_robot(name), ["ros2", "mjcf"]))
+    return folder / "ros2"
+
+
+def mission(
+    distro: str,
+    folder: Path,
+    physics: str,
+    package: Path,
+    seconds: float,
+) -> dict[str, Any]:
+    """Drives one robot, and returns the errors of its odometry and the report of the engine."""
+    file = scene(physics, package.parent, package)
+    with (
+        running.engine(distro, folder, physics, file, [package], *LOCKSTEP) as engine,
+        running.node(distro, folder, package),
+    ):
+        out = run_client(distro, "engines.mission", folder, seconds, "-")
+        report = running.end(engine)
+    result: dict[str, Any] = json.loads(out)["-"]
+    return {**result, **report}
+
+
+def check(result: dict[str, Any], shortest: float, ratio: float = RATIO) -> None:
+    assert result["fault"] == ""
+    assert result["path"] > shortest
+    assert result["distance"] < ratio * result["path"], result
+    assert result["yaw"] < YAW * ratio / RATIO, result
+
+
+@pytest.mark.parametrize("physics", ["mujoco", pytest.param("dart", marks=pytest.mark.slow)])
+def test_a_steered_robot_drives_and_knows_where_it_is(
+    distro: str, physics: str, tmp_path: Path
+) -> None:
+    result = mission(distro, tmp_path, physics, build(STEERED, tmp_path), 12.0)
+    check(result, 3.0)
+    assert result["complete"] > 0.9 * result["cycles"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in ROBOTS if name != STEERED])
+def test_every_example_drives(distro: str, name: str, tmp_path: Path) -> None:
+    first_distro(distro)
+    physics = "mujoco" if name in COUPLED else "dart"
+    result = mission(distro, tmp_path, physics, build(name, tmp_path), 12.0)
+    check(result, 2.0, LARGER.get(name, RATIO))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("physics", ["dart", "mujoco"])
+def test_a_fleet_drives_in_one_world(distro: str, physics: str, tmp_path: Path) -> None:
+    fleet = example_fleet("fleet_of_four")
+    write(tmp_path, emit(fleet, ["ros2", "mjcf", "sdf"]))
+    names = [placement.name for placement in fleet.placements]
+    packages = [tmp_path / name / "ros2" for name in names]
+    places = [[*p.pose.xyz[:2], p.pose.rpy()[2]] for p in fleet.placements]
+    with contextlib.ExitStack() as stack:
+        options = ("--namespaces", ",".join(names), "--places", json.dumps(places), *LOCKSTEP)
+        file = tmp_path / "ros2" / "sdf" / "world.sdf"
+        if physics == "mujoco":
+            file = tmp_path / "mjcf" / "scene.xml"
+        started = running.engine(distro, tmp_path, physics, file, packages, *options)
+        engine = stack.enter_context(started)
+        for name, package in zip(names, packages, strict=True):
+            stack.enter_context(running.node(distro, tmp_path, package, name))
+        results = json.loads(run_client(distro, "engines.mission", tmp_path, 8.0, ",".join(names)))
+        running.end(engine)
+    assert list(results) == names
+    for result in results.values():
+        check(result, 1.0)
+
+
+# -- the engine notices what is wrong in the files -------------------------------------------------
+
+
+def replaced(file: str, pattern: str, text: str, count: int = 1) -> Callable[[Path], None]:
+    def change(package: Path) -> None:
+        path = package / file
+        before = path.read_text(encoding="utf-8")
+        after = re.sub(pattern, text, before, count=count)
+        assert after != before
+        path.write_text(after, encoding="utf-8")
+
+    return change
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (replaced("config/gz_bridge.yaml", r'gz_topic_name: "fl_\w+', "\\g<0>s"), "no system has"),
+        (replaced("config/gz_bridge.yaml", "Float64", "Float32"), "leaves out fl_"),
+        (replaced("sdf/model.sdf", "<topic>fl_", "<topic>left_"), "no system has the topic fl_"),
+        (replaced("sdf/model.sdf", "<joint_name>fl_", "<joint_name>x_"), "no joint x_"),
+        (
+            replaced("sdf/model.sdf", r"<cmd_max>(\d+)</cmd_max>", r"<max>\1</max>"),
+            "JointPositionController reads no max",
+        ),
+        (replaced("sdf/model.sdf", "systems::JointC", "systems::WheelC"), "no system "),
+    ],
+)
+def test_the_engine_refuses_files_that_do_not_fit(
+    distro: str, change: Callable[[Path], None], message: str, tmp_path: Path
+) -> None:
+    first_distro(distro)
+    package = build(STEERED, tmp_path)
+    change(package)
+    file = scene("mujoco", tmp_path, package)
+    with running.engine(distro, tmp_path, "mujoco", file, [package]) as engine:
+        _, err = engine.communicate(timeout=60)
+    assert engine.returncode == 1
+    assert message in err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "change",
+    [
+        replaced("sdf/model.sdf", "<xyz>0 1 0</xyz>", "<xyz>0 -1 0</xyz>", 0),
+        replaced("sdf/model.sdf", "<radius>0.2</radius>", "<radius>0.19</radius>", 0),
+        replaced("sdf/model.sdf", "<cmd_max>4</cmd_max>", "<cmd_max>0.01</cmd_max>"),
+    ],
+    ids=["sign of an axis", "radius of a wheel", "speed of a steering joint"],
+)
+def test_a_robot_of_changed_files_loses_its_way(
+    distro: str, change: Callable[[Path], None], tmp_path: Path
+) -> None:
+    first_distro(distro)
+    package = build(STEERED, tmp_path)
+    change(package)
+    with pytest.raises(AssertionError):
+        check(mission(distro, tmp_path, "dart", package, 12.0), 3.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("number", "guarded", "longest"),
+    [(signal.SIGTERM, False, 1.5), (signal.SIGKILL, True, 1.5), (signal.SIGSTOP, True, 1.5)],
+    ids=["ended", "killed", "frozen"],
+)
+def test_the_robot_stops_when_its_driver_ends(
+    distro: str, number: signal.Signals, guarded: bool, longest: float, tmp_path: Path
+) -> None:
+    package = build(STEERED, tmp_path)
+    file = scene("mujoco", tmp_path, package)
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(running.engine(distro, tmp_path, "mujoco", file, [package]))
+        driver = stack.enter_context(running.node(distro, tmp_path, package))
+        if guarded:
+            stack.enter_context(running.node(distro, tmp_path, package, guard=True))
+        out = run_client(distro, "engines.kill", tmp_path, driver.pid, int(number))
+        if number == signal.SIGSTOP:
+            driver.send_signal(signal.SIGCONT)
+    result = json.loads(out)
+    assert abs(result["speed"]) < 0.01
+    assert result["time"] < longest

@@ -1,0 +1,278 @@
+"""The base `topics`: the joints of the robot are in another program, behind ROS topics.
+
+The other program is a simulation (Gazebo, Isaac Sim) or a controller manager of ros2_control.  It
+gives the time: a control cycle runs for each set of joint states that is a period newer than the
+last one, and its time is their stamp::
+
+    joint states   |        |        |        |        .        .        |
+    cycles         |        |        |        |        .   f  f  f       |    f: cycles in a fault
+    silence                                   |<- 0.1 ->|
+
+While the time of the other program stands, nothing happens.  While it goes on without joint states,
+the base is in a fault, which a person must reset.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+
+from thorvaldc.model import Robot
+from thorvaldc.ros.joint_messages import STATES_TOPICS, JointCommandTopics, JointStateReader
+from thorvaldc.ros.parameters import JOINT_STATES
+from thorvaldc.runtime.base_interface import (
+    BaseHandle,
+    ComponentStatus,
+    JointCommands,
+    JointStates,
+)
+from thorvaldc.runtime.driven_robot import DrivenRobot
+from thorvaldc.runtime.pace import Pace
+
+LONGEST_SILENCE = 0.1
+"""Time (s) of ROS without usable joint states after which the base is in a fault."""
+LARGEST_LAG = 0.5
+"""Largest difference (s) between the stamp of joint states and the time of ROS."""
+LONGEST_STILL = 0.5
+"""Time (s) within which the joints of a robot that is commanded to move must change."""
+JUMP = 1.0
+"""Time (s) of the driver that passes when the stamps jump back.  The odometry takes the motion of
+the robot in so long a time as unknown."""
+_LOOK = 0.02
+"""Longest real time (s) between two looks at the age of the joint states."""
+_EARLY = 0.25
+"""Share of a period by which joint states may come early: stamps are not quite regular."""
+_MOVING = 0.05  # rad/s
+_DELIVERY = 0.1  # s, real time
+
+
+class TopicBase(BaseHandle):
+    """The joints of one robot behind topics, and the time of their stamps.
+
+    It is the clock of its robot too: ``now`` is the time (s) since the first joint states.
+    """
+
+    gaps_are_faults = True  # the other program keeps the last commands
+
+    def __init__(self, node: Any, robot: Robot, dialect: str) -> None:
+        """Creates the topics on ``node``, in its name space."""
+        self._node = node
+        self._wheels = len(robot.wheels)
+        self._commands = JointCommandTopics(node, robot, dialect)
+        self._reader = JointStateReader(robot, wrapped=dialect == JOINT_STATES)
+        qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # hears every sender
+        topic = STATES_TOPICS[dialect]
+        self._subscription = node.create_subscription(JointState, topic, self.take, qos)
+        self._topic = self._subscription.topic_name
+        self._states: JointStates | None = None
+        self._stamp = 0  # ns
+        self._origin = 0  # ns; the stamp at the time 0
+        self._time = 0.0  # of the newest joint states, or of their absence
+        self._silence = 0.0
+        self._looked = self._ros_time()
+        self._messages = 0
+        self._fault = ""
+        self._refusal = ""
+        self._changed = 0.0
+        self._moves = False
+
+    # -- joint states and their time -----------------------------------------------------------
+
+    def take(self, message: Any) -> None:
+        """Takes joint states; those that are not usable count as missing."""
+        self._messages += 1
+        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        if self._states is None:
+            self._origin = stamp
+        jump = (stamp - self._stamp) * 1e-9 if self._states is not None else 0.0
+        origin = self._origin
+        if jump < 0.0:
+            origin = stamp - round((self._time + JUMP) * 1e9)
+        now = (stamp - origin) * 1e-9
+        self._refusal = self._refusal_of(stamp, jump)
+        if self._refusal:
+            return
+        try:
+            states = self._reader.read(message, now)
+        except ValueError as error:
+            self._refusal = f"the joint states on {self._topic} are not usable: {error}"
+            return
+        if jump < 0.0:
+            self.fail(f"the time of the joint states jumped back by {-jump:.3f} s")
+        last, self._states = self._states, states
+        self._stamp, self._origin, self._time = stamp, origin, max(now, self._time)
+        self._silence, self._looked = 0.0, self._ros_time()
+        self._note_change(last, states)
+
+    def _refusal_of(self, stamp: int, jump: float) -> str:
+        """Returns why joint states with this stamp (ns) are not usable, or an empty text."""
+        lag = self._ros_time() - stamp * 1e-9
+        if stamp == 0:
+            return f"the joint states on {self._topic} have no stamp"
+        if self._states is not None and jump == 0.0:
+            return f"the joint states on {self._topic} have the same stamp again and again"
+        if abs(lag) > LARGEST_LAG:
+            side = "behind" if lag > 0.0 else "ahead of"
+            return (
+                f"the stamps of the joint states on {self._topic} are {abs(lag):.3g} s {side} the"
+                " time of this node; is `use_sim_time` right?"
+            )
+        return ""
+
+    def _note_change(self, last: JointStates | None, states: JointStates) -> None:
+        """Puts the base into a fault if the joints are commanded to move and do not change."""
+        is_same = last is not None and (last.positions, last.angles, last.speeds) == (
+            states.positions,
+            states.angles,
+            states.speeds,
+        )
+        if not (is_same and self._moves):
+            self._changed = states.time
+        elif states.time - self._changed > LONGEST_STILL:
+            self.fail(
+                f"the joint states on {self._topic} do not change, although the wheels are"
+                " commanded to turn"
+            )
+
+    def look(self) -> None:
+        """Notes the time without joint states, which is a fault if it is too long.
+
+        A time in which this program could not look does not count: messages may wait.
+        """
+        now, last = self._ros_time(), self._looked
+        self._looked = now
+        self._silence += min(max(now - last, 0.0), 2.0 * _LOOK)
+        if self._states is not None and self._silence > LONGEST_SILENCE:
+            self.fail(self._refusal or f"no joint states on {self._topic}")
+            self._time += min(max(now - last, 0.0), 2.0 * _LOOK)
+
+    def poll(self, longest: float) -> None:
+        """Waits until new joint states are taken, for at most ``longest`` s of real time."""
+        end, messages = time.monotonic() + longest, self._messages
+        while self._messages == messages and time.monotonic() < end:
+            with self._subscription.handle:
+                taken = self._subscription.handle.take_message(JointState, False)
+            if taken is None:
+                time.sleep(0.001)
+            else:
+                self.take(taken[0])
+
+    @property
+    def now(self) -> float:
+        return self._time
+
+    def sleep_until(self, when: float) -> None:
+        """Waits for joint states of the time ``when`` (s); goes on in a fault if none come.
+
+        So a robot also ends while the other program is paused or has ended.
+        """
+        end = time.monotonic() + LONGEST_SILENCE
+        while self._time < when and time.monotonic() < end:
+            self.poll(end - time.monotonic())
+        if self._time < when:
+            self.fail(f"no joint states on {self._topic}")
+            self._time = when
+
+    @property
+    def has_time(self) -> bool:
+        """Whether joint states have come, so that the time runs."""
+        return self._states is not None
+
+    @property
+    def stamp(self) -> int:
+        """Stamp (ns) of the present time."""
+        return self._origin + round(self._time * 1e9)
+
+    def _ros_time(self) -> float:
+        return float(self._node.get_clock().now().nanoseconds) * 1e-9
+
+    # -- the base --------------------------------------------------------------------------------
+
+    @property
+    def hold_reason(self) -> str:
+        if self._fault:
+            return self._fault
+        if self._states is None:
+            return self._refusal or f"no joint states have come on {self._topic} yet"
+        return ""
+
+    @property
+    def is_blind(self) -> bool:
+        """Whether the present time has no joint states."""
+        return self._states is None or self._states.time < self._time
+
+    def read(self, now: float) -> JointStates:
+        if self._states is not None and not self.is_blind:
+            return self._states
+        unknown = [math.nan] * self._wheels
+        return JointStates(now, unknown, unknown, unknown, unknown)
+
+    def other_joints(self) -> Mapping[str, tuple[float, float]]:
+        return self._reader.others
+
+    def write(self, commands: JointCommands, now: float) -> None:
+        if self._states is not None:  # the angles of the steering are unknown before
+            self._commands.send(commands)
+            self._moves = any(abs(speed) > _MOVING for speed in commands.speeds)
+
+    def fail(self, reason: str) -> None:
+        self._fault = self._fault or reason
+
+    def reset(self, now: float, commanded: bool) -> str:
+        if self._silence > LONGEST_SILENCE:
+            return self.hold_reason
+        if commanded:
+            return "a motion is commanded; command zero first"
+        self._fault = ""
+        self._changed = now
+        return ""
+
+    def values(self) -> dict[str, Any]:
+        return {"fault": self.hold_reason}
+
+    def component_statuses(self, now: float) -> Iterable[ComponentStatus]:
+        values = {"topic": self._topic, "messages": self._messages, "silence": self._silence}
+        if self.hold_reason:
+            yield ComponentStatus("joint topics", "error", self.hold_reason, values)
+        else:
+            yield ComponentStatus("joint topics", "ok", "ok", values)
+
+    def close(self) -> None:
+        """Stops the drives, because the other program keeps the last commands."""
+        self._commands.stop()
+        for publisher in self._commands.publishers:
+            publisher.wait_for_all_acked(Duration(seconds=_DELIVERY))
+        self._commands.close()
+        self._node.destroy_subscription(self._subscription)
+
+
+class StampPace(Pace):
+    """Control cycles for joint states that are a period newer than those of the last cycle."""
+
+    def __init__(self, base: TopicBase, period: float) -> None:
+        super().__init__(base, period)
+        self._base = base
+
+    def wait(self) -> float:
+        self._base.look()
+        return 0.0 if self._base.has_time and super().wait() <= 0.0 else _LOOK
+
+    def end(self, begun: float) -> None:
+        super().end(begun)
+        self._deadline = begun + (1.0 - _EARLY) * self.period
+
+
+def robot_behind_topics(node: Any, robot: Robot, dialect: str) -> DrivenRobot:
+    """Returns the robot of a node on the base `topics`."""
+    base = TopicBase(node, robot, dialect)
+    try:
+        return DrivenRobot(robot, base, base, pace=StampPace(base, 1.0 / robot.driver.rate))
+    except BaseException:
+        base.close()
+        raise
