@@ -14,16 +14,9 @@ from rclpy.parameter import Parameter
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import load_model
+from thorvaldc.ros import parameters as table
 from thorvaldc.ros.bases import NodeError
-from thorvaldc.ros.parameters import (
-    MODEL_FILE,
-    NOISE,
-    PARAMETER_SET,
-    PARAMETERS,
-    RADIUS,
-    NodeParameter,
-    parameters_of,
-)
+from thorvaldc.ros.parameters import MODEL_FILE, PARAMETER_SET, NodeParameter
 from thorvaldc.runtime.base_interface import ParameterError
 from thorvaldc.runtime.run_time_parameters import COMMAND_TIMEOUT, LIMITS, Parameters
 
@@ -49,11 +42,11 @@ def load_robot_model(path: str) -> Robot:
 
 
 def declared(node: Any, name: str) -> Any:
-    """Declares one parameter of the table on a node, and returns its value.
+    """Declares one parameter of the tables on a node, and returns its value.
 
     Raises ``NodeError`` if the value is not one of the choices.
     """
-    parameter = next(parameter for parameter in PARAMETERS if parameter.name == name)
+    parameter = next(parameter for parameter in table.PARAMETERS if parameter.name == name)
     value = node.declare_parameter(name, parameter.default, _descriptor(parameter, None)).value
     return _chosen(parameter, value)
 
@@ -84,9 +77,9 @@ class NodeParameters:
         self.give: Callable[[str | None, Changes], None] = lambda name, changes: None
         self.values: dict[str, Any] = {MODEL_FILE: declared(node, MODEL_FILE)}
         self.robot = robot = load_robot_model(self.values[MODEL_FILE])
-        table = {parameter.name: parameter for parameter in parameters_of(robot)}
-        del table[MODEL_FILE]
-        for name, parameter in table.items():
+        declared_here = {parameter.name: parameter for parameter in table.parameters_of(robot)}
+        del declared_here[MODEL_FILE]
+        for name, parameter in declared_here.items():
             descriptor = _descriptor(parameter, robot)
             default = parameter.default_for(robot)
             value = node.declare_parameter(name, default, descriptor).value
@@ -154,8 +147,8 @@ class NodeParameters:
         radii = zip(self.robot.wheels, driver.radii, strict=True)
         return {
             **{name: getattr(driver.settings, name) for name in _LIMITS},
-            **{f"{RADIUS}{wheel.name}": radius for wheel, radius in radii},
-            **{f"{NOISE}{n}": v for n, v in asdict(driver.noise).items() if v is not None},
+            **{f"{table.RADIUS}{wheel.name}": radius for wheel, radius in radii},
+            **{f"{table.NOISE}{n}": v for n, v in asdict(driver.noise).items() if v is not None},
         }
 
     def _show(self) -> None:
@@ -178,7 +171,11 @@ def _changes(values: Mapping[str, Any]) -> Changes:
         return {n.removeprefix(start): v for n, v in values.items() if n.startswith(start)}
 
     limits = {name: values[name] for name in _LIMITS if name in values}
-    return {"radii": beginning_with(RADIUS), "noise": beginning_with(NOISE), "limits": limits}
+    return {
+        "radii": beginning_with(table.RADIUS),
+        "noise": beginning_with(table.NOISE),
+        "limits": limits,
+    }
 
 
 def _descriptor(parameter: NodeParameter, robot: Robot | None) -> Any:

@@ -126,29 +126,18 @@ def gazebo(world, config):
             namespace=NAMESPACE,
             output="screen",
             parameters=[
-                {"input_topic": "{{ gazebo_clock }}", "output_topic": "/clock", "X": 9, "Y": 10}
+                {
+                    "input_topic": "{{ gazebo_clock }}",
+                    "output_topic": "/clock",
+                    "X": 9,
+                    "Y": 10,
+                }
             ],
         ),
     ]
 
 
-def base_driver(share):
-    return [
-        IncludeLaunchDescription(
-            PythonLaunchDescriptionSource(os.path.join(share, "launch", "base.launch.py")),
-            launch_arguments={
-                "base": "topics",
-                "joint_topics": "gazebo",
-                "guard": "true",
-                "use_sim_time": "true",
-                "rviz": LaunchConfiguration("rviz"),
-            }.items(),
-        )
-    ]
-
 # % if command_topic
-
-
 def controllers(share):
     config = os.path.join(share, "config")
     with open(os.path.join(share, "urdf", "robot_gazebo.urdf"), encoding="utf-8") as file:
@@ -185,4 +174,19 @@ def controllers(share):
             remappings=[("cmd_vel_out", "{{ command_topic }}")],
         ),
     ]
+
+
 # % endif
+def base_driver(share):
+    return [
+        IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(os.path.join(share, "launch", "base.launch.py")),
+            launch_arguments={
+                "base": "topics",
+                "joint_topics": "gazebo",
+                "guard": "true",
+                "use_sim_time": "true",
+                "rviz": LaunchConfiguration("rviz"),
+            }.items(),
+        )
+    ]

@@ -253,6 +253,8 @@ def click(page: Page, point: Locator) -> None:
     box = point.bounding_box()
     assert box is not None
     place = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(0.0, 0.0)  # a click counts for the point that was hovered last
+    page.wait_for_selector("#plot .hovertext", state="detached")
     page.mouse.move(*place)
     page.wait_for_selector("#plot .hovertext")
     page.mouse.click(*place)

@@ -102,7 +102,14 @@ def gazebo(world, config):
             name="clock_drop",
             namespace=NAMESPACE,
             output="screen",
-            parameters=[{"input_topic": "gazebo_clock", "output_topic": "/clock", "X": 9, "Y": 10}],
+            parameters=[
+                {
+                    "input_topic": "gazebo_clock",
+                    "output_topic": "/clock",
+                    "X": 9,
+                    "Y": 10,
+                }
+            ],
         ),
     ]
 
