@@ -143,14 +143,12 @@ def _open_virtual_bus(robot: Robot, bus: Bus, name: str, store: str) -> Iterator
     # The simulation is imported only when it is used, because the runtime package does not contain
     # the simulation.
     from thorvaldc.cli.virtual_robot import read_store
-    from thorvaldc.simulation.bus.simulated_robot import (
-        SimulatedRobot,
-        VirtualOperator,
-        write_memory,
-    )
+    from thorvaldc.simulation.bus import simulated_robot
 
     memory = read_store(store)
-    simulated = SimulatedRobot(robot, delivered=variant == "delivered", nonvolatile=memory)
+    simulated = simulated_robot.SimulatedRobot(
+        robot, delivered=variant == "delivered", nonvolatile=memory
+    )
     simulated.power_on()
     simulated.run(0.2)
     interface = simulated.interface(bus.name, receive_limit=100_000)
@@ -161,11 +159,11 @@ def _open_virtual_bus(robot: Robot, bus: Bus, name: str, store: str) -> Iterator
             configuration_of(robot, bus),
             BusMaster(interface, bus),
             Progress(1.0, ""),
-            VirtualOperator(simulated),
+            simulated_robot.VirtualOperator(simulated),
         )
     finally:
         if store:
-            write_memory(Path(store), simulated)
+            simulated_robot.write_memory(Path(store), simulated)
 
 
 class ConsoleOperator:

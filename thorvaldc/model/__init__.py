@@ -1,14 +1,6 @@
 """The intermediate model (IR) of a robot or a fleet of robots, independent of any output format."""
 
-from thorvaldc.model.bus import (
-    Bus,
-    Channel,
-    FrameDefinition,
-    Node,
-    ObjectValue,
-    Scalar,
-    Signal,
-)
+from thorvaldc.model.bus import Bus, Channel, FrameDefinition, Node, ObjectValue, Scalar, Signal
 from thorvaldc.model.fleet import Block, Fleet, Ground, Placement, World, Zone
 from thorvaldc.model.robot import (
     Actuator,

@@ -26,12 +26,7 @@ from sensor_msgs.msg import JointState
 from thorvaldc.model import Robot
 from thorvaldc.ros.joint_messages import STATES_TOPICS, JointCommandTopics, JointStateReader
 from thorvaldc.ros.parameters import JOINT_STATES
-from thorvaldc.runtime.base_interface import (
-    BaseHandle,
-    ComponentStatus,
-    JointCommands,
-    JointStates,
-)
+from thorvaldc.runtime.base_interface import BaseHandle, ComponentStatus, JointCommands, JointStates
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.pace import Pace
 

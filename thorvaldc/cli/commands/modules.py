@@ -129,16 +129,11 @@ def new_module(
     ] = "modules",
 ) -> int:
     from thorvaldc.cli.diagnostic_output import show_report
+    from thorvaldc.compiler import scaffolding
     from thorvaldc.compiler.modules.library import FILE, Library
-    from thorvaldc.compiler.scaffolding import (
-        is_module_type,
-        module_files,
-        module_mesh,
-        write_module,
-    )
     from thorvaldc.diagnostics import Report
 
-    if not is_module_type(type):
+    if not scaffolding.is_module_type(type):
         raise typer.BadParameter(
             f"{type!r} is no name of a module type: category/name in small letters, digits and _",
             param_hint="TYPE",
@@ -149,13 +144,13 @@ def new_module(
     if folder.exists() and not folder.is_dir():
         raise typer.BadParameter(f"{library!r} is not a folder", param_hint="'--library'")
     report = Report()
-    content = module_mesh(Path(mesh) if mesh else None, report)
+    content = scaffolding.module_mesh(Path(mesh) if mesh else None, report)
     if content is None:
         return show_report(report, {})
     mesh_name = re.sub(r"\W+", "_", Path(mesh).stem, flags=re.ASCII).strip("_") or "body"
-    files = module_files(type, content, mesh_name)
+    files = scaffolding.module_files(type, content, mesh_name)
     try:
-        write_module(folder, files)
+        scaffolding.write_module(folder, files)
     except FileExistsError as error:
         raise typer.BadParameter(f"{error} exists already", param_hint="TYPE") from None
     print(

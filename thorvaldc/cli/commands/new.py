@@ -33,27 +33,25 @@ def new(
         ),
     ] = False,
 ) -> int:
-    from thorvaldc.compiler.scaffolding import (
-        is_robot_name,
-        presets,
-        project_files,
-        robot_files,
-        write_new_files,
-    )
+    from thorvaldc.compiler import scaffolding
 
-    if not is_robot_name(name):
+    if not scaffolding.is_robot_name(name):
         raise typer.BadParameter(
             f"{name!r} is no name for a robot: small letters, digits and _, a letter first",
             param_hint="NAME",
         )
-    if preset not in presets():
+    if preset not in scaffolding.presets():
         raise typer.BadParameter(
-            f"there is no preset {preset!r}; there are {', '.join(presets())}",
+            f"there is no preset {preset!r}; there are {', '.join(scaffolding.presets())}",
             param_hint="'--preset'",
         )
-    files = project_files(name, preset) if project else robot_files(name, preset)
+    files = (
+        scaffolding.project_files(name, preset)
+        if project
+        else scaffolding.robot_files(name, preset)
+    )
     try:
-        write_new_files(Path(name), files)
+        scaffolding.write_new_files(Path(name), files)
     except FileExistsError as error:
         raise typer.BadParameter(f"{error} exists already", param_hint="NAME") from None
     if project:
