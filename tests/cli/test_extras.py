@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 import tomllib
+from collections.abc import Iterator
 from importlib.metadata import packages_distributions
 from pathlib import Path
 from types import ModuleType
@@ -72,6 +73,18 @@ def holds(module: ModuleType, package: str) -> bool:
     return any(str(origin).partition(".")[0] == package for origin in origins)
 
 
+@pytest.fixture
+def own_interfaces() -> Iterator[None]:
+    """Forgets the interfaces of python-can that a test imports without their packages."""
+    before = set(sys.modules)
+    yield
+    for name in [n for n in sys.modules if n.startswith(INTERFACES) and n not in before]:
+        folder, _, child = name.rpartition(".")
+        vars(sys.modules.get(folder, sys)).pop(child, None)
+        del sys.modules[name]
+
+
+@pytest.mark.usefixtures("own_interfaces")
 @pytest.mark.parametrize(("package", "arguments", "extra"), HINTS, ids=[h[0] for h in HINTS])
 def test_a_missing_package_is_one_line_with_the_extra_that_installs_it(
     thorvaldc: Command,
