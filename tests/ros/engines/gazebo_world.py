@@ -1,9 +1,10 @@
 """Robots in a world, as Gazebo simulates them: the systems of the SDF files over a physics engine.
 
 This program stands for Gazebo, which cannot run in the tests.  It reads the generated SDF files
-with a plain XML reader, and does what the sources of gz-sim 8 to 10 say of each system.  It imports
-nothing of thorvaldc, and refuses plug-ins and elements that it does not know.  DART is the physics
-engine of Gazebo, and builds the robot from the SDF; MuJoCo steps the MJCF files of the same build.
+with a plain XML reader, and does what the systems of gz-sim 8 to 10 do, as far as we know them.
+It imports nothing of thorvaldc, and refuses plug-ins and elements that it does not know.  DART is
+the physics engine of Gazebo, and builds the robot from the SDF; MuJoCo steps the MJCF files of the
+same build.
 
 It runs as a child process: one line of JSON in (commands by topic, and the time to simulate), one
 line out (time in ns, joint states and true motion of each robot).
