@@ -55,11 +55,16 @@ def engine(
 
 
 def node(
-    distro: str, folder: Path, package: Path, namespace: str = "", guard: bool = False
+    distro: str,
+    folder: Path,
+    package: Path,
+    namespace: str = "",
+    guard: bool = False,
+    dialect: str = "gazebo",
 ) -> contextlib.AbstractContextManager[ChildProcess]:
     """Runs the base driver of a package, or its guard, as the launch files start it."""
     values: dict[str, Any] = {"model_file": str(package / "config" / "model.json")}
-    values |= {"joint_topics": "gazebo", "use_sim_time": True}
+    values |= {"joint_topics": dialect, "use_sim_time": True}
     if not guard:
         values |= {"base": "topics", "stamped": False}
     arguments = ["-c", GUARD] if guard else ["-m", "thorvaldc.ros.base_driver"]

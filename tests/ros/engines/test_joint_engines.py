@@ -12,6 +12,7 @@ import pytest
 from tests.backends.ros2.packages import write
 from tests.examples import example_robot
 from tests.ros.engines import running
+from tests.ros.engines.test_gazebo import check
 from tests.ros.environments import each_distro
 from tests.ros.test_node import run_client
 from thorvaldc.compiler.pipeline import emit
@@ -133,3 +134,23 @@ def test_wrong_files_end_the_engine(distro: str, tmp_path: Path) -> None:
         change(tmp_path / "ros2", old, new)
         assert refusal(distro, tmp_path, arguments(tmp_path / "ros2")) == f"error: {message}"
         path.write_text(text, encoding="utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dialect", ["ros2_control", "joint_states"])
+def test_the_base_driver_knows_where_the_robot_is(
+    distro: str, dialect: str, tmp_path: Path
+) -> None:
+    package, scene = build(tmp_path), str(tmp_path / "mjcf" / "scene.xml")
+    engine = arguments(package, "--mujoco", scene, "--lockstep")
+    if dialect == "joint_states":
+        engine = ["-m", "tests.ros.engines.joint_state_engine", "--scene", scene, "--lockstep"]
+        for option, topic in (("speed", "speeds"), ("angle", "angles"), ("state", "states")):
+            engine += [f"--{option}-topic", f"engine/joint_{topic}"]
+    with (
+        running.process(distro, tmp_path, engine) as started,
+        running.node(distro, tmp_path, package, dialect=dialect),
+    ):
+        out = run_client(distro, "engines.mission", tmp_path, 12.0, "-")
+        running.end(started)
+    check(json.loads(out)["-"], 3.0)
