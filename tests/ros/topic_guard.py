@@ -19,7 +19,7 @@ def main() -> None:
     values = {"model_file": model_file, "joint_topics": dialect, "use_sim_time": True}
     guard = JointGuard(parameter_overrides=[Parameter(k, value=v) for k, v in values.items()])
     rig.executor.add_node(guard)
-    rig.spin_until(lambda: len(guard.get_publishers_info_by_topic("/odometry/base_raw")) > 0)
+    rig.spin_until(lambda: len(guard.get_publishers_info_by_topic("/engine/heartbeat")) > 0)
     rig.start()
     rig.drive(0.5, 60)
     heard = rig.heard

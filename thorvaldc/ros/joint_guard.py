@@ -2,8 +2,9 @@
 
 Gazebo and the controllers of ros2_control keep the last command for ever.  If the process of the
 base driver ends without a last command, the robot would drive on.  This node, in a process of its
-own, hears the odometry of the base driver, and commands the speed 0 to all drives while it is
-missing.  It measures the time by the clock of ROS, so that a paused simulation is no silence.
+own, hears the heartbeat of the base driver, and commands the speed 0 to all drives while it is
+missing.  It measures the time by the clock of ROS, so that a paused simulation is no silence.  A
+driver that lives without joint states stops the drives itself.
 """
 
 from __future__ import annotations
@@ -11,16 +12,17 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Empty
 
+from thorvaldc.model.joint_topics import HEARTBEAT
 from thorvaldc.ros.joint_messages import JointCommandTopics
 from thorvaldc.ros.node_parameters import declared, load_robot_model
 
 NODE_NAME = "joint_guard"
 LONGEST_SILENCE = 0.2
-"""Time (s) of ROS without odometry of the base driver after which the drives are stopped."""
+"""Time (s) of ROS without a heartbeat of the base driver after which the drives are stopped."""
 _PERIOD = 0.05
 """Time (s) of ROS between two commands to silent drives."""
 
@@ -37,7 +39,7 @@ class JointGuard(Node):  # type: ignore[misc]
         self._heard = -math.inf
         self._stops = False
         qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self.create_subscription(Odometry, "odometry/base_raw", self._hear, qos)
+        self.create_subscription(Empty, HEARTBEAT, self._hear, qos)
         self.create_timer(_PERIOD, self._watch)
 
     def _hear(self, message: Any) -> None:

@@ -38,32 +38,27 @@ class JointStateReader:
     """Reads the joint states of one robot from messages that may contain more joints.
 
     - ``others``: position (rad or m) and speed of each other joint of the robot, such as those of
-      suspensions and extras.
+      suspensions and extras, as far as they are finite.
     """
 
     def __init__(self, robot: Robot, *, wrapped: bool) -> None:
         """``wrapped``: angles and positions may be given modulo 2 pi."""
-        drives, steering = wheel_joints(robot)
-        prefix = robot.prefix
         self._robot = robot
         self._wrapped = wrapped
-        self._wheels = {prefix + joint: (i, False) for joint, i in drives.items()}
-        self._wheels |= {prefix + joint: (i, True) for joint, i in steering.items()}
-        # Two wheels may share a joint.
-        self._sharing = [
-            (i, first, is_steering)
-            for i, wheel in enumerate(robot.wheels)
-            for joint, joints, is_steering in (
-                (wheel.spin_joint, drives, False),
-                (wheel.steering_joint, steering, True),
-            )
-            if joint in joints and (first := joints[joint]) != i
-        ]
-        self._others = {prefix + j.name: j.name for j in robot.joints}
-        for joint in self._wheels:
-            del self._others[joint]
+        speeds, angles = wheel_joints(robot)
+        self._wheels: dict[str, tuple[list[int], bool]] = {}
+        """Wheels on each joint, and whether it steers them: two wheels may share a joint."""
+        for joint in (*speeds, *angles):
+            wheels = [
+                i
+                for i, wheel in enumerate(robot.wheels)
+                if joint in (wheel.spin_joint, wheel.steering_joint)
+            ]
+            self._wheels[robot.prefix + joint] = (wheels, joint in angles)
+        full_names = {robot.prefix + joint.name: joint.name for joint in robot.joints}
+        self._others = {full: n for full, n in full_names.items() if full not in self._wheels}
         self._known: list[str] = []
-        self._places: list[tuple[int, int, bool]] = []
+        self._places: list[tuple[int, list[int], bool]] = []
         self._other_places: list[tuple[int, str]] = []
         self._turned: dict[str, float] = {}
         self.others: dict[str, tuple[float, float]] = {}
@@ -82,7 +77,7 @@ class JointStateReader:
         wheels = len(self._robot.wheels)
         speeds, turned = [0.0] * wheels, [0.0] * wheels
         angles, rates = [0.0] * wheels, [0.0] * wheels
-        for k, i, is_steering in self._places:
+        for k, on_joint, is_steering in self._places:
             position, velocity = positions[k], velocities[k]
             if not math.isfinite(position + velocity):
                 raise ValueError(
@@ -91,16 +86,16 @@ class JointStateReader:
                 )
             if self._wrapped:
                 position = self._unwrapped(self._known[k], position)
-            if is_steering:
-                angles[i], rates[i] = position, velocity
-            else:
-                turned[i], speeds[i] = position, velocity
-        for i, first, is_steering in self._sharing:
-            if is_steering:
-                angles[i], rates[i] = angles[first], rates[first]
-            else:
-                turned[i], speeds[i] = turned[first], speeds[first]
-        self.others = {name: (positions[k], velocities[k]) for k, name in self._other_places}
+            for i in on_joint:
+                if is_steering:
+                    angles[i], rates[i] = position, velocity
+                else:
+                    turned[i], speeds[i] = position, velocity
+        self.others = {
+            name: (positions[k], velocities[k])
+            for k, name in self._other_places
+            if math.isfinite(positions[k] + velocities[k])
+        }
         return JointStates(now, speeds, angles, rates, turned)
 
     def _find(self, joints: Sequence[str]) -> None:

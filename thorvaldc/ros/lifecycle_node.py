@@ -404,7 +404,7 @@ class BaseDriverNode(GuardedLifecycleNode):
         """Returns the time of the robot's joint states, where another program measures them."""
         if robot is not None and self.owns_clock:
             nanoseconds = round(robot.now * 1e9)
-        elif robot is not None and isinstance(robot.base, TopicBase):
+        elif robot is not None and isinstance(robot.base, TopicBase) and robot.base.has_time:
             nanoseconds = robot.base.stamp
         else:
             return self.get_clock().now().to_msg()
@@ -414,7 +414,7 @@ class BaseDriverNode(GuardedLifecycleNode):
         state, stamp = robot.driver.state, self._stamp(robot)
         if self._clock_topic is not None:
             self._clock_topic.publish(Clock(clock=stamp))
-        if not robot.base.is_blind:
+        if not robot.base.lacks_joint_states:
             self._publish_motion(robot, stamp)
         if self._from_devices is not None:
             for frame in robot.base.frames_from_devices():

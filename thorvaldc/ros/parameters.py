@@ -8,13 +8,7 @@ from dataclasses import asdict, dataclass
 
 from thorvaldc.model import Robot
 from thorvaldc.model.settings import DRIVER, FOR_FILTERS, MEASURED, ODOM_FRAME
-from thorvaldc.runtime.run_time_parameters import (
-    COMMAND_TIMEOUT,
-    LARGEST,
-    LIMITS,
-    RADIUS_RATIO,
-    Parameters,
-)
+from thorvaldc.runtime.run_time_parameters import COMMAND_TIMEOUT, LARGEST, LIMITS, Parameters
 
 ParameterValue = str | bool | float
 TOPICS = "topics"
@@ -70,15 +64,18 @@ class NodeParameter:
         return f"{self.description}{choices}{unit}"
 
 
-def _bounds(name: str) -> tuple[Callable[[Robot], float], Callable[[Robot], float]]:
-    """Returns the least and the greatest value of a limit for a robot, its parameter sets included.
+Bound = Callable[[Robot], float]
+
+
+def _bounds(range_of: Callable[[Parameters], tuple[float, float]]) -> tuple[Bound, Bound]:
+    """Returns the least and the greatest value for a robot, its parameter sets included.
 
     What is accepted at a time is the rule of the driver alone, see ``Parameters.changed``.
     """
 
     def ranges(robot: Robot) -> list[tuple[float, float]]:
         sets = (None, *(s.name for s in robot.parameter_sets))
-        return [Parameters.from_robot(robot, chosen).range_of(name) for chosen in sets]
+        return [range_of(Parameters.from_robot(robot, chosen)) for chosen in sets]
 
     return (
         lambda robot: min(least for least, _ in ranges(robot)),
@@ -89,7 +86,7 @@ def _bounds(name: str) -> tuple[Callable[[Robot], float], Callable[[Robot], floa
 def _limit(name: str) -> NodeParameter:
     speed = "velocity" if name.endswith("velocity") else "acceleration"
     kind = "linear" if "linear" in name else "angular"
-    lowest, highest = _bounds(name)
+    lowest, highest = _bounds(lambda parameters: parameters.range_of(name))
     return NodeParameter(
         name,
         lambda robot: float(getattr(robot.driver, name)),
@@ -101,6 +98,7 @@ def _limit(name: str) -> NodeParameter:
     )
 
 
+_TIMEOUT = _bounds(lambda parameters: parameters.range_of(COMMAND_TIMEOUT))
 PARAMETERS: tuple[NodeParameter, ...] = (
     NodeParameter(
         MODEL_FILE,
@@ -170,8 +168,8 @@ PARAMETERS: tuple[NodeParameter, ...] = (
         "age of a twist at which the robot stops; at most the value of the robot file",
         "s",
         read_only=False,
-        lowest=_bounds(COMMAND_TIMEOUT)[0],
-        highest=_bounds(COMMAND_TIMEOUT)[1],
+        lowest=_TIMEOUT[0],
+        highest=_TIMEOUT[1],
     ),
     *(_limit(name) for name in LIMITS),
     NodeParameter(
@@ -205,18 +203,12 @@ PARAMETERS: tuple[NodeParameter, ...] = (
 
 def parameters_of(robot: Robot) -> list[NodeParameter]:
     """Returns all parameters of the node of a robot: with its wheel radii and its noise."""
-    radii = [
-        NodeParameter(
-            f"{RADIUS}{wheel.name}",
-            wheel.radius,
-            f"rolling radius of the wheel {wheel.name}; it can be changed at rest",
-            "m",
-            read_only=False,
-            lowest=min((wheel.radius, *dict(wheel.radii).values())) / RADIUS_RATIO,
-            highest=max((wheel.radius, *dict(wheel.radii).values())) * RADIUS_RATIO,
-        )
-        for wheel in robot.wheels
-    ]
+    radii = []
+    for i, wheel in enumerate(robot.wheels):
+        lowest, highest = _bounds(lambda parameters, i=i: parameters.radius_range(i))  # type: ignore[misc]
+        text = f"rolling radius of the wheel {wheel.name}; it can be changed at rest"
+        name = f"{RADIUS}{wheel.name}"
+        radii.append(NodeParameter(name, wheel.radius, text, "m", False, lowest, highest))
     noise = [
         NodeParameter(
             f"{NOISE}{name}",

@@ -22,8 +22,10 @@ from typing import Any
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Empty
 
 from thorvaldc.model import Robot
+from thorvaldc.model.joint_topics import HEARTBEAT
 from thorvaldc.ros.joint_messages import STATES_TOPICS, JointCommandTopics, JointStateReader
 from thorvaldc.ros.parameters import JOINT_STATES
 from thorvaldc.runtime.base_interface import BaseHandle, ComponentStatus, JointCommands, JointStates
@@ -60,6 +62,7 @@ class TopicBase(BaseHandle):
         self._node = node
         self._wheels = len(robot.wheels)
         self._commands = JointCommandTopics(node, robot, dialect)
+        self._alive = node.create_publisher(Empty, HEARTBEAT, 1)
         self._reader = JointStateReader(robot, wrapped=dialect == JOINT_STATES)
         qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # hears every sender
         topic = STATES_TOPICS[dialect]
@@ -140,12 +143,13 @@ class TopicBase(BaseHandle):
 
         A time in which this program could not look does not count: messages may wait.
         """
-        now, last = self._ros_time(), self._looked
+        now = self._ros_time()
+        elapsed = min(max(now - self._looked, 0.0), 2.0 * _LOOK)
         self._looked = now
-        self._silence += min(max(now - last, 0.0), 2.0 * _LOOK)
+        self._silence += elapsed
         if self._states is not None and self._silence > LONGEST_SILENCE:
             self.fail(self._refusal or f"no joint states on {self._topic}")
-            self._time += min(max(now - last, 0.0), 2.0 * _LOOK)
+            self._time += elapsed
 
     def poll(self, longest: float) -> None:
         """Waits until new joint states are taken, for at most ``longest`` s of real time."""
@@ -198,12 +202,12 @@ class TopicBase(BaseHandle):
         return ""
 
     @property
-    def is_blind(self) -> bool:
+    def lacks_joint_states(self) -> bool:
         """Whether the present time has no joint states."""
         return self._states is None or self._states.time < self._time
 
     def read(self, now: float) -> JointStates:
-        if self._states is not None and not self.is_blind:
+        if self._states is not None and not self.lacks_joint_states:
             return self._states
         unknown = [math.nan] * self._wheels
         return JointStates(now, unknown, unknown, unknown, unknown)
@@ -212,6 +216,7 @@ class TopicBase(BaseHandle):
         return self._reader.others
 
     def write(self, commands: JointCommands, now: float) -> None:
+        self._alive.publish(Empty())
         if self._states is not None:  # the angles of the steering are unknown before
             self._commands.send(commands)
             self._moves = any(abs(speed) > _MOVING for speed in commands.speeds)
@@ -244,6 +249,7 @@ class TopicBase(BaseHandle):
         for publisher in self._commands.publishers:
             publisher.wait_for_all_acked(Duration(seconds=_DELIVERY))
         self._commands.close()
+        self._node.destroy_publisher(self._alive)
         self._node.destroy_subscription(self._subscription)
 
 

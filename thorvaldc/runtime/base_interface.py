@@ -125,7 +125,7 @@ class BaseHandle(abc.ABC):
         return True
 
     @property
-    def is_blind(self) -> bool:
+    def lacks_joint_states(self) -> bool:
         """``True`` while no joint state can be measured, so that no odometry is published."""
         return False
 

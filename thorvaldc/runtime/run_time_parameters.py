@@ -98,6 +98,11 @@ class Parameters:
             least = min(SHORTEST_TIMEOUT / self.settings.rate, most)
         return least, most
 
+    def radius_range(self, wheel: int) -> tuple[float, float]:
+        """Returns the least and the greatest radius (m) of a wheel that a program may set, if these
+        are the parameters of the robot file."""
+        return self.radii[wheel] / RADIUS_RATIO, self.radii[wheel] * RADIUS_RATIO
+
     def changed(
         self,
         robot: Robot,
@@ -120,9 +125,7 @@ class Parameters:
         for name, value in (radii or {}).items():
             _check_name("wheel", name, wheels)
             index = wheels.index(name)
-            stated = file.radii[index]
-            least, most = stated / RADIUS_RATIO, stated * RADIUS_RATIO
-            _check_range(f"the radius of {name}", value, "m", least, most)
+            _check_range(f"the radius of {name}", value, "m", *file.radius_range(index))
             new_radii[index] = float(value)
         for name, value in (limits or {}).items():
             _check_name("limit", name, [*LIMITS, COMMAND_TIMEOUT])

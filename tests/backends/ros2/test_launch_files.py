@@ -160,8 +160,9 @@ def test_a_package_starts_the_robot_of_another_build(tmp_path: Path) -> None:
     assert driver.files == [other / "config" / "base_driver.yaml"]
     publisher = nodes["robot_state_publisher"]
     assert "r7/base_link" in publisher.parameters["robot_description"]
-    nodes = started(example_robot("car"), tmp_path / "car", "ideal", namespace="r8")
-    assert {node.namespace for node in nodes.values()} == {"r8"}
+    wrong = write(tmp_path / "wrong", {"model.json": b"{}"}) / "model.json"
+    with pytest.raises(RuntimeError, match="of a build"):
+        started(example_robot("car"), tmp_path / "car", "ideal", model=str(wrong))
 
 
 @pytest.mark.parametrize("owner", ["driver", "ekf"])

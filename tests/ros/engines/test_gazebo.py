@@ -22,7 +22,10 @@ from tests.ros.environments import DISTROS, each_distro
 from tests.ros.test_node import run_client
 from thorvaldc.compiler.pipeline import emit
 
-pytestmark = each_distro()
+FIRST = pytest.mark.parametrize(
+    "distro", [pytest.param(DISTROS[0], marks=pytest.mark.xdist_group(f"ros-{DISTROS[0]}"))]
+)
+"""One distribution is enough for the generated files, which are the same in each."""
 STEERED = "4wd4ws_wide"
 
 LOCKSTEP = ("--lockstep", "--factor", "0")
@@ -34,12 +37,6 @@ YAW = 0.008
 LARGER = {"1wd1ws_front": 0.02, "1wd1ws_rear": 0.02}
 # SDF 1.9 has no couplings of joints, so that this robot would tip over its free rockers.
 COUPLED = ("rocker_bogie",)
-
-
-def first_distro(distro: str) -> None:
-    """Skips a test of the generated files, which are the same in every distribution."""
-    if distro != DISTROS[0]:
-        pytest.skip("one distribution is enough for the files")
 
 
 def scene(physics: str, folder: Path, package: Path) -> Path:
@@ -80,6 +77,7 @@ def check(result: dict[str, Any], shortest: float, ratio: float = RATIO) -> None
     assert result["yaw"] < YAW * ratio / RATIO, result
 
 
+@each_distro()
 @pytest.mark.parametrize("physics", ["mujoco", pytest.param("dart", marks=pytest.mark.slow)])
 def test_a_steered_robot_drives_and_knows_where_it_is(
     distro: str, physics: str, tmp_path: Path
@@ -89,15 +87,16 @@ def test_a_steered_robot_drives_and_knows_where_it_is(
     assert result["complete"] > 0.9 * result["cycles"]
 
 
+@FIRST
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in ROBOTS if name != STEERED])
 def test_every_example_drives(distro: str, name: str, tmp_path: Path) -> None:
-    first_distro(distro)
     physics = "mujoco" if name in COUPLED else "dart"
     result = mission(distro, tmp_path, physics, build(name, tmp_path), 12.0)
     check(result, 2.0, LARGER.get(name, RATIO))
 
 
+@each_distro()
 @pytest.mark.slow
 @pytest.mark.parametrize("physics", ["dart", "mujoco"])
 def test_a_fleet_drives_in_one_world(distro: str, physics: str, tmp_path: Path) -> None:
@@ -136,6 +135,7 @@ def replaced(file: str, pattern: str, text: str, count: int = 1) -> Callable[[Pa
     return change
 
 
+@FIRST
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "message"),
@@ -154,7 +154,6 @@ def replaced(file: str, pattern: str, text: str, count: int = 1) -> Callable[[Pa
 def test_the_engine_refuses_files_that_do_not_fit(
     distro: str, change: Callable[[Path], None], message: str, tmp_path: Path
 ) -> None:
-    first_distro(distro)
     package = build(STEERED, tmp_path)
     change(package)
     file = scene("mujoco", tmp_path, package)
@@ -164,6 +163,7 @@ def test_the_engine_refuses_files_that_do_not_fit(
     assert message in err
 
 
+@FIRST
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
@@ -177,13 +177,13 @@ def test_the_engine_refuses_files_that_do_not_fit(
 def test_a_robot_of_changed_files_loses_its_way(
     distro: str, change: Callable[[Path], None], tmp_path: Path
 ) -> None:
-    first_distro(distro)
     package = build(STEERED, tmp_path)
     change(package)
     with pytest.raises(AssertionError):
         check(mission(distro, tmp_path, "dart", package, 12.0), 3.0)
 
 
+@each_distro()
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "guarded", "longest"),
@@ -201,8 +201,6 @@ def test_the_robot_stops_when_its_driver_ends(
         if guarded:
             stack.enter_context(running.node(distro, tmp_path, package, guard=True))
         out = run_client(distro, "engines.kill", tmp_path, driver.pid, int(number))
-        if number == signal.SIGSTOP:
-            driver.send_signal(signal.SIGCONT)
     result = json.loads(out)
     assert abs(result["speed"]) < 0.01
     assert result["time"] < longest

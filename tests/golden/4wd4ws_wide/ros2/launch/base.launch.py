@@ -25,7 +25,6 @@ ARGUMENTS = {
     ),
     "urdf": ("robot.urdf", "the robot's description in the folder urdf"),
     "model": ("", "ros2/config/model.json of another build, which is started in place of this one"),
-    "namespace": ("", "name space of the nodes; empty: that of the model, which its frames have"),
     "rviz": ("false", "start RViz"),
 }
 
@@ -60,9 +59,10 @@ def start(context):
     namespace = NAMESPACE
     if model:
         share = os.path.dirname(os.path.dirname(os.path.abspath(model)))
+        if not os.path.isfile(os.path.join(share, "config", "base_driver.yaml")):
+            raise RuntimeError(f"model is {model}; expected ros2/config/model.json of a build")
         with open(model, encoding="utf-8") as file:
             namespace = json.load(file)["model"]["namespace"]
-    namespace = LaunchConfiguration("namespace").perform(context) or namespace
     config = os.path.join(share, "config")
     urdf = LaunchConfiguration("urdf").perform(context)
     with open(os.path.join(share, "urdf", urdf), encoding="utf-8") as file:
