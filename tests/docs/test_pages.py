@@ -63,6 +63,18 @@ def test_the_index_leads_to_every_page() -> None:
     assert {str(page.relative_to(docs)) for page in pages} - links == {"index.md"}
 
 
+def test_commands_that_move_a_robot_begin_with_zero() -> None:
+    """A source of twists commands zero first, unless the robot file says otherwise."""
+    found = 0
+    for page in (*PAGES, ROOT / "templates" / "ros2" / "README.md"):
+        text = page.read_text(encoding="utf-8")
+        first = re.search(r"^ *ros2 topic pub .*cmd_vel.*$", text, re.MULTILINE)
+        if first is not None:
+            assert "linear" not in first[0], page
+            found += 1
+    assert found == 5
+
+
 def test_the_page_of_examples_has_every_example() -> None:
     page = (ROOT / "docs/examples.md").read_text(encoding="utf-8")
     for readme in ROOT.glob("examples/*/README.md"):
