@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Twist, TwistStamped
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Odometry
@@ -38,6 +38,8 @@ class Client:
         self._clients: dict[str, Any] = {}
         self.listen(Odometry, f"{space}/odometry/base_raw")
         self.listen(JointState, f"{space}/joint_states")
+        self.listen(JointState, f"{space}/joint_commands")
+        self.listen(DiagnosticStatus, f"{space}/base_state")
         self.listen(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
 
     def listen(self, kind: Any, topic: str, qos: Any = qos_profile_sensor_data) -> None:

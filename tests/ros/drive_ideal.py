@@ -55,6 +55,13 @@ def messages(client: Client) -> None:
     assert odometry.pose.covariance[0] > 0.0
     assert "left_wheel_spin" in joints.name or len(joints.name) >= 4, joints.name
     assert len(joints.name) == len(joints.position) == len(joints.velocity)
+    state = client.last["base_state"]
+    assert (state.level, state.message) == (b"\x00", "driving")
+    assert {value.key: value.value for value in state.values}["armed"] == "true"
+    commands = client.last["joint_commands"]
+    assert commands.name[:2] == ["left_drive_axle", "right_drive_axle"], commands.name
+    assert min(commands.velocity[:2]) > 1.0
+    assert all(map(math.isnan, commands.position[:2]))
     client.wait(
         "the speeds of the joints",
         lambda: max(client.last["joint_states"].velocity) > 1.0,

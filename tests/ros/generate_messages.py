@@ -1,4 +1,5 @@
-"""Builds the message packages that the ROS 2 wheels do not contain: tf2_msgs and can_msgs.
+"""Builds the message packages that the ROS 2 wheels do not contain: tf2_msgs,
+can_msgs and control_msgs.
 
     python tests/ros/generate_messages.py .venv-ros/jazzy
 
@@ -18,15 +19,27 @@ import tempfile
 from pathlib import Path
 
 PACKAGES = {
-    "tf2_msgs": ("TFMessage", "geometry_msgs", "geometry_msgs/TransformStamped[] transforms\n"),
+    "tf2_msgs": (
+        "geometry_msgs",
+        {"TFMessage": "geometry_msgs/TransformStamped[] transforms\n"},
+    ),
     "can_msgs": (
-        "Frame",
         "std_msgs",
-        "std_msgs/Header header\nuint32 id\nbool is_rtr\nbool is_extended\nbool is_error\n"
-        "uint8 dlc\nuint8[8] data\n",
+        {
+            "Frame": "std_msgs/Header header\nuint32 id\nbool is_rtr\nbool is_extended\n"
+            "bool is_error\nuint8 dlc\nuint8[8] data\n"
+        },
+    ),
+    "control_msgs": (
+        "std_msgs",
+        {
+            "InterfaceValue": "string[] interface_names\nfloat64[] values\n",
+            "DynamicInterfaceGroupValues": "std_msgs/Header header\nstring[] interface_groups\n"
+            "InterfaceValue[] interface_values\n",
+        },
     ),
 }
-"""Message, dependency and fields of each package."""
+"""Dependency of each package, and the fields of its messages."""
 BUILD_PATH = re.compile(r"/opt/python/[^;\"]*?/include/python[0-9.]+")
 BUILD_NUMPY = re.compile(r"/opt/python/[^;\"]*?/numpy/_core/include")
 PACKAGE_XML = """\
@@ -45,7 +58,7 @@ project({name})
 find_package(ament_cmake REQUIRED)
 find_package(rosidl_default_generators REQUIRED)
 find_package({dependency} REQUIRED)
-rosidl_generate_interfaces({name} "msg/{message}.msg" DEPENDENCIES {dependency})
+rosidl_generate_interfaces({name} {messages} DEPENDENCIES {dependency})
 ament_package()
 """
 
@@ -64,16 +77,18 @@ def main(environment: Path) -> None:
     variables = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     variables["AMENT_PREFIX_PATH"] = str(environment)
     variables["PATH"] = f"{environment / 'bin'}{os.pathsep}{variables['PATH']}"
-    for name, (message, dependency, fields) in PACKAGES.items():
+    for name, (dependency, messages) in PACKAGES.items():
         with tempfile.TemporaryDirectory() as folder:
             source = Path(folder)
             (source / "msg").mkdir()
-            (source / "msg" / f"{message}.msg").write_text(fields, "utf-8")
+            for message, fields in messages.items():
+                (source / "msg" / f"{message}.msg").write_text(fields, "utf-8")
             (source / "package.xml").write_text(
                 PACKAGE_XML.format(name=name, dependency=dependency), "utf-8"
             )
+            files = " ".join(f'"msg/{message}.msg"' for message in messages)
             (source / "CMakeLists.txt").write_text(
-                CMAKE.format(name=name, dependency=dependency, message=message), "utf-8"
+                CMAKE.format(name=name, dependency=dependency, messages=files), "utf-8"
             )
             configure = ["cmake", "-G", "Ninja", "-S", folder, "-B", f"{folder}/build"]
             configure += ["--no-warn-unused-cli"]

@@ -18,6 +18,7 @@ from tests.examples import example_robot
 from tests.ros.environments import DISTROS, each_distro, python_of, require_messages, variables
 from tests.simulation.bus.robots import cia402_robot
 from thorvaldc.compiler.pipeline import emit
+from thorvaldc.model.model_json import to_json
 
 pytestmark = each_distro()
 
@@ -209,6 +210,15 @@ def test_node_with_a_virtual_bus(distro: str, build: Path, tmp_path: Path) -> No
         pytest.skip("the base `virtual` shares the code of `bus`; one distribution is enough")
     with node(distro, build, tmp_path, base="virtual", stamped=False) as process:
         run_client(distro, "drive_bus", tmp_path, "moves")
+        end(process)
+
+
+@pytest.mark.slow
+def test_data_and_settings_of_devices(distro: str, tmp_path: Path) -> None:
+    require_messages(distro, "control_msgs")
+    (tmp_path / "model.json").write_bytes(to_json(example_robot("4wd4ws_wide")).encode())
+    with node(distro, tmp_path, tmp_path, base="virtual", stamped=False) as process:
+        run_client(distro, "read_devices", tmp_path)
         end(process)  # while the robot drives
 
 

@@ -140,12 +140,12 @@ def test_outputs_of_an_io_board() -> None:
     rig.base.nodes.set_output("board", "beacon_red", True)
     rig.run(0.3)
     assert board.outputs == 0b110
-    assert rig.base.nodes.boards[0].reported["beacon_red_state"] == 1
+    assert rig.base.io_data(rig.now)["board"]["beacon_red_state"] == 1
     rig.base.nodes.set_output("board", "relay_1", False)
     board.inputs = 5
     rig.run(0.3)
     assert board.outputs == 0b100
-    assert rig.base.nodes.boards[0].inputs == 5
+    assert rig.base.io_data(rig.now)["board"]["inputs"] == 5
     with pytest.raises(RequestRefused, match="no output `horn`; it has relay_0"):
         rig.base.nodes.set_output("board", "horn", True)
     with pytest.raises(RequestRefused, match="no IO board `bord`; there are board"):

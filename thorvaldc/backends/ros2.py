@@ -76,6 +76,8 @@ def package_of(robot: Robot) -> dict[str, bytes]:
     plugins = set(ros2_navigation.plugin_packages(robot, parts))
     if any(frame.kind == "relay" for bus in robot.buses for frame in bus.frames):
         plugins.add("can_msgs")  # the base driver relays frames of foreign devices
+    if robot.buses:
+        plugins.add("control_msgs")  # the base driver publishes what the devices report
     control: dict[str, bytes] = {}
     if robot.actuators:
         control = {**control_files(robot), **ros2_control_files(robot)}

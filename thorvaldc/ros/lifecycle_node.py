@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import time
 import traceback
 from collections.abc import Callable
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Twist as TwistMessage
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
@@ -121,6 +122,8 @@ REPORT_PERIOD = 1.0
 """Real time (s) between two messages on /diagnostics, if nothing changes."""
 LONGEST_DELIVERY = 0.5
 """Longest real time (s) for which a node that ends waits for the subscribers of the odometry."""
+DEVICE_PERIOD = 0.1
+"""Time (s) of the robot between two messages with the values that its devices report."""
 RELAY_QUEUE = 64
 """Frames of foreign devices that wait in a topic, in each direction."""
 DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
@@ -159,6 +162,7 @@ class BaseDriverNode(GuardedLifecycleNode):
         """Reason why the node is not active although it was, or why it could not be activated."""
         self._entities: list[Any] = []
         self._next_report = 0.0
+        self._next_device_data = -math.inf
         self._reported: Any = None
         simulated = self.values["base"] in ("ideal", "mujoco")
         self.owns_clock = simulated and self.values["publish_clock"]
@@ -166,6 +170,10 @@ class BaseDriverNode(GuardedLifecycleNode):
             self.get_logger().warning("publish_clock: only the bases ideal and mujoco have a clock")
         self._tf_type: Any = messages.optional_type("tf2_msgs", "TFMessage")
         self._frame_type: Any = messages.optional_type("can_msgs", "Frame")
+        self._device_types: Any = tuple(
+            messages.optional_type("control_msgs", name)
+            for name in ("DynamicInterfaceGroupValues", "InterfaceValue")
+        )
 
     # -- lifecycle -----------------------------------------------------------------------------
 
@@ -267,6 +275,7 @@ class BaseDriverNode(GuardedLifecycleNode):
             self.problem = str(error)
         else:
             self.problem, self._reported = "", None
+            self._next_device_data = -math.inf
             self._joints = messages.JointMessages(self.model)
             self.parameters.give_all()
             return True
@@ -289,7 +298,11 @@ class BaseDriverNode(GuardedLifecycleNode):
         count = max(len(model.batteries), 1)
         self._battery = self.create_publisher(BatteryState, "battery_data", latched(count))
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._base_state = self.create_publisher(DiagnosticStatus, "base_state", latched())
+        self._joint_commands = self.create_publisher(JointState, "joint_commands", 10)
         self._entities += [self._odometry, self._joint_states, self._battery, self._diagnostics]
+        self._entities += [self._base_state, self._joint_commands]
+        self._create_device_topics()
         self._clock_topic = self._tf = self._from_devices = None
         if self.owns_clock:
             self._clock_topic = self.create_publisher(Clock, "/clock", 1)
@@ -326,6 +339,20 @@ class BaseDriverNode(GuardedLifecycleNode):
             add(description)
             description.publish(String(data=description_text(model, self.model_file)))
         self._entities += create_services(self)
+
+    def _create_device_topics(self) -> None:
+        self._device_topics: dict[str, Any] = {}
+        if self.values["base"] not in ("bus", "virtual"):
+            return
+        if None in self._device_types:
+            self.get_logger().warning(
+                "control_msgs is not installed: motor_controller_data and io_data are not published"
+            )
+            return
+        for topic in ("motor_controller_data", "io_data"):
+            publisher = self.create_publisher(self._device_types[0], topic, 10)
+            self._device_topics[topic] = publisher
+            self._entities.append(publisher)
 
     def _described_model(self) -> str:
         """Returns which model the node drives, as JSON."""
@@ -416,12 +443,19 @@ class BaseDriverNode(GuardedLifecycleNode):
             self._clock_topic.publish(Clock(clock=stamp))
         if not robot.base.lacks_joint_states:
             self._publish_motion(robot, stamp)
+        if state.command is not None:
+            command = state.command.joints
+            message = messages.joint_commands_message(self.model, command, stamp)
+            self._joint_commands.publish(message)
+        if robot.now >= self._next_device_data:
+            self._next_device_data = robot.now + DEVICE_PERIOD
+            self._publish_device_data(robot, stamp)
         if self._from_devices is not None:
             for frame in robot.base.frames_from_devices():
-                message = self._frame_type(id=frame.id, dlc=len(frame.data))
-                message.header.stamp = stamp
-                message.data[: len(frame.data)] = list(frame.data)
-                self._from_devices.publish(message)
+                relayed = self._frame_type(id=frame.id, dlc=len(frame.data))
+                relayed.header.stamp = stamp
+                relayed.data[: len(frame.data)] = list(frame.data)
+                self._from_devices.publish(relayed)
         summary = (
             *(state.mode, state.fault, bool(state.not_followed)),
             *(robot.armed, robot.paused, robot.base.hold_reason),
@@ -429,6 +463,11 @@ class BaseDriverNode(GuardedLifecycleNode):
         if summary != self._reported:
             self._reported = summary
             self._next_report = 0.0
+
+    def _publish_device_data(self, robot: DrivenRobot, stamp: Any) -> None:
+        for topic, publisher in self._device_topics.items():
+            data = getattr(robot.base, topic)(robot.now)
+            publisher.publish(messages.device_message(self._device_types, data, stamp))
 
     def _publish_motion(self, robot: DrivenRobot, stamp: Any) -> None:
         state, values = robot.driver.state, self.values
@@ -465,6 +504,7 @@ class BaseDriverNode(GuardedLifecycleNode):
         name = f"{self.get_namespace().rstrip('/')}/{NODE_NAME}".lstrip("/")
         message.status = messages.diagnostic_statuses(name, self, robot)
         self._diagnostics.publish(message)
+        self._base_state.publish(message.status[0])
         if self._clock_topic is not None and robot is not None:
             self._clock_topic.publish(Clock(clock=stamp))  # also while the simulation is paused
         if robot is not None:

@@ -14,6 +14,7 @@ from sensor_msgs.msg import BatteryState, JointState
 
 from thorvaldc.model import Robot, wheel_joints
 from thorvaldc.runtime import se2
+from thorvaldc.runtime.base_interface import JointCommands
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.battery_and_io_drivers import BatteryState as ReportedBattery
 from thorvaldc.runtime.driven_robot import DrivenRobot
@@ -119,6 +120,40 @@ class JointMessages:
         message.header.stamp = stamp
         message.name, message.position, message.velocity = self._names, positions, velocities
         return message
+
+
+def joint_commands_message(robot: Robot, command: JointCommands, stamp: Any) -> Any:
+    """Returns the commanded speeds of the drives (rad/s) and angles of the steering (rad).
+
+    A joint has one of the two; the other one is NaN.
+    """
+    drives, steering = wheel_joints(robot)
+    message = JointState()
+    message.header.stamp = stamp
+    message.name = [robot.prefix + joint for joint in (*drives, *steering)]
+    speeds = [float(command.speeds[wheel]) for wheel in drives.values()]
+    angles = [float(command.angles[wheel]) for wheel in steering.values()]
+    message.velocity = [*speeds, *[math.nan] * len(angles)]
+    message.position = [*[math.nan] * len(speeds), *angles]
+    return message
+
+
+def device_message(
+    types: tuple[Any, Any], data: Mapping[str, Mapping[str, float]], stamp: Any
+) -> Any:
+    """Returns the values that devices report: a group for each device, with its values by name.
+
+    ``types``: the types DynamicInterfaceGroupValues and InterfaceValue of control_msgs.
+    """
+    group_values, interface_value = types
+    message = group_values()
+    message.header.stamp = stamp
+    message.interface_groups = list(data)
+    message.interface_values = [
+        interface_value(interface_names=list(values), values=list(map(float, values.values())))
+        for values in data.values()
+    ]
+    return message
 
 
 def battery_message(name: str, battery: ReportedBattery, stamp: Any, frame: str) -> Any:

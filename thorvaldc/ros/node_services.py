@@ -7,7 +7,9 @@ import re
 from collections.abc import Callable
 from typing import Any, cast
 
-from rclpy.parameter import Parameter
+from rcl_interfaces.msg import ParameterType, SetParametersResult
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter, parameter_value_to_python
 from std_srvs.srv import SetBool, Trigger
 
 from thorvaldc.ros.parameters import PARAMETER_SET
@@ -85,10 +87,42 @@ def create_services(node: Any) -> list[Any]:
         triggers["use_ordinary_parameters"] = use("")
     for parameter_set in node.model.parameter_sets:
         triggers[_name(f"use_{parameter_set.name}")] = use(parameter_set.name)
+    others = [_motor_settings(node, call)] if base in ("bus", "virtual") else []
     return [
+        *others,
         *(_switch(node, name, work) for name, work in switches.items()),
         *(_trigger(node, name, work) for name, work in triggers.items()),
     ]
+
+
+def _motor_settings(node: Any, call: Callable[..., str]) -> Any:
+    """Creates the service that writes settings of motor controllers, one after another.
+
+    The name of a parameter is `CONTROLLER.SETTING`, or `SETTING` for all motor controllers.
+    """
+    service = "setup_motor_controller"
+
+    def write(parameter: Any) -> None:
+        controller, _, setting = parameter.name.rpartition(".")
+        if parameter.value.type not in (
+            ParameterType.PARAMETER_INTEGER,
+            ParameterType.PARAMETER_DOUBLE,
+        ):
+            raise ServiceError(f"{parameter.name} needs a number, in the units of the controller")
+        value = float(parameter_value_to_python(parameter.value))
+        call(service, node=controller, setting=setting, value=value)
+
+    def serve(request: Any, response: Any) -> Any:
+        for parameter in request.parameters:
+            result = SetParametersResult(successful=True)
+            try:
+                write(parameter)
+            except ServiceError as error:
+                result = SetParametersResult(successful=False, reason=str(error))
+            response.results.append(result)
+        return response
+
+    return node.create_service(SetParameters, service, node.guarded(service, serve))
 
 
 def _switch(node: Any, name: str, work: Callable[[bool], str]) -> Any:

@@ -196,6 +196,17 @@ class BaseHandle(abc.ABC):
         """Returns the states of the batteries (``BatteryState``) by name."""
         return {}
 
+    def motor_controller_data(self, now: float) -> Mapping[str, Mapping[str, float]]:
+        """Returns what each motor controller reports, by its name and the name of the signal.
+
+        The values are in the units of the signals, and NaN while no report arrives.
+        """
+        return {}
+
+    def io_data(self, now: float) -> Mapping[str, Mapping[str, float]]:
+        """Returns what each IO board reports, by its name and the name of the signal."""
+        return {}
+
     def warnings(self, now: float) -> list[str]:
         """Returns warnings about the base that do not stop the robot."""
         return []

@@ -145,8 +145,6 @@ class IoBoardDriver:
             self.handlers[self._report.cob_id] = self._handle_report
         self.time = -math.inf
         """Time (s) of the newest report."""
-        self.reported: dict[str, float] = {}
-        """Values of the newest report by signal name."""
         properties = dict(node.properties)
         self.outputs: dict[str, bool] = {}
         """Commanded state of each output by name."""
@@ -171,14 +169,10 @@ class IoBoardDriver:
         data = self._command.encode_named({**values, **self._constants})
         return CanFrame(self._command.cob_id, data)
 
-    @property
-    def inputs(self) -> int:
-        """States of the inputs in the newest report of the IO board, as bits."""
-        return int(self.reported.get("inputs", 0))
-
     def _handle_report(self, data: bytes, time: float) -> None:
         if self._report is not None:
-            self.reported, self.time = self._report.decode_named(data), time
+            self._report.decode(data)  # a malformed report is no sign of life
+            self.time = time
 
 
 PLUGINS: PluginTable[BatteryDriver] = PluginTable(

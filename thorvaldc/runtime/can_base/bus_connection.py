@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -23,6 +24,8 @@ OCCASIONAL_AT_REST, OCCASIONAL_DRIVING = 8, 1
 """Largest number of occasional frames in a cycle: at rest, and while the robot drives."""
 RELAYED_PER_CYCLE = 4
 """Largest number of frames in a cycle that are relayed to foreign devices."""
+REPORT_KINDS = ("pdo", "broadcast")
+"""Kinds of frames in which nodes report measurements."""
 DEVICE_TIMEOUT = 1.0
 """Time (s) without a report after which a warning names the IO board."""
 SEND_FAILURES = 3
@@ -105,6 +108,18 @@ class BusConnection:
             *(pair for board in self.boards for pair in board.handlers.items()),
         ]
         self._handled: dict[int, int] = {}
+        devices = [*(c.node for c in self.controllers), *(board.node for board in self.boards)]
+        self._reports = {
+            node.name: [
+                codec
+                for codec in motor_controller.node_codecs(bus, node).values()
+                if codec.frame.producer == node.name
+                and codec.frame.kind in REPORT_KINDS
+                # A frame whose content alternates is a slow report of constants.
+                and not any(signal.multiplexer for signal in codec.frame.signals)
+            ]
+            for node in devices
+        }
         # Only a master sends NMT, SYNC, the heartbeat of the master, commands and SDO requests.  If
         # such a frame is received, another master is on the bus.
         self._master_names = _master_frames(bus)
@@ -282,6 +297,24 @@ class BusConnection:
             if problem:
                 return f"{controller.node.name}: {problem}"
         return ""
+
+    def reported(self, name: str, now: float) -> dict[str, float]:
+        """Returns the newest reported values of a motor controller or an IO board.
+
+        ``name``: name of the node.  The keys are the names of the signals in the robot file, always
+        the same and in the same order, without those of a frame with a multiplexer.  A value is in
+        the unit of its signal, or NaN if it is older than two periods and ``DEVICE_TIMEOUT``.
+        """
+        values: dict[str, float] = {}
+        for codec in self._reports[name]:
+            frame, period = self.receiver.latest.get(codec.cob_id), codec.frame.period
+            known = dict.fromkeys(codec.names, math.nan)
+            oldest = max(DEVICE_TIMEOUT, 2.0 * (math.inf if period is None else period))
+            if frame is not None and now - frame.time <= oldest:
+                with contextlib.suppress(ValueError):  # it is malformed, which is counted elsewhere
+                    known = codec.decode_named(frame.data)
+            values.update(known)
+        return values
 
     def silent_devices(self, now: float) -> list[str]:
         """Returns the names of IO boards that have stopped sending reports.

@@ -280,6 +280,20 @@ class CanBase(base_interface.BaseHandle):
     def batteries(self) -> dict[str, battery_and_io_drivers.BatteryState]:
         return {b.node.name: b.state for c in self.connections for b in c.batteries}
 
+    def motor_controller_data(self, now: float) -> dict[str, dict[str, float]]:
+        return {
+            controller.node.name: connection.reported(controller.node.name, now)
+            for connection in self.connections
+            for controller in connection.controllers
+        }
+
+    def io_data(self, now: float) -> dict[str, dict[str, float]]:
+        return {
+            board.node.name: connection.reported(board.node.name, now)
+            for connection in self.connections
+            for board in connection.boards
+        }
+
     def warnings(self, now: float) -> list[str]:
         warnings = self.battery_supervision.warnings()
         for connection in self.connections:
