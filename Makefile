@@ -141,6 +141,7 @@ golden: $(READY)
 pictures: $(READY)
 	PYTHONPATH=. $(BIN)/python workshop/render_examples.py
 	PYTHONPATH=. $(BIN)/python workshop/render_modules.py
+	PYTHONPATH=. $(BIN)/python workshop/render_rviz.py
 
 # The variable silences the advertisement of another program.
 docs: $(READY)

@@ -87,8 +87,9 @@ def _fleet_scene(fleet: model.Fleet, *, visuals: bool = True) -> dict[str, bytes
 def ros2_control_files(robot: model.Robot) -> dict[str, bytes]:
     """Return robot and scene for mujoco_ros2_control, by path; their meshes are in ``meshes/``.
 
-    This program takes every actuator with a position gain for a position servo, such as
-    ``intvelocity``. In these files, the drives are ``velocity`` servos.
+    In these files, the drives are ``velocity`` servos. Older versions of this program take
+    ``intvelocity`` for a position servo, and none limits its integrated set point, so that a
+    blocked robot would push on after it was told to stop.
     """
     return _robot_and_scene(robot, velocity_servos=True)
 

@@ -1,5 +1,6 @@
 """Simulation in Gazebo, which gives the time of all nodes."""
 
+import json
 import os
 
 from ament_index_python.packages import get_package_share_directory
@@ -56,6 +57,12 @@ def generate_launch_description():
                 )
                 for name in PLACE
             ],
+            DeclareLaunchArgument(
+                "model",
+                default_value="",
+                description="ros2/config/model.json of another build, which drives in place of"
+                " this one",
+            ),
             DeclareLaunchArgument("rviz", default_value="false", description="start RViz"),
             OpaqueFunction(function=start),
         ]
@@ -64,15 +71,27 @@ def generate_launch_description():
 
 def start(context):
     share = get_package_share_directory(PACKAGE)
+    package, namespace, robot_name = PACKAGE, NAMESPACE, "{{ model_name }}"
+    other = LaunchConfiguration("model").perform(context)
+    if other:
+        share = folder_of(other)
+        with open(other, encoding="utf-8") as file:
+            robot = json.load(file)["model"]
+        package, namespace = robot["ros"]["package"], robot["namespace"]
+        robot_name = namespace or robot["name"]
     config = os.path.join(share, "config")
     # % if command_topic
     standard = LaunchConfiguration("controller").perform(context) == "standard"
+    if standard and other:
+        raise RuntimeError("controller:=standard starts the robot of this package; leave out model")
     variant, moved_by = ("_ros2_control", controllers) if standard else ("", base_driver)
     # % else
     variant, moved_by = "", base_driver
     # % endif
     with open(os.path.join(share, "sdf", f"model{variant}.sdf"), encoding="utf-8") as file:
-        model = file.read().replace("$(find {{ package }})", share)
+        model = file.read().replace(f"$(find {package})", share)
+    if other:
+        model = model.replace(f"model://{package}/", f"file://{share}/")
     place = [text for name in PLACE for text in (f"-{name}", LaunchConfiguration(name))]
     return [
         # Gazebo finds the meshes of the package in this folder.
@@ -82,22 +101,22 @@ def start(context):
             package="ros_gz_sim",
             executable="create",
             name="create",
-            namespace=NAMESPACE,
+            namespace=namespace,
             output="screen",
-            arguments=["-name", "{{ model_name }}", "-string", model, *place],
+            arguments=["-name", robot_name, "-string", model, *place],
         ),
         Node(
             package="ros_gz_bridge",
             executable="parameter_bridge",
             name="gz_bridge",
-            namespace=NAMESPACE,
+            namespace=namespace,
             output="screen",
             parameters=[
                 {"config_file": os.path.join(config, f"gz_bridge{variant}.yaml")},
                 {"use_sim_time": True},
             ],
         ),
-        *moved_by(share),
+        *moved_by(),
     ]
 
 
@@ -138,7 +157,8 @@ def gazebo(world, config):
 
 
 # % if command_topic
-def controllers(share):
+def controllers():
+    share = get_package_share_directory(PACKAGE)
     config = os.path.join(share, "config")
     with open(os.path.join(share, "urdf", "robot_gazebo.urdf"), encoding="utf-8") as file:
         description = file.read().replace("$(find {{ package }})", share)
@@ -177,7 +197,8 @@ def controllers(share):
 
 
 # % endif
-def base_driver(share):
+def base_driver():
+    share = get_package_share_directory(PACKAGE)
     return [
         IncludeLaunchDescription(
             PythonLaunchDescriptionSource(os.path.join(share, "launch", "base.launch.py")),
@@ -186,7 +207,11 @@ def base_driver(share):
                 "joint_topics": "gazebo",
                 "guard": "true",
                 "use_sim_time": "true",
+                "model": LaunchConfiguration("model"),
                 "rviz": LaunchConfiguration("rviz"),
             }.items(),
         )
     ]
+
+
+# % include "other_build.py"

@@ -160,6 +160,19 @@ def test_a_package_starts_the_robot_of_another_build(tmp_path: Path) -> None:
     assert driver.files == [other / "config" / "base_driver.yaml"]
     publisher = nodes["robot_state_publisher"]
     assert "r7/base_link" in publisher.parameters["robot_description"]
+    nodes = started(example_robot("4wd4ws_wide"), tmp_path / "gazebo", "gazebo", model=model)
+    assert full_name(nodes["base_driver"]) == "/r7/base_driver"
+    assert nodes["base_driver"].parameters["model_file"] == model
+    assert full_name(nodes["gz_bridge"]) == "/r7/gz_bridge"
+    assert nodes["gz_bridge"].parameters["config_file"] == str(other / "config" / "gz_bridge.yaml")
+    _, name, _, sdf, *_ = nodes["create"].arguments
+    assert name == "r7"
+    meshes = [str(uri.text) for uri in ElementTree.fromstring(sdf).iter("uri")]
+    assert meshes
+    assert all(Path(uri.removeprefix("file://")).is_file() for uri in meshes), meshes[0]
+    greenhouse = example_robot("2wd0ws_greenhouse")
+    with pytest.raises(RuntimeError, match="leave out model"):
+        started(greenhouse, tmp_path, "gazebo", model=model, controller="standard")
     wrong = write(tmp_path / "wrong", {"model.json": b"{}"}) / "model.json"
     with pytest.raises(RuntimeError, match="of a build"):
         started(example_robot("car"), tmp_path / "car", "ideal", model=str(wrong))

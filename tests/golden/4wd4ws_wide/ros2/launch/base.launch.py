@@ -58,11 +58,10 @@ def start(context):
     model = LaunchConfiguration("model").perform(context)
     namespace = NAMESPACE
     if model:
-        share = os.path.dirname(os.path.dirname(os.path.abspath(model)))
-        if not os.path.isfile(os.path.join(share, "config", "base_driver.yaml")):
-            raise RuntimeError(f"model is {model}; expected ros2/config/model.json of a build")
+        share = folder_of(model)
         with open(model, encoding="utf-8") as file:
-            namespace = json.load(file)["model"]["namespace"]
+            robot = json.load(file)["model"]
+        namespace = robot["namespace"]
     config = os.path.join(share, "config")
     urdf = LaunchConfiguration("urdf").perform(context)
     with open(os.path.join(share, "urdf", urdf), encoding="utf-8") as file:
@@ -128,3 +127,10 @@ def start(context):
             parameters=[use_sim_time],
         ),
     ]
+
+
+def folder_of(model):
+    share = os.path.dirname(os.path.dirname(os.path.abspath(model)))
+    if not os.path.isfile(os.path.join(share, "config", "base_driver.yaml")):
+        raise RuntimeError(f"model is {model}; expected ros2/config/model.json of a build")
+    return share

@@ -1,5 +1,6 @@
 """Simulation in Gazebo, which gives the time of all nodes."""
 
+import json
 import os
 
 from ament_index_python.packages import get_package_share_directory
@@ -38,6 +39,12 @@ def generate_launch_description():
                 )
                 for name in PLACE
             ],
+            DeclareLaunchArgument(
+                "model",
+                default_value="",
+                description="ros2/config/model.json of another build, which drives in place of"
+                " this one",
+            ),
             DeclareLaunchArgument("rviz", default_value="false", description="start RViz"),
             OpaqueFunction(function=start),
         ]
@@ -46,10 +53,20 @@ def generate_launch_description():
 
 def start(context):
     share = get_package_share_directory(PACKAGE)
+    package, namespace, robot_name = PACKAGE, NAMESPACE, "thorvald_4wd4ws_wide"
+    other = LaunchConfiguration("model").perform(context)
+    if other:
+        share = folder_of(other)
+        with open(other, encoding="utf-8") as file:
+            robot = json.load(file)["model"]
+        package, namespace = robot["ros"]["package"], robot["namespace"]
+        robot_name = namespace or robot["name"]
     config = os.path.join(share, "config")
     variant, moved_by = "", base_driver
     with open(os.path.join(share, "sdf", f"model{variant}.sdf"), encoding="utf-8") as file:
-        model = file.read().replace("$(find thorvald_4wd4ws_wide)", share)
+        model = file.read().replace(f"$(find {package})", share)
+    if other:
+        model = model.replace(f"model://{package}/", f"file://{share}/")
     place = [text for name in PLACE for text in (f"-{name}", LaunchConfiguration(name))]
     return [
         # Gazebo finds the meshes of the package in this folder.
@@ -59,22 +76,22 @@ def start(context):
             package="ros_gz_sim",
             executable="create",
             name="create",
-            namespace=NAMESPACE,
+            namespace=namespace,
             output="screen",
-            arguments=["-name", "thorvald_4wd4ws_wide", "-string", model, *place],
+            arguments=["-name", robot_name, "-string", model, *place],
         ),
         Node(
             package="ros_gz_bridge",
             executable="parameter_bridge",
             name="gz_bridge",
-            namespace=NAMESPACE,
+            namespace=namespace,
             output="screen",
             parameters=[
                 {"config_file": os.path.join(config, f"gz_bridge{variant}.yaml")},
                 {"use_sim_time": True},
             ],
         ),
-        *moved_by(share),
+        *moved_by(),
     ]
 
 
@@ -114,7 +131,8 @@ def gazebo(world, config):
     ]
 
 
-def base_driver(share):
+def base_driver():
+    share = get_package_share_directory(PACKAGE)
     return [
         IncludeLaunchDescription(
             PythonLaunchDescriptionSource(os.path.join(share, "launch", "base.launch.py")),
@@ -123,7 +141,15 @@ def base_driver(share):
                 "joint_topics": "gazebo",
                 "guard": "true",
                 "use_sim_time": "true",
+                "model": LaunchConfiguration("model"),
                 "rviz": LaunchConfiguration("rviz"),
             }.items(),
         )
     ]
+
+
+def folder_of(model):
+    share = os.path.dirname(os.path.dirname(os.path.abspath(model)))
+    if not os.path.isfile(os.path.join(share, "config", "base_driver.yaml")):
+        raise RuntimeError(f"model is {model}; expected ros2/config/model.json of a build")
+    return share
