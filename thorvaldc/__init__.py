@@ -96,7 +96,7 @@ else:
         if name not in _present_names():
             raise AttributeError(
                 f"thorvaldc.{name} is not in this installation, which is the runtime alone; install"
-                " the whole package: pip install thorvaldc"
+                " the wheel or the checkout of the whole package"
             )
         from importlib import import_module
 

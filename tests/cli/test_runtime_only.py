@@ -83,7 +83,8 @@ def test_a_missing_command_is_3_and_one_line(
     assert (result.returncode, result.stdout) == (3, "")
     assert result.stderr == (
         f"error: {feature} is not available: this installation is the runtime alone; "
-        "to replace it: `pip uninstall thorvaldc-runtime`, then `pip install thorvaldc`\n"
+        "to replace it: `pip uninstall thorvaldc-runtime`, then `pip install` with the path of the"
+        " wheel or the checkout of thorvaldc\n"
     )
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import Command
+from thorvaldc.diagnostics.installation import install_command
 
 ROOT = Path(__file__).resolve().parents[2]
 ROBOT = ROOT / "examples/4wd4ws_slim/robot.yaml"
@@ -119,4 +120,4 @@ def test_without_rosbags_one_line_names_the_package(
     result = thorvaldc("sim", str(ROBOT), "--record", "a.mcap")
     assert result.status == 3
     assert result.out == ""
-    assert "pip install 'thorvaldc[record]'" in result.err
+    assert install_command("record") in result.err

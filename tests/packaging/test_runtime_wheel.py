@@ -110,8 +110,8 @@ def test_the_api_has_the_names_of_the_runtime(runtime: Path, tmp_path: Path) -> 
     )
     assert done.stderr == ""
     assert done.stdout == (
-        "thorvaldc.load is not in this installation, which is the runtime alone; install the whole"
-        " package: pip install thorvaldc\n"
+        "thorvaldc.load is not in this installation, which is the runtime alone; install the wheel"
+        " or the checkout of the whole package\n"
     )
 
 
@@ -190,7 +190,7 @@ def test_commands_of_the_compiler_name_the_package_to_install(
 ) -> None:
     refused = call(runtime, build, command, "good.yaml")
     assert refused.returncode == 3, refused.stderr
-    assert "pip install thorvaldc" in refused.stderr
+    assert "pip uninstall thorvaldc-runtime" in refused.stderr
     assert "Traceback" not in refused.stderr
 
 

@@ -29,6 +29,7 @@ from thorvaldc.can.local_socket import runtime_directory, socket_path
 from thorvaldc.can.python_can_interface import PythonCanInterface, one_line
 from thorvaldc.can.simulated_bus_client import SimulatedBusClient
 from thorvaldc.diagnostics import DiagnosticError
+from thorvaldc.diagnostics.installation import install_command
 from thorvaldc.model import Bus, Robot
 
 if TYPE_CHECKING:
@@ -328,11 +329,7 @@ def _check_network_interface(spec: str, channel: str, bus: Bus) -> None:
 def _package_error(spec: str, backend: str, text: str) -> DiagnosticError:
     """Returns the error for a backend of python-can whose Python packages are not installed."""
     extra = _EXTRAS.get(backend)
-    hint = (
-        f"pip install 'thorvaldc[{extra}]', with the runtime alone 'thorvaldc-runtime[{extra}]'"
-        if extra
-        else f"see python-can's documentation of {backend}"
-    )
+    hint = install_command(extra) if extra else f"see python-can's documentation of {backend}"
     return _interface_error(spec, text, hint)
 
 

@@ -52,7 +52,10 @@ CORE: tuple[CommandEntry, ...] = (
 ``tool_folders`` finds."""
 PLUGINS = "thorvaldc.commands"
 # Both packages contain the same files, so a computer must not have both.
-REPLACE_RUNTIME = "to replace it: `pip uninstall thorvaldc-runtime`, then `pip install thorvaldc`"
+REPLACE_RUNTIME = (
+    "to replace it: `pip uninstall thorvaldc-runtime`, then `pip install` with the path of the"
+    " wheel or the checkout of thorvaldc"
+)
 
 
 class _PlainText:

@@ -14,6 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.compiler.result import Compilation
 from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.installation import install_command
 from thorvaldc.model.scenario import Command
 from thorvaldc.simulation.records.csv_record import CsvRecorder
 from thorvaldc.simulation.records.mcap_writer import McapRecorder
@@ -194,4 +195,4 @@ def test_missing_rosbags_package_is_reported(
     monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
     code, message, _ = error_of(tmp_path, "{log: bag, robot: cart}")
     assert code == "script-log"
-    assert "pip install 'thorvaldc[record]'" in message
+    assert install_command("record") in message

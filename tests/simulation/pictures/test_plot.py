@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 
 from tests.examples import FOLDER, example_robot
 from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.diagnostics.installation import install_command
 from thorvaldc.model import Fleet
 from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.simulation.control_loop import Sample
@@ -108,7 +110,7 @@ def test_equal_runs_give_equal_bytes(tmp_path: Path, kind: str) -> None:
 
 def test_without_matplotlib_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
-    with pytest.raises(PictureError, match=r"pip install 'thorvaldc\[plot\]'"):
+    with pytest.raises(PictureError, match=re.escape(install_command("plot"))):
         check_plotting()
 
 

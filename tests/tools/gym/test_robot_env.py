@@ -14,6 +14,7 @@ import pytest
 
 from tests.outside_tools import without
 from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.diagnostics.installation import install_command
 from thorvaldc.simulation.pictures import PictureError, render
 from thorvaldc.tools.gym import environments
 
@@ -331,10 +332,10 @@ def test_without_gymnasium_the_error_names_the_extra(module: str) -> None:
     assert process.returncode == 1
     last = process.stderr.strip().splitlines()[-1]
     assert last.startswith("ImportError: an environment needs Gymnasium")
-    assert "pip install 'thorvaldc[gym]'" in last
+    assert install_command("gym") in last
 
 
 def test_a_missing_gymnasium() -> None:
     script = "import sys; sys.modules['gymnasium'] = None; import thorvaldc.tools.gym.environments"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
-    assert "pip install 'thorvaldc[gym]'" in done.stderr
+    assert install_command("gym") in done.stderr

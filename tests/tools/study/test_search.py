@@ -14,6 +14,7 @@ import pytest
 import thorvaldc
 from tests.cli.conftest import UNPOWERED
 from tests.tools.study.test_studies import Command, rows, run, study_run
+from thorvaldc.diagnostics.installation import install_command
 from thorvaldc.model import Robot
 from thorvaldc.model.facts.robot_facts import robot_facts
 from thorvaldc.tools.study.study_results import StudyTable
@@ -183,4 +184,4 @@ def test_without_optuna(run: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     result: Any = run("study", "run", "study.yaml", "-j", "1", "-o", "out")
     assert result.status == 3
     assert "this study needs optuna" in result.err
-    assert "thorvaldc[study]" in result.err
+    assert install_command("study") in result.err

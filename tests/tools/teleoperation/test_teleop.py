@@ -23,6 +23,7 @@ from tests.child_process import ChildProcess
 from tests.cli.conftest import GOOD, Command
 from tests.cli.person import PATIENCE, Person
 from tests.tools.teleoperation.test_joystick import Device
+from thorvaldc.diagnostics.installation import install_command
 from thorvaldc.runtime.control_channel import ControlClient
 from thorvaldc.tools.teleoperation.joystick import ABS_Y, BTN_TL
 
@@ -266,8 +267,7 @@ def test_without_evdev_one_line_names_the_package(
     result = thorvaldc("teleop", "good.yaml", "--joystick", "auto")
     assert (result.status, result.err) == (
         3,
-        "error: a joystick needs the package evdev (Linux): pip install 'thorvaldc[joystick]',"
-        " with the runtime alone 'thorvaldc-runtime[joystick]'\n",
+        f"error: a joystick needs the package evdev (Linux): {install_command('joystick')}\n",
     )
 
 

@@ -15,6 +15,7 @@ from typing import Any
 from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError, WorkerLimits, WorkerProcess
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.files import MAX_LOG_BYTES, check_regular, read_bounded
+from thorvaldc.diagnostics.installation import install_command
 
 ODOM, TRUE_ODOM = "odom", "ground_truth/odom"
 COMMANDED_TWIST, LIMITED_TWIST = "cmd_vel", "cmd_vel_limited"
@@ -57,7 +58,7 @@ def require_rosbags() -> None:
         import rosbags.rosbag2  # noqa: F401
     except ImportError:
         raise MissingPackageError(
-            "MCAP files require rosbags, which is not installed: pip install 'thorvaldc[record]'"
+            f"MCAP files require rosbags, which is not installed: {install_command('record')}"
         ) from None
 
 

@@ -10,6 +10,8 @@ package.
 
 from __future__ import annotations
 
+from thorvaldc.diagnostics.installation import install_command
+
 
 class PictureError(Exception):
     """A package or a graphics driver that pictures require is missing.
@@ -24,5 +26,5 @@ def check_pillow() -> None:
         import PIL.Image  # noqa: F401
     except ImportError:
         raise PictureError(
-            "a picture needs Pillow, which is not installed: pip install 'thorvaldc[video]'"
+            f"a picture needs Pillow, which is not installed: {install_command('video')}"
         ) from None

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from thorvaldc.diagnostics.files import write_file
+from thorvaldc.diagnostics.installation import install_command
 from thorvaldc.model import Robot, World, Zone
 from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.runtime.se2 import Pose2
@@ -34,7 +35,7 @@ def check_plotting() -> None:
         import matplotlib  # noqa: F401
     except ImportError:
         raise PictureError(
-            "a plot needs matplotlib, which is not installed: pip install 'thorvaldc[plot]'"
+            f"a plot needs matplotlib, which is not installed: {install_command('plot')}"
         ) from None
 
 

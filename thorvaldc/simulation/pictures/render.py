@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from thorvaldc.diagnostics.files import STAGE_PREFIX, errors_with_name
+from thorvaldc.diagnostics.installation import install_command
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
@@ -390,7 +391,7 @@ def encoder() -> str:
         return str(imageio_ffmpeg.get_ffmpeg_exe())
     except (ImportError, RuntimeError):
         raise PictureError(
-            "an MP4 needs the encoder ffmpeg: pip install 'thorvaldc[video]', put ffmpeg on the"
+            f"an MP4 needs the encoder ffmpeg: {install_command('video')}; or put ffmpeg on the"
             " PATH, or name a .gif file"
         ) from None
 

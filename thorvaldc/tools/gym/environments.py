@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
+from thorvaldc.diagnostics.installation import install_command
 
 try:
     from gymnasium.envs import registration
 except ImportError:
     raise ImportError(
-        "an environment needs Gymnasium, which is not installed: pip install 'thorvaldc[gym]'"
+        f"an environment needs Gymnasium, which is not installed: {install_command('gym')}"
     ) from None
 
 if TYPE_CHECKING:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thorvaldc.diagnostics import DiagnosticError
+from thorvaldc.diagnostics.installation import install_command
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.scenario import Scenario
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
@@ -184,7 +185,7 @@ try:
     import gymnasium
 except ImportError:
     raise ImportError(
-        "an environment needs Gymnasium, which is not installed: pip install 'thorvaldc[gym]'"
+        f"an environment needs Gymnasium, which is not installed: {install_command('gym')}"
     ) from None
 
 

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from thorvaldc.cli.exits import DONE, OutsideError
+from thorvaldc.diagnostics.installation import install_command
 
 
 def lsp(
@@ -23,7 +24,7 @@ def lsp(
         if error.name is None or error.name.split(".")[0] not in ("pygls", "lsprotocol"):
             raise
         raise OutsideError(
-            "the language server needs pygls, which is not installed: pip install 'thorvaldc[lsp]'"
+            f"the language server needs pygls, which is not installed: {install_command('lsp')}"
         ) from None
     serve()
     return DONE

@@ -12,6 +12,7 @@ import typer
 
 from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, OutsideError
+from thorvaldc.diagnostics.installation import install_command
 
 MAX_PORT = 65535
 
@@ -48,8 +49,7 @@ def preview(
         if error.name is None or error.name.split(".")[0] not in ("aiohttp", "watchfiles"):
             raise
         raise OutsideError(
-            f"the preview needs {error.name}, which is not installed:"
-            " pip install 'thorvaldc[preview]'"
+            f"the preview needs {error.name}, which is not installed: {install_command('preview')}"
         ) from None
     gc.enable()
     server = PreviewServer(CompiledRobot(Path(file), options.library_folders(library), trust))

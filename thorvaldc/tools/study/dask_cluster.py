@@ -27,6 +27,7 @@ from typing import Any
 
 import thorvaldc
 from thorvaldc.cli.exits import OutsideError
+from thorvaldc.diagnostics.installation import install_command
 from thorvaldc.model.plugins import data_folder
 from thorvaldc.tools.study.design_evaluation import DesignEvaluator, StudyInputs
 from thorvaldc.tools.study.study_definition import Design
@@ -445,8 +446,7 @@ def load_distributed() -> Any:
         import distributed
     except ImportError:
         raise ClusterError(
-            "--scheduler needs distributed, which is not installed:"
-            " pip install 'thorvaldc[cluster]'"
+            f"--scheduler needs distributed, which is not installed: {install_command('cluster')}"
         ) from None
     # What the user has to know, this module says in one line.
     for name in ("distributed", "distributed.client", "distributed.core", "tornado"):

@@ -16,6 +16,7 @@ from typing import Any
 from thorvaldc.cli.exits import OutsideError
 from thorvaldc.compiler.source.node import Value
 from thorvaldc.diagnostics import Span
+from thorvaldc.diagnostics.installation import install_command
 
 STATUSES = ("ok", "constraint", "expectation", "tipped", "diverged", "error")
 STATUS_COLUMNS = ("sample", "key", "status", "code", "message")
@@ -181,7 +182,7 @@ class MissingPackageError(OutsideError):
 
     def __init__(self, package: str) -> None:
         super().__init__(
-            f"this study needs {package}, which is not installed: pip install 'thorvaldc[study]'"
+            f"this study needs {package}, which is not installed: {install_command('study')}"
         )
 
 

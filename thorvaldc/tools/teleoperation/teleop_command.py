@@ -12,6 +12,7 @@ import typer
 from thorvaldc.cli import completion, options
 from thorvaldc.cli.command import check_full_installation
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.diagnostics.installation import install_command
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
@@ -195,8 +196,7 @@ def _joystick_search(joystick: str, mapping: str) -> Search:
         search = evdev_search("" if joystick == "auto" else joystick, mapping)
     except ImportError:
         raise OutsideError(
-            "a joystick needs the package evdev (Linux): pip install 'thorvaldc[joystick]',"
-            " with the runtime alone 'thorvaldc-runtime[joystick]'"
+            f"a joystick needs the package evdev (Linux): {install_command('joystick')}"
         ) from None
     except ParameterError as error:
         raise typer.BadParameter(str(error), param_hint="'--map'") from None
