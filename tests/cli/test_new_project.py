@@ -13,7 +13,9 @@ import pytest
 import yaml
 
 from tests.cli.conftest import Command
+from thorvaldc import __version__ as VERSION
 from thorvaldc.compiler.scaffolding import presets, project_files
+from thorvaldc.diagnostics.installation import Origin
 
 
 def test_every_command_of_its_ci_succeeds(
@@ -65,4 +67,34 @@ def test_each_document_names_its_schema_for_editors(thorvaldc: Command) -> None:
 
 
 def test_no_placeholder_is_left() -> None:
-    assert "@NAME@" not in "".join(project_files("farm", "4wd4ws").values())
+    assert "@NAME@" not in "".join(map(str, project_files("farm", "4wd4ws").values()))
+
+
+@pytest.mark.parametrize(
+    ("came_from", "requirement"),
+    [
+        (Origin("thorvaldc"), "thorvaldc"),
+        (Origin("thorvaldc", "https://example.org/t.whl"), "thorvaldc @ https://example.org/t.whl"),
+        (Origin("thorvaldc", "/my checkout"), f"./wheels/thorvaldc-{VERSION}-py3-none-any.whl"),
+        (
+            Origin("thorvaldc", "thorvaldc-9-py3-none-any.whl"),
+            "./wheels/thorvaldc-9-py3-none-any.whl",
+        ),
+    ],
+    ids=["index", "url", "checkout", "wheel"],
+)
+def test_ci_installs_thorvaldc_from_where_this_one_came(
+    thorvaldc: Command, monkeypatch: pytest.MonkeyPatch, came_from: Origin, requirement: str
+) -> None:
+    monkeypatch.setattr("thorvaldc.compiler.scaffolding.origin", lambda: came_from)
+    if came_from.place.endswith("any.whl") and came_from.is_local:
+        Path(came_from.place).write_bytes(b"a wheel")
+    status, out, _ = thorvaldc("new", "farm", "--project")
+    assert status == 0
+    assert Path("farm/requirements.txt").read_text().splitlines()[1:] == [requirement]
+    wheels = [path.read_bytes() for path in Path("farm").glob("wheels/*")]
+    assert wheels == ([b"a wheel"] if came_from.place.startswith("thorvaldc-9") else [])
+    command = '  pip wheel --no-deps --wheel-dir wheels "/my checkout"'
+    assert (command in out.splitlines()) == (came_from.place == "/my checkout")
+    for file in (".gitlab-ci.yml", ".github/workflows/robots.yml"):
+        assert "pip install --requirement requirements.txt" in Path("farm", file).read_text()

@@ -63,6 +63,18 @@ def test_the_index_leads_to_every_page() -> None:
     assert {str(page.relative_to(docs)) for page in pages} - links == {"index.md"}
 
 
+def test_no_page_installs_from_an_index_that_does_not_have_the_package() -> None:
+    """A release on an index changes `docs/install.md` and this test."""
+    assert "on no package index yet" in (ROOT / "docs/install.md").read_text(encoding="utf-8")
+    texts = [*PAGES, *(ROOT / "templates").rglob("*"), *(ROOT / "editors").rglob("*.md")]
+    texts += [ROOT / "action.yml", *(ROOT / "thorvaldc").rglob("*.py")]
+    by_name = re.compile(r"pip (install|download)[^\n`]*?[ '](thorvaldc(-runtime)?)(\[|'| |`|$|=)")
+    for file in filter(Path.is_file, texts):
+        for line in file.read_bytes().decode("utf-8", "replace").splitlines():
+            assert "--find-links" in line or not by_name.search(line), (file, line)
+            assert "pypi.org/project/thorvaldc" not in line, file
+
+
 def test_commands_that_move_a_robot_begin_with_zero() -> None:
     """A source of twists commands zero first, unless the robot file says otherwise."""
     found = 0

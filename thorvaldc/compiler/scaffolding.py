@@ -11,9 +11,11 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
+from thorvaldc import __version__
 from thorvaldc.compiler.modules.library import FILE
 from thorvaldc.diagnostics import Report, Span, plain
 from thorvaldc.diagnostics.files import write_file
+from thorvaldc.diagnostics.installation import origin
 from thorvaldc.model import Mesh
 from thorvaldc.model.plugins import data_folder
 from thorvaldc.schema import schema_text
@@ -55,6 +57,8 @@ _FILES = {
     ".gitlab-ci.yml": "gitlab.yml",
     ".pre-commit-config.yaml": "pre-commit.yaml",
 }
+WHEELS = "wheels"
+"""Folder of a new repository with the wheel of thorvaldc that CI installs."""
 _MODELINE = "# yaml-language-server: $schema=robot.schema.json\n"
 _PLATE = "  plate: {type: top/plate, mount: {parent: frame, xyz: [0, 0, 300 mm]}}\n"
 
@@ -67,14 +71,17 @@ def robot_files(name: str, preset: str) -> dict[str, str]:
     }
 
 
-def project_files(name: str, preset: str) -> dict[str, str]:
-    """Returns the text of each file of a new repository, by its relative path.
+def project_files(name: str, preset: str) -> dict[str, str | bytes]:
+    """Returns the content of each file of a new repository, by its relative path.
 
     - ``name``: name of the repository and of its first robot.
     - ``preset``: name of the template of the robot.
+
+    CI installs thorvaldc from where this program came: the wheel, which is copied, a URL or an
+    index.  For a checkout, the user builds the wheel, see ``missing_wheel``.
     """
     folder = data_folder("templates") / "project"
-    files = {
+    files: dict[str, str | bytes] = {
         path: (folder / template).read_text(encoding="utf-8").replace("@NAME@", name)
         for path, template in _FILES.items()
     }
@@ -84,7 +91,26 @@ def project_files(name: str, preset: str) -> dict[str, str]:
         kind = directory.removesuffix("s")
         files[f"{directory}/{kind}.schema.json"] = schema_text(kind)
     files[".gitignore"] = "build/\n"
+    came_from = origin()
+    requirement = came_from.requirement()
+    if came_from.is_local:
+        requirement = f"./{WHEELS}/thorvaldc-{__version__}-py3-none-any.whl"
+        if came_from.place.endswith(".whl") and (wheel := Path(came_from.place)).is_file():
+            requirement = f"./{WHEELS}/{wheel.name}"
+            files[f"{WHEELS}/{wheel.name}"] = wheel.read_bytes()
+    files["requirements.txt"] = f"# What CI installs: thorvaldc itself.\n{requirement}\n"
     return files
+
+
+def missing_wheel(files: Mapping[str, str | bytes]) -> str:
+    """Returns the command that builds the wheel for the CI of a new repository, or an empty text.
+
+    ``files``: those of ``project_files``.  The command is for the folder of the repository.
+    """
+    came_from = origin()
+    if not came_from.is_local or any(path.startswith(f"{WHEELS}/") for path in files):
+        return ""
+    return f'pip wheel --no-deps --wheel-dir {WHEELS} "{came_from.place}"'
 
 
 def write_new_files(folder: Path, files: Mapping[str, str | bytes]) -> None:

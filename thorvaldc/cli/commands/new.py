@@ -60,6 +60,8 @@ def new(
             "  thorvaldc check --strict robots/*.yaml\n"
             "  thorvaldc scenario scenarios/straight.yaml"
         )
+        if wheel := scaffolding.missing_wheel(files):
+            print(f"CI installs a wheel of thorvaldc; build it, and commit it:\n  {wheel}")
     else:
         file = Path(name) / "robot.yaml"
         print(
