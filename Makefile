@@ -1,16 +1,19 @@
 # Every target sets itself up: a virtual environment in .venv with the versions of locks/dev.txt,
-# made anew when the lock or pyproject.toml changes.  With an environment of your own:
+# made anew when the lock or pyproject.toml changes.  The demo needs the plain package alone (PLAIN),
+# the other targets all that developers need (READY).  With an environment of your own:
 # make test BIN=/path/to/bin READY=
 
 PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
 BIN    ?= .venv/bin
 READY  ?= .venv/.ready
+PLAIN  ?= $(if $(READY),.venv/.plain)
 JOBS   ?= auto
 # pip takes the versions of the lock, also for the tool that builds the package; newer pips read the
 # second variable for that.
 PIP_INSTALL = PIP_CONSTRAINT=locks/dev.txt PIP_BUILD_CONSTRAINT=locks/dev.txt \
-	$(1)/python -m pip install --quiet --disable-pip-version-check
+	$(1)/python workshop/show_installation.py \
+	$(1)/python -m pip install --disable-pip-version-check --progress-bar off
 
 # Tests start hundreds of commands; without bytecode files, each compiles the whole package again.
 unexport PYTHONDONTWRITEBYTECODE
@@ -37,7 +40,7 @@ help:
 
 setup: $(READY)
 
-.venv/.ready: pyproject.toml locks/dev.txt
+.venv/.plain: pyproject.toml locks/dev.txt
 	@if [ -z "$(PYTHON)" ] || ! $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then \
 	  echo "error: Python 3.11 or newer is needed, and none was found as '$(or $(PYTHON),python3)'." >&2; \
 	  echo "       Say where it is: make PYTHON=/path/to/python3.11" >&2; exit 1; fi
@@ -46,10 +49,16 @@ setup: $(READY)
 	  echo "       On Debian and Ubuntu: apt install python3-venv" >&2; exit 1; fi
 	@echo "Setting up .venv (once, and when pyproject.toml or locks/dev.txt changes)" >&2
 	@$(PYTHON) -m venv --clear .venv
-	@$(call PIP_INSTALL,.venv/bin) --editable '.[dev]' || { \
-	  echo "error: the packages could not be installed; see above." >&2; \
-	  echo "       If locks/dev.txt does not fit pyproject.toml: make lock" >&2; exit 1; }
+	@$(call PIP_INSTALL,.venv/bin) --editable . $(NOT_INSTALLED)
 	@touch $@
+
+.venv/.ready: .venv/.plain
+	@echo "Adding what developers need to .venv" >&2
+	@$(call PIP_INSTALL,.venv/bin) --editable '.[dev]' $(NOT_INSTALLED)
+	@touch $@
+
+NOT_INSTALLED = || { echo "error: the packages could not be installed; see above." >&2; \
+	echo "       If locks/dev.txt does not fit pyproject.toml: make lock" >&2; exit 1; }
 
 # The environment of uv alone, so that a lock that does not fit can be written anew.
 .venv-lock/bin/uv: locks/dev.txt
@@ -73,7 +82,7 @@ lock: .venv-lock/bin/uv
 # The examples, and the original system's own configuration file where it lies beside the checkout.
 ORIGINAL ?= $(wildcard ../*/data/thorvald_ii_standard.yaml)
 IMPORTED = $(patsubst %.yaml,build/imported/%.yaml,$(notdir $(ORIGINAL)))
-demo: $(READY)
+demo: $(PLAIN)
 	@mkdir -p build/imported
 	@$(foreach file,$(ORIGINAL),$(BIN)/python -m thorvaldc import $(file) \
 	  -o build/imported/$(notdir $(file)) 2>/dev/null &&) true

@@ -98,18 +98,21 @@ def test_every_group_has_a_lock_that_make_and_ci_use() -> None:
 @pytest.mark.parametrize("changed", ["pyproject.toml", "locks/dev.txt", "README.md"])
 def test_the_environment_is_made_anew_when_the_lock_changes(tmp_path: Path, changed: str) -> None:
     names = ("Makefile", "pyproject.toml", "locks/dev.txt", "README.md")
-    for number, name in enumerate((*names, ".venv/.ready")):
+    for number, name in enumerate((*names, ".venv/.plain", ".venv/.ready")):
         path = tmp_path / name
         path.parent.mkdir(exist_ok=True)
-        path.touch() if name == ".venv/.ready" else shutil.copy(ROOT / name, path)
+        path.touch() if name.startswith(".venv") else shutil.copy(ROOT / name, path)
         os.utime(path, (number, number))
 
-    def setup() -> str:
-        command = [path_of("make"), "--dry-run", "setup"]
+    def setup(target: str = "setup") -> str:
+        command = [path_of("make"), "--dry-run", target]
         return subprocess.run(
             command, cwd=tmp_path, capture_output=True, text=True, check=True
         ).stdout
 
     assert "-m venv" not in setup()
+    (tmp_path / ".venv/.ready").unlink()
+    assert ".[dev]" in setup()
+    assert ".[dev]" not in setup("demo")  # which needs the plain package alone
     os.utime(tmp_path / changed, (9, 9))
     assert ("-m venv --clear .venv" in setup()) == (changed != "README.md")
