@@ -49,7 +49,7 @@ setup: $(READY)
 	  echo "       On Debian and Ubuntu: apt install python3-venv" >&2; exit 1; fi
 	@echo "Setting up .venv (once, and when pyproject.toml or locks/dev.txt changes)" >&2
 	@$(PYTHON) -m venv --clear .venv
-	@$(call PIP_INSTALL,.venv/bin) --editable . $(NOT_INSTALLED)
+	@$(call PIP_INSTALL,.venv/bin) --no-compile --editable . $(NOT_INSTALLED)
 	@touch $@
 
 .venv/.ready: .venv/.plain
@@ -150,7 +150,7 @@ golden: $(READY)
 pictures: $(READY)
 	PYTHONPATH=. $(BIN)/python workshop/render_examples.py
 	PYTHONPATH=. $(BIN)/python workshop/render_modules.py
-	PYTHONPATH=. $(BIN)/python workshop/render_rviz.py
+	PYTHONPATH=. $(BIN)/python workshop/render_drives.py
 
 # The variable silences the advertisement of another program.
 docs: $(READY)

@@ -38,7 +38,8 @@ class Progress:
             name = words[1].rpartition("/")[2].split("-")[0]
             self.step = f"package {self.packages}: {name} {' '.join(words[2:4])}"
         elif line.startswith("Installing collected packages"):
-            self.step = f"installing {line.count(',') + 1} packages"
+            self.packages = line.count(",") + 1
+            self.step = f"installing {self.packages} packages"
 
     def end(self, text: str) -> None:
         self._ended.set()
