@@ -19,7 +19,7 @@ PIP_INSTALL = PIP_CONSTRAINT=locks/dev.txt PIP_BUILD_CONSTRAINT=locks/dev.txt \
 unexport PYTHONDONTWRITEBYTECODE
 
 .DELETE_ON_ERROR:
-.PHONY: help setup lock demo test test-slow test-all test-core test-matrix lint types chaos fuzz mutants bench golden pictures docs docs-serve clean distclean
+.PHONY: help setup lock demo test test-slow test-all test-core test-matrix lint types chaos fuzz mutants bench golden pictures dist docs docs-serve clean distclean
 
 help:
 	@echo "make demo      compile every example and drive it in simulation"
@@ -34,6 +34,7 @@ help:
 	@echo "make bench     measure; prints a table and writes bench.json"
 	@echo "make golden    rewrite the tests' golden files and tables (review the diff)"
 	@echo "make pictures  render the pictures of examples and modules"
+	@echo "make dist      build and check the wheels and the source distribution"
 	@echo "make docs      build the documentation as a site in build/site"
 	@echo "make docs-serve  show the site at http://127.0.0.1:8000, also while you edit it"
 	@echo "make lint, make types, make clean, make distclean"
@@ -151,6 +152,13 @@ pictures: $(READY)
 	PYTHONPATH=. $(BIN)/python workshop/render_examples.py
 	PYTHONPATH=. $(BIN)/python workshop/render_modules.py
 	PYTHONPATH=. $(BIN)/python workshop/render_drives.py
+
+# Wheels of the whole package and of the runtime alone, and the source distribution.
+dist: $(READY)
+	rm -rf dist
+	$(BIN)/python -m build --no-isolation --outdir dist .
+	$(BIN)/python -m build --no-isolation --wheel --outdir dist thorvaldc/runtime
+	$(BIN)/python -m twine check --strict dist/*
 
 # The variable silences the advertisement of another program.
 docs: $(READY)

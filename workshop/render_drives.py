@@ -1,8 +1,8 @@
 """Renders robots that drive: ``python workshop/render_drives.py``.
 
 - ``docs/assets/rviz.png``: what RViz shows with the generated configuration.  RViz is not needed;
-  the picture contains the displays of ``rviz/robot.rviz`` that have data from the base driver alone,
-  which are the grid, the robot and the arrows of its odometry.
+  the picture contains the displays of ``rviz/robot.rviz`` that have data from the base driver
+  alone, which are the grid, the robot and the arrows of its odometry.
 - ``docs/assets/scout.webp``: the robot of the README, whose file is the one that stands there.
 """
 

@@ -68,7 +68,9 @@ def test_no_page_installs_from_an_index_that_does_not_have_the_package() -> None
     assert "on no package index yet" in (ROOT / "docs/install.md").read_text(encoding="utf-8")
     texts = [*PAGES, *(ROOT / "templates").rglob("*"), *(ROOT / "editors").rglob("*.md")]
     texts += [ROOT / "action.yml", *(ROOT / "thorvaldc").rglob("*.py")]
-    by_name = re.compile(r"pip (install|download)[^\n`]*?[ '\"](thorvaldc(-runtime)?)(\[|'| |`|$|=)")
+    by_name = re.compile(
+        r"pip (install|download)[^\n`]*?[ '\"](thorvaldc(-runtime)?)(\[|'| |`|$|=)"
+    )
     for file in filter(Path.is_file, texts):
         for line in file.read_bytes().decode("utf-8", "replace").splitlines():
             assert "--find-links" in line or not by_name.search(line), (file, line)

@@ -49,6 +49,16 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return sdist, wheel
 
 
+def test_indexes_accept_the_packages(packages: tuple[Path, Path]) -> None:
+    """Also that of the runtime, as `make dist` and the release workflow build them."""
+    runtime = packages[0].parent / "runtime"
+    command = (sys.executable, "-m", "build", "--no-isolation", "--wheel", "--outdir", runtime)
+    run(*command, ROOT / "thorvaldc" / "runtime", cwd=runtime.parent)
+    files = [*packages, *runtime.glob("*.whl")]
+    assert len(files) == 3
+    run(sys.executable, "-m", "twine", "check", "--strict", *files, cwd=runtime)
+
+
 @pytest.fixture(scope="module")
 def environment(packages: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Installs the wheel in a new environment; returns its ``bin``."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
 import shlex
 import shutil
@@ -11,6 +10,8 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote, urlsplit
+
+from thorvaldc.diagnostics.files import read_json
 
 NAME, RUNTIME = "thorvaldc", "thorvaldc-runtime"
 """Names of the two distributions that contain this file."""
@@ -51,7 +52,7 @@ def origin() -> Origin:
         except PackageNotFoundError:
             continue
         try:
-            record = json.loads(text) if text else {}
+            record = read_json(text) if text else {}
             return _recorded(name, record)
         except (ValueError, KeyError, TypeError, AttributeError):
             return Origin(name)
@@ -79,9 +80,9 @@ def install_command(extra: str = "") -> str:
 
     The command is that of the installer whose environment runs this program: pip, pipx or uv.
     """
-    found = origin()
-    requirement = _quoted(found.requirement(extra))
-    if found.editable:
+    program = origin()
+    requirement = _quoted(program.requirement(extra))
+    if program.editable:
         requirement = f"--editable {requirement}"
     prefix = Path(sys.prefix)
     if (prefix / "pipx_metadata.json").is_file():
@@ -89,7 +90,7 @@ def install_command(extra: str = "") -> str:
     if (prefix / "uv-receipt.toml").is_file():
         return f"uv tool install --force {requirement}"
     if prefix.parent.name.startswith(("archive-v", "environments-v")):  # in the cache of uv
-        return f"uvx --from {_quoted(found.requirement(extra))} thorvaldc"
+        return f"uvx --from {_quoted(program.requirement(extra))} thorvaldc"
     python = _quoted(sys.executable)
     pip = shutil.which("pip")
     if pip is not None and Path(pip).parent == Path(sys.executable).parent:
