@@ -261,7 +261,8 @@ class PreviewServer:
         end = asyncio.Event()
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, end.set)
+            with contextlib.suppress(NotImplementedError):  # Windows: asyncio ends this task
+                loop.add_signal_handler(number, end.set)
         await runner.setup()
         tasks = []
         try:
