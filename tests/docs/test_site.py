@@ -6,6 +6,7 @@ import functools
 import http.server
 import json
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -42,6 +43,21 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_every_link_and_anchor_exists(site: Path) -> None:
     assert list(dead_links(site)) == []
+
+
+def test_the_files_for_language_models(site: Path) -> None:
+    """Every page of the navigation, with its text in Markdown."""
+    index = (site / "llms.txt").read_text(encoding="utf-8")
+    full = (site / "llms-full.txt").read_text(encoding="utf-8")
+    assert index.startswith("# thorvaldc\n\n> A compiler for modular robots")
+    pages = re.findall(r"^- \[([^\]]+)\]\(([^)]+)\)(?:: (.+))?$", index, re.MULTILINE)
+    assert len(pages) == len(re.findall(r"^ +- .*\.md$", (ROOT / "mkdocs.yml").read_text(), re.M))
+    assert ("Installation", "install.md") in [page[:2] for page in pages]
+    for _, address, sentence in pages:
+        text = (site / address).read_text(encoding="utf-8")
+        assert text.strip() in full, address
+        assert len(sentence) <= 160, address
+    assert sum(1 for page in pages if not page[2]) <= 12
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ import re
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+import language_model_files
 import latex2mathml.converter
 import reference_commands
 import reference_diagnostics
@@ -80,8 +81,29 @@ def on_files(files: Files, config: Any) -> Files:
     return files
 
 
+PAGES_OF_NAVIGATION: dict[str, language_model_files.PageText] = {}
+"""Pages by their address, in the order of the navigation."""
+
+
+def on_nav(nav: Any, config: Any, files: Files) -> Any:
+    """Remembers the pages of the navigation with their sections."""
+    PAGES_OF_NAVIGATION.clear()
+    for page in nav.pages:
+        section = page.ancestors[-1].title if page.ancestors else "Start"
+        address = page.file.src_uri
+        PAGES_OF_NAVIGATION[address] = language_model_files.PageText(section, "", address, "")
+    return nav
+
+
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:
     """Gives links to files their addresses on the site."""
+    text = _with_links_of_the_site(markdown, page)
+    if known := PAGES_OF_NAVIGATION.get(page.file.src_uri):
+        PAGES_OF_NAVIGATION[page.file.src_uri] = known._replace(title=page.title, text=text)
+    return text
+
+
+def _with_links_of_the_site(markdown: str, page: Any) -> str:
     source = path_in_repository(page.file.src_uri)
     if not (ROOT / source).is_file():
         return markdown
@@ -134,7 +156,12 @@ def named_search(output: str) -> str:
 
 
 def on_post_build(config: Any) -> None:
-    """Writes the index of the search as a script too: a page opened as a file can load no JSON."""
+    """Writes the files for language models, and the index of the search as a script too.
+
+    A page that is opened as a file can load no JSON.
+    """
+    folder, pages = Path(config.site_dir), PAGES_OF_NAVIGATION.values()
+    language_model_files.write_files(folder, config.site_name, config.site_description, pages)
     folder = Path(config.site_dir, "search")
     index = (folder / "search_index.json").read_text(encoding="utf-8")
     (folder / "search_index.js").write_text(f"var __index = {index}", encoding="utf-8")
