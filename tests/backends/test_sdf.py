@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -16,11 +17,12 @@ from tests.backends.plans import ROBOTS as PLANS
 from tests.backends.plans import Plan, build
 from tests.examples import FLEETS, FOLDER, example_fleet, example_robot
 from tests.examples import ROBOTS as EXAMPLES
+from thorvaldc.backends.ros2_parts import bridged_topics
 from thorvaldc.backends.sdf import Sdf, world_files
 from thorvaldc.backends.sdf_robot import CAMERA
 from thorvaldc.backends.urdf import Urdf
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.model import Fleet, Robot
+from thorvaldc.model import Fleet, Pose, Robot
 from thorvaldc.model.spatial import rotate
 
 
@@ -217,3 +219,83 @@ def test_a_world_without_robots_has_all_else() -> None:
 
 def canonical(element: ElementTree.Element) -> str:
     return ElementTree.canonicalize(ElementTree.tostring(element, "unicode"), strip_text=True)
+
+
+# -- sensors of extras -----------------------------------------------------------------
+
+SCAN = """<gazebo reference="{link}">
+  <sensor name="scan" type="ray"><pose>0.1 0 0 0 0 1.5</pose><update_rate>15</update_rate>
+    <ray><scan><horizontal><samples>360</samples></horizontal></scan></ray>
+    <plugin name="ros" filename="libgazebo_ros_ray_sensor.so"/></sensor>
+  <sensor name="view" type="camera"><topic>/front/image</topic><camera/></sensor>
+</gazebo>"""
+
+
+def with_extensions(*texts: str, namespace: str = "r1") -> Robot:
+    robot = example_robot("2wd0ws_greenhouse")
+    return replace(robot, namespace=namespace, urdf_extensions=texts)
+
+
+def test_sensors_of_extras_are_in_the_model_with_their_frames() -> None:
+    robot = with_extensions("")
+    fixed = next(j for j in robot.joints if j.type == "fixed" and j.pose != Pose())
+    robot = with_extensions(SCAN.format(link=fixed.child), '<transmission name="t"/>')
+    model = ElementTree.fromstring(files_of(Sdf, robot)["sdf/model.sdf"]).find("model")
+    assert model is not None
+    frames = {str(frame.get("name")): frame for frame in model.findall("frame")}
+    frame = frames[f"r1/{fixed.child}"]
+    link = next(e for e in model.findall("link") if e.get("name") == frame.get("attached_to"))
+    sensors = {str(sensor.get("name")): sensor for sensor in link.findall("sensor")}
+    scan, view = sensors["r1/scan"], sensors["r1/view"]
+    assert scan.get("type") == "gpu_lidar"
+    assert scan.findtext("lidar/scan/horizontal/samples") == "360"
+    assert scan.findtext("topic") == "r1/scan"
+    assert scan.findtext("gz_frame_id") == f"r1/{fixed.child}"
+    x, y, z, roll, pitch, yaw = map(float, str(frame.findtext("pose")).split())
+    at = Pose.from_xyz_rpy((x, y, z), (roll, pitch, yaw))
+    x, y, z, roll, pitch, yaw = map(float, str(scan.findtext("pose")).split())
+    assert math.dist((x, y, z), at.apply((0.1, 0.0, 0.0))) < 1e-9
+    assert math.remainder(yaw - at.rpy()[2] - 1.5, math.tau) == pytest.approx(0.0, abs=1e-9)
+    assert view.findtext("topic") == "/front/image"
+    assert not list(model.iterfind(".//sensor/plugin"))
+    world = ElementTree.fromstring(files_of(Sdf, robot)["sdf/world.sdf"])
+    assert [p for p in world.iter("plugin") if str(p.get("name")).endswith("::Sensors")]
+    topics = {(t.ros, t.gazebo): t.ros_type for t in bridged_topics(robot)}
+    assert topics["scan", "r1/scan"] == "sensor_msgs/msg/LaserScan"
+    assert topics["front/image", "/front/image"] == "sensor_msgs/msg/Image"
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        (
+            SCAN.format(link="base_link"),
+            "<plugin> libgazebo_ros_ray_sensor.so of the sensor `scan`",
+        ),
+        ('<gazebo><plugin filename="move.so"/></gazebo>', "<plugin> move.so"),
+        ('<gazebo reference="base_link"><mu1>1</mu1></gazebo>', "<mu1> of `base_link`"),
+        (
+            '<gazebo reference="base_link"><sensor name="b" type="contact"/></gazebo>',
+            "<sensor> `b` (Gazebo has no sensor `contact` of a link)",
+        ),
+        (
+            '<gazebo reference="base_link"><sensor name="b" type="imu"><pose>1 2</pose></sensor>'
+            "</gazebo>",
+            "<sensor> `b` (its <pose> is not six numbers in m and rad)",
+        ),
+        ('<gazebo reference="base_link"><sensor type="imu"/></gazebo>', "(without a name)"),
+        ('<gazebo reference="nowhere"><sensor name="b" type="imu"/></gazebo>', "of `nowhere`"),
+        ("<other/>", "1 x <other>"),
+    ],
+)
+def test_what_is_not_in_the_model_is_named(text: str, part: str) -> None:
+    (diagnostic,) = Sdf().unsupported(with_extensions(text))
+    assert part in diagnostic.message
+    files_of(Sdf, with_extensions(text))
+
+
+def test_sensors_of_one_name_are_not_repeated() -> None:
+    text = '<gazebo reference="base_link"><sensor name="b" type="imu"/></gazebo>'
+    (diagnostic,) = Sdf().unsupported(with_extensions(text, text))
+    assert "<sensor> `b` (a second one of this name)" in diagnostic.message
+    assert list(Sdf().unsupported(with_extensions(text))) == []

@@ -67,7 +67,7 @@ def test_each_document_names_its_schema_for_editors(thorvaldc: Command) -> None:
 
 
 def test_no_placeholder_is_left() -> None:
-    assert "@NAME@" not in "".join(map(str, project_files("farm", "4wd4ws").values()))
+    assert "@NAME@" not in "".join(map(str, project_files("farm", "4wd4ws", VERSION).values()))
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ files, gravity on a slope, and the elements that only a URDF has.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from thorvaldc.backends.xml_writer import parse
 from thorvaldc.diagnostics import CODES, Diagnostic
@@ -69,22 +69,29 @@ SERVO_ELEMENTS = ("ros2_control", "transmission")
 """Elements from which the compiler reads the servos of joints."""
 
 
-def urdf_only_elements(robot: Robot, target: str, *, mimics: bool = False) -> Iterator[Diagnostic]:
+def urdf_only_elements(
+    robot: Robot, target: str, *, mimics: bool = False, in_gazebo: Sequence[str] | None = None
+) -> Iterator[Diagnostic]:
     """Yield a diagnostic if a format leaves out elements of the extras or couplings of joints.
 
     - ``target``: name of the format.
     - ``mimics``: true for a format without mimic joints.
+    - ``in_gazebo``: descriptions of what a format that reads the elements ``<gazebo>`` leaves out
+      of them, or ``None`` for a format that reads none.
     """
     tags = [parse(text).tag for text in robot.urdf_extensions]
+    if in_gazebo is not None:
+        tags = [tag for tag in tags if tag != "gazebo"]
     if robot.joint_servos:  # read from these elements
         tags = [tag for tag in tags if tag not in SERVO_ELEMENTS]
     if mimics:
         tags += ["mimic" for joint in robot.joints if joint.mimic is not None]
-    if tags:
+    parts = [f"{tags.count(tag)} x <{tag}>" for tag in dict.fromkeys(tags)]
+    parts += in_gazebo or []
+    if parts:
         yield Diagnostic(
             CODES["urdf-only-element"],
-            f"{target} has no elements for these parts of the robot: "
-            + ", ".join(f"{tags.count(tag)} x <{tag}>" for tag in dict.fromkeys(tags)),
+            f"{target} has no elements for these parts of the robot: " + ", ".join(parts),
             robot.span,
             "the URDF has them",
         )

@@ -7,8 +7,10 @@ that sensors have in Gazebo.
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 
+from thorvaldc.backends.sdf_extra_sensors import extra_sensors
 from thorvaldc.model import Robot, Sensor, joint_topics
 from thorvaldc.model.joint_topics import topic_of
 from thorvaldc.model.settings import EKF, MAP_FRAME, ODOM_FRAME
@@ -29,6 +31,15 @@ SENSOR_TOPICS = {
     ),
 }
 """Topics of a sensor below its name, with the type in ROS and in Gazebo, by the sensor's type."""
+_EXTRA_KINDS = {
+    "gpu_lidar": "lidar_2d",
+    "points": "lidar_3d",
+    "imu": "imu",
+    "navsat": "gnss",
+    "camera": "camera",
+}
+"""Type of the model for the types of SDF of sensors of extras; the bridge knows their messages."""
+_ROS_NAME = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
 
 class Parts(NamedTuple):
@@ -187,4 +198,11 @@ def bridged_topics(robot: Robot, *, ros2_control: bool = False) -> list[BridgedT
     for sensor in robot.sensors:
         for topic, ros_type, gazebo_type in sensor_topics(sensor):
             topics.append(BridgedTopic(topic, prefix + topic, ros_type, gazebo_type))
+    for extra in extra_sensors(robot):
+        kind = _EXTRA_KINDS.get("points" if extra.has_points else extra.type)
+        topic = extra.topic_of(prefix) + ("/points" if extra.has_points else "")
+        in_ros = topic.removeprefix(prefix).strip("/")
+        if kind is not None and _ROS_NAME.fullmatch(in_ros):
+            _, ros_type, gazebo_type = SENSOR_TOPICS[kind][0]
+            topics.append(BridgedTopic(in_ros, topic, ros_type, gazebo_type))
     return topics

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 
-from thorvaldc.backends import Backend, description_parts, sdf_robot
+from thorvaldc.backends import Backend, description_parts, sdf_extra_sensors, sdf_robot
 from thorvaldc.backends.xml_writer import Element, to_bytes
 from thorvaldc.diagnostics import Diagnostic
 from thorvaldc.model import Fleet, Ground, Pose, Robot, World
@@ -42,7 +42,10 @@ class Sdf(Backend):
     summary = "Gazebo model (sdf/model.sdf) and world (sdf/world.sdf) with its meshes"
 
     def unsupported(self, robot: Robot) -> Iterable[Diagnostic]:
-        return description_parts.urdf_only_elements(robot, f"SDF {VERSION}", mimics=True)
+        left_out = sdf_extra_sensors.left_out(robot)
+        return description_parts.urdf_only_elements(
+            robot, f"SDF {VERSION}", mimics=True, in_gazebo=left_out
+        )
 
     def emit(self, robot: Robot) -> dict[str, bytes]:
         return {
@@ -140,12 +143,14 @@ def _add_systems(world: Element, robots: Sequence[Robot], surroundings: World | 
     for library, name in _SYSTEMS:
         sdf_robot.add_system(world, library, name)
     kinds = {sdf_robot.SENSORS.get(sensor.type) for robot in robots for sensor in robot.sensors}
-    if kinds & {"gpu_lidar", "camera"}:
-        sdf_robot.add_system(world, "sensors", "Sensors").fill(render_engine="ogre2")
-    if "imu" in kinds:
-        sdf_robot.add_system(world, "imu", "Imu")
+    kinds |= {s.type for robot in robots for s in sdf_extra_sensors.extra_sensors(robot)}
+    needed = {system for kind, system in sdf_extra_sensors.SYSTEMS.items() if kind in kinds}
+    for system in dict.fromkeys(sdf_extra_sensors.SYSTEMS.values()):
+        if system in needed:
+            plugin = sdf_robot.add_system(world, *system)
+            if system == sdf_extra_sensors.RENDERING:
+                plugin.fill(render_engine="ogre2")
     if "navsat" in kinds:
-        sdf_robot.add_system(world, "navsat", "NavSat")
         world.add("spherical_coordinates").fill(surface_model="EARTH_WGS84", **_FIELD)
 
 

@@ -20,7 +20,7 @@ import math
 from collections.abc import Mapping
 
 from thorvaldc import model as ir
-from thorvaldc.backends import ros2_parts
+from thorvaldc.backends import ros2_parts, sdf_extra_sensors
 from thorvaldc.backends.ros2_controllers import CONTROLLER_FILE
 from thorvaldc.backends.xml_writer import Element, numbers
 from thorvaldc.model import joint_topics
@@ -79,6 +79,7 @@ class _RobotWriter:
         self.prefix = robot.prefix
         self.tree = tree_of(robot)
         self.wheels = {wheel.link: wheel for wheel in robot.wheels}
+        self.extra_sensors = sdf_extra_sensors.extra_sensors(robot)
         self.group_of: dict[str, str] = {}
         self.groups: dict[str, list[ir.Link]] = {}
         for name in self.tree.order:
@@ -134,6 +135,11 @@ class _RobotWriter:
             if self.group_of[sensor.link] == top:
                 at = self._in_group(sensor.link)
                 add_sensor(element, sensor, at, self.prefix)
+        for extra in self.extra_sensors:
+            if self.group_of[extra.link] == top:
+                sdf_extra_sensors.add_extra_sensor(
+                    element, extra, self._in_group(extra.link), self.prefix
+                )
 
     def _add_shapes(self, element: Element, link: ir.Link) -> None:
         at = self._in_group(link.name)

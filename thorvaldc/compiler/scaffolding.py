@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
-from thorvaldc import __version__
 from thorvaldc.compiler.modules.library import FILE
 from thorvaldc.diagnostics import Report, Span, plain
 from thorvaldc.diagnostics.files import write_file
@@ -71,11 +70,12 @@ def robot_files(name: str, preset: str) -> dict[str, str]:
     }
 
 
-def project_files(name: str, preset: str) -> dict[str, str | bytes]:
+def project_files(name: str, preset: str, version: str) -> dict[str, str | bytes]:
     """Returns the content of each file of a new repository, by its relative path.
 
     - ``name``: name of the repository and of its first robot.
     - ``preset``: name of the template of the robot.
+    - ``version``: version of this program.
 
     CI installs thorvaldc from where this program came: the wheel, which is copied, a URL or an
     index.  For a checkout, the user builds the wheel, see ``missing_wheel``.
@@ -94,7 +94,7 @@ def project_files(name: str, preset: str) -> dict[str, str | bytes]:
     came_from = origin()
     requirement = came_from.requirement()
     if came_from.is_local:
-        requirement = f"./{WHEELS}/thorvaldc-{__version__}-py3-none-any.whl"
+        requirement = f"./{WHEELS}/thorvaldc-{version}-py3-none-any.whl"
         if came_from.place.endswith(".whl") and (wheel := Path(came_from.place)).is_file():
             requirement = f"./{WHEELS}/{wheel.name}"
             files[f"{WHEELS}/{wheel.name}"] = wheel.read_bytes()

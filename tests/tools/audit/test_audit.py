@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import time
 from pathlib import Path
@@ -74,6 +75,43 @@ def test_the_place_of_a_wheel_that_is_a_mesh_is_unknown(cart: Path) -> None:
     mesh = '<mesh filename="package://cart/meshes/lidar.stl" scale="0.001 0.001 0.001"/>'
     change(cart / "urdf/wheel.xacro", '<cylinder radius="${wheel_radius}" length="0.05"/>', mesh)
     assert findings("cart") == []
+
+
+SWERVE = """
+    <plugin filename="gz-sim-swerve-drive-system" name="gz::sim::systems::SwerveDrive">
+      <front_left_joint>fl_drive_axle</front_left_joint>
+      <front_right_joint>fr_drive_axle</front_right_joint>
+      <back_left_joint>rl_drive_axle</back_left_joint>
+      <back_right_joint>rr_drive_axle</back_right_joint>
+      <front_left_steering_joint>fl_steering_joint</front_left_steering_joint>
+      <wheelbase>1.098</wheelbase>
+      <wheel_separation>1.6</wheel_separation>
+      <wheel_radius>0.2</wheel_radius>
+    </plugin>
+  </model>"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code"),
+    [
+        ("1.098", "1.098", ""),
+        ("1.098", "1.2", "audit-wheel-separation"),
+        (">1.6<", ">1.5<", "audit-wheel-separation"),
+        (">0.2<", ">0.25<", "audit-wheel-radius"),
+        ("fl_steering_joint", "fl_steer", "audit-joint-unknown"),
+    ],
+)
+def test_the_drive_system_for_four_steered_wheels(
+    old: str, new: str, code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A foreign model with the system SwerveDrive of Gazebo."""
+    monkeypatch.chdir(tmp_path)
+    model = emit(example_robot("4wd4ws_wide"), ["sdf"], Report())["sdf/model.sdf"].decode()
+    model = re.sub(r"<plugin.*?</plugin>", "", model, flags=re.DOTALL)
+    model = re.sub("<visual.*?</visual>", "", model, flags=re.DOTALL)
+    plugin = SWERVE.replace(old, new)
+    Path("model.sdf").write_text(model.replace("</model>", plugin), encoding="utf-8")
+    assert {found for found, _, _ in findings("model.sdf")} == ({code} if code else set())
 
 
 def test_a_flat_mesh_has_a_size(cart: Path) -> None:

@@ -33,6 +33,7 @@ def new(
         ),
     ] = False,
 ) -> int:
+    from thorvaldc import __version__
     from thorvaldc.compiler import scaffolding
 
     if not scaffolding.is_robot_name(name):
@@ -46,7 +47,7 @@ def new(
             param_hint="'--preset'",
         )
     files = (
-        scaffolding.project_files(name, preset)
+        scaffolding.project_files(name, preset, __version__)
         if project
         else scaffolding.robot_files(name, preset)
     )

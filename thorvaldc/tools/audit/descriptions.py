@@ -247,10 +247,16 @@ _GEOMETRY = {
     "wheel_separation": ("wheel separation", 1.0),
     "wheelSeparation": ("wheel separation", 1.0),
     "wheelDiameter": ("wheel radius", 0.5),
+    "wheelbase": ("wheelbase", 1.0),
+    "wheel_base": ("wheelbase", 1.0),
 }
+_FRONT = ("front_left_joint", "front_right_joint")
+_BACK = ("back_left_joint", "back_right_joint", "rear_left_joint", "rear_right_joint")
 _LEFT = ("left_joint", "leftJoint", "front_left_joint", "back_left_joint", "rear_left_joint")
 _RIGHT = ("right_joint", "rightJoint", "front_right_joint", "back_right_joint", "rear_right_joint")
-_JOINTS = (*_LEFT, *_RIGHT, "joint_name", "left_steering_joint", "right_steering_joint")
+_SIDES = ("left_steering_joint", "right_steering_joint")
+_STEERING = tuple(f"{row}{joint}" for row in ("", "front_", "back_") for joint in _SIDES)
+_JOINTS = (*_LEFT, *_RIGHT, *_STEERING, "joint_name")
 
 
 def plugin_facts(element: Element) -> list[Fact]:
@@ -271,6 +277,13 @@ def _facts_of(plugin: Element) -> list[Fact]:
     facts: list[Fact] = []
     left = tuple(c.text for c in plugin.children if c.tag in _LEFT)
     right = tuple(c.text for c in plugin.children if c.tag in _RIGHT)
+    front = tuple(c.text for c in plugin.children if c.tag in _FRONT)
+    back = tuple(c.text for c in plugin.children if c.tag in _BACK)
+    joints = {
+        "wheel radius": (*left, *right),
+        "wheel separation": (*left, "", *right),
+        "wheelbase": (*front, "", *back),
+    }
     for child in plugin.children:
         if child.tag in _JOINTS:
             facts.append(Fact("joint", subject, child.text, child.span))
@@ -283,8 +296,8 @@ def _facts_of(plugin: Element) -> list[Fact]:
             kind, factor = _GEOMETRY[child.tag]
             values = numbers(child.text, 1)
             if values is not None:
-                names = (*left, "", *right) if kind == "wheel separation" else (*left, *right)
-                facts.append(Fact(kind, subject, values[0] * factor, child.span, "m", names))
+                value = values[0] * factor
+                facts.append(Fact(kind, subject, value, child.span, "m", joints[kind]))
     return facts
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator
+from functools import partial
 
 from thorvaldc.diagnostics import Label, Report, plain
 from thorvaldc.model import Pose, Vec3
@@ -25,7 +26,7 @@ TOLERANCE = 0.01
 
 
 def check_wheels(evidence: Evidence, report: Report) -> None:
-    """Compares each stated wheel radius and wheel separation with the description."""
+    """Compares each stated wheel radius, wheel separation and wheelbase with the description."""
     for kind, measure, motion, hint in (
         (
             "wheel radius",
@@ -36,22 +37,31 @@ def check_wheels(evidence: Evidence, report: Report) -> None:
         ),
         (
             "wheel separation",
-            _true_separation,
+            partial(_true_distance, axis=1),
             "turns",
             "write the true separation; corrections for slip belong in the controller's"
             " separation multiplier",
         ),
+        (
+            "wheelbase",
+            partial(_true_distance, axis=0),
+            "",
+            "write the true distance of the front and the rear wheels",
+        ),
     ):
+        code = "audit-wheel-radius" if kind == "wheel radius" else "audit-wheel-separation"
         for fact, true in _differing(kind, measure, evidence):
             # The distance grows with the radius; the angle is inverse to the separation.
             further = true.value / fact.value if motion == "drives" else fact.value / true.value
             percent = 100.0 * (further - 1.0)
+            effect = (
+                f": the robot {motion} {abs(percent):.2g} %"
+                f" {'further' if percent > 0 else 'less far'} than its odometry says"
+            )
             report.add(
-                f"audit-{kind.replace(' ', '-')}",
+                code,
                 f"{fact.subject} computes with a {kind} of {plain(fact.value)} m, but"
-                f" {true.subject} has {plain(true.value)} m: the robot {motion}"
-                f" {abs(percent):.2g} % {'further' if percent > 0 else 'less far'} than its"
-                " odometry says",
+                f" {true.subject} has {plain(true.value)} m{effect if motion else ''}",
                 fact.span,
                 hint=hint,
                 labels=[Label(true.span, f"{plain(true.value)} m here")],
@@ -94,8 +104,11 @@ def _true_radius(description: Description, fact: Fact) -> Fact | None:
     return min(radii, key=lambda radius: abs(radius.value - fact.value), default=None)
 
 
-def _true_separation(description: Description, fact: Fact) -> Fact | None:
-    """Returns the lateral distance between the left and the right wheels of a statement."""
+def _true_distance(description: Description, fact: Fact, axis: int) -> Fact | None:
+    """Returns the distance along an axis between the two groups of wheels of a statement.
+
+    ``axis``: 1 for the lateral distance of left and right wheels, 0 for that of front and rear.
+    """
     poses = description.root_poses()
     middle = fact.names.index("")
     sides: list[float] = []
@@ -108,13 +121,13 @@ def _true_separation(description: Description, fact: Fact) -> Fact | None:
         ]
         if len(centers) < len(names) or not centers:
             return None
-        lateral = sorted(center[1] for center in centers)
-        sides.append(lateral[len(lateral) // 2])
+        along = sorted(center[axis] for center in centers)
+        sides.append(along[len(along) // 2])
     first = description.joints[fact.names[0]]
     distance = abs(sides[0] - sides[1])
     if distance < 1e-6:
         return None
-    return Fact("wheel separation", f"the description `{description.name}`", distance, first.span)
+    return Fact(fact.kind, f"the description `{description.name}`", distance, first.span)
 
 
 def wheel_radius(description: Description, joint: BodyJoint) -> Fact | None:
