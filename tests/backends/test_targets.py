@@ -73,12 +73,20 @@ def test_statics_are_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert solved == [robot.name]
 
 
+@pytest.mark.parametrize(
+    ("name", "meant"), [("gazebo", "sdf"), ("mujoco", "mjcf"), ("ros", "ros2"), ("dbc", "can")]
+)
+def test_the_name_of_a_program_proposes_its_target(name: str, meant: str) -> None:
+    with pytest.raises(TargetError, match=f"unknown target `{name}`; did you mean `{meant}`"):
+        backends.load(name)
+
+
 def test_unknown_target() -> None:
     with pytest.raises(TargetError) as caught:
         backends.load("mjfc")
     assert str(caught.value) == (
         "unknown target `mjfc`; did you mean `mjcf`?"
-        " The targets are can, datasheet, mjcf, ros2, sdf, urdf"
+        " the targets are can, datasheet, mjcf, ros2, sdf, urdf"
     )
 
 

@@ -509,7 +509,7 @@ def test_a_client_calls_from_another_thread(running: RunningDriver) -> None:
 
 
 def test_a_driver_that_does_not_run_or_has_ended(running: RunningDriver) -> None:
-    with pytest.raises(OSError, match=r"no driver runs at .*x-control"):
+    with pytest.raises(OSError, match=r"no driver `.*` runs: start one with `thorvaldc run`"):
         ControlClient("x")
     client = ControlClient("r", answer_time=0.05)
     with pytest.raises(ConnectionError, match="does not answer"):

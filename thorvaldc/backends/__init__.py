@@ -81,6 +81,20 @@ def names() -> list[str]:
     return PLUGINS.names()
 
 
+_PROGRAMS = {
+    "gazebo": "sdf",
+    "gz": "sdf",
+    "mujoco": "mjcf",
+    "ros": "ros2",
+    "rviz": "urdf",
+    "xacro": "urdf",
+    "dbc": "can",
+    "canopen": "can",
+    "pdf": "datasheet",
+}
+"""Targets by the names of programs and formats that users may try."""
+
+
 def load(name: str) -> Backend:
     """Return the backend of the build target ``name``.
 
@@ -90,8 +104,8 @@ def load(name: str) -> Backend:
     if isinstance(backend_class, PluginFailure):
         if backend_class.unknown:
             known = names()
-            near = nearest(name, known)
+            near = _PROGRAMS.get(name) or nearest(name, known)
             hint = f"did you mean `{near}`? " if near else ""
-            raise TargetError(f"unknown target `{name}`; {hint}The targets are {', '.join(known)}")
+            raise TargetError(f"unknown target `{name}`; {hint}the targets are {', '.join(known)}")
         raise TargetError(f"the backend of target {name!r} {backend_class.reason}")
     return backend_class()

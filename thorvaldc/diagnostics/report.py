@@ -452,7 +452,9 @@ def plain(value: float, digits: int = 6) -> str:
 
 
 def millimetres(length: float, digits: int = 3) -> str:
-    """Returns a length, given in m, in mm with its unit, such as ``1046 mm``."""
+    """Returns a length, given in m, with its unit, such as ``1046 mm``; from 10 m on in m."""
+    if abs(length) >= 10.0:
+        return f"{plain(length, digits)} m"
     return f"{plain(1000.0 * length, digits)} mm"
 
 

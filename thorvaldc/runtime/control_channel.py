@@ -321,7 +321,10 @@ class ControlClient:
             self._stream.connect(str(path))
         except OSError as error:
             self._stream.close()
-            raise OSError(f"no driver runs at {path} ({error.strerror or error})") from None
+            raise OSError(
+                f"no driver `{name}` runs: start one with `thorvaldc run`"
+                f" ({path}: {error.strerror or error})"
+            ) from None
 
     def call(self, service: str, **arguments: Any) -> Any:
         """Calls a service of the base driver and returns the result.

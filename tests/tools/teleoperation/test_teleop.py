@@ -166,7 +166,7 @@ def test_wrong_options_on_a_terminal(
 def test_call_without_a_driver(folder: Path, thorvaldc: Command) -> None:
     result = thorvaldc("call", "nobody", "state")
     assert result.status == 3
-    assert result.err.startswith("error: no driver runs at ")
+    assert "runs: start one with `thorvaldc run`" in result.err
     assert result.err.count("\n") == 1
     assert thorvaldc("call", "nobody", "state", "novalue").status == 2
 

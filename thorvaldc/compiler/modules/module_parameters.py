@@ -454,6 +454,7 @@ class Scope(values.ValueReader):
                     f"`{name}` is {values.describe_value(node, value)}; "
                     f"it must be {relation} {limit_text}",
                     node.span,
+                    hint=_inverted_ratio(node),
                     labels=[Label(limit_node.span, "the limit is stated here")],
                 )
                 return values.INVALID
@@ -513,3 +514,12 @@ def _missing_param_hint(name: str, declaration: Node, entry: Node) -> str:
 
 def _kind(declaration: Node) -> str:
     return _text(declaration, "type") or "quantity"
+
+
+def _inverted_ratio(node: Node) -> Proposal | None:
+    """Returns the hint for a ratio such as ``1:42`` that is out of range, or ``None``."""
+    first, colon, second = str(node.value).partition(":")
+    if not colon or node.quoted:
+        return None
+    ratio = f"{second.strip()}:{first.strip()}"
+    return Proposal(f"write `{ratio}` if that is meant", ratio)

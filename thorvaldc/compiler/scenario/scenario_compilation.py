@@ -279,7 +279,15 @@ class _SectionReader:
             script = ()
         last_time = 0.0
         for step in script or ():
-            if "at" in step and step.is_within("at", {"x-minimum": last_time}):
+            at = step.node.get("at")
+            if at is not None and step["at"] < last_time:
+                self.report.add(
+                    "out-of-range",
+                    f"the step at {step['at']:g} s stands after that at {last_time:g} s",
+                    at.span,
+                    hint="steps stand in the order of their times: move it, or correct its time",
+                )
+            elif at is not None:
                 last_time = step["at"]
             self._check_time(step, last_time, "step")
             vx, vy, wz = step["vx"], step["vy"], step["wz"]

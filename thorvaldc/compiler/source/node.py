@@ -67,6 +67,15 @@ def describe_node(node: Node) -> str:
     return f"`{text if len(text) <= 60 else text[:57] + '...'}`"
 
 
+def whole_number_hint(node: Node) -> Proposal | None:
+    """Returns the hint for a whole number with a unit, such as ``1024 ppr``, or ``None``."""
+    if isinstance(node.value, str) and (match := _WITH_UNIT.fullmatch(node.value)):
+        return Proposal(f"write `{match[1]}`: this number has no unit", match[1])
+    return None
+
+
+_WITH_UNIT = re.compile(r"([-+]?[0-9]+) *[A-Za-z]\w*")
+
 # -- unquoted scalars -------------------------------------------------------------
 
 _INTEGER = re.compile(r"[-+]?[0-9]+")
@@ -111,7 +120,9 @@ def plain_scalar(text: str, span: Span, report: Report) -> Value:
             f"`{text}` is a truth value for some YAML readers and text for others",
             span,
             hint=_alternatives(
-                "write `{}`, or `{}` for text", "true" if truth else "false", f'"{text}"'
+                "write `{}` if that is meant, `{}` for text; a quantity is a number with a unit",
+                "true" if truth else "false",
+                f'"{text}"',
             ),
         )
         return truth if len(text) > 1 else text

@@ -63,7 +63,7 @@ def parse_quantity(text: str, quantity: str) -> float:
         return value
     raise UnitError(
         f"`{_shorten(text)}` is {describe(unit.dimension)}; expected {kind}",
-        _in_unit_of(kind, text),
+        _same_meaning(text, value, unit, kind) or _in_unit_of(kind, text),
         "wrong-dimension",
     )
 
@@ -191,6 +191,21 @@ def _parse_unit_after_number(rest: str, text: str, kind: Quantity | None) -> Uni
         if isinstance(hint, Proposal) and hint.word:
             hint = hint.within(text)
         raise UnitError(error.message, hint, error.code) from None
+
+
+def _same_meaning(text: str, value: float, unit: Unit, kind: Quantity) -> Proposal | None:
+    """Returns the hint for a quantity that people state in another form, or ``None``.
+
+    A period means a frequency, and a frequency a period; a share is the grade of a slope.
+    """
+    given = describe(unit.dimension)
+    if {given, str(kind)} == {"a time", "a frequency"} and value > 0.0:
+        same = f"{1.0 / value:.6g} {kind.unit}"
+    elif "%" in text and str(kind) == "an angle" and value > 0.0:
+        same = f"{math.degrees(math.atan(value)):.6g} deg"
+    else:
+        return None
+    return Proposal(f"write `{same}` if that is meant", same)
 
 
 def _in_unit_of(kind: Quantity, text: str) -> str:

@@ -7,7 +7,13 @@ import unicodedata
 from collections.abc import Iterable
 from typing import Any
 
-from thorvaldc.compiler.source.node import Node, describe_node, insertion, yaml_text
+from thorvaldc.compiler.source.node import (
+    Node,
+    describe_node,
+    insertion,
+    whole_number_hint,
+    yaml_text,
+)
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.diagnostics import Label, Proposal, Report, Span, did_you_mean, nearest
 from thorvaldc.schema import Kind
@@ -141,6 +147,12 @@ class _Explanation:
                 )
 
     def _key_hint(self, key: str, properties: dict[str, Any]) -> str | None:
+        entry = self._entries()[key]
+        if self.path[:-1] == ["modules"] and entry.get("type") is not None:
+            return (
+                f"`{key}` looks like a module: a module begins in the column of {self.value_name},"
+                " not below it"
+            )
         meant = self._misspelt().get(key)
         meant = meant or meant_key(key, self._entries(), properties, ())
         if meant is not None:
@@ -256,6 +268,11 @@ class _Explanation:
     def _type(self) -> None:
         if self.node.value is None:
             example = self.example_hint()
+            if any(str(other).startswith("#") for other in self.schema.get("examples", ())):
+                # YAML takes the rest of the line for a comment, so that it is not known here.
+                hint = 'put a text that begins with # in quotes, as in `"#2b2b2b"`'
+                self.add("wrong-type", f"{self.value_name} has no value", self.start, hint)
+                return
             hint = f"remove the key, or give it a value{f', {example}' if example else ''}"
             if isinstance(example, Proposal):
                 end = self.node.span  # the position after the colon
@@ -274,8 +291,13 @@ class _Explanation:
         value = self.node.value
         if self.schema.get("type") == "array" or "array" in self.schema.get("type", ()):
             elements = _elements(value)
+            texts = self.schema.get("items", {}).get("type") == "string"
+            if elements is None and texts and isinstance(value, str):
+                elements = f"[{yaml_text(value)}]"
             if elements is not None:
                 return Proposal(f"write `{elements}`", elements)
+        if self.schema.get("type") == "integer" or "integer" in self.schema.get("type", ()):
+            return whole_number_hint(self.node)
         if isinstance(value, str) and "/" in value and self.schema.get("required") == ["type"]:
             return Proposal(f"write `{{type: {value}}}`", f"{{type: {value}}}")
         return None

@@ -15,7 +15,7 @@ from typing import Any
 from thorvaldc.compiler.source import dimensions
 from thorvaldc.compiler.source.expression_parser import ExpressionError
 from thorvaldc.compiler.source.expressions import evaluate, expression_of
-from thorvaldc.compiler.source.node import Node, describe_node
+from thorvaldc.compiler.source.node import Node, describe_node, whole_number_hint
 from thorvaldc.compiler.source.unit_table import QUANTITIES, Dimension
 from thorvaldc.compiler.source.units import UnitError, is_bare_number, parse_quantity
 from thorvaldc.diagnostics import Proposal, Report, plain
@@ -331,7 +331,9 @@ class ValueReader(Mapping[str, Any]):
         )
 
     def _report_type(self, expected: str, node: Node) -> None:
-        self.report.add("wrong-type", f"expected {expected}, got {describe_node(node)}", node.span)
+        hint = whole_number_hint(node) if expected == "a whole number" else None
+        message = f"expected {expected}, got {describe_node(node)}"
+        self.report.add("wrong-type", message, node.span, hint=hint)
 
 
 def describe_value(node: Node, value: Any) -> str:

@@ -300,7 +300,9 @@ class PreviewServer:
             raise web.HTTPForbidden(text="the page comes from another server")
         first = request.path.removeprefix("/").split("/", 1)[0]
         if not secrets.compare_digest(first.encode(), self.token.encode()):
-            raise web.HTTPForbidden(text="the address has not the token that the command printed")
+            raise web.HTTPForbidden(
+                text="open the whole address that the command printed: its key is new at each start"
+            )
         return await handler(request)
 
     async def _show_page(self, request: web.Request) -> web.Response:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 from xml.parsers import expat
@@ -56,7 +56,8 @@ def resolve_path(document: dict[str, Any], text: str) -> ValuePath:
         step = _step(value, parts)
         if step is None:
             names = list(_keys(value)) + ([] if path else [*_ALIASES, *_OTHER_PARTS])
-            raise _unknown(text, ".".join(path), names, parts[0])
+            elsewhere = [] if path else _elements_named(document, parts[0])
+            raise _unknown(text, ".".join(path), names, parts[0], elsewhere)
         keys, used = step
         for key in keys:
             value = _child(value, key)
@@ -217,13 +218,33 @@ def _step(value: Any, parts: list[str]) -> tuple[ValuePath, int] | None:
     return None
 
 
-def _unknown(text: str, path: str, keys: list[str], part: str = "") -> DiagnosticError:
+def _elements_named(document: dict[str, Any], word: str) -> list[str]:
+    """Returns the paths of the elements whose names have a word, such as ``wheels.fl_wheel``."""
+    paths = [
+        f"{section}.{name}"
+        for section, elements in sorted(document.items(), key=lambda item: item[0] != "wheels")
+        if isinstance(elements, dict) and ORDER in elements
+        for name in elements
+        if name != ORDER and word in name.split("_")
+    ]
+    return [f"`{path}`" for path in paths]
+
+
+def _unknown(
+    text: str, path: str, keys: list[str], part: str = "", elsewhere: Sequence[str] = ()
+) -> DiagnosticError:
     place = f"`{path}`" if path else "the model of the robot"
-    shown = ", ".join(keys[:MOST_SHOWN_NAMES]) + (", ..." if len(keys) > MOST_SHOWN_NAMES else "")
+    shown = _listed(keys, MOST_SHOWN_NAMES)
     known = f"known: {shown}" if shown else None
     hint = did_you_mean(part, keys, known, fixable=False) if part else known
+    if elsewhere:
+        hint = f"there are {_listed(elsewhere, MOST_SHOWN_VALUES)}"
     message = f"{place} has no value `{part}`" if part else f"`{text}` is not a single value"
     return DiagnosticError("why-path-unknown", message, hint=hint)
+
+
+def _listed(names: Sequence[str], most: int) -> str:
+    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
 
 
 # -- values in the text files of a build ------------------------------------------------
@@ -295,14 +316,19 @@ def find_value(name: str, values: list[OutputValue], query: str) -> OutputValue:
     if len(matching) == 1:
         return matching[0]
     if matching:
-        shown = ", ".join(
-            f"`{value.name}` (line {value.line})" for value in matching[:MOST_SHOWN_VALUES]
-        )
-        more = ", ..." if len(matching) > MOST_SHOWN_VALUES else ""
+        shown = [f"`{value.name}` (line {value.line})" for value in matching]
         raise DiagnosticError(
             "why-path-unknown",
             f"{len(matching)} values of {name} match `{line if not parts else query}`",
-            hint=f"{shown}{more}",
+            hint=_listed(shown, MOST_SHOWN_VALUES),
+        )
+    if line.isdigit() and not candidates:
+        nearest = sorted(values, key=lambda value: abs(value.line - int(line)))
+        near = [f"{n} (`{value.name}`)" for n, value in {v.line: v for v in nearest[::-1]}.items()]
+        raise DiagnosticError(
+            "why-path-unknown",
+            f"line {line} of {name} has no value",
+            hint=f"the next lines with one: {_listed(near[::-1], 3)}" if near else None,
         )
     inner = [value for value in candidates if parts and _matches(value.path[:-1], parts)]
     if inner:
