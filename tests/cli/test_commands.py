@@ -58,6 +58,8 @@ def test_version(thorvaldc: Command) -> None:
         (["sim", "good.yaml", "--duration", "5 m"], "'5 m'"),
         (["sim", "good.yaml", "--duration", "-1"], "not between"),
         (["new", "Bad Name"], "no name for a robot"),
+        (["new", "my-robot"], "did you mean `my_robot`?"),
+        (["new"], "give the robot a name: thorvaldc new my_robot"),
         (["new", "mine", "--preset", "3wd"], "1wd1ws, 2wd0ws, 4wd4ws"),
         (["explain", "TV99999"], "no code `TV99999`"),
         (["explain", "can-id-duplicat"], "did you mean `can-id-duplicate`?"),
@@ -328,6 +330,29 @@ def test_new_creates_a_robot_without_errors(thorvaldc: Command, preset: str) -> 
     assert "already" in again.err
 
 
+def test_new_asks_a_terminal_until_the_answers_are_right(
+    thorvaldc: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = iter(["3wd", "2wd0ws", "my-robot", "", "4wd4ws"])
+    monkeypatch.setattr("thorvaldc.cli.commands.new._is_terminal", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda question: next(answers))
+    status, out, _ = thorvaldc("new")
+    assert status == 0
+    assert "  2wd0ws  Two driven wheels on one motor controller" in out
+    assert "there is no preset '3wd'" in out
+    assert "did you mean `my_robot`?" in out
+    assert "my_robot/robot.yaml: a 2wd0ws robot" in out
+    assert "base_calculator: differential" in Path("my_robot/robot.yaml").read_text()
+
+    def interrupt(question: str) -> str:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("builtins.input", interrupt)
+    before = sorted(Path().iterdir())
+    assert thorvaldc("new").status == 130
+    assert sorted(Path().iterdir()) == before
+
+
 def test_targets(thorvaldc: Command) -> None:
     assert [line.split()[0] for line in thorvaldc("targets").out.splitlines()] == [
         "can",
@@ -362,6 +387,13 @@ def test_schema_is_a_complete_document(thorvaldc: Command, kind: str) -> None:
     jsonschema.Draft202012Validator.check_schema(schema)
     references = re.findall(r'"\$ref": "([^"]*)"', json.dumps(schema))
     assert all(reference.startswith("#") for reference in references)
+
+
+def test_explain_without_a_code_lists_all_codes(thorvaldc: Command) -> None:
+    status, out, _ = thorvaldc("explain")
+    assert status == 0
+    assert out.startswith("YAML:\n  TV101  yaml-syntax ")
+    assert all(f"  {code.number}  {code.name} " in out for code in CODES.values())
 
 
 def test_explain_accepts_number_and_name(thorvaldc: Command) -> None:

@@ -71,7 +71,7 @@ def test_a_robot_with_physics_drives_as_far(thorvaldc: Command) -> None:
     )
     assert status == 0
     assert "ready" in out
-    assert "at 1.3" in out or "at 1.4" in out
+    assert "  1.3 " in out or "  1.4 " in out
 
 
 def test_changes_of_state_go_to_stderr(thorvaldc: Command) -> None:

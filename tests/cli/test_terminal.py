@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pty
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -104,5 +105,5 @@ def test_a_run_erases_its_status_line_once_before_other_lines(folder: Path) -> N
     options = ("--bus", "virtual", "--twist", "0.2,0,0", "--duration", "0.1 s")
     status, output = on_terminal(folder, "run", "good.yaml", *options)
     assert status == 0
-    assert "init    \x1b[K\r\x1b[K" in output
+    assert re.search(r"init  \+0\.0\x1b\[K\r\x1b\[K", output)
     assert "\n\r\x1b[K" not in output

@@ -60,3 +60,13 @@ def test_an_unknown_option_is_noticed() -> None:
     page += "```\n$ thorvaldc biuld F\n```\nthorvaldc is a compiler\n"
     assert unknown_options(page) == ["sim F --tvist 1", "biuld F"]
     assert unknown_options("`can scan --activ`") == ["can scan --activ"]
+
+
+def test_the_help_has_the_groups_of_the_page() -> None:
+    page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    parts = [part.partition("\n") for part in page.split("\n## ")]
+    rows = {title: re.findall(r"^\|([^|]*)", text, re.MULTILINE) for title, _, text in parts}
+    for entry in all_commands():
+        if not entry.group and not entry.hidden:
+            named = {word for cell in rows[entry.topic] for word in re.findall(r"[a-z]+", cell)}
+            assert entry.word in named, (entry.word, entry.topic)

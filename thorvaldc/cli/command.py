@@ -15,18 +15,32 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from thorvaldc.cli.exits import OutsideError, protect
-from thorvaldc.tool_folders import CommandEntry, load_target, plugin_entries, tool_commands
+from thorvaldc.tool_folders import (
+    BUS,
+    SIMULATION,
+    TOPICS,
+    CommandEntry,
+    load_target,
+    plugin_entries,
+    tool_commands,
+)
 
 P = ParamSpec("P")
 CORE: tuple[CommandEntry, ...] = (
     CommandEntry("new", "new:new", "Make a folder with a robot.yaml to start from."),
     CommandEntry("check", "check:check", "Report every error in robot and fleet files."),
     CommandEntry("build", "build:build", "Compile robots and write the target files."),
-    CommandEntry("sim", "sim:sim", "Drive a robot in simulation, without a display."),
-    CommandEntry("scenario", "sim:scenario", "Run a scenario and check its expectations."),
-    CommandEntry("run", "run:run", "Run the base driver on a real or simulated CAN bus."),
-    CommandEntry("bus", "bus:bus", "Simulate a robot's CAN bus for other programs."),
-    CommandEntry("can", "", "Set up, check and monitor a robot's CAN bus."),
+    CommandEntry(
+        "sim", "sim:sim", "Drive a robot in simulation, without a display.", topic=SIMULATION
+    ),
+    CommandEntry(
+        "scenario", "sim:scenario", "Run a scenario and check its expectations.", topic=SIMULATION
+    ),
+    CommandEntry(
+        "run", "run:run", "Run the base driver on a real or simulated CAN bus.", topic=BUS
+    ),
+    CommandEntry("bus", "bus:bus", "Simulate a robot's CAN bus for other programs.", topic=BUS),
+    CommandEntry("can", "", "Set up, check and monitor a robot's CAN bus.", topic=BUS),
     CommandEntry(
         "can scan", "can:scan", "Find the nodes on a bus and compare them with the robot."
     ),
@@ -141,7 +155,11 @@ class CommandGroup(TyperGroup):
         of_tools = tool_commands(self.group)
         sections = [("Commands", [*own, *of_tools])]
         if not self.group:
-            sections = [("Commands", own), ("Tools", of_tools), ("Plug-ins", plugin_commands())]
+            sections = [
+                (topic, [entry for entry in (*own, *of_tools) if entry.topic == topic])
+                for topic in TOPICS
+            ]
+            sections.append(("Plug-ins", plugin_commands()))
         for title, entries in sections:
             visible = [entry for entry in entries if not entry.hidden]
             if visible:

@@ -95,7 +95,7 @@ class StatusView:
         now = time.monotonic()
         if sys.stderr.isatty() and now - self._last_time >= STATUS_PERIOD:
             self._last_time = now
-            self._show_line(f"{session.elapsed:8.1f} s  {session.status_line()}")
+            self._show_line(f"{session.elapsed:6.1f} s  {session.status_line()}")
 
     def _show_line(self, text: str) -> None:
         width = max(os.get_terminal_size(sys.stderr.fileno()).columns - 1, 20)

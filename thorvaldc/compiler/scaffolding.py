@@ -35,6 +35,12 @@ def presets() -> list[str]:
     return sorted(path.stem for path in _templates().glob("*.yaml"))
 
 
+def description_of(preset: str) -> str:
+    """Returns the description in the template of a preset."""
+    (description,) = re.findall(r"^description: (.*)$", robot_text("", preset), re.MULTILINE)
+    return str(description)
+
+
 def robot_text(name: str, preset: str) -> str:
     """Returns the text of a new robot file that contains the robot name ``name``.
 

@@ -1,17 +1,5 @@
 """Table of all diagnostic codes, and their documentation pages.
 
-Subject of a diagnostic, by the first digit of the diagnostic code:
-
-- 1: YAML
-- 2: schema and units
-- 3: references
-- 4: geometry and physics
-- 5: CAN bus
-- 6: backends
-- 7: library and extras
-- 8: runtime, simulation and commissioning
-- 9: files, import, audit and comparison
-
 The number of a removed diagnostic code is never used again for another code.  The page
 ``docs/diagnostics/<number>.md`` explains each diagnostic code.  Codes of other packages have
 prefixes of their own, see ``plugin_codes``.
@@ -25,6 +13,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+SUBJECTS = {
+    "1": "YAML",
+    "2": "Schema and units",
+    "3": "References",
+    "4": "Geometry and physics",
+    "5": "CAN bus",
+    "6": "Targets",
+    "7": "Library and extras",
+    "8": "Runtime, simulation and commissioning",
+    "9": "Files, import, audit and comparison",
+}
+"""Subject of a diagnostic, by the first digit of its code."""
 STRUCTURE = "1237"
 """First digits of errors in the structure of a document, in whose presence checks are left out."""
 
@@ -476,3 +476,19 @@ def _folder() -> Path:
     if (root / "pyproject.toml").is_file():
         return root / "docs" / "diagnostics"
     return _PACKAGE / "_data" / "diagnostics"
+
+
+def all_codes_text() -> str:
+    """Returns a line for each code, under the subjects; those of other packages come last."""
+    known = list(all_codes())
+    width = max(len(code.name) for code in known)
+    lines: list[str] = []
+    for digit, subject in {**SUBJECTS, "": "Of other packages"}.items():
+        rows = [
+            f"  {code.number}  {code.name:{width}}  {code.summary}"
+            for code in known
+            if (code.number[2:3] if code.number.startswith("TV") else "") == digit
+        ]
+        if rows:
+            lines += ["", f"{subject}:", *rows]
+    return "\n".join(lines[1:]) + "\n"

@@ -112,6 +112,7 @@ class ControlServer:
 
         Raises ``OSError`` if a base driver with the same name already runs.
         """
+        self.name = name
         self.path = control_path(name)
         self.services = services
         self._longest_wait = longest_wait

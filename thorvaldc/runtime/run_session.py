@@ -199,17 +199,24 @@ class RunSession:
         return Diagnostic(CODES[code], state_machine.reason, self.robot.span, hint)
 
     def status_line(self) -> str:
-        """Returns a line of text with the state, twist, pose, battery and timing of the robot."""
+        """Returns a line of text with the state, twist, pose, battery and timing of the robot.
+
+        With the time before it, the line of an armed robot fits in 79 columns.
+        """
         driven, base = self.driven, self.base
         state = driven.driver.state
         twist, pose = state.odometry.twist, state.pose
-        parts = [
-            f"{base.state.value:8}",
-            *([] if driven.armed or not driven.ready else ["disarmed"]),
-            *([state.hold_reason] if base.state is BaseState.STANDBY else []),
-            f"{twist.vx:+.2f} {twist.vy:+.2f} m/s {twist.wz:+.2f} rad/s",
-            f"at {pose.x:.2f} {pose.y:.2f} m {math.degrees(pose.yaw):.0f} deg",
-        ]
+        parts = [base.state.value]
+        waits = base.state is BaseState.STANDBY and not base.state_machine.ending
+        if waits or (driven.ready and not driven.armed):
+            # The operator needs to know how to go on, and the robot stands where it was.
+            arm = f": `thorvaldc call {driven.channel.name} arm`" if driven.channel else ""
+            parts.append(f"{'not homed' if waits else 'disarmed'}{arm}")
+        else:
+            parts += [
+                f"{twist.vx:+z.2f} {twist.vy:+z.2f} m/s {twist.wz:+z.2f} rad/s",
+                f"{pose.x:z.1f} {pose.y:z.1f} m {math.degrees(pose.yaw):z.0f} deg",
+            ]
         batteries = base.batteries().values()
         charges = [battery.charge for battery in batteries if not math.isnan(battery.charge)]
         if charges:

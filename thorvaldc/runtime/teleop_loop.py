@@ -127,7 +127,7 @@ def status_lines(
         f"{INDENT}in force  {in_force}",
         *(_wrapped(f"limited by {limit}") if limit else []),
         *(_wrapped(not_followed) if not_followed and not limit else []),
-        f"{INDENT}x {x:.2f} m  y {y:.2f} m  yaw {math.degrees(yaw):.1f} deg",
+        f"{INDENT}x {x:z.2f} m  y {y:z.2f} m  yaw {math.degrees(yaw):z.1f} deg",
         *_wrapped("  ".join(parts)),
         *(_wrapped(f"FAULT {state['fault']}") if state["fault"] else []),
         *(_wrapped(message) if message else []),
@@ -139,9 +139,7 @@ def _wrapped(text: str) -> list[str]:
 
 
 def _twist_text(twist: Twist) -> str:
-    # Adding 0.0 turns -0.0 into 0.0, which is shown without a minus sign.
-    x, y, yaw = (round(value, 2) + 0.0 for value in twist)
-    return f"{x:+.2f} {y:+.2f} m/s {yaw:+.2f} rad/s"
+    return f"{twist.vx:+z.2f} {twist.vy:+z.2f} m/s {twist.wz:+z.2f} rad/s"
 
 
 REMOTE_PERIOD = 0.05

@@ -7,18 +7,6 @@ from itertools import groupby
 
 from thorvaldc.diagnostics import codes
 
-SUBJECTS = {
-    "1": "YAML",
-    "2": "Schema and units",
-    "3": "References",
-    "4": "Geometry and physics",
-    "5": "CAN bus",
-    "6": "Targets",
-    "7": "Library and extras",
-    "8": "Runtime, simulation and commissioning",
-    "9": "Files, import and audit",
-}
-
 
 def page() -> str:
     table = sorted(codes.CODES.values(), key=lambda code: code.number)
@@ -29,7 +17,7 @@ def page() -> str:
         " changes its meaning; the number of a removed code is not used again.",
     ]
     for digit, group in groupby(table, key=lambda code: re.sub(r"\D", "", code.number)[0]):
-        lines += ["", f"## {SUBJECTS[digit]}", ""]
+        lines += ["", f"## {codes.SUBJECTS[digit]}", ""]
         lines += ["| code | severity | name | what it reports |", "| --- | --- | --- | --- |"]
         for code in group:
             cells = (f"[{code.number}]({code.number}.md)", code.severity, f"`{code.name}`")

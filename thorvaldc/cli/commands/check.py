@@ -123,13 +123,19 @@ def explain(
     code: Annotated[
         str,
         typer.Argument(
-            metavar="CODE", autocompletion=diagnostic_codes, help="TV501 or can-id-duplicate."
+            metavar="CODE",
+            autocompletion=diagnostic_codes,
+            help="TV501 or can-id-duplicate; without it, all codes are listed.",
         ),
-    ],
+    ] = "",
 ) -> int:
+    from thorvaldc.diagnostics.codes import all_codes_text
     from thorvaldc.diagnostics.report import UnknownCode
     from thorvaldc.diagnostics.report import explain as page_of
 
+    if not code:
+        print(all_codes_text(), end="")
+        return DONE
     try:
         print(page_of(code), end="")
     except UnknownCode as error:

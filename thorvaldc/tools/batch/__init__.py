@@ -1,7 +1,12 @@
 """Runs many variations of a scenario; begin at ``scenario_batch``."""
 
-from thorvaldc.tool_folders import CommandEntry
+from thorvaldc.tool_folders import SIMULATION, CommandEntry
 
 COMMANDS = (
-    CommandEntry("batch", "batch_command:batch", "Run variations of a scenario in parallel."),
+    CommandEntry(
+        "batch",
+        "batch_command:batch",
+        "Run variations of a scenario in parallel.",
+        topic=SIMULATION,
+    ),
 )

@@ -77,7 +77,7 @@ def table(result: calibration.CalibrationResult, width: int | None = None) -> st
         lines.append(
             (
                 wheel.name,
-                _cell(offset, lambda v: f"{math.degrees(v):+.3f}", " deg", math.degrees),
+                _cell(offset, lambda v: f"{math.degrees(v):+z.3f}", " deg", math.degrees),
                 _cell(ratio, lambda v: f"{v:.5f}", "", float),
                 "" if wheel.radius is None else f"{wheel.radius * 1000:.2f} mm",
             )

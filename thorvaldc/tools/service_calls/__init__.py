@@ -1,5 +1,7 @@
 """Calls services of a running driver from the command line."""
 
-from thorvaldc.tool_folders import CommandEntry
+from thorvaldc.tool_folders import BUS, CommandEntry
 
-COMMANDS = (CommandEntry("call", "call_command:call", "Call a service of a running driver."),)
+COMMANDS = (
+    CommandEntry("call", "call_command:call", "Call a service of a running driver.", topic=BUS),
+)
