@@ -50,7 +50,7 @@ def test_fleets(name: str) -> None:
 
 @pytest.mark.parametrize("preset", presets())
 def test_presets(preset: str, tmp_path: Path) -> None:
-    assert placeholders(project_files("mine", preset).items()) == []
+    assert placeholders(project_files("mine", preset, "0.1.0").items()) == []
     files = robot_files("mine", preset)
     assert placeholders(files.items()) == []
     (tmp_path / "robot.yaml").write_text(files["robot.yaml"])
