@@ -213,6 +213,11 @@ def test_watch_ends_on_request() -> None:
 
 def test_the_line_of_a_frame(driving: MonitoredRobot) -> None:
     lines = monitor_lines(driving.summary())
+    narrow = monitor_lines(driving.summary(), 80)
+    assert all(len(line) <= 80 for line in narrow), max(narrow, key=len)
+    assert " ".join(" ".join(narrow).split()) == " ".join(
+        " ".join(lines).replace("  values", "").split()
+    )
     line = next(line for line in lines if "fl_controller_tpdo1" in line)
     assert line.split()[:4] == ["183", "fl_controller_tpdo1", "20", "ms"]
     assert re.search(r"propulsion_velocity (2\.49|2\.5)\d* rad/s  steering_velocity", line)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import IO, Any
 
@@ -13,22 +14,47 @@ from thorvaldc.runtime.pace import end_signals
 from thorvaldc.tools.monitor.bus_monitor import BusMonitor, watch
 
 SHOWN_EMERGENCIES = 5
+WIDE = 110
+"""Number of columns of a terminal from which on values stand beside their frame."""
 COLUMNS = 8
 """Number of columns by which the keys left and right scroll."""
 
 
-def monitor_lines(summary: Mapping[str, Any]) -> list[str]:
+def monitor_lines(summary: Mapping[str, Any], width: int | None = None) -> list[str]:
     """Returns the summary of a CAN bus as lines of text.
 
     The text contains a headline, the nodes, the EMCY messages, the CAN frames that are not in the
     CAN map, and the CAN frames of the CAN map with their signal values.
+
+    ``width``: number of columns of a terminal, or ``None`` for a line for each frame.  On a narrow
+    terminal, the values of a frame have lines of their own below it.
     """
-    lines = [_headline(summary), ""]
+    lines = [*_filled(_headline(summary), width or sys.maxsize, ""), ""]
     lines += _nodes(summary["nodes"])
     lines += _emergencies(summary["emergencies"], summary["time"])
     lines += _unknown(summary["unknown"])
-    rows = [("id", "frame", "period", "age", "values"), *map(_frame, summary["frames"])]
-    return [*lines, "", *text_table(rows, right=(0, 2, 3), least=(3, 30, 7, 7, 0)).splitlines()]
+    heads = [("id", "frame", "period", "age"), *map(_frame, summary["frames"])]
+    texts = [["values"], *map(_values, summary["frames"])]
+    table = text_table(heads, right=(0, 2, 3), least=(3, 30, 7, 7)).splitlines()
+    lines.append("")
+    for head, values in zip(table, texts, strict=True):
+        if width is None or width >= WIDE:
+            lines.append("  ".join([head, *values]))
+        else:
+            lines.append(head)
+            lines += _filled(values, width, " " * 5) if head is not table[0] else []
+    return lines
+
+
+def _filled(parts: Sequence[str], width: int, indent: str) -> list[str]:
+    """Returns lines of at most ``width`` columns with parts that are never divided."""
+    lines: list[str] = []
+    for part in parts:
+        if lines and len(lines[-1]) + 2 + len(part) <= width:
+            lines[-1] += f"  {part}"
+        else:
+            lines.append(indent + part)
+    return lines
 
 
 def page(lines: Sequence[str], height: int, first: int) -> list[str]:
@@ -45,7 +71,7 @@ def page(lines: Sequence[str], height: int, first: int) -> list[str]:
     return [*shown, f"-- {first + 1} to {first + len(shown)} of {len(lines)} lines; arrow keys --"]
 
 
-def _headline(summary: Mapping[str, Any]) -> str:
+def _headline(summary: Mapping[str, Any]) -> list[str]:
     """Returns robot, bus, bit rate, load and the state of this computer's CAN controller."""
     parts = [
         f"{summary['robot']} {summary['bus']}",
@@ -59,7 +85,7 @@ def _headline(summary: Mapping[str, Any]) -> str:
         parts.append(f"OWN CONTROLLER: {controller.upper()}")
     if summary.get("overruns"):
         parts.append(f"{summary['overruns']} frames lost by this program")
-    return "  ".join(parts)
+    return parts
 
 
 def _nodes(nodes: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -110,23 +136,25 @@ def _frame(frame: Mapping[str, Any]) -> tuple[str, ...]:
         frame["name"],
         _time(frame["period"]),
         _time(frame["age"]),
-        "  ".join(filter(None, (frame["problem"].upper(), _values(frame)))),
     )
 
 
-def _values(frame: Mapping[str, Any]) -> str:
+def _values(frame: Mapping[str, Any]) -> list[str]:
     units, flags = frame["units"], frame["flags"]
-    return "  ".join(
-        name if name in flags else f"{name} {_value(value)} {units.get(name, '')}".rstrip()
-        for name, value in frame["values"].items()
-        if value or name not in flags
-    )
+    return [
+        *([frame["problem"].upper()] if frame["problem"] else []),
+        *(
+            name if name in flags else f"{name} {_value(value)} {units.get(name, '')}".rstrip()
+            for name, value in frame["values"].items()
+            if value or name not in flags
+        ),
+    ]
 
 
 def _value(value: float | str) -> str:
     if isinstance(value, str):
         return value
-    return str(value) if isinstance(value, int) else f"{value + 0.0:.4g}"
+    return str(value) if isinstance(value, int) else f"{value:z.4g}"
 
 
 def _time(seconds: float | None) -> str:
@@ -195,7 +223,7 @@ class LiveView:
 
     def show(self, summary: Mapping[str, Any]) -> None:
         """Shows a new summary of the CAN bus on the terminal."""
-        self._lines = monitor_lines(summary)
+        self._lines = monitor_lines(summary, shutil.get_terminal_size().columns)
         self._draw()
 
     def poll(self) -> bool:
