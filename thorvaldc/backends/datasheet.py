@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,10 +16,11 @@ from thorvaldc.model.facts.fact_tables import fact_tables
 from thorvaldc.model.facts.robot_facts import RobotFacts, robot_facts
 from thorvaldc.model.facts.size import Size
 from thorvaldc.model.facts.stability import DIRECTIONS, Stability
-from thorvaldc.model.spatial import Quat, cross, dot, rotate
+from thorvaldc.model.model_json import to_json
+from thorvaldc.model.spatial import Quat, cross, dot, float_sum, rotate
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.tip_over import Point, convex_hull
-from thorvaldc.model.stl import mesh_vertices
+from thorvaldc.model.stl import mesh_pieces
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -62,6 +64,7 @@ class Datasheet(Backend):
             sides=side_pictures(facts, projector),
             tip_over=tip_over_drawing(facts.stability),
             labels=[address for address in addresses if address.id_space],
+            model=hashlib.sha256(to_json(robot).encode()).hexdigest()[:12],
         )
         return {"datasheet/datasheet.html": page.encode()}
 
@@ -173,11 +176,14 @@ class _Sheet:
             self.add_line((at, y), (line, y), "extension")
             self._add_tick(line, y)
         self.add_line((line, low), (line, high), "dimension")
+        text = f"{1000 * (high - low):.0f}"
         x, y = self.point(line, (low + high) / 2)
         gap = 0.35 * self.drawing.text_size
-        self.drawing.texts.append(
-            Text(round(x - gap, 1), y, f"{1000 * (high - low):.0f}", turned=True)
-        )
+        if 0.7 * self.drawing.text_size * len(text) < 1000.0 * (high - low):
+            self.drawing.texts.append(Text(round(x - gap, 1), y, text, turned=True))
+        else:  # the text is longer than the dimension: it stands upright, above the upper tick
+            x, y = self.point(line, high)
+            self.drawing.texts.append(Text(x, round(y - 1.3 * gap, 1), text))
 
     def _add_tick(self, x: float, y: float) -> None:
         half = 0.3 * self.drawing.text_size / 1000.0
@@ -253,7 +259,20 @@ def dimension_drawing(robot: Robot, facts: RobotFacts, projector: OutlineProject
     ):
         x, y = sheet.point(low, high + 0.3 * margin)
         drawing.texts.append(Text(x, y, name, "start"))
+    _add_scale(above, size, extent, margin)
     return drawing
+
+
+def _add_scale(above: _Sheet, size: Size, extent: float, margin: float) -> None:
+    """Add a bar of a round length, right of the top view."""
+    length = next((bar for bar in (5.0, 1.0, 0.5, 0.1) if bar < 0.5 * extent), 0.05)
+    left, at = size.upper[0] + 1.2 * margin, size.lower[1]
+    for x in (left, left + length):
+        above.add_line((x, at), (x, at + 0.15 * margin), "dimension")
+    above.add_line((left, at), (left + length, at), "dimension")
+    x, y = above.point(left + length / 2, at)
+    gap = 0.35 * above.drawing.text_size
+    above.drawing.texts.append(Text(x, round(y - 2.0 * gap, 1), f"scale: {1000 * length:.0f} mm"))
 
 
 def _described(size: Size) -> str:
@@ -385,15 +404,17 @@ class Outline(NamedTuple):
 class OutlineProjector:
     """Projects the visible shapes of one robot with all joints at position 0.
 
-    The outline of a mesh is that of its convex hull. A link without visible shapes is drawn with
-    its collision shapes. Equal meshes with equal orientations are projected once.
+    The outline of a mesh is that of the convex hull of each of its connected pieces: one hull would
+    fill the space between a handle and the sockets beside it. A link without visible shapes is
+    drawn with its collision shapes. Equal meshes with equal orientations are projected once.
     """
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
         self._pose = tree_of(robot).pose
         self._data = {mesh.name: mesh.data for mesh in robot.meshes}
-        self._known: dict[tuple[Shape, Quat, View], tuple[list[Point], float]] = {}
+        self._meshes: dict[str, list[list[Vec3]]] = {}
+        self._known: dict[tuple[Shape, Quat, View], list[tuple[list[Point], float]]] = {}
 
     def outlines(self, view: View) -> list[Outline]:
         """Return the outlines of all shapes in a view, from the back to the front."""
@@ -405,31 +426,39 @@ class OutlineProjector:
             for part in parts if pose is not None else ():
                 place = self._pose[link.name] * part.pose
                 w, x, y, z = (round(value, 12) for value in place.quat)
-                hull, depth = self._outline(part.shape, (w, x, y, z), view)
-                if not hull:
-                    continue
                 right, up = dot(view.right, place.xyz), dot(view.up, place.xyz)
-                outlines.append(
-                    Outline(
-                        tuple((right + u, up + v) for u, v in hull),
-                        depth + dot(towards, place.xyz),
-                        part.color if isinstance(part, Visual) else (0.6, 0.6, 0.6, 1.0),
-                    )
-                )
+                color = part.color if isinstance(part, Visual) else (0.6, 0.6, 0.6, 1.0)
+                for hull, depth in self._outlines_of(part.shape, (w, x, y, z), view):
+                    points = tuple((right + u, up + v) for u, v in hull)
+                    outlines.append(Outline(points, depth + dot(towards, place.xyz), color))
         return sorted(outlines, key=lambda outline: round(outline.depth, 9))
 
-    def _outline(self, shape: Shape, quat: Quat, view: View) -> tuple[list[Point], float]:
-        """Return the outline of a shape relative to its origin, and the depth of its middle."""
+    def _outlines_of(self, shape: Shape, quat: Quat, view: View) -> list[tuple[list[Point], float]]:
+        """Return the outlines of a shape relative to its origin, each with the depth of its
+        middle."""
         key = shape, quat, view
         if key not in self._known:
-            towards = view.towards
-            corners = [rotate(quat, corner) for corner in self._corners(shape)]
-            depths = [dot(towards, corner) for corner in corners]
-            self._known[key] = (
-                convex_hull(_projected(corners, view)),
-                (min(depths) + max(depths)) / 2 if depths else 0.0,
-            )
+            outlines = []
+            for piece in self._pieces(shape):
+                corners = [rotate(quat, corner) for corner in piece]
+                depths = [dot(view.towards, corner) for corner in corners]
+                hull = convex_hull(_projected(corners, view))
+                outlines.append((hull, (min(depths) + max(depths)) / 2))
+            shown: list[tuple[list[Point], float]] = []
+            self._known[key] = shown
+            for hull, depth in sorted(outlines, key=lambda outline: -_area(outline[0])):
+                # A smaller piece inside the outline of another one has its colour.
+                if not any(all(_is_inside(p, other) for p in hull) for other, _ in shown):
+                    shown.append((hull, depth))
         return self._known[key]
+
+    def _pieces(self, shape: Shape) -> Iterable[Sequence[Vec3]]:
+        if not isinstance(shape, MeshShape):
+            return [list(self._corners(shape))]
+        if shape.mesh not in self._meshes:
+            self._meshes[shape.mesh] = mesh_pieces(shape.mesh, self._data.get(shape.mesh, b""))
+        a, b, c = shape.scale
+        return [[(x * a, y * b, z * c) for x, y, z in piece] for piece in self._meshes[shape.mesh]]
 
     def _corners(self, shape: Shape) -> Iterable[Vec3]:
         match shape:
@@ -448,9 +477,23 @@ class OutlineProjector:
                     for a in (math.pi * k / 12 for k in range(-6, 7))
                 ]
                 return [(x, y, z) for r, z in circles for x, y in _circle(max(r, 0.0))]
-            case MeshShape(mesh=mesh, scale=(sx, sy, sz)):
-                vertices = mesh_vertices(mesh, self._data.get(mesh, b""))
-                return [(x * sx, y * sy, z * sz) for x, y, z in vertices]
+            case _:  # a mesh, see `_pieces`
+                return []
+
+
+def _area(polygon: Sequence[Point]) -> float:
+    """Return twice the area of a polygon whose corners are listed counter-clockwise."""
+    pairs = zip(polygon, [*polygon[1:], *polygon[:1]], strict=True)
+    return float_sum(a[0] * b[1] - b[0] * a[1] for a, b in pairs)
+
+
+def _is_inside(point: Point, hull: Sequence[Point]) -> bool:
+    """Return whether a point is in a convex polygon with counter-clockwise corners."""
+    x, y = point
+    edges = zip(hull, [*hull[1:], *hull[:1]], strict=True)
+    return all(
+        (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]) >= -_GRID * _GRID for a, b in edges
+    )
 
 
 def _circle(radius: float) -> Iterator[Point]:

@@ -51,6 +51,29 @@ def triangle_normal(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
 
 
 @functools.lru_cache(maxsize=256)
+def mesh_pieces(name: str, data: bytes) -> list[list[Vec3]]:
+    """Return the vertices of each connected piece of a mesh file, in the order of the file.
+
+    Triangles of an STL file that share a vertex belong together.  An OBJ file is one piece.
+    """
+    if name.endswith(".obj"):
+        return [list(mesh_vertices(name, data))]
+    parent: dict[Vec3, Vec3] = {}
+
+    def root(vertex: Vec3) -> Vec3:
+        while (above := parent.setdefault(vertex, vertex)) != vertex:
+            parent[vertex] = vertex = parent[above]  # shortens the way for the next search
+        return vertex
+
+    for first, *others in stl_triangles(data):
+        for other in others:
+            parent[root(other)] = root(first)
+    pieces: dict[Vec3, list[Vec3]] = {}
+    for vertex in parent:
+        pieces.setdefault(root(vertex), []).append(vertex)
+    return list(pieces.values())
+
+
 def mesh_vertices(name: str, data: bytes) -> tuple[Vec3, ...]:
     """Return the vertices of a mesh file of the model, a binary STL file or an OBJ file.
 

@@ -324,8 +324,12 @@ def _standing(slopes: StandingSlopes | None) -> FactTable:
     return _values("standing", "Standing without power", rows, note)
 
 
+STATED_USE = 500.0
+"""Power (W) for which the time and the range are shown, as an example."""
+
+
 def _energy(energy: electrics.Energy) -> FactTable:
-    several, bounded = len(energy.batteries) > 1, energy.range_bound is not None
+    several = len(energy.batteries) > 1
     rows: list[tuple[str, str | None]] = [] if energy.batteries else [("battery", "none")]
     for battery in energy.batteries:
         source = _source(battery.voltage, battery.capacity, battery.energy) or "not stated"
@@ -337,14 +341,18 @@ def _energy(energy: electrics.Energy) -> FactTable:
     if energy.energy is not None:
         rows.append(("energy", _source(None, None, energy.energy)))
     if energy.rolling_force > 0.0:
+        per_kilometre = energy.rolling_force * 1000.0 / 3600.0
         rows.append(("rolling resistance", f"{energy.rolling_force:.1f} N on level ground"))
-    if energy.range_bound is not None:
-        rows.append(("range", f"less than {energy.range_bound / 1000.0:.0f} km"))
+        rows.append(("energy for rolling", f"{per_kilometre:.1f} Wh/km"))
+    if energy.energy is not None:
+        hours = energy.energy / STATED_USE / 3600.0
+        rows.append((f"at {STATED_USE:.0f} W", f"{hours:.1f} h, {3.6 * hours:.0f} km at 1 m/s"))
     if energy.standby is not None:
         current = energy.standby_current
         shown = f" and {current:.2g} A" if current is not None and several else ""
         rows.append(("standby", f"{energy.standby / 3600.0:.1f} h at {energy.power:g} W{shown}"))
-    loss = "The bound of the range is the energy over the rolling resistance, without any loss."
+    loss = "Motors, computers and tools use more than rolling does: measure the power of your work."
+    bounded = energy.energy is not None and energy.rolling_force > 0.0
     missing = f"Not stated by the modules: {'; '.join(energy.missing)}." if energy.missing else ""
     return _values("energy", "Energy and range", rows, loss if bounded else "", missing)
 
