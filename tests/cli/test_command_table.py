@@ -26,6 +26,7 @@ HEAVY = [
 SCRIPT = f"""
 import contextlib, io, sys
 from thorvaldc.cli.main import run_command
+from thorvaldc.tool_folders import TOPICS
 for path in sys.argv[1:]:
     sys.argv = ["thorvaldc", *path.split(), "--help"]
     with contextlib.redirect_stdout(io.StringIO()):
@@ -69,7 +70,9 @@ def test_the_help_of_the_groups_loads_no_command() -> None:
 def test_each_command_has_one_line_of_help(group: tuple[str, ...], thorvaldc: Command) -> None:
     entries = [e for e in all_commands() if e.group == " ".join(group) and not e.hidden]
     output = thorvaldc(*group, "--help").out
-    lines = output.partition("Commands:\n")[2].splitlines()
+    if not group:
+        entries.sort(key=lambda entry: TOPICS.index(entry.topic))
+    lines = output.partition("Commands:\n" if group else f"{TOPICS[0]}:\n")[2].splitlines()
     shown = {line.split()[0]: line for line in lines if line.startswith("  ")}
     assert list(shown) == [entry.word for entry in entries]
     for entry in entries:

@@ -64,7 +64,7 @@ def test_the_live_view_scrolls(bus: str, folder: Path) -> None:
         person.until("lines; arrow keys --")
         person.type("\x1b[B")
         person.until("-- 2 to ")
-        person.until("state_of_health 100 %", typing="\x1b[B")  # the values are whole, below the frame
+        person.until("state_of_health 100 %", typing="\x1b[B")  # whole, below the frame
         person.type("q")
         assert person.end() == 0
         assert "\x1b[?1049l" in person.shown
