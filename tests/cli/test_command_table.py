@@ -9,6 +9,7 @@ import pytest
 
 from tests.cli.conftest import Command
 from thorvaldc.cli.command import all_commands
+from thorvaldc.tool_folders import TOPICS
 
 PATHS = [tuple(entry.name.split()) for entry in all_commands() if entry.target]
 HEAVY = [
@@ -26,7 +27,6 @@ HEAVY = [
 SCRIPT = f"""
 import contextlib, io, sys
 from thorvaldc.cli.main import run_command
-from thorvaldc.tool_folders import TOPICS
 for path in sys.argv[1:]:
     sys.argv = ["thorvaldc", *path.split(), "--help"]
     with contextlib.redirect_stdout(io.StringIO()):
