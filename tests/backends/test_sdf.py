@@ -138,7 +138,7 @@ def test_each_motor_has_a_controller() -> None:
 SYSTEM_ELEMENTS = {
     "JointController": "joint_name topic cmd_max cmd_min initial_velocity use_force_commands",
     "JointPositionController": "joint_name topic cmd_max cmd_min initial_position "
-    "use_velocity_commands",
+    "use_velocity_commands p_gain i_gain d_gain i_max i_min cmd_offset",
     "JointStatePublisher": "joint_name topic update_rate",
     "OdometryPublisher": "odom_frame robot_base_frame odom_topic odom_publish_frequency "
     "dimensions tf_topic xyz_offset rpy_offset gaussian_noise odom_covariance_topic",

@@ -138,9 +138,14 @@ def a_jump_back(rig: TopicRig) -> None:
 
 
 def a_pause(rig: TopicRig) -> None:
-    """While the time stands, nothing happens; a twist from then does not move the robot."""
+    """While the time stands, nothing happens; a twist from then does not move the robot.
+
+    A paused Gazebo sends its joint states again and again.
+    """
     rig.drive(0.5, 40)
     cycles = rig.robot.timing.cycles
+    for _ in range(20):
+        rig.take()
     rig.spin_until(lambda: bool(rig.node.run_due() or rig.node.clock_watch.problem))
     rig.send(0.5)
     assert rig.robot.timing.cycles == cycles

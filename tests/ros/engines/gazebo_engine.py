@@ -4,8 +4,11 @@
 PACKAGE ...`` simulates the packages in one world.  ``FILE`` is the MJCF scene or the SDF world;
 ``PYTHON`` is the Python that has the physics engine.
 
-The bridge connects what ``config/gz_bridge.yaml`` of each package says.  ``/clock`` comes 100
-times in a simulated second, as the launch file of Gazebo passes it on.  With ``--lockstep``, the
+The bridge connects what ``config/gz_bridge.yaml`` of each package says (ros_gz_bridge,
+src/bridge_config.cpp and src/convert/).  ``/clock`` comes 100 times in a simulated second, as the
+launch file of Gazebo passes it on.  A paused Gazebo goes on to publish the time, which stands, and
+joint states if it has published them at this very time (JointStatePublisher.cc does not ask for
+the pause).  With ``--lockstep``, the
 simulation waits for the commands of each cycle, so that its results do not depend on the load of
 the computer; it also waits for a client that says on ``/engine/continue`` (Float64) until which
 time (s) it has sent its twists.  The factor 0 is as fast as possible.
@@ -42,9 +45,18 @@ TYPES = {
     ("sensor_msgs/msg/JointState", "gz.msgs.Model"): JointState,
     ("nav_msgs/msg/Odometry", "gz.msgs.Odometry"): Odometry,
 }
-"""Pairs of types that ros_gz_bridge converts; sensors are not simulated."""
-CLOCKS_PER_SECOND = 100
-PERIOD = 1.0 / CLOCKS_PER_SECOND
+"""Pairs of types that ros_gz_bridge converts (its README.md), of topics that are simulated."""
+SENSOR_TYPES = {
+    ("sensor_msgs/msg/CameraInfo", "gz.msgs.CameraInfo"),
+    ("sensor_msgs/msg/Image", "gz.msgs.Image"),
+    ("sensor_msgs/msg/Imu", "gz.msgs.IMU"),
+    ("sensor_msgs/msg/LaserScan", "gz.msgs.LaserScan"),
+    ("sensor_msgs/msg/NavSatFix", "gz.msgs.NavSat"),
+    ("sensor_msgs/msg/PointCloud2", "gz.msgs.PointCloudPacked"),
+}
+ENTRY = {"ros_topic_name", "gz_topic_name", "ros_type_name", "gz_type_name", "direction"}
+"""Keys of an entry of the bridge; it would ignore others, or change its queues for them."""
+CLOCK_PERIOD = 10_000_000  # ns
 LONGEST_WAIT = 1.0
 """Longest real time (s) for which the simulation waits for commands with ``--lockstep``."""
 
@@ -84,6 +96,11 @@ class World:
         self._process.end()
 
 
+def period_of(rate: float) -> int:
+    """Returns the period (ns) of a rate (Hz); 0 is each step."""
+    return int(1e9 / rate) if rate > 0.0 else 1
+
+
 class Engine:
     """The nodes of the bridges, and the loop of the simulation."""
 
@@ -105,7 +122,8 @@ class Engine:
             self._add_bridge(package, robot)
         self.muted = self.paused = self.resets = False
         self.factor = float(options.factor)
-        self.now = 0.0
+        self.answer: dict[str, Any] = {"time": 0}
+        self._begin()
         self.sent = 0.0
         self.statistics = {"cycles": 0, "complete": 0}
         self.latencies: list[float] = []
@@ -117,22 +135,27 @@ class Engine:
         self.executor.add_node(node)
         states = odometry = None
         commands = set(robot["commands"])
+        publishes = {robot["states"]: JointState, robot["odometry"]: Odometry}
         entries = yaml.safe_load((package / "config" / "gz_bridge.yaml").read_text())
         for entry in entries:
-            gazebo, ros = entry["gz_topic_name"], entry["ros_topic_name"]
-            kind = TYPES.get((entry["ros_type_name"], entry["gz_type_name"]))
-            to_gazebo = entry["direction"] == "ROS_TO_GZ"
-            if kind is None:
+            if entry.keys() != ENTRY:
+                raise EngineError(f"the bridge has an entry with {', '.join(sorted(entry))}")
+            gazebo, ros = entry["gz_topic_name"].strip("/"), entry["ros_topic_name"]
+            pair = entry["ros_type_name"], entry["gz_type_name"]
+            kind, direction = TYPES.get(pair), entry["direction"]
+            if pair in SENSOR_TYPES and direction == "GZ_TO_ROS":
                 continue
-            if kind is Float64 and to_gazebo and gazebo in commands:
+            if kind is Float64 and direction == "ROS_TO_GZ" and gazebo in commands:
                 commands.remove(gazebo)
                 node.create_subscription(kind, ros, lambda m, t=gazebo: self._take(t, m), 10)
-            elif kind is JointState and not to_gazebo and gazebo == robot["states"]:
-                states = node.create_publisher(kind, ros, 10)
-            elif kind is Odometry and not to_gazebo and gazebo == robot["odometry"]:
-                odometry = node.create_publisher(kind, ros, 10)
+            elif kind and direction == "GZ_TO_ROS" and publishes.get(gazebo) is kind:
+                publisher = node.create_publisher(kind, ros, 10)
+                if kind is JointState:
+                    states = publisher
+                else:
+                    odometry = publisher
             else:
-                raise EngineError(f"no system has the topic {gazebo} with {entry['gz_type_name']}")
+                raise EngineError(f"no system has the topic {gazebo} with {direction}, {pair}")
         if commands or states is None or odometry is None:
             raise EngineError(f"the bridge leaves out {', '.join(sorted(commands)) or 'states'}")
         self.bridges.append((states, odometry))
@@ -154,26 +177,32 @@ class Engine:
         self.resets = fault.get("reset", self.resets)
         self.factor = fault.get("factor", self.factor)
 
-    def publish(self, answer: dict[str, Any]) -> None:
-        stamp = Time(sec=answer["time"] // 10**9, nanosec=answer["time"] % 10**9)
-        for (states, odometry), robot in zip(self.bridges, answer["robots"], strict=True):
-            message = JointState(
-                name=robot["names"], position=robot["positions"], velocity=robot["velocities"]
-            )
-            message.header.stamp = stamp
-            if not self.muted:
-                states.publish(message)
-            place, twist = robot["motion"]
-            truth = Odometry()
-            truth.header.stamp = stamp
-            truth.pose.pose.position.x, truth.pose.pose.position.y = place[:2]
-            truth.pose.pose.orientation.z = math.sin(0.5 * place[2])
-            truth.pose.pose.orientation.w = math.cos(0.5 * place[2])
-            truth.twist.twist.linear.x, truth.twist.twist.linear.y = twist[:2]
-            truth.twist.twist.angular.z = twist[2]
-            odometry.publish(truth)
-        self.sent = time.perf_counter()
-        self.fresh.clear()
+    def publish_states(self, index: int) -> None:
+        robot = self.answer["robots"][index]
+        message = JointState(
+            name=robot["names"], position=robot["positions"], velocity=robot["velocities"]
+        )
+        # The bridge copies the force of each joint, which no system of the world fills in.
+        message.effort = [0.0] * len(message.name)
+        message.header.stamp = self.stamp
+        if not self.muted:
+            self.bridges[index][0].publish(message)
+
+    def publish_odometry(self, index: int) -> None:
+        place, twist = self.answer["robots"][index]["motion"]
+        truth = Odometry()
+        truth.header.stamp = self.stamp
+        frames = (name.replace("::", "/") for name in self.world.robots[index]["frames"])
+        truth.header.frame_id, truth.child_frame_id = frames
+        truth.pose.pose.position.x, truth.pose.pose.position.y = place[:2]
+        truth.pose.pose.orientation.z = math.sin(0.5 * place[2])
+        truth.pose.pose.orientation.w = math.cos(0.5 * place[2])
+        truth.twist.twist.linear.x, truth.twist.twist.linear.y = twist[:2]
+        truth.twist.twist.angular.z = twist[2]
+        self.bridges[index][1].publish(truth)
+
+    def publish_clock(self) -> None:
+        self._clock.publish(Clock(clock=self.stamp))
 
     # -- the loop ------------------------------------------------------------------------------
 
@@ -181,30 +210,76 @@ class Engine:
     def expected(self) -> int:
         return sum(len(robot["commands"]) for robot in self.world.robots)
 
+    @property
+    def now_ns(self) -> int:
+        return int(self.answer["time"])
+
+    @property
+    def now(self) -> float:
+        return self.now_ns * 1e-9
+
+    @property
+    def stamp(self) -> Time:
+        return Time(sec=self.now_ns // 10**9, nanosec=self.now_ns % 10**9)
+
+    def _begin(self) -> None:
+        """Gives the times (ns) of the first messages.
+
+        A publisher sends in the first step that is a period after its last message, or after 0.
+        """
+        robots = self.world.robots
+        self.clock_due = CLOCK_PERIOD
+        self.states_due = [period_of(robot["rate"]) for robot in robots]
+        self.odometry_due = [period_of(robot["odometry_rate"]) for robot in robots]
+
     def run(self) -> None:
         """Simulates until a signal comes."""
-        rate = self.world.robots[0]["rate"]
-        clocks_per_cycle = round(CLOCKS_PER_SECOND / rate)
         due = time.perf_counter()
         while not self.ended:
             if self.paused:
-                self.executor.spin_once(timeout_sec=0.05)
+                self._stand()
                 due = time.perf_counter()
                 continue
-            for k in range(clocks_per_cycle):
-                answer = self.world.ask(
-                    {"commands": self.commands, "seconds": PERIOD, "reset": self.resets}
-                )
-                self.resets, self.commands = False, {}
-                self.now = answer["time"] * 1e-9
-                stamp = Time(sec=answer["time"] // 10**9, nanosec=answer["time"] % 10**9)
-                self._clock.publish(Clock(clock=stamp))
-                if k == clocks_per_cycle - 1:
-                    self.publish(answer)
-                due += PERIOD / self.factor if self.factor else 0.0
-                self._wait(due)
-            self._wait_for_commands()
+            if self.resets:
+                self._begin()
+            before = 0 if self.resets else self.now_ns
+            until = min(self.clock_due, *self.states_due, *self.odometry_due)
+            request = {"commands": self.commands, "until": until, "reset": self.resets}
+            self.resets, self.commands = False, {}
+            self.answer = self.world.ask(request)
+            is_cycle = self._publish_due()
+            due += (self.now_ns - before) * 1e-9 / self.factor if self.factor else 0.0
+            self._wait(due)
+            if is_cycle:
+                self._wait_for_commands()
             due = max(due, time.perf_counter() - 0.5)
+
+    def _publish_due(self) -> bool:
+        """Publishes what is due; returns whether joint states were."""
+        if self.now_ns >= self.clock_due:
+            self.clock_due = self.now_ns + CLOCK_PERIOD
+            self.publish_clock()
+        is_cycle = False
+        for index, robot in enumerate(self.world.robots):
+            if self.now_ns >= self.states_due[index]:
+                self.states_due[index] = self.now_ns + period_of(robot["rate"])
+                self.publish_states(index)
+                is_cycle = True
+            if self.now_ns >= self.odometry_due[index]:
+                self.odometry_due[index] = self.now_ns + period_of(robot["odometry_rate"])
+                self.publish_odometry(index)
+        if is_cycle:
+            self.sent = time.perf_counter()
+            self.fresh.clear()
+        return is_cycle
+
+    def _stand(self) -> None:
+        self.publish_clock()
+        for index, robot in enumerate(self.world.robots):
+            last = self.states_due[index] - period_of(robot["rate"])
+            if self.now_ns == last and self.now_ns:
+                self.publish_states(index)
+        self.executor.spin_once(timeout_sec=0.001)
 
     def _wait(self, due: float) -> None:
         while True:

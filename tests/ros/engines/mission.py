@@ -125,6 +125,7 @@ def main() -> None:
         while not (answer := call(node, robot.enable, SetBool.Request(data=True))).success:
             assert time.monotonic() < end, answer.message
             call(node, robot.reset, Trigger.Request())  # the engine may have run away before
+        wait(node, "the odometry", robot.pair)
         robot.start, robot.path = robot.pair(), 0.0
     continues = node.create_publisher(Float64, "/engine/continue", 1)
     begin = robots[0].time
