@@ -112,7 +112,11 @@ class TopicBase(BaseHandle):
         """Returns why joint states with this stamp (ns) are not usable, or an empty text."""
         lag = self._ros_time() - stamp * 1e-9
         if stamp == 0:
-            return f"the joint states on {self._topic} have no stamp"
+            # A Gazebo that is paused from its start sends them with the time 0.
+            return (
+                f"the joint states on {self._topic} have no stamp; if a simulation sends them,"
+                " start it: its time is 0"
+            )
         if self._states is not None and jump == 0.0:
             return f"the joint states on {self._topic} have the same stamp again and again"
         if abs(lag) > LARGEST_LAG:
