@@ -69,6 +69,19 @@ function sliders(robot, moveJoint) {
   return robot.design.joints.filter((j) => j.type !== "fixed" && !j.mimic).map((joint) => slider(robot, joint, moveJoint));
 }
 
+// Joints stand where their servos start, until the user moves them.
+function setStart(viewer) {
+  for (const robot of [...viewer.robots, ...viewer.ghosts]) {
+    for (const joint of robot.design.joints) if (joint.start) robot.positions[joint.name] ??= joint.start;
+    robot.move();
+  }
+}
+
+function setZero(robot) {
+  for (const joint of robot.design.joints) robot.positions[joint.name] = 0;
+  robot.move();
+}
+
 function selectionLines(robot, name, part) {
   const lines = [element("b", name || "base")], { design } = robot;
   const addLine = (text) => lines.push(element("div", text));

@@ -14,16 +14,9 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
+from thorvaldc import tool_folders
 from thorvaldc.cli.exits import OutsideError, protect
-from thorvaldc.tool_folders import (
-    BUS,
-    SIMULATION,
-    TOPICS,
-    CommandEntry,
-    load_target,
-    plugin_entries,
-    tool_commands,
-)
+from thorvaldc.tool_folders import CommandEntry
 
 P = ParamSpec("P")
 CORE: tuple[CommandEntry, ...] = (
@@ -31,16 +24,27 @@ CORE: tuple[CommandEntry, ...] = (
     CommandEntry("check", "check:check", "Report every error in robot and fleet files."),
     CommandEntry("build", "build:build", "Compile robots and write the target files."),
     CommandEntry(
-        "sim", "sim:sim", "Drive a robot in simulation, without a display.", topic=SIMULATION
+        "sim",
+        "sim:sim",
+        "Drive a robot in simulation, without a display.",
+        topic=tool_folders.SIMULATION,
     ),
     CommandEntry(
-        "scenario", "sim:scenario", "Run a scenario and check its expectations.", topic=SIMULATION
+        "scenario",
+        "sim:scenario",
+        "Run a scenario and check its expectations.",
+        topic=tool_folders.SIMULATION,
     ),
     CommandEntry(
-        "run", "run:run", "Run the base driver on a real or simulated CAN bus.", topic=BUS
+        "run",
+        "run:run",
+        "Run the base driver on a real or simulated CAN bus.",
+        topic=tool_folders.BUS,
     ),
-    CommandEntry("bus", "bus:bus", "Simulate a robot's CAN bus for other programs.", topic=BUS),
-    CommandEntry("can", "", "Set up, check and monitor a robot's CAN bus.", topic=BUS),
+    CommandEntry(
+        "bus", "bus:bus", "Simulate a robot's CAN bus for other programs.", topic=tool_folders.BUS
+    ),
+    CommandEntry("can", "", "Set up, check and monitor a robot's CAN bus.", topic=tool_folders.BUS),
     CommandEntry(
         "can scan", "can:scan", "Find the nodes on a bus and compare them with the robot."
     ),
@@ -152,12 +156,12 @@ class CommandGroup(TyperGroup):
     def _sections(self) -> Iterator[tuple[str, list[CommandEntry]]]:
         """Yields the visible rows of this group, and the title of each part of them."""
         own = [e for e in CORE if e.group == self.group]
-        of_tools = tool_commands(self.group)
+        of_tools = tool_folders.tool_commands(self.group)
         sections = [("Commands", [*own, *of_tools])]
         if not self.group:
             sections = [
                 (topic, [entry for entry in (*own, *of_tools) if entry.topic == topic])
-                for topic in TOPICS
+                for topic in tool_folders.TOPICS
             ]
             sections.append(("Plug-ins", plugin_commands()))
         for title, entries in sections:
@@ -171,7 +175,7 @@ def find_command(name: str) -> CommandEntry | None:
     for entry in CORE:
         if entry.name == name:
             return entry
-    for entry in tool_commands(name.rpartition(" ")[0]):
+    for entry in tool_folders.tool_commands(name.rpartition(" ")[0]):
         if entry.name == name:
             return entry
     return next((entry for entry in plugin_commands() if entry.name == name), None)
@@ -190,14 +194,14 @@ def plugin_commands() -> list[CommandEntry]:
     """
     return [
         CommandEntry(entry.name, entry.value, f"Of the package {entry.dist.name}.", package="")
-        for entry in plugin_entries(PLUGINS)
+        for entry in tool_folders.plugin_entries(PLUGINS)
         if entry.dist is not None
     ]
 
 
 def all_commands() -> list[CommandEntry]:
     """Returns the rows of all commands of this package, without those of other packages."""
-    return [*CORE, *tool_commands()]
+    return [*CORE, *tool_folders.tool_commands()]
 
 
 def load_command(entry: CommandEntry) -> Any:
@@ -206,7 +210,7 @@ def load_command(entry: CommandEntry) -> Any:
     app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
     help_text = entry.help if entry.package else None
     declare = app.command(entry.word, cls=PlainCommand, help=help_text, hidden=entry.hidden)
-    declare(guarded(load_target(entry), entry.name))
+    declare(guarded(tool_folders.load_target(entry), entry.name))
     return get_command(app)
 
 

@@ -12,13 +12,13 @@ from dataclasses import replace
 from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report, millimetres, plain
-from thorvaldc.model import Joint, Link, Robot, Vec3, Wheel
+from thorvaldc.model import Joint, Robot, Wheel
 from thorvaldc.model.spatial import GRAVITY, float_sum
 from thorvaldc.model.statics import mobility
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.slope import SlopeStatics, holds_without_torque, standing_slopes
 from thorvaldc.model.statics.standing import Standing, standing_of
-from thorvaldc.model.statics.tip_over import Point, overlap, support_of
+from thorvaldc.model.statics.tip_over import Point, overlap, placed_masses, pulls_out, support_of
 from thorvaldc.model.stopping import driven_wheels
 
 # Largest gap (m) between a wheel and the ground that suspensions and tyres compensate.
@@ -53,38 +53,25 @@ def check_robot(robot: Robot, design: DesignRequirements, report: Report) -> Non
 def check_size(robot: Robot, report: Report) -> None:
     """Warns if the whole robot is unusually large or small.
 
-    The size is the largest extent of the centres of mass and the wheels along an axis of
-    ``base_link``.  Most often one length lacks its unit.
+    The size is the largest extent of masses and wheels along an axis of ``base_link``.
     """
-    points = [(com, link.span, link.module) for link, com in _placed_masses(robot)]
+    points = [(com, link.span, link.module) for link, com in placed_masses(robot)]
     for wheel in robot.wheels:
         for side in (-1, 1):
-            point = (wheel.x + side * wheel.radius, wheel.y, wheel.radius)
-            points.append((point, wheel.span, wheel.module))
+            x = wheel.x + side * wheel.radius
+            points.append(((x, wheel.y, wheel.radius), wheel.span, wheel.module))
     axes = list(zip(*(point for point, *_ in points), strict=True))
     size = max((max(values) - min(values) for values in axes), default=0.0)
     if any(d.code.name == "number-without-unit" for d in report):
-        return  # the cause has been reported
+        return  # the cause is known
     if size > LARGEST_SIZE or 0.0 < size < SMALLEST_SIZE:
-        hint = "look at the lengths in the file; a number without a unit is in m"
-        span = robot.span
+        span, hint = robot.span, "look at the lengths in the file; a number without a unit is in m"
         if size > LARGEST_SIZE:
             middle = [sorted(values)[len(values) // 2] for values in axes]
             _, span, module = max(points, key=lambda entry: math.dist(entry[0], middle))
             hint = f"`{module}` is the farthest away; {hint}"
-        report.add(
-            "robot-size", f"the robot is {plain(size, 4)} m long, wide or high", span, hint=hint
-        )
-
-
-def _placed_masses(robot: Robot) -> list[tuple[Link, Vec3]]:
-    """Returns each link that has a mass, with its centre of mass in ``base_link``."""
-    pose = tree_of(robot).pose
-    return [
-        (link, pose[link.name].apply(link.inertial.com))
-        for link in robot.links
-        if link.inertial is not None and link.name in pose
-    ]
+        text = f"the robot is {plain(size, 4)} m long, wide or high"
+        report.add("robot-size", text, span, hint=hint)
 
 
 def check_masses(robot: Robot, report: Report) -> None:
@@ -256,23 +243,13 @@ def check_stability(robot: Robot, design: DesignRequirements, report: Report) ->
         return
     margin = support.margin
     if not support.stands:
-        # The moment of each mass about the middle of the wheels, towards the centre of mass.
-        contacts = [wheel.contact_point for wheel in robot.wheels]
-        middle = [float_sum(values) / len(contacts) for values in zip(*contacts, strict=True)]
-        out = (x - middle[0], y - middle[1])
-
-        def moment(placed: tuple[Link, Vec3]) -> float:
-            link, com = placed
-            along = (com[0] - middle[0]) * out[0] + (com[1] - middle[1]) * out[1]
-            return along * link.inertial.mass if link.inertial is not None else 0.0
-
-        outermost, _ = max(_placed_masses(robot), key=moment)
+        out = pulls_out(robot)
         report.add(
             "unstable",
             f"the centre of mass (x {x:.3f} m, y {y:.3f} m) is {millimetres(-margin)} outside "
             "the area between the wheels: the robot falls over",
-            outermost.span,
-            hint=f"`{outermost.module}` pulls it out most: move it, or a wheel",
+            out.span,
+            hint=f"`{out.module}` pulls it out most: move it, or a wheel",
         )
         return
     if any(d.code.name == "robot-size" for d in report):

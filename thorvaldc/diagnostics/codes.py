@@ -480,15 +480,15 @@ def _folder() -> Path:
 
 def all_codes_text() -> str:
     """Returns a line for each code, under the subjects; those of other packages come last."""
-    known = list(all_codes())
-    width = max(len(code.name) for code in known)
-    lines: list[str] = []
+    from thorvaldc.diagnostics.text_layout import text_table
+
+    parts = []
     for digit, subject in {**SUBJECTS, "": "Of other packages"}.items():
         rows = [
-            f"  {code.number}  {code.name:{width}}  {code.summary}"
-            for code in known
+            (f"  {code.number}", code.name, code.summary)
+            for code in all_codes()
             if (code.number[2:3] if code.number.startswith("TV") else "") == digit
         ]
         if rows:
-            lines += ["", f"{subject}:", *rows]
-    return "\n".join(lines[1:]) + "\n"
+            parts.append(f"{subject}:\n{text_table(rows)}")
+    return "\n\n".join(parts) + "\n"

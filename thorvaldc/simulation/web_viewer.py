@@ -12,7 +12,7 @@ import functools
 import json
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -155,6 +155,7 @@ def robot_data(robot: Robot, shapes: Shapes, ports: Sequence[MountingPort]) -> d
     driven = sum(1 for wheel in robot.wheels if wheel.driven)
     steered = sum(1 for wheel in robot.wheels if wheel.steered)
     tree = tree_of(robot)
+    starts = {servo.joint: servo.initial for servo in robot.joint_servos}
     links = tree.links_below(robot.links[0].name)  # parents first: the page computes poses so
     return {
         "facts": f"{robot.inertial.mass:.1f} kg, {len(robot.wheels)} wheels"
@@ -175,7 +176,7 @@ def robot_data(robot: Robot, shapes: Shapes, ports: Sequence[MountingPort]) -> d
             }
             for link in robot.links
         ],
-        "joints": [_joint(tree.parent_joint[link]) for link in links[1:]],
+        "joints": [_joint(tree.parent_joint[link], starts) for link in links[1:]],
         "frames": [
             *({"name": s.name, "kind": "sensor", "link": s.link} for s in robot.sensors),
             *({"name": link.name, "kind": "link", "link": link.name} for link in robot.links),
@@ -205,7 +206,7 @@ def robot_data(robot: Robot, shapes: Shapes, ports: Sequence[MountingPort]) -> d
     }
 
 
-def _joint(joint: Joint) -> dict[str, Any]:
+def _joint(joint: Joint, starts: Mapping[str, float]) -> dict[str, Any]:
     lower, upper = joint.lower, joint.upper
     if joint.type == "continuous" or lower is None or upper is None:
         lower, upper = -math.pi, math.pi
@@ -219,6 +220,8 @@ def _joint(joint: Joint) -> dict[str, Any]:
         "lower": lower,
         "upper": upper,
     }
+    if starts.get(joint.name):
+        value["start"] = starts[joint.name]
     if joint.mimic is not None:
         value["mimic"] = {
             "joint": joint.mimic.joint,

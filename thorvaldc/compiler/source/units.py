@@ -198,8 +198,7 @@ def _same_meaning(text: str, value: float, unit: Unit, kind: Quantity) -> Propos
 
     A period means a frequency, and a frequency a period; a share is the grade of a slope.
     """
-    given = describe(unit.dimension)
-    if {given, str(kind)} == {"a time", "a frequency"} and value > 0.0:
+    if {describe(unit.dimension), str(kind)} == {"a time", "a frequency"} and value > 0.0:
         same = f"{1.0 / value:.6g} {kind.unit}"
     elif "%" in text and str(kind) == "an angle" and value > 0.0:
         same = f"{math.degrees(math.atan(value)):.6g} deg"

@@ -24,9 +24,9 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from thorvaldc.model import Box, Cylinder, MeshShape, Robot, Shape, Sphere, Vec3
+from thorvaldc.model import Box, Cylinder, Link, MeshShape, Robot, Shape, Sphere, Vec3
 from thorvaldc.model.element import once_per_model
-from thorvaldc.model.spatial import clean
+from thorvaldc.model.spatial import clean, float_sum
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.stl import mesh_vertices
 
@@ -235,3 +235,29 @@ def _corners(shape: Shape, meshes: dict[str, bytes]) -> Iterator[Vec3]:
         case MeshShape(mesh, (sx, sy, sz)):
             for x, y, z in mesh_vertices(mesh, meshes[mesh]):
                 yield x * sx, y * sy, z * sz
+
+
+def placed_masses(robot: Robot) -> list[tuple[Link, Vec3]]:
+    """Return each link that has a mass, with its centre of mass in ``base_link`` in m, with all
+    joints at position 0."""
+    pose = tree_of(robot).pose
+    return [
+        (link, pose[link.name].apply(link.inertial.com))
+        for link in robot.links
+        if link.inertial is not None and link.name in pose
+    ]
+
+
+def pulls_out(robot: Robot) -> Link:
+    """Return the link that draws the centre of mass of the robot most away from the middle of the
+    wheels: that of the largest moment in this direction."""
+    contacts = [wheel.contact_point for wheel in robot.wheels]
+    x, y = (float_sum(values) / len(contacts) for values in zip(*contacts, strict=True))
+    out = (robot.inertial.com[0] - x, robot.inertial.com[1] - y)
+
+    def moment(placed: tuple[Link, Vec3]) -> float:
+        link, com = placed
+        mass = link.inertial.mass if link.inertial is not None else 0.0
+        return mass * ((com[0] - x) * out[0] + (com[1] - y) * out[1])
+
+    return max(placed_masses(robot), key=moment)[0]
