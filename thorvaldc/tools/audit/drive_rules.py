@@ -10,15 +10,8 @@ from functools import partial
 from thorvaldc.diagnostics import Label, Report, plain
 from thorvaldc.model import Pose, Vec3
 from thorvaldc.model.spatial import dot, norm, sub
-from thorvaldc.tools.audit.audit_facts import (
-    BodyJoint,
-    Description,
-    Evidence,
-    Fact,
-    SolidShape,
-    closest,
-    path_words,
-)
+from thorvaldc.tools.audit import audit_facts
+from thorvaldc.tools.audit.audit_facts import BodyJoint, Description, Evidence, Fact, SolidShape
 from thorvaldc.tools.audit.parameter_files import stamped_arguments
 
 # An effective radius or separation under load may differ a little on purpose.
@@ -232,9 +225,9 @@ def _pairs(evidence: Evidence) -> Iterator[tuple[Description, Description]]:
         names_b = {n for n, j in b.joints.items() if j.kind not in ("fixed", "free")}
         common = names_a & names_b
         if len(common) >= 2 and 2 * len(common) >= min(len(names_a), len(names_b)):
-            words = path_words(a.file) & path_words(b.file)
+            words = audit_facts.path_words(a.file) & audit_facts.path_words(b.file)
             best = max(
-                len(path_words(a.file) & path_words(other.file))
+                len(audit_facts.path_words(a.file) & audit_facts.path_words(other.file))
                 for other in evidence.descriptions
                 if other.format == b.format
             )
@@ -310,7 +303,7 @@ def check_stamps(evidence: Evidence, report: Report) -> None:
     stamped = sum(1 for fact in facts if fact.value)
     rare = 2 * stamped <= len(facts)  # the type of fewer nodes is reported
     for fact in (fact for fact in facts if bool(fact.value) is rare):
-        nearby = closest([f for f in facts if _name(f) != _name(fact)], fact.span.file)
+        nearby = audit_facts.closest([f for f in facts if _name(f) != _name(fact)], fact.span.file)
         others = [other for other in nearby if other.value is not fact.value]
         if others:
             types = ("TwistStamped", "Twist") if rare else ("Twist", "TwistStamped")
@@ -335,7 +328,7 @@ def check_speeds(evidence: Evidence, report: Report) -> None:
         limits = evidence.stated(f"{kind} limit")
         for plan in evidence.stated(f"{kind} plan"):
             others = [f for f in limits if _name(f) != _name(plan)]
-            nearby = closest(others, plan.span.file)
+            nearby = audit_facts.closest(others, plan.span.file)
             if not nearby:
                 continue
             limit = max(nearby, key=lambda fact: float(fact.value))
