@@ -53,7 +53,8 @@ function slider(robot, joint, moveJoint) {
     const position = robot.positions[joint.name] || 0;
     const q = joint.type === "continuous" ? Math.atan2(Math.sin(position), Math.cos(position)) : position;
     input.value = q;
-    value.textContent = joint.type === "prismatic" ? `${(1000 * q).toFixed(1)} mm` : `${((180 / Math.PI) * q).toFixed(1)}°`;
+    const shown = joint.type === "prismatic" ? 1000 * q : (180 / Math.PI) * q;
+    value.textContent = `${shown.toFixed(1).replace(/^-(0\.0)$/, "$1")}${joint.type === "prismatic" ? " mm" : "°"}`;
   };
   input.addEventListener("input", () => {
     moveJoint(joint.name, Number(input.value));

@@ -26,7 +26,7 @@ INPUT_SUFFIXES = frozenset(
     (".yaml", ".yml", ".csv", ".xacro", ".urdf", ".stl", ".obj", ".dae", ".lock")
 )
 """Suffixes of the files that a compilation can read."""
-DIAGNOSTIC_WIDTH = 76
+DIAGNOSTIC_WIDTH = 46
 MAX_DIAGNOSTICS = 50
 
 Signature = dict[str, tuple[int, int]]
