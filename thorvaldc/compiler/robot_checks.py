@@ -7,18 +7,19 @@ ground hold the bodies of a robot.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 
 from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report, millimetres, plain
-from thorvaldc.model import Joint, Robot, Wheel
+from thorvaldc.model import Joint, Robot, Vec3, Wheel
 from thorvaldc.model.spatial import GRAVITY, float_sum
 from thorvaldc.model.statics import mobility
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.slope import SlopeStatics, holds_without_torque, standing_slopes
 from thorvaldc.model.statics.standing import Standing, standing_of
-from thorvaldc.model.statics.tip_over import Point, overlap, placed_masses, pulls_out, support_of
+from thorvaldc.model.statics.tip_over import Point, outer_points, overlap, pulls_out, support_of
 from thorvaldc.model.stopping import driven_wheels
 
 # Largest gap (m) between a wheel and the ground that suspensions and tyres compensate.
@@ -55,23 +56,22 @@ def check_size(robot: Robot, report: Report) -> None:
 
     The size is the largest extent of masses and wheels along an axis of ``base_link``.
     """
-    points = [(com, link.span, link.module) for link, com in placed_masses(robot)]
-    for wheel in robot.wheels:
-        for side in (-1, 1):
-            x = wheel.x + side * wheel.radius
-            points.append(((x, wheel.y, wheel.radius), wheel.span, wheel.module))
-    axes = list(zip(*(point for point, *_ in points), strict=True))
-    size = max((max(values) - min(values) for values in axes), default=0.0)
-    if any(d.code.name == "number-without-unit" for d in report):
-        return  # the cause is known
-    if size > LARGEST_SIZE or 0.0 < size < SMALLEST_SIZE:
+    points = outer_points(robot)
+    size = _extent(point for point, *_ in points)
+    is_known = any(d.code.name == "number-without-unit" for d in report)
+    if not is_known and (size > LARGEST_SIZE or 0.0 < size < SMALLEST_SIZE):
         span, hint = robot.span, "look at the lengths in the file; a number without a unit is in m"
-        if size > LARGEST_SIZE:
-            middle = [sorted(values)[len(values) // 2] for values in axes]
-            _, span, module = max(points, key=lambda entry: math.dist(entry[0], middle))
-            hint = f"`{module}` is the farthest away; {hint}"
+        for part, place in {module.split(".")[0]: place for _, place, module in points}.items():
+            others = (point for point, _, module in points if module.split(".")[0] != part)
+            if size > LARGEST_SIZE >= _extent(others):
+                span, hint = place, f"`{part}` is far away from the others; {hint}"
         text = f"the robot is {plain(size, 4)} m long, wide or high"
         report.add("robot-size", text, span, hint=hint)
+
+
+def _extent(points: Iterable[Vec3]) -> float:
+    """Returns the largest extent of points along an axis."""
+    return max((max(v) - min(v) for v in zip(*points, strict=True)), default=0.0)
 
 
 def check_masses(robot: Robot, report: Report) -> None:

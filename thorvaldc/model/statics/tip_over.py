@@ -24,6 +24,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+from thorvaldc.diagnostics import Span
 from thorvaldc.model import Box, Cylinder, Link, MeshShape, Robot, Shape, Sphere, Vec3
 from thorvaldc.model.element import once_per_model
 from thorvaldc.model.spatial import clean, float_sum
@@ -246,6 +247,17 @@ def placed_masses(robot: Robot) -> list[tuple[Link, Vec3]]:
         for link in robot.links
         if link.inertial is not None and link.name in pose
     ]
+
+
+def outer_points(robot: Robot) -> list[tuple[Vec3, Span, str]]:
+    """Return the centres of mass of all links and the front and rear of all wheels, in
+    ``base_link`` in m, each with the source span and the name of its module."""
+    points = [(com, link.span, link.module) for link, com in placed_masses(robot)]
+    for wheel in robot.wheels:
+        for side in (-1, 1):
+            x = wheel.x + side * wheel.radius
+            points.append(((x, wheel.y, wheel.radius), wheel.span, wheel.module))
+    return points
 
 
 def pulls_out(robot: Robot) -> Link:
