@@ -14,6 +14,8 @@
   const config = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d"] };
   let chosen = data.chosen;
   let brushed = null; // numbers of the designs in the selected ranges, or null for all
+  const PAPER = { width: 680, height: 384 }; // px, fits A4 and Letter
+  let size = {}; // of the plots, where it is not that of the page
 
   // plotly.js reads a subset of HTML in texts.
   const plain = (text) => String(text).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
@@ -26,8 +28,7 @@
     if (typeof value === "string") return value;
     const size = Math.abs(value);
     const digits = size < 1e4 || size >= 1e7 ? String(Number(value.toPrecision(4))) : value.toFixed(0);
-    const text = `${digits}${unit ? ` ${unit}` : ""}`;
-    return unit === "rad" ? `${text} (${((value * 180) / Math.PI).toFixed(1)}°)` : text;
+    return `${digits}${unit ? ` ${unit}` : ""}`;
   }
 
   // -- the plot of two columns ---------------------------------------------------------------
@@ -78,7 +79,7 @@
       marker: { symbol: "circle-open", size: 20, color: color("ink"), line: { width: 2.5 } },
     });
     Plotly.react("plot", traces, {
-      margin: { l: 60, r: 12, t: 10, b: 50 }, hovermode: "closest", dragmode: "pan",
+      ...size, margin: { l: 60, r: 12, t: 10, b: 50 }, hovermode: "closest", dragmode: "pan",
       paper_bgcolor: "transparent", plot_bgcolor: "transparent",
       font: { family: getComputedStyle(document.body).fontFamily, color: color("ink"), size: 13 },
       xaxis: axis(x), yaxis: axis(y), legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 },
@@ -146,7 +147,7 @@
 
   function dimension(column) {
     const words = isText(column) ? [...new Set(column.values)] : null;
-    return { name: column.name, label: plain(title(column)), values: numbers(column, lines),
+    return { name: column.name, label: plain(title(column)), tickformat: ".5~r", values: numbers(column, lines),
       ...(words && { tickvals: words.map((_, k) => k), ticktext: words.map(shortened) }) };
   }
 
@@ -156,9 +157,10 @@
       element("parallel").style.height = "auto";
       return;
     }
+    const isFirst = !element("parallel").data;
     if (lines.length < complete.length)
       element("thinned").textContent = `The lines are the front and ${lines.length - complete.length + others.length} of the other ${others.length} designs.`;
-    element("parallel").style.minWidth = `${Math.max(data.columns.length * 105, 300)}px`;
+    element("parallel").style.minWidth = size.width ? "" : `${Math.max(data.columns.length * 105, 300)}px`;
     Plotly.react("parallel", [{
       type: "parcoords", dimensions: data.columns.map(dimension), labelangle: 0,
       line: { color: lines.map((i) => Number(data.front[i])), cmin: 0, cmax: 1, showscale: false,
@@ -167,9 +169,10 @@
       labelfont: { size: 12, color: color("ink") }, tickfont: { size: 11, color: color("ink") },
       rangefont: { size: 11, color: color("soft") },
     }], {
-      margin: { l: isText(data.columns[0]) ? 130 : 60, r: 60, t: 50, b: 30 }, paper_bgcolor: "transparent", plot_bgcolor: "transparent",
+      ...size, margin: { l: isText(data.columns[0]) ? 130 : 60, r: 60, t: 50, b: 30 }, paper_bgcolor: "transparent", plot_bgcolor: "transparent",
       font: { family: getComputedStyle(document.body).fontFamily, color: color("ink") },
     }, { ...config, displayModeBar: false });
+    if (isFirst) element("parallel").on("plotly_restyle", readRanges);
   }
 
   function readRanges() {
@@ -209,12 +212,18 @@
     if (!entries.some((entry) => entry.isIntersecting)) return;
     view.disconnect();
     drawParallel();
-    if (element("parallel").on) element("parallel").on("plotly_restyle", readRanges);
   }, { rootMargin: "200px" });
   view.observe(element("parallel"));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
     drawPlot();
     if (element("parallel").data) drawParallel();
   });
+  for (const [event, paper] of [["beforeprint", PAPER], ["afterprint", {}]])
+    window.addEventListener(event, () => {
+      size = paper;
+      document.documentElement.classList.toggle("paper", Boolean(size.width)); // light colours
+      drawPlot();
+      drawParallel();
+    });
   document.documentElement.dataset.ready = "yes";
 }

@@ -86,18 +86,19 @@ def body(page: str) -> str:
 def test_the_report_has_the_question_the_designs_and_the_differences(run: Command) -> None:
     page = report(run, STUDY)
     text = body(page)
-    for words in ("0.8\xa0m to 1.2\xa0m", "at least 0.8727 rad (50.0°)", "minimise", "5 designs"):
+    for words in ("0.8\xa0m to 1.2\xa0m", "at least 50 deg", "minimise", "5 designs"):
         assert words in text
     found = data(page)
     assert found["axes"] == ["light", "stable"]
-    assert [column["unit"] for column in found["columns"]] == ["m", "", "rad", "kg", "rad"]
-    assert [column["values"][0] for column in found["columns"]][:2] == [0.8, NASTY]
+    assert [column["unit"] for column in found["columns"]] == ["mm", "", "deg", "kg", "deg"]
+    assert [column["values"][0] for column in found["columns"]][:2] == [800.0, NASTY]
     # A wider robot is heavier and more stable, so that the front has all designs that pass.
     passed = [status == "ok" for status in found["statuses"]]
     assert 1 < sum(passed) < 5
     assert found["front"] == passed
     failed = found["samples"][passed.index(False)]
     message = found["messages"][found["messageOf"][passed.index(False)]]
+    assert re.fullmatch(r"tip_over is 4\d\.\d+ deg, less than 50 deg", message)
     assert f"design {failed}: {message}" in text
     robots = [int(number) for number in re.findall(r'id="robot-(\d+)"', page)]
     assert robots == [0, *(n for n, on_front in enumerate(found["front"], 1) if on_front)]
@@ -236,16 +237,23 @@ def test_a_click_shows_the_robot(page: Page) -> None:
     excluded, on_front = page.locator("#plot .scatterlayer .point").all()
     click(page, excluded)
     page.wait_for_function("document.querySelector('#title').textContent == 'Design 1: constraint'")
-    assert page.inner_text("#message").startswith("tip_over is 0.")
+    assert page.inner_text("#message").startswith("tip_over is 4")
     assert page.is_visible("#no-robot")
     click(page, on_front)
     page.wait_for_function("document.querySelector('#title').textContent == 'Design 2: front'")
     assert page.is_visible("#robot-2 >> text=width 0.9 m → 1.2 m")
     assert page.is_visible("#picture")
-    assert "1.2 m" in page.inner_text("#values")
+    assert "1200 mm" in page.inner_text("#values")
     assert page.locator("[aria-pressed=true]").get_attribute("data-design") == "2"
     page.select_option("#x", "track")
-    assert "track (m)" in page.inner_html("#plot .xtitle")
+    assert "track (mm)" in page.inner_html("#plot .xtitle")
+
+
+def test_a_printed_page_has_the_lines_that_were_not_in_view(page: Page) -> None:
+    assert not page.locator("#parallel canvas").count()
+    page.pdf()
+    assert page.locator("#parallel canvas").count()
+    assert page.evaluate("document.documentElement.className") == ""  # the colours are back
 
 
 def click(page: Page, point: Locator) -> None:

@@ -36,6 +36,7 @@ from thorvaldc.model.facts.robot_facts import fact_quantity, fact_sections, json
 from thorvaldc.simulation.worker_processes import ignored_interrupts, worker_pool
 from thorvaldc.tools.study.study_compilation import PathError, fact_values, with_replaced_values
 from thorvaldc.tools.study.study_definition import Design, Study
+from thorvaldc.tools.study.study_results import quantity_text
 
 _STATUS_OF_CODE = {
     "simulation-tipped": "tipped",
@@ -138,10 +139,12 @@ class DesignEvaluator:
                 return f"{constraint.name}: the design has no {constraint.fact}" + (
                     f": {reason}" if reason else ""
                 )
-            if constraint.at_least is not None and value < constraint.at_least:
-                return f"{constraint.name} is {value:.4g}, less than {constraint.at_least:.4g}"
-            if constraint.at_most is not None and value > constraint.at_most:
-                return f"{constraint.name} is {value:.4g}, more than {constraint.at_most:.4g}"
+            text = functools.partial(quantity_text, unit=fact_quantity(constraint.fact).unit)
+            least, most = constraint.at_least, constraint.at_most
+            if least is not None and value < least:
+                return f"{constraint.name} is {text(value)}, less than {text(least)}"
+            if most is not None and value > most:
+                return f"{constraint.name} is {text(value)}, more than {text(most)}"
         return ""
 
     def _drive(self, name: str, path: Path, robot: Compilation, row: dict[str, Any]) -> bool:

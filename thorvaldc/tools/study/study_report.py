@@ -9,7 +9,7 @@ import math
 import os
 import statistics
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from thorvaldc import __version__
@@ -47,8 +47,9 @@ class ReportContent:
     Attributes
     ----------
     planned : number of designs of the study, also those without a result.
-    columns : variables, constraints and objectives, in the order of the study file.
-    designs : rows of the table, by number of the design.
+    columns : variables, constraints and objectives, in the order of the study file, with the
+        units in which people read them.
+    designs : rows of the table in SI units, by number of the design.
     front : numbers of the designs that no other design surpasses in every objective.
     shown : numbers of the designs with a picture, the front first in the order of the first
         objective.
@@ -60,8 +61,13 @@ class ReportContent:
     def __init__(self, study: Study, table: StudyTable, planned: int = 0) -> None:
         self.study = study
         self.planned = planned
-        self.columns = study_results.columns_of(study)
         self.designs: Sequence[TableDesign] = table.designs()
+        self.columns: list[study_results.Column] = []
+        self._factors: dict[str, float] = {}
+        for column in study_results.columns_of(study):
+            values = (design[column.name] for design in self.designs)
+            unit, self._factors[column.name] = study_results.shown_unit(column.unit, values)
+            self.columns.append(replace(column, unit=unit))
         best = study_results.summary(table)["best"]
         self.front = [design["sample"] for design in best if design["front"]]
         shown = thinned([d for d in best if d["front"]], MOST_PICTURES)
@@ -78,6 +84,11 @@ class ReportContent:
             self._table.counts(),
             key=lambda row: (places.get(row.status, len(places)), -row.count, row.code),
         )
+
+    def value(self, design: TableDesign, column: study_results.Column) -> Any:
+        """Returns a value of a design in the unit of a column of this report."""
+        value = design[column.name]
+        return value * self._factors[column.name] if isinstance(value, float) else value
 
     def axes(self, influences: Mapping[str, float]) -> tuple[str, str]:
         """Returns the names of the columns on the axes of the plot at first.
@@ -285,7 +296,7 @@ def study_report(
         start=start,
         robots=designs,
         by_number={design["sample"]: design for design in content.designs},
-        value=lambda value, column: quantity_text(value, column.unit),
+        value=lambda design, column: study_results.cell_text(content.value(design, column)),
         picture_fault=picture_fault,
         sensitivity=sensitivity,
         data=_script_json(_data(content, sensitivity)),
@@ -308,7 +319,7 @@ def _data(content: ReportContent, sensitivity: Sensitivity | None) -> dict[str, 
         "messageOf": [places[design["message"]] for design in designs],
         "front": [design["sample"] in on_front for design in designs],
         "columns": [
-            {**asdict(column), "values": [_rounded(design[column.name]) for design in designs]}
+            {**asdict(column), "values": [_rounded(content.value(d, column)) for d in designs]}
             for column in content.columns
         ],
         "axes": [x, y],
@@ -336,15 +347,6 @@ def _hash(script: str) -> str:
     return f"sha256-{base64.b64encode(digest).decode('ascii')}"
 
 
-def quantity_text(value: Any, unit: str) -> str:
-    """Returns a value in an SI unit as text, angles also in degrees."""
-    text = study_results.cell_text(value)
-    if not isinstance(value, float) or not unit:
-        return text
-    degrees = f" ({math.degrees(value):.1f}°)" if unit == "rad" else ""
-    return f"{text} {unit}{degrees}"
-
-
 def _range_text(variable: Variable) -> str:
     no_break = "\N{NO-BREAK SPACE}"  # between a number and its unit
     values = [value_text(value) for value in variable.tested_values()]
@@ -354,9 +356,10 @@ def _range_text(variable: Variable) -> str:
 
 
 def _bound_text(constraint: definition.Constraint) -> str:
-    unit, bounds = fact_quantity(constraint.fact).unit, []
-    if constraint.at_least is not None:
-        bounds.append(f"at least {quantity_text(float(constraint.at_least), unit)}")
-    if constraint.at_most is not None:
-        bounds.append(f"at most {quantity_text(float(constraint.at_most), unit)}")
-    return ", ".join(bounds)
+    unit = fact_quantity(constraint.fact).unit
+    bounds = (("at least", constraint.at_least), ("at most", constraint.at_most))
+    return ", ".join(
+        f"{words} {study_results.quantity_text(float(bound), unit)}"
+        for words, bound in bounds
+        if bound is not None
+    )

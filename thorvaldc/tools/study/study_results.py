@@ -7,10 +7,11 @@ in ``study_report``.
 from __future__ import annotations
 
 import json
+import math
 import os
 import tempfile
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -496,6 +497,24 @@ def sensitivity_rows(shares: list[ObjectiveSensitivity]) -> list[tuple[str, ...]
 def _share(value: float, interval: Interval) -> str:
     low, high = interval
     return f"{value:.2f} ({low:.2f} to {high:.2f})"
+
+
+def shown_unit(unit: str, values: Iterable[Any]) -> tuple[str, float]:
+    """Returns the unit in which people read values of an SI unit, and its number per SI unit.
+
+    Angles are read in degrees.  Lengths are read in mm, or in m if one of them reaches 10 m.
+    """
+    if unit == "rad":
+        return "deg", math.degrees(1.0)
+    if unit == "m" and all(abs(v) < 10.0 for v in values if isinstance(v, float)):
+        return "mm", 1000.0
+    return unit, 1.0
+
+
+def quantity_text(value: float, unit: str) -> str:
+    """Returns a value of an SI unit in the unit in which people read it."""
+    shown, factor = shown_unit(unit, [value])
+    return f"{cell_text(value * factor)} {shown}".rstrip()
 
 
 def cell_text(value: Any) -> str:
