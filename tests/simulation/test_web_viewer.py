@@ -19,7 +19,7 @@ import pytest
 
 from tests.examples import example_fleet, example_robot
 from tests.outside_tools import path_of
-from thorvaldc.model import Fleet, Pose, Robot, Sphere
+from thorvaldc.model import Fleet, JointServo, Pose, Robot, Sphere
 from thorvaldc.model.statics.joint_tree import JointTree
 from thorvaldc.simulation.pictures.surfaces import is_closed, surface
 from thorvaldc.simulation.web_viewer import view_page
@@ -185,6 +185,9 @@ def test_a_robot_in_the_browser(browse: Callable[..., tuple[str, Path]]) -> None
     steering, travel = wheel.steering_joint, wheel.suspension_joint
     assert steering is not None
     assert travel is not None
+    started = robot.wheels[1].steering_joint or ""
+    servo = JointServo(started, "position", 0.5, robot.span)  # as of the joint of an arm
+    robot = replace(robot, joint_servos=(servo,))
     module = robot.link(wheel.link).module
     document, picture = browse(
         robot, f"part={module}&names&joint:{steering}=0.7&joint:{travel}=0.03"
@@ -201,7 +204,7 @@ def test_a_robot_in_the_browser(browse: Callable[..., tuple[str, Path]]) -> None
         JointTree(robot.links, robot.joints).pose[wheel.link].xyz, abs=0.02
     )
     shown = texts(document)
-    for word in [robot.name, module, steering, "40.1°", "30.0 mm", "190.6 kg"]:
+    for word in [robot.name, module, steering, "40.1°", "28.6°", "30.0 mm", "190.6 kg"]:
         assert word in shown
     for bus in robot.buses:
         for node in bus.nodes:

@@ -19,6 +19,8 @@ const ZOOMS = { "+": 0.9, "=": 0.9, "-": 1 / 0.9 };
 const FLAT = ["ground", "zone"]; // parts of the world that may be much larger than what stands on it
 const REST = 400; // ms
 const MAX_GRID = 60; // m, half the side
+const RANKS = ["free", "", "taken"]; // kinds of labels, the most important first
+const SHIFTS = [0, -1, 1, -2, 2]; // places of a label beside its own, in lines
 
 function place(object, [x, y, z, qw, qx, qy, qz]) {
   object.position.set(x, y, z);
@@ -401,28 +403,43 @@ export class Viewer {
 
   label(width, height) {
     const labels = [], seen = new Set();
-    const add = (text, object, point, kind = "", robot = "") => {
+    const add = (text, object, point, kind, robot) => {
       const at = point.applyMatrix4(object.matrixWorld).project(this.camera);
-      if (!text || seen.has(`${robot} ${text}`) || at.z > 1) return;
+      if (!text || seen.has(`${robot} ${text}`) || Math.max(Math.abs(at.x), Math.abs(at.y), at.z) > 1) return;
       seen.add(`${robot} ${text}`);
       const span = document.createElement("span");
       span.textContent = text;
       span.className = kind;
-      span.style.left = `${((1 + at.x) * width) / 2}px`;
-      span.style.top = `${((1 - at.y) * height) / 2}px`;
-      labels.push(span);
+      labels.push({ span, rank: RANKS.indexOf(kind), depth: at.z, x: ((1 + at.x) * width) / 2, y: ((1 - at.y) * height) / 2 });
     };
     this.world.updateWorldMatrix(true, true);
     for (const robot of this.robots) {
       if (this.names)
         for (const mesh of robot.meshes)
-          add(this.robots.length > 1 ? robot.name : mesh.userData.part, mesh, mesh.geometry.boundingBox.getCenter(new Vector3()));
+          add(this.robots.length > 1 ? robot.name : mesh.userData.part, mesh, mesh.geometry.boundingBox.getCenter(new Vector3()), "", robot.name);
       for (const axes of robot.frames) if (axes.visible && axes.userData.kind !== "link") add(axes.userData.name, axes, new Vector3(), axes.userData.note, robot.name);
     }
     if (this.names && this.surroundings)
       for (const mesh of this.surroundings.meshes)
-        if (["obstacle", "zone"].includes(mesh.userData.kind)) add(mesh.userData.name, mesh, new Vector3());
-    this.labels.replaceChildren(...labels);
+        if (["obstacle", "zone"].includes(mesh.userData.kind)) add(mesh.userData.name, mesh, new Vector3(), "", "");
+    this.labels.replaceChildren(...labels.map(({ span }) => span));
+    spread(labels, width);
+  }
+}
+
+// Places labels beside each other, the important and near ones first. A label without room is not shown.
+function spread(labels, width) {
+  for (const label of labels) [label.w, label.h] = [label.span.offsetWidth, label.span.offsetHeight];
+  const placed = [];
+  for (const label of labels.sort((a, b) => a.rank - b.rank || a.depth - b.depth)) {
+    const { span, w, h } = label, x = Math.max(Math.min(label.x, width - w / 2), w / 2);
+    const isFree = (y) => placed.every((other) => 2 * Math.abs(other.x - x) >= other.w + w || 2 * Math.abs(other.y - y) >= other.h + h);
+    const y = SHIFTS.map((lines) => label.y + lines * h).find(isFree);
+    span.hidden = y === undefined;
+    if (span.hidden) continue;
+    span.style.left = `${x}px`;
+    span.style.top = `${y}px`;
+    placed.push({ x, y, w, h });
   }
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import http.client
+import itertools
 import json
 import os
 import signal
@@ -151,7 +152,12 @@ def test_a_change_an_error_and_the_way_back(preview: Preview, page: Page) -> Non
     before = version(page)
     preview.save(BAD)
     page.wait_for_selector(".diagnostic.error", timeout=WAIT)
-    assert "foo: 3" in page.inner_text(".diagnostic pre")
+    excerpt = page.locator(".diagnostic pre")
+    line, caret = excerpt.inner_text().splitlines()[1:3]
+    assert line.index("foo") == caret.index("^^^")
+    assert excerpt.evaluate("pre => getComputedStyle(pre).whiteSpace") == "pre"  # one row per line
+    assert excerpt.evaluate("pre => pre.scrollWidth == pre.clientWidth")
+    assert "hint: known keys are `thorvaldc`" in page.inner_text(".diagnostic")
     wait_for_change(page, before)
     assert page.evaluate("viewer.isGrey && viewer.robots.length") == 1
     assert "1 error" in page.inner_text("#status")
@@ -182,9 +188,16 @@ def test_joints_move_and_keep_their_positions(preview: Preview, page: Page) -> N
         assert not page.evaluate(shown)
         page.click(f"#{switch}")
         assert page.evaluate(shown)
+    page.click("#names")
     labels = page.locator("#labels .free")
     wait_until(page, lambda: "frame.center" in labels.all_inner_texts())
     assert "frame.front_left" not in labels.all_inner_texts()
+    boxes = [span.bounding_box() for span in page.locator("#labels span:visible").all()]
+    assert len(boxes) > 10
+    for a, b in itertools.combinations([box for box in boxes if box], 2):
+        beside = abs(a["x"] + a["width"] / 2 - b["x"] - b["width"] / 2)
+        below = abs(a["y"] - b["y"])
+        assert beside > (a["width"] + b["width"]) / 2 - 0.1 or below > a["height"] - 0.1
     row = page.locator("#port-rows tr", has_text="frame.front_left")
     assert row.locator("td").all_text_contents() == ["frame.front_left", "frame_clamp", "fl"]
 
@@ -209,6 +222,7 @@ def test_the_robot_drives_while_a_key_is_held(page: Page) -> None:
     page.wait_for_timeout(500)
     start = position(page)
     assert abs(start) < 0.01  # it does not move unasked
+    assert "W ↑ forward" in page.inner_text("#drive-keys")
     page.keyboard.down("w")
     wait_until(page, lambda: position(page) > start + 0.2)
     page.keyboard.up("w")
@@ -216,6 +230,10 @@ def test_the_robot_drives_while_a_key_is_held(page: Page) -> None:
     stopped = position(page)
     page.wait_for_timeout(500)
     assert position(page) == pytest.approx(stopped, abs=0.01)
+    page.focus("#canvas")  # where arrows else turn the picture
+    page.keyboard.down("ArrowDown")
+    wait_until(page, lambda: position(page) < stopped - 0.1)
+    page.keyboard.up("ArrowDown")
     page.keyboard.press("Escape")
     page.wait_for_selector("#drive[aria-pressed=false]", timeout=WAIT)
 

@@ -6,7 +6,7 @@ import hashlib
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -137,7 +137,7 @@ def _diagnostics(report: Report, sources: dict[str, Path]) -> list[dict[str, str
     items = []
     for diagnostic in report.sorted()[:MAX_DIAGNOSTICS]:
         single = Report()
-        single.put(diagnostic)
+        single.put(replace(diagnostic, hint=None))
         text = render_text(single, sources, width=DIAGNOSTIC_WIDTH)
         span = diagnostic.span
         items.append(
@@ -146,7 +146,8 @@ def _diagnostics(report: Report, sources: dict[str, Path]) -> list[dict[str, str
                 "code": diagnostic.code.number,
                 "message": diagnostic.message,
                 "place": "" if span is None else f"{os.path.basename(span.file)}:{span.line}",
-                "text": text.partition("\n")[2].strip("\n"),  # the excerpt and the hint
+                "text": text.partition("\n")[2].strip("\n"),  # the excerpt
+                "hint": diagnostic.hint or "",
             }
         )
     return items
