@@ -145,6 +145,17 @@ def test_pages_are_accessible_and_ask_no_other_host(address: str, axe: str, brow
 
 
 @pytest.mark.slow
+def test_a_description_has_room_beside_a_command(address: str, browser: Any) -> None:
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.goto(f"{address}/commands.html")
+    for command, description in zip(*[iter(page.locator("table th").all()[:6])] * 2, strict=True):
+        assert description.bounding_box()["width"] > 0.6 * command.bounding_box()["width"]
+    option = page.locator("table .option", has_text="--no-browser").bounding_box()
+    assert option["height"] < 25  # px: it is in one line
+    page.close()
+
+
+@pytest.mark.slow
 def test_axe_finds_a_picture_without_a_text(axe: str, browser: Any) -> None:
     page = browser.new_page()
     page.set_content("<html lang='en'><title>x</title><main><h1>x</h1><img src='x.png'></main>")

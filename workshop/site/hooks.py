@@ -128,8 +128,17 @@ EQUATION = re.compile(
 )
 
 
+INLINE_CODE = re.compile(r"<code>[^<]*--[^<]*</code>")
+
+
 def on_page_content(content: str, page: Any, config: Any, files: Files) -> str:
-    """Replaces equations in TeX by MathML, which browsers show without a script."""
+    """Replaces equations in TeX by MathML, which browsers show without a script.
+
+    The names of options are not broken at their hyphens.
+    """
+    content = INLINE_CODE.sub(
+        lambda code: re.sub(r"\[?--[\w-]+", r'<span class="option">\g<0></span>', code[0]), content
+    )
 
     def in_mathml(match: re.Match[str]) -> str:
         display = "block" if match[1] == "div" else "inline"
