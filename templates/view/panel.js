@@ -50,7 +50,7 @@ function slider(robot, joint, moveJoint) {
   Object.assign(input, { type: "range", min: joint.lower, max: joint.upper, step: (joint.upper - joint.lower) / 1000 || "any" });
   input.dataset.joint = joint.name;
   box.update = () => {
-    const position = robot.positions[joint.name] || 0;
+    const position = robot.position(joint.name);
     const q = joint.type === "continuous" ? Math.atan2(Math.sin(position), Math.cos(position)) : position;
     input.value = q;
     const shown = joint.type === "prismatic" ? 1000 * q : (180 / Math.PI) * q;
@@ -68,14 +68,6 @@ function slider(robot, joint, moveJoint) {
 // A slider for each joint that moves by itself; `update` shows the position of its joint.
 function sliders(robot, moveJoint) {
   return robot.design.joints.filter((j) => j.type !== "fixed" && !j.mimic).map((joint) => slider(robot, joint, moveJoint));
-}
-
-// Joints stand where their servos start, until the user moves them.
-function setStart(viewer) {
-  for (const robot of [...viewer.robots, ...viewer.ghosts]) {
-    for (const joint of robot.design.joints) if (joint.start) robot.positions[joint.name] ??= joint.start;
-    robot.move();
-  }
 }
 
 function setZero(robot) {

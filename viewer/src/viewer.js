@@ -106,7 +106,7 @@ class RobotView {
   constructor(robot, design, geometries, number, ghost) {
     this.name = robot.name;
     this.design = design;
-    this.positions = {};
+    this.positions = {}; // of the joints that were moved
     this.base = place(new Group(), robot.pose);
     this.links = { [design.links[0].name]: new Group() };
     this.base.add(this.links[design.links[0].name]);
@@ -143,11 +143,16 @@ class RobotView {
     this.move();
   }
 
+  // The position (rad or m) of a joint: that of its servo at the start, until it is moved.
+  position(name) {
+    return this.positions[name] ?? this.joints[name]?.start ?? 0;
+  }
+
   move() {
     for (const [name, joint] of Object.entries(this.joints)) {
       const value = joint.mimic
-        ? joint.mimic.multiplier * (this.positions[joint.mimic.joint] || 0) + joint.mimic.offset
-        : this.positions[name] || 0;
+        ? joint.mimic.multiplier * this.position(joint.mimic.joint) + joint.mimic.offset
+        : this.position(name);
       if (joint.type === "prismatic") joint.group.position.copy(joint.axis).multiplyScalar(value);
       else joint.group.quaternion.setFromAxisAngle(joint.axis, value);
     }
