@@ -61,6 +61,15 @@ def _no_process_outlives_its_test() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(autouse=True)
+def _interrupts_reach_the_next_test() -> Iterator[None]:
+    # An interrupted command ignores SIGINT while its process ends.  Where a test runs the command
+    # in its own process, programs that later tests start would inherit that.
+    handler = signal.getsignal(signal.SIGINT)
+    yield
+    signal.signal(signal.SIGINT, handler)
+
+
 @pytest.fixture
 def workshop(tmp_path: Path) -> Workshop:
     """Returns a folder for test robots."""
