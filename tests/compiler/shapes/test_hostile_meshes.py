@@ -67,11 +67,12 @@ def hostile_files() -> dict[str, tuple[bytes | str, str, str]]:
     long_list = "v 0 0 0\n" * 700_000
     no_buffer = {"bufferView": None, "count": 400_000_000}
     return {
-        "nested.dae": (nested_collada(40), limit, ""),  # time or memory: as the computer is fast
+        # The next two reach the limit of time or that of memory first, as the computer is fast.
+        "nested.dae": (nested_collada(40), limit, ""),
         "instances.dae": (
             DAE.replace('<instance_geometry url="#g"/>', '<instance_geometry url="#g"/>' * 50_000),
             limit,
-            "took longer than",
+            "",
         ),
         "bomb.dae": (bomb(), invalid, "cannot be read as dae"),
         "external.dae": (
