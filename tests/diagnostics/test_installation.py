@@ -72,6 +72,7 @@ def test_the_place_of_the_program(
 def test_the_installer(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     wheel = RECORDS["wheel"][0]
     name = RECORDS["wheel"][1]
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: name)  # with pip
     for marker, command in (
         ("pipx_metadata.json", f"pipx install --force {name}"),
         ("uv-receipt.toml", f"uv tool install --force {name}"),
@@ -86,7 +87,7 @@ def test_the_installer(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     installed(monkeypatch, wheel, tmp_path / "venv")
     monkeypatch.setenv("PATH", "/usr/bin")
     assert install_command("lsp") == f"{tmp_path}/venv/bin/python -m pip install {name}"
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)  # without pip
     python = f"{tmp_path}/venv/bin/python"
     assert install_command("lsp") == f"uv pip install --python {python} {name}"
 
