@@ -191,6 +191,61 @@ _AT_REST = 1e-3
 """Speed in m/s or rad/s below which the robot counts as at rest."""
 
 
+class Operation:
+    """An operator who drives a robot, one control cycle after the other.
+
+    A source must command zero before it moves the robot.  The operation commands this zero in the
+    cycle in which the operator begins: a pressed key or dead-man button is a new command of a
+    person.
+
+    - ``source``: name of the operator's twist source in the base driver.
+    - ``show``: function that shows the status lines.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        operator: Operator,
+        source: str,
+        show: Callable[[list[str]], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._vehicle, self._operator, self._source = vehicle, operator, source
+        self._show, self._clock = show, clock
+        self._last_draw = self._message_time = clock() - DRAW_PERIOD
+        self._message, self._silent = "", True
+
+    def cycle(self) -> None:
+        """Executes the operator's requests, commands the twist, and waits for one control cycle."""
+        vehicle, operator = self._vehicle, self._operator
+        now = self._clock()
+        for request in operator.poll(now):
+            self._tell(request.service.replace("_", " "), now)
+            try:
+                result = vehicle.call(request.service, **request.arguments)
+                if isinstance(result, str):
+                    self._tell(result, now)
+            except ServiceError as error:
+                self._tell(str(error), now)
+        commanded = operator.twist(now)
+        if commanded is not None:
+            try:
+                publish(vehicle, self._source, ZERO_TWIST if self._silent else commanded)
+            except ServiceError as error:  # such as a source that another program publishes
+                self._tell(str(error), now)
+        self._silent = commanded is None
+        vehicle.step()
+        if now - self._last_draw >= DRAW_PERIOD:
+            self._last_draw = now
+            if now - self._message_time > MESSAGE_TIME:
+                self._message = ""
+            text = operator.message or self._message
+            self._show(status_lines(vehicle.call("state"), commanded, operator.share, text))
+
+    def _tell(self, message: str, now: float) -> None:
+        self._message, self._message_time = message, now
+
+
 def operate(
     vehicle: Vehicle,
     operator: Operator,
@@ -201,40 +256,13 @@ def operate(
 ) -> None:
     """Drives the robot until the operator finishes or ``ended`` returns true.
 
-    ``source`` is the name of the operator's twist source in the base driver. When the teleoperation
-    loop ends, even with an exception, the loop commands the robot to stop. If the base driver runs
-    in this process, the loop continues its control cycles until the robot is at rest.
-
-    A source must command zero before it moves the robot. The loop commands this zero in the cycle
-    in which the operator begins: a pressed key or dead-man button is a new command of a person.
+    When the operation ends, even with an exception, the robot is commanded to stop.  If the base
+    driver runs in this process, its control cycles go on until the robot is at rest.
     """
-    last_draw = message_time = clock() - DRAW_PERIOD
-    message, silent = "", True
+    operation = Operation(vehicle, operator, source, show, clock)
     try:
         while not (operator.finished or ended()):
-            now = clock()
-            for request in operator.poll(now):
-                message = request.service.replace("_", " ")
-                try:
-                    result = vehicle.call(request.service, **request.arguments)
-                    message = result if isinstance(result, str) else message
-                except ServiceError as error:
-                    message = str(error)
-                message_time = now
-            commanded = operator.twist(now)
-            if commanded is not None:
-                try:
-                    publish(vehicle, source, ZERO_TWIST if silent else commanded)
-                except ServiceError as error:  # such as a source that another program publishes
-                    message, message_time = str(error), now
-            silent = commanded is None
-            vehicle.step()
-            if now - last_draw >= DRAW_PERIOD:
-                last_draw = now
-                if now - message_time > MESSAGE_TIME:
-                    message = ""
-                text = operator.message or message
-                show(status_lines(vehicle.call("state"), commanded, operator.share, text))
+            operation.cycle()
     finally:
         stop(vehicle, source, clock)
         with contextlib.suppress(ConnectionError, ServiceError):

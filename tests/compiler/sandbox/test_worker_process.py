@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import signal
 import subprocess
 import sys
@@ -12,8 +13,11 @@ import pytest
 
 from tests.child_process import ChildProcess, is_running
 from tests.compiler.extras.xacro_files import HEAD, STL
-from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.backends import TARGETS
+from thorvaldc.compiler.extras import xacro_expand
+from thorvaldc.compiler.pipeline import compile_file, emit, load
 from thorvaldc.compiler.sandbox import worker_process
+from thorvaldc.compiler.shapes import mesh_formats, meshes
 
 ROBOT = """\
 thorvaldc: 1
@@ -36,6 +40,10 @@ MESHES = HEAD + "".join(
 )
 POINTS = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
 FACES = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+OBJ = "\n".join(
+    [*(f"v {x} {y} {z}" for x, y, z in POINTS), "f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"]
+)
+ROOT = Path(__file__).parents[3]
 
 
 def write(folder: Path, xacro: str) -> Path:
@@ -64,8 +72,7 @@ def test_a_build_starts_at_most_three_workers(
     robot = write(tmp_path, MESHES + "</robot>")
     for i in (0, 3):
         (tmp_path / f"m{i}.stl").write_bytes(STL)
-    lines = [*(f"v {x} {y} {z}" for x, y, z in POINTS), "f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"]
-    (tmp_path / "m1.obj").write_text("\n".join(lines), encoding="utf-8")
+    (tmp_path / "m1.obj").write_text(OBJ, encoding="utf-8")
     for i in (2, 4):
         (tmp_path / f"m{i}.off").write_text(off(0.1 * i), encoding="utf-8")
     compilation = compile_file(robot)
@@ -101,3 +108,49 @@ def test_a_worker_ends_with_its_parent(tmp_path: Path, end: signal.Signals) -> N
     while is_running(worker) and time.monotonic() < deadline:
         time.sleep(0.02)
     assert not is_running(worker)
+
+
+@pytest.mark.parametrize("robot", [ROOT / "examples/4wd2ws_tall/robot.yaml", None])
+def test_a_system_without_processes_gives_the_same_files(
+    robot: Path | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A web browser starts no processes; ``None``: a robot with meshes of its own."""
+    if robot is None:
+        for i in (0, 3):
+            (tmp_path / f"m{i}.stl").write_bytes(STL)
+        for i in (2, 4):
+            (tmp_path / f"m{i}.off").write_text(off(0.1 * i), encoding="utf-8")
+        (tmp_path / "m1.obj").write_text(OBJ, encoding="utf-8")
+        robot = write(tmp_path, MESHES + "</robot>")
+    folder, with_processes = Path.cwd(), load(robot)
+    monkeypatch.setattr(worker_process, "_start", None)
+    here = functools.partial(worker_process.limited_worker, has_processes=False)
+    monkeypatch.setattr(worker_process, "limited_worker", here)
+    monkeypatch.setattr(xacro_expand, "limited_worker", here)
+    meshes._read.cache_clear()
+    targets = [*TARGETS]
+    assert emit(load(robot), targets) == emit(with_processes, targets)
+    assert Path.cwd() == folder
+
+
+@pytest.mark.parametrize(
+    ("fault", "text"),
+    [
+        (MemoryError(), "needs more memory than there is"),
+        (RecursionError(), "is nested too deeply"),
+        (KeyError("x"), "ended its reader"),
+    ],
+)
+def test_a_worker_without_a_process_reports_what_ends_it(
+    fault: Exception, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def answer(request: object, data: bytes) -> None:
+        raise fault
+
+    monkeypatch.setattr(mesh_formats, "answer", answer)
+    limits = worker_process.WorkerLimits(1.0, 1, 1 << 20)
+    with (
+        worker_process.limited_worker(mesh_formats.__name__, limits, has_processes=False) as worker,
+        pytest.raises(worker_process.WorkerLimitError, match=text),
+    ):
+        worker.ask({})

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from thorvaldc.compiler.extras import xacro_worker
-from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError, WorkerLimits, WorkerProcess
+from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError, WorkerLimits, limited_worker
 from thorvaldc.diagnostics import Span
 
 LIMITS = WorkerLimits(
@@ -280,7 +280,7 @@ def _answers(entries: list[dict[str, Any]], folders: list[str] | None) -> list[d
     ]
     answers: list[dict[str, Any]] = []
     service, imports = xacro_worker.__name__, ["xacro.substitution_args", "yaml"]
-    with WorkerProcess(service, LIMITS, path=path, imports=imports) as worker:
+    with limited_worker(service, LIMITS, path=path, imports=imports) as worker:
         for entry in entries:
             try:
                 answers.append(worker.ask(entry | {"folders": folders})[0])

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError, WorkerLimits, WorkerProcess
+from thorvaldc.compiler.sandbox.worker_process import WorkerLimitError, WorkerLimits, limited_worker
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.files import MAX_LOG_BYTES, check_regular, read_bounded
 from thorvaldc.diagnostics.installation import install_command
@@ -185,7 +185,7 @@ def _check_in_worker(path: Path) -> None:
     """Raises ``OSError`` if a worker process with limits cannot read a bag."""
     folders = [os.path.abspath(folder) for folder in sys.path]
     imports = ["rosbags.highlevel", "rosbags.typesys"]
-    with WorkerProcess(__name__, _LIMITS, path=folders, imports=imports) as worker:
+    with limited_worker(__name__, _LIMITS, path=folders, imports=imports) as worker:
         try:
             problem, _ = worker.ask({"bag": str(path.absolute())})
         except WorkerLimitError as error:

@@ -1,12 +1,17 @@
 """Starts and limits the processes that read files of others.
 
 Files of others (xacro, meshes) can contain programs, or need any amount of time and memory.  The
-compiler reads them only in limited worker processes, see ``worker_protocol``.
+compiler reads them only in limited worker processes, see ``worker_protocol``.  In a web browser,
+which starts no processes, the program that runs the compiler has these limits.
+
+Begin with ``limited_worker``.
 """
 
 from __future__ import annotations
 
 import contextlib
+import importlib
+import json
 import os
 import signal
 import subprocess
@@ -16,6 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import Self
 
 from thorvaldc.compiler.sandbox import missing_limits, worker_protocol
 from thorvaldc.compiler.sandbox.worker_protocol import Fields, read_message, write_message
@@ -53,39 +59,13 @@ class WorkerLimitError(Exception):
     """
 
 
-class WorkerProcess:
-    """A limited process that answers one request at a time.
+class Worker:
+    """Answers one request at a time with the module ``service``, see ``worker_protocol``."""
 
-    The process starts with the first request.  If a request fails, the next one starts a new
-    process.
-
-    - ``service``: name of the module that answers, see ``worker_protocol``.
-    - ``path``: folders from which the process imports modules, beside the standard library and
-      this package.
-    - ``imports``: modules that the process imports before its limits are in force.
-    """
-
-    def __init__(
-        self,
-        service: str,
-        limits: WorkerLimits,
-        *,
-        path: Sequence[str] = (),
-        imports: Sequence[str] = (),
-    ) -> None:
+    def __init__(self, limits: WorkerLimits) -> None:
         self.limits = limits
-        self._start_fields: Fields = {
-            "service": service,
-            "path": [*path],
-            "imports": [*imports],
-            "memory_bytes": limits.memory_bytes,
-            "file_bytes": limits.file_bytes,
-            "processor_seconds": limits.processor_seconds,
-            "parent": os.getpid(),
-        }
-        self._process: subprocess.Popen[bytes] | None = None
 
-    def __enter__(self) -> WorkerProcess:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -99,8 +79,79 @@ class WorkerProcess:
     def ask(self, request: Fields, data: bytes = b"") -> tuple[Fields, bytes]:
         """Sends a request, and returns the answer and its data.
 
-        Raises ``WorkerLimitError`` if the answer exceeds a limit, or if the process ends.
+        Raises ``WorkerLimitError`` if the answer exceeds a limit, or if the worker ends.
         """
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Ends the worker."""
+
+
+def limited_worker(
+    service: str,
+    limits: WorkerLimits,
+    *,
+    path: Sequence[str] = (),
+    imports: Sequence[str] = (),
+    has_processes: bool = sys.platform != "emscripten",
+) -> Worker:
+    """Returns a worker: a limited process, or in a web browser this process.
+
+    - ``service``: name of the module that answers, see ``worker_protocol``.
+    - ``path``: folders from which a process imports modules, beside the standard library and
+      this package.
+    - ``imports``: modules that a process imports before its limits are in force.
+    - ``has_processes``: whether the system can start processes.
+    """
+    if not has_processes:
+        return _WorkerInProcess(service, limits)
+    return _WorkerProcess(service, limits, path, imports)
+
+
+class _WorkerInProcess(Worker):
+    """Answers in this process.  Its time and memory have no limits but those of this process."""
+
+    def __init__(self, service: str, limits: WorkerLimits) -> None:
+        super().__init__(limits)
+        self._service = service
+
+    def ask(self, request: Fields, data: bytes = b"") -> tuple[Fields, bytes]:
+        service = importlib.import_module(self._service)
+        try:
+            with contextlib.chdir("."):  # a service may change the folder
+                answer, data = service.answer(json.loads(json.dumps(request)), data)
+            return json.loads(json.dumps(answer)), data
+        except MemoryError as error:
+            raise WorkerLimitError("needs more memory than there is") from error
+        except RecursionError as error:
+            raise WorkerLimitError("is nested too deeply") from error
+        except Exception as error:  # as if it had ended a process
+            raise WorkerLimitError(f"ended its reader ({error})") from error
+
+
+class _WorkerProcess(Worker):
+    """A limited process.
+
+    The process starts with the first request.  If a request fails, the next one starts a new
+    process.
+    """
+
+    def __init__(
+        self, service: str, limits: WorkerLimits, path: Sequence[str], imports: Sequence[str]
+    ) -> None:
+        super().__init__(limits)
+        self._start_fields: Fields = {
+            "service": service,
+            "path": [*path],
+            "imports": [*imports],
+            "memory_bytes": limits.memory_bytes,
+            "file_bytes": limits.file_bytes,
+            "processor_seconds": limits.processor_seconds,
+            "parent": os.getpid(),
+        }
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def ask(self, request: Fields, data: bytes = b"") -> tuple[Fields, bytes]:
         try:
             if self._process is None:
                 self._process = _start()
@@ -122,7 +173,6 @@ class WorkerProcess:
         return answer, data
 
     def close(self) -> None:
-        """Ends the process."""
         process, self._process = self._process, None
         if process is None:
             return

@@ -33,7 +33,7 @@ from thorvaldc.model import Mesh, Vec3
 
 # Robots with meshes of the built-in library alone need no worker process.
 if TYPE_CHECKING:
-    from thorvaldc.compiler.sandbox.worker_process import WorkerProcess
+    from thorvaldc.compiler.sandbox.worker_process import Worker
 
 MAX_FILE_BYTES = 64 * 1024 * 1024
 # Largest size of a mesh (m). A mesh file with a larger mesh probably has the unit mm.
@@ -124,7 +124,7 @@ def load_mesh(
 
 
 @contextmanager
-def shared_mesh_workers() -> Iterator[dict[bool, WorkerProcess]]:
+def shared_mesh_workers() -> Iterator[dict[bool, Worker]]:
     """Within this context, one worker process reads all STL and OBJ files, one all other meshes.
 
     They end with the outermost context.
@@ -133,7 +133,7 @@ def shared_mesh_workers() -> Iterator[dict[bool, WorkerProcess]]:
     if outer is not None:
         yield outer
         return
-    workers: dict[bool, WorkerProcess] = {}
+    workers: dict[bool, Worker] = {}
     token = _workers.set(workers)
     try:
         yield workers
@@ -143,7 +143,7 @@ def shared_mesh_workers() -> Iterator[dict[bool, WorkerProcess]]:
             worker.close()
 
 
-_workers: ContextVar[dict[bool, WorkerProcess] | None] = ContextVar("mesh workers", default=None)
+_workers: ContextVar[dict[bool, Worker] | None] = ContextVar("mesh workers", default=None)
 
 
 @functools.lru_cache(maxsize=512)
@@ -214,16 +214,16 @@ def _read_in_worker(path: Path, suffix: str, data: bytes, scale: Vec3) -> mesh_f
         files[answer["needs"]] = _needed_file(path, answer["needs"], files)
 
 
-def _worker(workers: dict[bool, WorkerProcess], converts: bool) -> WorkerProcess:
+def _worker(workers: dict[bool, Worker], converts: bool) -> Worker:
     """Returns the worker process for STL and OBJ files, or for formats that are converted."""
-    from thorvaldc.compiler.sandbox.worker_process import WorkerLimits, WorkerProcess
+    from thorvaldc.compiler.sandbox.worker_process import WorkerLimits, limited_worker
 
     if converts not in workers:
         path = [os.path.abspath(folder) for folder in sys.path] if converts else []
         imports = [
             name for name in mesh_formats.IMPORTS if converts and find_spec(name) is not None
         ]
-        workers[converts] = WorkerProcess(
+        workers[converts] = limited_worker(
             "thorvaldc.compiler.shapes.mesh_formats",
             WorkerLimits(**LIMITS),
             path=path,

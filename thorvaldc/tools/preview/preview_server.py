@@ -8,175 +8,21 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import math
 import secrets
 import signal
 import socket
 import threading
-import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
 from watchfiles import awatch
 
-from thorvaldc.compiler.pipeline import emit
 from thorvaldc.diagnostics.files import read_json
-from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.plugins import data_folder
-from thorvaldc.model.settings import AUTOMATIC
-from thorvaldc.runtime.driven_robot import DrivenRobot
-from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
-from thorvaldc.runtime.teleop_loop import FIRST_SHARE, Limits, Request, operate
-from thorvaldc.simulation.physics.mujoco_base import MujocoBase
-from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.web_viewer import VIEWER, viewer_script
 from thorvaldc.tools.preview.compiled_robot import CompiledRobot
-
-HOLD_TIME = 0.25
-"""Time in s for which a motion from the page drives.  The page repeats a held motion 20 times per
-second."""
-GIVE_WAY = 0.1
-"""Time in s for which the page commands zero after the robot was driven."""
-PICTURE_PERIOD = 1 / 30
-"""Time in s between two states for the page."""
-SOURCE = "teleop_joy"
-
-Send = Callable[[dict[str, Any]], None]
-
-
-class PageOperator:
-    """An operator who drives with a page.  The robot stops if the page sends no motions."""
-
-    def __init__(self, limits: Limits) -> None:
-        self.limits = limits
-        self.share = FIRST_SHARE
-        self.message = ""
-        self.finished = False
-        self._motion = (0.0, 0.0, 0.0)
-        self._received = -math.inf
-
-    def move(self, x: float, y: float, yaw: float, now: float) -> None:
-        """Stores a motion: fractions of the top speeds, between -1 and 1."""
-        if all(math.isfinite(value) for value in (x, y, yaw)):
-            self._motion = (_clamped(x), _clamped(y), _clamped(yaw))
-            self._received = now
-
-    def poll(self, now: float) -> list[Request]:
-        return []
-
-    def twist(self, now: float) -> Twist | None:
-        age = now - self._received
-        if age <= HOLD_TIME and not self.finished:
-            return self.limits.twist(*self._motion, self.share)
-        return ZERO_TWIST if age <= HOLD_TIME + GIVE_WAY else None
-
-    def close(self) -> None:
-        self.finished = True
-
-
-def _clamped(value: float) -> float:
-    return min(max(value, -1.0), 1.0)
-
-
-class PageDrive:
-    """A simulated robot in a thread of its own.
-
-    The other robots of a fleet stand in the scene.  ``send`` is called in the thread: with the
-    states of the robots, and once at the end.
-    """
-
-    def __init__(self, model: Robot | Fleet, name: str, send: Send) -> None:
-        """Drives the robot ``name`` of the model, or its first robot without such a robot."""
-        robots = (
-            {placed.name: placed.robot for placed in model.placements}
-            if isinstance(model, Fleet)
-            else {model.name: model}
-        )
-        self._name = name if name in robots else next(iter(robots))
-        self._model, self._robots, self._send = model, robots, send
-        self._operator: PageOperator | None = None
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="drive", daemon=True)
-        self._thread.start()
-
-    def move(self, x: float, y: float, yaw: float) -> None:
-        """Drives for ``HOLD_TIME``."""
-        if self._operator is not None:
-            self._operator.move(x, y, yaw, time.monotonic())
-
-    def close(self) -> None:
-        """Stops the robot and ends the simulation."""
-        self._ended.set()
-
-    def join(self) -> None:
-        self._thread.join(timeout=5.0)
-
-    def _run(self) -> None:
-        text = ""
-        try:
-            robot = self._robots[self._name]
-            scene = MujocoScene(emit(self._model, ["mjcf"]))
-            vehicle = _ShownRobot(robot, scene, self._name, self._robots, self._send)
-            try:
-                description = vehicle.call("description")
-                self._operator = PageOperator(Limits.of(description))
-                self._send({"kind": "drive", "on": True, "message": "ready"})
-                sources = description["sources"]
-                source = SOURCE if SOURCE in sources else next(iter(sources))
-                operate(vehicle, self._operator, source, lambda lines: None, self._ended.is_set)
-            finally:
-                vehicle.shutdown()
-        except Exception as error:  # the page shows what ended the simulation
-            text = f"the simulation ended: {error}"
-        self._send({"kind": "drive", "on": False, "message": text})
-
-
-class _ShownRobot(DrivenRobot):
-    """A simulated robot that sends its state, and the poses of all robots, to the page."""
-
-    def __init__(
-        self,
-        robot: Robot,
-        scene: MujocoScene,
-        name: str,
-        robots: Mapping[str, Robot],
-        send: Send,
-    ) -> None:
-        super().__init__(robot, MujocoBase(robot, scene), arming=AUTOMATIC)
-        self._scene, self._name, self._send = scene, name, send
-        self._bodies = {
-            name: scene.index("body", other.prefix + other.links[0].name, other)
-            for name, other in robots.items()
-        }
-        self._joints = [
-            (joint.name, int(scene.model.jnt_qposadr[index]))
-            for joint in robot.joints
-            if joint.type != "fixed" and joint.mimic is None
-            for index in [scene.index("joint", robot.prefix + joint.name, robot)]
-        ]
-        self._shown = -math.inf
-
-    def step(self) -> None:
-        super().step()
-        if self.now - self._shown < PICTURE_PERIOD:
-            return
-        self._shown = self.now
-        data = self._scene.data
-        twist = self.call("state")["in_force"]
-        self._send(
-            {
-                "kind": "state",
-                "robot": self._name,
-                "poses": {
-                    name: [*data.xpos[body].tolist(), *data.xquat[body].tolist()]
-                    for name, body in self._bodies.items()
-                },
-                "joints": {name: float(data.qpos[index]) for name, index in self._joints},
-                "twist": twist,
-            }
-        )
-
+from thorvaldc.tools.preview.page_drive import PageDrive
 
 HOST = "127.0.0.1"
 DEBOUNCE = 10
@@ -236,7 +82,7 @@ class PreviewServer:
         self.port = 0
         self.timings: list[dict[str, float]] = []
         self._clients: set[_Client] = set()
-        self._drives: set[PageDrive] = set()
+        self._drives: dict[PageDrive, threading.Thread] = {}
         self._details: dict[str, Any] = {}
         self._drawn = asyncio.Event()
         template = data_folder("templates") / "preview" / "page.html"
@@ -279,8 +125,8 @@ class PreviewServer:
             for client in tuple(self._clients):
                 client.stop()
                 await client.connection.close(code=WSCloseCode.GOING_AWAY)
-            for drive in tuple(self._drives):
-                await asyncio.to_thread(drive.join)
+            for thread in tuple(self._drives.values()):
+                await asyncio.to_thread(thread.join, 5.0)
             await runner.cleanup()
 
     # -- requests ------------------------------------------------------------------------------
@@ -352,7 +198,7 @@ class PreviewServer:
 
             def deliver(message: dict[str, Any]) -> None:  # in the event loop
                 if message["kind"] == "drive" and not message["on"] and drive is not None:
-                    self._drives.discard(drive)
+                    self._drives.pop(drive, None)
                     client.drive = None
                 client.send_soon(message)
 
@@ -361,7 +207,9 @@ class PreviewServer:
                     loop.call_soon_threadsafe(deliver, message)
 
             drive = client.drive = PageDrive(model, robot, send)
-            self._drives.add(drive)
+            thread = threading.Thread(target=drive.run, name="drive", daemon=True)
+            self._drives[drive] = thread
+            thread.start()
 
     # -- changes of files ----------------------------------------------------------------------
 
