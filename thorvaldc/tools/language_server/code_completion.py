@@ -553,7 +553,7 @@ def tree_around(
     node = read_text(source.text.encode("utf-8", "surrogatepass"), file, Report())
     if node is not None or len(source.text) > open_document.MAX_REPAIRED:
         return node
-    end = source.offset_of(source.position(offset).line + 1, 1 << 30)
+    end = source.offset_of(source.line_index(offset) + 1, 1 << 30)
     word = "x" if cursor.slot != "key" and not cursor.prefix else ""
     closed = source.text[:offset] + word + cursor.quote + cursor.closing + source.text[end:]
     node = read_text(closed.encode("utf-8", "surrogatepass"), file, Report())

@@ -10,10 +10,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 from urllib.parse import quote, unquote, urlsplit
-
-from lsprotocol.types import Position, Range
 
 from thorvaldc.compiler.modules.library import FILE as MODULE_FILE
 from thorvaldc.compiler.source.input_file import read_bytes, unsaved_texts
@@ -21,6 +19,9 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.schema import Kind
+
+if TYPE_CHECKING:
+    from lsprotocol.types import Position, Range
 
 # -- positions in a text ----------------------------------------------------------------
 #
@@ -70,9 +71,15 @@ class SourceText:
 
     def position(self, offset: int) -> Position:
         """Returns the position of the character at an offset."""
+        from lsprotocol.types import Position  # not in the playground
+
         offset = max(0, min(offset, len(self.text)))
-        index = bisect.bisect_right(self.starts, offset) - 1
+        index = self.line_index(offset)
         return Position(index, _units(self.text[self.starts[index] : offset]))
+
+    def line_index(self, offset: int) -> int:
+        """Returns the index from 0 of the line at an offset."""
+        return bisect.bisect_right(self.starts, offset) - 1
 
     def line_and_column(self, position: Position) -> tuple[int, int]:
         """Returns the line and column of source spans, which start at 1, at a position."""
@@ -87,6 +94,8 @@ class SourceText:
 
     def range(self, span: Span) -> Range:
         """Returns the range of a source span."""
+        from lsprotocol.types import Range
+
         return Range(
             self.position(self.offset_of(span.line, span.column)),
             self.position(self.offset_of(span.end_line, span.end_column)),

@@ -1,4 +1,7 @@
-"""Compiles a file again after each change, and describes the result for the page."""
+"""Compiles a file again after each change, and describes the result for the page.
+
+The page has two hosts: the server of ``thorvaldc preview``, and the web worker of the playground.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +16,14 @@ from typing import Any
 from thorvaldc.comparison.difference_text import difference_text
 from thorvaldc.comparison.robot_comparison import compare_models
 from thorvaldc.compiler.pipeline import compile_file
-from thorvaldc.diagnostics import Report
+from thorvaldc.compiler.result import Compilation
+from thorvaldc.diagnostics import Report, Span
 from thorvaldc.diagnostics.renderers import render_text
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.facts.fact_tables import fact_tables
 from thorvaldc.model.facts.robot_facts import robot_facts
-from thorvaldc.simulation.web_viewer import MeshCache, MeshData, page_data
+from thorvaldc.model.plugins import data_folder
+from thorvaldc.simulation.web_viewer import VIEWER, MeshCache, MeshData, page_data, viewer_script
 
 MESHES = "meshes"
 """Folder of the meshes of a module, beside its file."""
@@ -31,12 +36,25 @@ MAX_DIAGNOSTICS = 50
 
 Signature = dict[str, tuple[int, int]]
 
+HOST = "/*HOST*/"
+"""Placeholder in the template for the script that connects the page with its host."""
+WORKBENCH = "<!--WORKBENCH-->"
+"""Placeholder in the template for more of the page, before the picture."""
+
+
+def robot_page(host: str, workbench: str = "") -> str:
+    """Returns the HTML document of the page, with the script ``host`` and the HTML ``workbench``."""
+    template = data_folder("templates") / "preview" / "page.html"
+    page = template.read_text(encoding="utf-8").replace(WORKBENCH, workbench, 1)
+    return page.replace(HOST, host, 1).replace(VIEWER, viewer_script(), 1)
+
 
 class CompiledRobot:
     """The newest compilation of a file, and the last one without errors.
 
     - ``version``: number of compilations.
     - ``model``: model of the last compilation without errors, or ``None``.
+    - ``compilation``: the newest compilation, or ``None`` before the first one.
     - ``folders``: folders of the files that the newest compilation has read.
     """
 
@@ -44,13 +62,14 @@ class CompiledRobot:
         self.path = path
         self.version = 0
         self.model: Robot | Fleet | None = None
+        self.compilation: Compilation | None = None
         self.folders: frozenset[str] = frozenset()
         self.is_good = False
         self._library, self._trust = library, trust
         self._before: Robot | Fleet | None = None
         self._data: dict[str, Any] | None = None
         self._keys: list[str] = []
-        self._diagnostics: list[dict[str, str]] = []
+        self._diagnostics: list[dict[str, Any]] = []
         self._stages: dict[str, float] = {}
         self._meshes: MeshCache = {}
         self._signature: Signature = {}
@@ -64,6 +83,7 @@ class CompiledRobot:
         start = time.perf_counter()
         before = _signature(self.folders)
         compilation = compile_file(self.path, library=self._library, trust=self._trust)
+        self.compilation = compilation
         folders = {os.path.dirname(os.path.realpath(self.path))}
         for path in compilation.sources.values():
             folder = os.path.dirname(os.path.realpath(path))
@@ -74,7 +94,7 @@ class CompiledRobot:
         self._signature = before if watched == self.folders else _signature(watched)
         self.folders = watched
         compiled = time.perf_counter()
-        self._diagnostics = _diagnostics(compilation.report, compilation.sources)
+        self._diagnostics = _diagnostics(compilation, self.path.parent)
         self.is_good = compilation.model is not None
         if compilation.model is not None:
             self._before, self.model = self.model, compilation.model
@@ -133,12 +153,12 @@ def _key(mesh: MeshData) -> str:
     return hashlib.sha256(f"{mesh['points']} {mesh['faces']}".encode()).hexdigest()[:20]
 
 
-def _diagnostics(report: Report, sources: dict[str, Path]) -> list[dict[str, str]]:
+def _diagnostics(compilation: Compilation, folder: Path) -> list[dict[str, Any]]:
     items = []
-    for diagnostic in report.sorted()[:MAX_DIAGNOSTICS]:
+    for diagnostic in compilation.report.sorted()[:MAX_DIAGNOSTICS]:
         single = Report()
         single.put(replace(diagnostic, hint=None))
-        text = render_text(single, sources, width=DIAGNOSTIC_WIDTH)
+        text = render_text(single, compilation.sources, width=DIAGNOSTIC_WIDTH)
         span = diagnostic.span
         items.append(
             {
@@ -146,11 +166,26 @@ def _diagnostics(report: Report, sources: dict[str, Path]) -> list[dict[str, str
                 "code": diagnostic.code.number,
                 "message": diagnostic.message,
                 "place": "" if span is None else f"{os.path.basename(span.file)}:{span.line}",
+                "span": None if span is None else _span(span, compilation, folder),
                 "text": text.partition("\n")[2].strip("\n"),  # the excerpt
                 "hint": diagnostic.hint or "",
+                "fixes": [
+                    {"span": _span(fix.span, compilation, folder), "text": fix.text}
+                    for fix in diagnostic.fixes
+                ],
             }
         )
     return items
+
+
+def _span(span: Span, compilation: Compilation, folder: Path) -> dict[str, Any]:
+    """Returns a source span with the path of its file relative to the folder of the robot."""
+    path = os.path.relpath(compilation.sources.get(span.file, folder / span.file), folder)
+    return {
+        "file": path.replace(os.sep, "/"),
+        "start": [span.line, span.column],
+        "end": [span.end_line, span.end_column],
+    }
 
 
 def _signature(folders: frozenset[str]) -> Signature:

@@ -20,8 +20,7 @@ from watchfiles import awatch
 
 from thorvaldc.diagnostics.files import read_json
 from thorvaldc.model.plugins import data_folder
-from thorvaldc.simulation.web_viewer import VIEWER, viewer_script
-from thorvaldc.tools.preview.compiled_robot import CompiledRobot
+from thorvaldc.tools.preview.compiled_robot import CompiledRobot, robot_page
 from thorvaldc.tools.preview.page_drive import PageDrive
 
 HOST = "127.0.0.1"
@@ -85,9 +84,9 @@ class PreviewServer:
         self._drives: dict[PageDrive, threading.Thread] = {}
         self._details: dict[str, Any] = {}
         self._drawn = asyncio.Event()
-        template = data_folder("templates") / "preview" / "page.html"
-        page = template.read_text(encoding="utf-8")
-        self._page = page.replace(VIEWER, viewer_script(), 1)
+        folder = data_folder("templates") / "preview"
+        host = (folder / "socket.js").read_text(encoding="utf-8")
+        self._page = robot_page(host)
 
     @property
     def url(self) -> str:

@@ -1,0 +1,72 @@
+// The web worker of the playground: Python (Pyodide) with the compiler, and MuJoCo at the first
+// drive.  Messages of the page are JSON texts for `Playground.receive`, see python/playground.py.
+
+// Files are compressed by the build, because not every static server compresses.
+async function unpacked(name, type) {
+  const response = await fetch(new URL(`${name}.gz`, self.location));
+  if (!response.ok) throw new Error(`${name}.gz: ${response.status}`);
+  return new Response(response.body.pipeThrough(new DecompressionStream("gzip")), { headers: { "Content-Type": type } });
+}
+
+const WASM = "application/wasm", SCRIPT = "text/javascript";
+const TICK = 10; // ms
+// No packages are loaded: all are in python.zip.
+const LOCK = { abi_version: "x", arch: "wasm32", platform: "x", python: "3.14.2", version: "314.0.7" };
+let python = null, playground = null, timer = null, simulator = null;
+
+// The default export of a module.
+async function imported(name) {
+  const address = URL.createObjectURL(await (await unpacked(name, SCRIPT)).blob());
+  return (await import(address)).default;
+}
+
+async function start() {
+  const archive = fetch(new URL("python.zip", self.location)).then((response) => response.arrayBuffer());
+  const asm = imported("pyodide.asm.mjs");
+  const fetchPlain = self.fetch;
+  self.fetch = (address, ...options) =>
+    String(address.url ?? address).endsWith("pyodide.asm.wasm") ? unpacked("pyodide.asm.wasm", WASM) : fetchPlain(address, ...options);
+  const { loadPyodide } = await import("./pyodide.mjs");
+  python = await loadPyodide({
+    indexURL: new URL(".", self.location).href,
+    createPyodideModule: await asm,
+    lockFileContents: JSON.stringify({ info: LOCK, packages: {} }),
+  });
+  python.unpackArchive(await archive, "zip", { extractDir: "/app" });
+  python.registerJsModule("page", { send: (text) => postMessage(text) });
+  playground = python.runPython(`
+import sys
+sys.path.insert(0, "/app")
+sys.dont_write_bytecode = True
+import page
+from playground import Playground
+Playground(page.send)
+`);
+}
+
+async function startSimulator() {
+  const load = await imported("mujoco.js");
+  const wasm = await (await unpacked("mujoco.wasm", WASM)).arrayBuffer();
+  const mujoco = await load({ wasmBinary: wasm, print: () => {}, printErr: () => {} });
+  mujoco.steps = (model, data, number) => { for (let i = 0; i < number; i++) mujoco.mj_step(model, data); };
+  python.registerJsModule("mujoco_wasm", mujoco);
+}
+
+function drive() {
+  if (!playground.advance()) {
+    clearInterval(timer);
+    timer = null;
+  }
+}
+
+const started = start();
+let order = started; // messages are answered one after the other
+
+self.onmessage = ({ data }) => {
+  order = order.then(async () => {
+    const message = JSON.parse(data);
+    if (message.kind === "drive" && message.on) await (simulator ??= startSimulator());
+    playground.receive(data);
+    if (message.kind === "drive" || timer !== null) timer ??= setInterval(drive, TICK);
+  }).catch((error) => postMessage(JSON.stringify({ kind: "broken", text: String(error.message ?? error) })));
+};
