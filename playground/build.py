@@ -15,16 +15,27 @@ import json
 import re
 import shutil
 import subprocess
-import sys
 import tempfile
 import zipfile
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+
+from thorvaldc.compiler.catalogue import describe_module, first_sentence
+from thorvaldc.compiler.modules.library import Library
+from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.diagnostics import Report, Span
+from thorvaldc.tools.preview.compiled_robot import INPUT_SUFFIXES, robot_page
 
 ROOT = Path(__file__).resolve().parents[1]
 HERE = ROOT / "playground"
 NODE = HERE / "node_modules"
+FIRST_EXAMPLE = "4wd4ws_wide"
+POLICY = (
+    "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'unsafe-inline';"
+    " connect-src 'self'; worker-src 'self'; img-src data:; base-uri 'none'; form-action 'none'"
+)
+"""The page loads nothing from other hosts."""
 PACKAGES = (
     "attrs",
     "Jinja2",
@@ -35,7 +46,7 @@ PACKAGES = (
     "referencing",
     "xacro",
 )
-"""Python packages of the compiler without compiled parts, or whose compiled parts can be missing."""
+"""Python packages of the compiler; those with compiled parts also work without them."""
 UNUSED = re.compile(
     r"thorvaldc/(__main__|cli|ros|commissioning|can/(backends|socket)"
     r"|compiler/recordings"
@@ -70,13 +81,81 @@ def main() -> None:
         compressed(NODE / name, folder)
     for name in ("mujoco.js", "mujoco.wasm"):
         compressed(NODE / "@mujoco" / "mujoco" / name, folder)
-    shutil.copy(HERE / "worker.js", folder)
+    lock = json.loads((NODE / "pyodide" / "pyodide-lock.json").read_text(encoding="utf-8"))
+    worker = (HERE / "worker.js").read_text(encoding="utf-8")
+    info = json.dumps(lock["info"])
+    write(folder / "worker.js", worker.replace("null /*LOCK*/", info))
+    write(folder / "index.html", page())
+    subprocess.run(
+        ["npm", "run", "--silent", "build", "--", f"--outfile={folder / 'editor.js'}"],
+        check=True,
+        cwd=HERE,
+    )
+    write_examples(folder)
     with tempfile.TemporaryDirectory() as stage:
         stage_python(Path(stage, "app"))
         stage_standard_library(Path(stage, "lib"))
         for name, archive in (("app", "python.zip"), ("lib", "python_stdlib.zip")):
             command = ["node", "pack.mjs", str(Path(stage, name)), str(folder / archive)]
             subprocess.run(command, check=True, cwd=HERE)
+
+
+def write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+
+
+def page() -> str:
+    host, workbench = (
+        (HERE / n).read_text(encoding="utf-8") for n in ("host.js", "workbench.html")
+    )
+    head = '<meta charset="utf-8">'
+    policy = f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
+    return robot_page(host, workbench).replace(head, f"{head}\n{policy}", 1)
+
+
+def write_examples(folder: Path) -> None:
+    """Writes the files of each example that compiles, and the module types of the library."""
+    examples = []
+    for path in sorted(ROOT.glob("examples/*/*.yaml")):
+        if path.name in ("robot.yaml", "fleet.yaml") and compile_file(path).model is not None:
+            name = path.parent.name
+            main = path.relative_to(ROOT / "examples").as_posix()
+            files = {p.relative_to(ROOT / "examples").as_posix(): content(p) for p in inputs(path)}
+            write(folder / "examples" / f"{name}.json", json.dumps({"main": main, "files": files}))
+            examples.append({"name": name, "title": name})
+    examples.sort(key=lambda example: example["name"] != FIRST_EXAMPLE)
+    library = Library([])
+    types = [library.load(name, Node(name, Span(name)), Report()) for name in library.names()]
+    modules = [
+        {
+            "type": module.name,
+            "text": first_sentence(module),
+            "kinds": describe_module(module, library).mounts_on,
+        }
+        for module in types
+        if module is not None
+    ]
+    write(folder / "library.json", json.dumps({"examples": examples, "modules": modules}))
+
+
+def inputs(main: Path) -> list[Path]:
+    """Returns the main file and the other files that its compilation can read."""
+    others = {path.resolve() for path in compile_file(main).sources.values() if path.is_file()}
+    for path in main.parent.rglob("*"):
+        if path.is_file() and path.suffix in INPUT_SUFFIXES:
+            others.add(path)
+    others.discard(main)
+    return [main, *sorted(path for path in others if path.is_relative_to(ROOT / "examples"))]
+
+
+def content(path: Path) -> str | list[str]:
+    """Returns a text file as text, and another one in base64 as a list of one text."""
+    data = path.read_bytes()
+    try:
+        return data.decode()
+    except UnicodeDecodeError:
+        return [base64.b64encode(data).decode()]
 
 
 def compressed(path: Path, folder: Path) -> None:
@@ -93,7 +172,11 @@ def stage_python(stage: Path) -> None:
             copy_used(path, stage / "thorvaldc" / "_data" / path.relative_to(ROOT), stage)
     for package in PACKAGES:
         for file in metadata.files(package) or ():
-            if file.suffix in (".py", ".json") and ".." not in file.parts and not {"tests", "benchmarks"} & {*file.parts}:
+            if (
+                file.suffix in (".py", ".json")
+                and ".." not in file.parts
+                and not {"tests", "benchmarks"} & {*file.parts}
+            ):
                 copy(Path(str(file.locate())), stage / file)
     shutil.copytree(HERE / "python", stage, dirs_exist_ok=True)
 

@@ -11,7 +11,7 @@ async function unpacked(name, type) {
 const WASM = "application/wasm", SCRIPT = "text/javascript";
 const TICK = 10; // ms
 // No packages are loaded: all are in python.zip.
-const LOCK = { abi_version: "x", arch: "wasm32", platform: "x", python: "3.14.2", version: "314.0.7" };
+const LOCK = null /*LOCK*/;
 let python = null, playground = null, timer = null, simulator = null;
 
 // The default export of a module.
@@ -42,6 +42,7 @@ import page
 from playground import Playground
 Playground(page.send)
 `);
+  postMessage(JSON.stringify({ kind: "ready" }));
 }
 
 async function startSimulator() {

@@ -1,4 +1,4 @@
-"""A stand-in for the Python package ``mujoco`` in a browser, on MuJoCo's official WebAssembly build.
+"""A stand-in for the Python package ``mujoco`` in a browser, on MuJoCo's WebAssembly build.
 
 It has what ``thorvaldc.simulation.physics`` uses.  Arrays are views of the memory of WebAssembly,
 which move when the memory grows: they are made again then.  The worker registers the module of the
@@ -159,7 +159,7 @@ class MjSpec:
             self._files.delete()
 
 
-def MjData(model: _Structure) -> _Structure:  # noqa: N802
+def MjData(model: _Structure) -> _Structure:
     return _Structure(mujoco_wasm.MjData.new(model._js))
 
 
@@ -171,11 +171,11 @@ def mj_id2name(model: _Structure, kind: int, index: int) -> str:
     return str(mujoco_wasm.mj_id2name(model._js, kind, index))
 
 
-def mj_resetDataKeyframe(model: _Structure, data: _Structure, key: int) -> None:  # noqa: N802
+def mj_resetDataKeyframe(model: _Structure, data: _Structure, key: int) -> None:
     mujoco_wasm.mj_resetDataKeyframe(model._js, data._js, key)
 
 
-def mj_resetData(model: _Structure, data: _Structure) -> None:  # noqa: N802
+def mj_resetData(model: _Structure, data: _Structure) -> None:
     mujoco_wasm.mj_resetData(model._js, data._js)
 
 

@@ -4,7 +4,7 @@ The worker gives each message of the page to ``Playground.receive``, and the mes
 ``Playground`` to the page, both as JSON texts.  A page that sends
 
 - ``open``: ``files`` (text, or bytes in base64 as a list of one text) by path, and ``main``
-- ``edit``: ``file`` and its new ``text``
+- ``edit``: ``files``, new texts by path
 - ``drawn``: the robot is on the screen, so that there is time for the facts about it
 - ``drive``, ``motion``: as the page of ``thorvaldc preview``
 - ``complete``: ``file``, ``text`` and ``offset`` (in characters) of the cursor
@@ -29,11 +29,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from thorvaldc.comparison.robot_comparison import compare_models
 from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.compiler.values.value_reader import entries
-from thorvaldc.comparison.robot_comparison import compare_models
 from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.diagnostics.files import read_json
 from thorvaldc.model import Fleet, Robot
@@ -99,18 +99,20 @@ class Playground:
     def _open(self, message: Message) -> None:
         self._end_drive()
         shutil.rmtree(self._folder, ignore_errors=True)
-        for name, content in message["files"].items():
-            path = self._path(name)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            is_text = isinstance(content, str)
-            path.write_bytes(content.encode() if is_text else base64.b64decode(content[0]))
+        self._write(message["files"])
         self._compiled = CompiledRobot(self._path(message["main"]), (), False)
         self._compile()
 
     def _edit(self, message: Message) -> None:
-        path = self._path(message["file"])
-        path.write_text(message["text"], encoding="utf-8", newline="")
+        self._write(message["files"])
         self._compile()
+
+    def _write(self, files: Message) -> None:
+        for name, content in files.items():
+            path = self._path(name)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            is_text = isinstance(content, str)
+            path.write_bytes(content.encode() if is_text else base64.b64decode(content[0]))
 
     def _path(self, name: str) -> Path:
         path = Path(os.path.normpath(self._folder / name))
@@ -201,9 +203,11 @@ class Playground:
         model, places = self._compiled.model, []
         compilation = self._compiled.compilation
         if isinstance(model, Robot) and compilation is not None:
-            for port in compilation.ports(model):
-                if port.kind in kinds and not port.carries:
-                    places.append({"text": port.name, "mount": port.name})
+            places += [
+                {"text": port.name, "mount": port.name}
+                for port in compilation.ports(model)
+                if port.kind in kinds and not port.carries
+            ]
             for carrier in _free_carriers(compilation.instances[model.span.file]):
                 mount = f"{{parent: {carrier}, xyz: [0, 0, 0]}}"
                 places.append({"text": f"{carrier}, at a pose", "mount": mount})

@@ -1,5 +1,7 @@
-"""A stand-in for the package ``rpds-py``, which has no wheel for browsers: the part that the package
-``referencing`` uses."""
+"""A stand-in for the package ``rpds-py``, which has no wheel for browsers.
+
+It has what the package ``referencing`` uses.
+"""
 
 from __future__ import annotations
 

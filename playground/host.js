@@ -1,0 +1,452 @@
+// The host of the page in the playground: a web worker with the compiler, see worker.js.  This
+// script also runs the workbench beside the picture: editor, modules and generated files.
+
+const LIMIT = 10000; // ms for one compilation; a worker that needs longer is ended
+const PAUSE = 300; // ms without a key until the facts are computed
+const LONGEST_LINK = 30000; // characters
+const TARGETS = ["urdf", "mjcf", "sdf", "ros2", "can", "datasheet"];
+
+let worker = null, limit = null, describing = null, saving = null, requests = 0;
+let isReady = false, isCompiling = false, isBehind = false; // the worker has other files than the page
+const changed = new Set(); // files with a text that is not compiled
+let files = new Map(), main = "", file = "", good = null, origin = "", last = [];
+const waiting = new Map(); // resolve functions of requests by their id
+
+// -- the worker --------------------------------------------------------------------------------------
+
+function post(message) {
+  worker.postMessage(JSON.stringify(message));
+}
+
+// Sends a message of the page.  The facts wait until nobody types.
+function send(message) {
+  if (message.kind !== "drawn") return post(message);
+  clearTimeout(describing);
+  describing = setTimeout(() => { if (!isCompiling && isReady) post({ kind: "drawn" }); }, PAUSE);
+}
+
+// Sends a request and returns its answer, or null if the worker ended meanwhile.
+function ask(kind, fields) {
+  const id = ++requests;
+  return new Promise((resolve) => {
+    waiting.set(id, resolve);
+    post({ kind, id, ...fields });
+  });
+}
+
+function startWorker() {
+  status("starting the compiler…", false);
+  isReady = isCompiling = false;
+  worker = new Worker("worker.js", { type: "module" });
+  worker.onmessage = ({ data }) => receive(JSON.parse(data), wallClock());
+  worker.onerror = (event) => endWorker(`the compiler ended: ${event.message ?? "no reason given"}`);
+}
+
+function receive(message, received) {
+  if (message.id !== undefined) {
+    waiting.get(message.id)?.(message);
+    waiting.delete(message.id);
+  } else if (message.kind === "ready") {
+    isReady = true;
+    if (main) compileAll(good ?? { files, main });
+  } else if (message.kind === "broken") endWorker(message.text);
+  else {
+    if (message.kind === "model") compiled(message);
+    receivers[message.kind]?.(message, received);
+    if (message.kind === "model") next();
+  }
+}
+
+// Ends a worker whose state is unknown.  The page goes on with the last robot without errors.
+function endWorker(reason) {
+  clearTimeout(limit);
+  worker.terminate();
+  if (!isReady) return status(`the compiler cannot be started: ${reason}`, true);
+  for (const resolve of waiting.values()) resolve(null);
+  waiting.clear();
+  drive.switched({ on: false, message: "" });
+  const text = reason.length > 200 ? `${reason.slice(0, 200)}…` : reason;
+  note(`${text}. This is the last robot without errors; change the file to try again.`);
+  changed.clear();
+  isBehind = good !== null;
+  startWorker();
+}
+
+function compileAll({ files, main }) {
+  changed.clear();
+  post({ kind: "open", files: Object.fromEntries(files), main });
+  expect();
+}
+
+function expect() {
+  isCompiling = true;
+  clearTimeout(limit);
+  limit = setTimeout(() => endWorker(`the compilation took longer than ${LIMIT / 1000} s`), LIMIT);
+}
+
+function compiled(message) {
+  clearTimeout(limit);
+  isCompiling = false;
+  if (message.good && !changed.size && !isBehind) good = { files: new Map(files), main };
+  last = message.diagnostics;
+  if (!changed.size) mark();
+}
+
+// Compiles the text that was typed during the last compilation.
+function next() {
+  if (!isReady || isCompiling || !changed.size) return;
+  if (isBehind) {
+    isBehind = false;
+    return compileAll({ files, main });
+  }
+  post({ kind: "edit", files: Object.fromEntries([...changed].map((name) => [name, files.get(name)])) });
+  changed.clear();
+  expect();
+}
+
+// -- files and the link of the page -------------------------------------------------------------------
+
+const isText = (content) => typeof content === "string";
+
+function edited(text) {
+  files.set(file, text);
+  changed.add(file);
+  note("");
+  clearTimeout(describing);
+  next();
+  clearTimeout(saving);
+  saving = setTimeout(saveLink, 1000);
+}
+
+const editor = ThorvaldEditor.create($("text"), {
+  label: "Text of the file",
+  onChange: edited,
+  complete: (text, at) => (isReady && !isCompiling ? ask("complete", { file, text, offset: at }) : null),
+});
+
+// Opens the files of a robot: texts, and bytes in base64 as a list of one text.
+function openFiles(content, mainFile, name) {
+  files = new Map(Object.entries(content));
+  main = file = mainFile;
+  origin = name;
+  isBehind = false;
+  good = null;
+  $("example").value = name;
+  $("built").replaceChildren();
+  $("download").hidden = true;
+  showTabs();
+  openTab(main);
+  note("");
+  if (isReady && isCompiling) endWorker("another robot was opened");
+  else if (isReady) compileAll({ files, main });
+}
+
+function showTabs() {
+  const names = [...files.keys()];
+  $("tabs").hidden = names.length < 2;
+  $("tabs").replaceChildren(...names.map((name) => {
+    const tab = element("button", name);
+    tab.type = "button";
+    tab.setAttribute("role", "tab");
+    tab.addEventListener("click", () => openTab(name));
+    return tab;
+  }));
+}
+
+function openTab(name) {
+  file = name;
+  const content = files.get(name);
+  editor.open(isText(content) ? content : "(no text)", !isText(content));
+  for (const tab of $("tabs").children) tab.setAttribute("aria-selected", String(tab.textContent === name));
+  mark();
+}
+
+// Paths of diagnostics are relative to the folder of the main file.
+function pathOf(name) {
+  const parts = main.split("/").slice(0, -1);
+  for (const part of name.split("/")) {
+    if (part === "..") parts.pop();
+    else if (part !== ".") parts.push(part);
+  }
+  return parts.join("/");
+}
+
+function mark() {
+  editor.mark(last.filter(({ span }) => span && pathOf(span.file) === file));
+}
+
+async function through(stream, bytes) {
+  return new Uint8Array(await new Response(new Blob([bytes]).stream().pipeThrough(stream)).arrayBuffer());
+}
+
+const base64 = (bytes) => btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(""));
+const bytesOf = (text) => Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
+
+// The fragment of a link: the name of an example, or the files as compressed JSON in base64.
+async function fragment() {
+  const all = { main, files: Object.fromEntries(files) };
+  if (origin && JSON.stringify(all) === JSON.stringify(await example(origin))) return `example=${origin}`;
+  const packed = await through(new CompressionStream("deflate-raw"), new TextEncoder().encode(JSON.stringify(all)));
+  return `robot=${base64(packed).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "")}`;
+}
+
+async function saveLink() {
+  const text = await fragment();
+  if (text.length <= LONGEST_LINK) history.replaceState(null, "", `#${text}`);
+}
+
+const examples = new Map();
+async function example(name) {
+  if (!examples.has(name)) examples.set(name, fetch(`examples/${name}.json`).then((response) => response.json()));
+  return examples.get(name);
+}
+
+async function openLink() {
+  const [key, value] = location.hash.slice(1).split(/=(.*)/s);
+  try {
+    if (key === "robot") {
+      const packed = bytesOf(value.replaceAll("-", "+").replaceAll("_", "/"));
+      const all = JSON.parse(new TextDecoder().decode(await through(new DecompressionStream("deflate-raw"), packed)));
+      if (!isText(all.files[all.main])) throw new Error("it has no robot file");
+      return openFiles(all.files, all.main, "");
+    }
+  } catch (error) {
+    note(`The link cannot be read (${error.message}); this is an example.`);
+  }
+  const known = [...$("example").options].map((option) => option.value).filter(Boolean);
+  const name = key === "example" && known.includes(value) ? value : known[0];
+  const { files: content, main: mainFile } = await example(name);
+  openFiles(content, mainFile, name);
+}
+
+$("share").addEventListener("click", async () => {
+  const text = await fragment();
+  if (text.length > LONGEST_LINK) return note("The files are too large for a link.");
+  history.replaceState(null, "", `#${text}`);
+  try {
+    await navigator.clipboard.writeText(location.href);
+    note(`The link to this robot is copied: ${location.href.length} characters.`);
+  } catch {
+    note("The address of this page is now the link to this robot.");
+  }
+});
+
+$("choose").addEventListener("click", () => $("chosen-files").click());
+$("chosen-files").addEventListener("change", async () => {
+  const content = {};
+  for (const chosen of $("chosen-files").files) {
+    const bytes = new Uint8Array(await chosen.arrayBuffer());
+    try {
+      content[chosen.name] = new TextDecoder("utf-8", { fatal: true }).decode(bytes);
+    } catch {
+      content[chosen.name] = [base64(bytes)];
+    }
+  }
+  $("chosen-files").value = "";
+  const names = Object.keys(content).filter((name) => /\.ya?ml$/.test(name));
+  const robot = names.find((name) => name === "robot.yaml") ?? names[0];
+  if (robot) openFiles(content, robot, "");
+  else if (files.size) {
+    // Meshes and other files for the robot on the screen.
+    const folder = main.split("/").slice(0, -1).map((part) => `${part}/`).join("");
+    openFiles({ ...Object.fromEntries(files), ...Object.fromEntries(Object.entries(content).map(([name, data]) => [folder + name, data])) }, main, "");
+  }
+});
+$("example").addEventListener("change", async () => {
+  const name = $("example").value;
+  if (!name) return;
+  const { files: content, main: mainFile } = await example(name);
+  openFiles(content, mainFile, name);
+  history.replaceState(null, "", `#example=${name}`);
+});
+window.addEventListener("hashchange", openLink);
+
+function note(text) {
+  $("note").textContent = text;
+}
+
+// -- dialogs -----------------------------------------------------------------------------------------
+
+function showDialog(title, ...content) {
+  $("dialog-title").textContent = title;
+  $("dialog-content").replaceChildren(...content);
+  if (!$("dialog").open) $("dialog").showModal();
+}
+
+// -- modules -----------------------------------------------------------------------------------------
+
+function moduleItem(module) {
+  const item = element("li"), button = element("button", module.type);
+  button.type = "button";
+  button.draggable = true;
+  button.append(element("small", module.text));
+  button.addEventListener("click", () => choosePlace(module));
+  button.addEventListener("dragstart", (event) => {
+    event.dataTransfer.setData("text/plain", module.type);
+    dragged = { module, places: [] };
+    viewer.setShown({ port: true });
+    ask("places", { type: module.type, kinds: module.kinds }).then((answer) => { if (answer) dragged.places = answer.places; });
+  });
+  button.addEventListener("dragend", () => {
+    viewer.setShown({ port: $("ports").checked });
+    $("drop")?.remove();
+  });
+  item.append(button);
+  return item;
+}
+
+async function choosePlace(module) {
+  if (!module.kinds.length) return mount(module, "");
+  const answer = await ask("places", { type: module.type, kinds: module.kinds });
+  if (!answer) return;
+  const list = element("ul");
+  for (const place of answer.places) {
+    const item = element("li"), button = element("button", place.text);
+    button.type = "button";
+    button.addEventListener("click", () => { $("dialog").close(); mount(module, place.mount); });
+    item.append(button);
+    list.append(item);
+  }
+  const fits = `${module.type} fits ports of the kind ${module.kinds.join(", ")}`;
+  showDialog(`Mount ${module.type}`, element("p", answer.places.length ? `${fits}. Where?` : `${fits}, and no such port is free.`), list);
+}
+
+async function mount(module, place) {
+  if (file !== main) openTab(main);
+  const answer = await ask("mount", { text: files.get(main), type: module.type, mount: place });
+  if (!answer) return;
+  if (!answer.text) return note(answer.reason);
+  setView("text");
+  editor.insert(answer.text, answer.offset);
+}
+
+let dragged = null;
+
+// The free port of the dragged module that is nearest to a place in the picture.
+function nearestPort(event) {
+  const box = $("canvas").getBoundingClientRect();
+  let nearest = null;
+  for (const robot of viewer.robots)
+    for (const frame of robot.frames) {
+      const place = dragged.places.find(({ mount }) => frame.userData.kind === "port" && mount === frame.userData.name);
+      if (!place) continue;
+      const point = frame.getWorldPosition(frame.position.clone()).project(viewer.camera);
+      const x = ((1 + point.x) * box.width) / 2, y = ((1 - point.y) * box.height) / 2;
+      const distance = Math.hypot(x - event.clientX + box.left, y - event.clientY + box.top);
+      if (distance < 80 && distance < (nearest?.distance ?? Infinity)) nearest = { place, x, y, distance };
+    }
+  return nearest;
+}
+
+$("stage").addEventListener("dragover", (event) => {
+  if (!dragged) return;
+  event.preventDefault();
+  $("drop")?.remove();
+  const port = nearestPort(event);
+  if (!port) return;
+  const ring = element("div");
+  ring.id = "drop";
+  ring.style.left = `${port.x}px`;
+  ring.style.top = `${port.y}px`;
+  $("stage").append(ring);
+});
+$("stage").addEventListener("drop", (event) => {
+  if (!dragged) return;
+  event.preventDefault();
+  const port = nearestPort(event), { module } = dragged;
+  dragged = null;
+  $("drop")?.remove();
+  if (port) mount(module, port.place.mount);
+  else choosePlace(module);
+});
+
+function filterModules() {
+  const words = $("filter").value.toLowerCase().split(/\s+/);
+  for (const item of $("modules").children) item.hidden = !words.every((word) => item.textContent.toLowerCase().includes(word));
+}
+$("filter").addEventListener("input", filterModules);
+
+// -- generated files ---------------------------------------------------------------------------------
+
+for (const target of TARGETS) {
+  const label = element("label", ` ${target}`), box = element("input");
+  box.type = "checkbox";
+  box.value = target;
+  box.checked = target === "urdf" || target === "mjcf";
+  label.prepend(box);
+  $("targets").append(label);
+}
+
+const size = (bytes) => (bytes < 10000 ? `${bytes} bytes` : `${Math.round(bytes / 1000)} kB`);
+
+$("build").addEventListener("click", async () => {
+  const targets = [...$("targets").querySelectorAll("input:checked")].map((box) => box.value);
+  $("built-note").textContent = "building…";
+  const answer = await ask("build", { targets });
+  if (!answer) return;
+  const { files: built, warnings, error } = answer;
+  $("built-note").textContent = [error || (built.length ? "" : "there is no robot without errors"), ...warnings].filter(Boolean).join("; ");
+  $("download").hidden = !built.length;
+  $("built").replaceChildren(...built.map((entry) => {
+    const item = element("li"), button = element("button", `${entry.path} (${size(entry.bytes)})`);
+    button.type = "button";
+    button.addEventListener("click", () => showBuilt(entry.path));
+    item.append(button);
+    return item;
+  }));
+});
+
+function save(name, bytes) {
+  const link = element("a");
+  link.href = URL.createObjectURL(new Blob([bytes]));
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+}
+
+async function showBuilt(path) {
+  const answer = await ask("file", { path });
+  if (!answer) return;
+  const button = element("button", "download"), name = path.split("/").pop();
+  button.type = "button";
+  button.addEventListener("click", () => save(name, answer.text !== undefined ? new TextEncoder().encode(answer.text) : bytesOf(answer.base64)));
+  const text = element("pre", answer.text ?? "(no text)");
+  text.tabIndex = 0;
+  showDialog(path, button, text);
+}
+
+$("download").addEventListener("click", async () => {
+  const answer = await ask("archive", {});
+  if (answer) save(`${$("title").textContent || "robot"}.zip`, bytesOf(answer.base64));
+});
+
+// -- views of a phone --------------------------------------------------------------------------------
+
+function setView(view) {
+  document.documentElement.classList.toggle("text-view", view === "text");
+  for (const button of $("views").children) button.setAttribute("aria-pressed", String(button.dataset.view === view));
+  viewer.draw();
+}
+for (const button of $("views").children) button.addEventListener("click", () => setView(button.dataset.view));
+
+// A click on a diagnostic shows its place in the text.
+$("diagnostics").addEventListener("click", (event) => {
+  const item = event.target.closest(".diagnostic"), diagnostic = last[[...$("diagnostics").children].indexOf(item)];
+  if (!diagnostic?.span || !files.has(pathOf(diagnostic.span.file))) return;
+  openTab(pathOf(diagnostic.span.file));
+  setView("text");
+  editor.show(diagnostic.span.start);
+});
+
+async function begin() {
+  startWorker();
+  const { modules, examples: names } = await fetch("library.json").then((response) => response.json());
+  $("modules").append(...modules.map(moduleItem));
+  for (const { name, title } of names) {
+    const option = element("option", title);
+    option.value = name;
+    $("example").append(option);
+  }
+  await openLink();
+}
+begin();
