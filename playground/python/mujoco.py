@@ -8,7 +8,9 @@ WebAssembly build as ``mujoco_wasm``, with the function ``steps(model, data, num
 from __future__ import annotations
 
 import array
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import mujoco_wasm
@@ -147,7 +149,15 @@ class MjSpec:
 
     @classmethod
     def from_file(cls, path: str) -> MjSpec:
-        raise ValueError("scenes with two files of one name cannot be simulated in a browser")
+        xml = Path(path).read_text(encoding="utf-8")
+        assets: dict[str, bytes] = {}
+        for name in re.findall(r'\bfile="([^"]+)"', xml):
+            file = Path(path).parent / name
+            data = file.read_bytes()
+            # MuJoCo knows files in memory by the last part of their paths.
+            if assets.setdefault(file.name, data) != data:
+                raise ValueError(f"two files have the name {file.name}")
+        return cls.from_string(xml, assets=assets)
 
     def compile(self) -> _Structure:
         try:
