@@ -79,8 +79,8 @@ def main() -> None:
     shutil.copy(NODE / "pyodide" / "pyodide.mjs", folder)
     for name in ("pyodide/pyodide.asm.mjs", "pyodide/pyodide.asm.wasm"):
         compressed(NODE / name, folder)
-    for name in ("mujoco.js", "mujoco.wasm"):
-        compressed(NODE / "@mujoco" / "mujoco" / name, folder)
+    compressed(NODE / "@mujoco" / "mujoco" / "mujoco.wasm", folder)
+    shutil.copy(NODE / "@mujoco" / "mujoco" / "mujoco.js", folder)
     lock = json.loads((NODE / "pyodide" / "pyodide-lock.json").read_text(encoding="utf-8"))
     worker = (HERE / "worker.js").read_text(encoding="utf-8")
     info = json.dumps(lock["info"])

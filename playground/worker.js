@@ -46,7 +46,7 @@ Playground(page.send)
 }
 
 async function startSimulator() {
-  const load = await imported("mujoco.js");
+  const { default: load } = await import("./mujoco.js");
   const wasm = await (await unpacked("mujoco.wasm", WASM)).arrayBuffer();
   const mujoco = await load({ wasmBinary: wasm, print: () => {}, printErr: () => {} });
   mujoco.steps = (model, data, number) => { for (let i = 0; i < number; i++) mujoco.mj_step(model, data); };

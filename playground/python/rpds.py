@@ -39,6 +39,9 @@ class HashTrieSet(frozenset):  # type: ignore[type-arg]
     def remove(self, value: Any) -> HashTrieSet:
         return HashTrieSet(self - {value})
 
+    def update(self, *others: Any) -> HashTrieSet:
+        return HashTrieSet(self.union(*others))
+
 
 class List(tuple):  # type: ignore[type-arg]
     """A list whose first element is the newest."""

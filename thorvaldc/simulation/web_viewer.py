@@ -11,11 +11,12 @@ import base64
 import functools
 import json
 import math
+import sys
+from array import array
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import chain
 from typing import Any
-
-import numpy as np
 
 from thorvaldc.backends.description_parts import BLOCK_COLORS, Color
 from thorvaldc.backends.mjcf import zone_color
@@ -25,7 +26,7 @@ from thorvaldc.model import Box, Fleet, Ground, Joint, MeshShape, Pose, Robot, S
 from thorvaldc.model.plugins import data_folder
 from thorvaldc.model.spatial import quat_from_axis_angle
 from thorvaldc.model.statics.joint_tree import tree_of
-from thorvaldc.simulation.pictures.surfaces import is_closed, surface, zone_text
+from thorvaldc.simulation.pictures.triangles import is_closed, surface, zone_text
 
 PLACEHOLDER = "/*DATA*/"
 """Placeholder in the template that the data of the model replaces."""
@@ -125,20 +126,23 @@ class Shapes:
         key = (shape, content)
         if key not in self._indices:
             if key not in self._cache:
-                points, faces = surface(robot, shape)
+                body = surface(robot, shape)
                 self._cache[key] = {
-                    "points": base64_of(points.astype("<f4")),
-                    "faces": base64_of(faces.astype("<u4")),
-                    "closed": is_closed(points, faces),
+                    "points": base64_of("f", chain.from_iterable(body.points)),
+                    "faces": base64_of("I", chain.from_iterable(body.triangles)),
+                    "closed": is_closed(body),
                 }
             self._indices[key] = len(self.meshes)
             self.meshes.append(self._cache[key])
         return self._indices[key]
 
 
-def base64_of(array: Any) -> str:
-    """Returns the bytes of an array in base64."""
-    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode("ascii")
+def base64_of(code: str, values: Iterable[float]) -> str:
+    """Returns numbers in base64: float32 for the code ``f``, uint32 for ``I``, little endian."""
+    numbers = array(code, values)
+    if sys.byteorder == "big":
+        numbers.byteswap()
+    return base64.b64encode(numbers.tobytes()).decode("ascii")
 
 
 def _rounded(values: Sequence[float]) -> list[float]:
@@ -306,20 +310,22 @@ def _zone_relief(zone: Zone) -> dict[str, Any]:
 
 def _relief(size: tuple[float, float], rows: list[list[float]], top: float) -> dict[str, Any]:
     """Returns a height grid, of which every n-th row and column is left in a large one."""
-    grid = top * np.asarray(rows)
-    step = math.ceil(math.sqrt(grid.size / MAX_CELLS))
-    ys, xs = (_samples(count, step) for count in grid.shape)
+    count = len(rows) * len(rows[0])
+    step = math.ceil(math.sqrt(count / MAX_CELLS))
+    ys, xs = _samples(len(rows), step), _samples(len(rows[0]), step)
     return {
         "size": list(size),
         "rows": len(ys),
         "columns": len(xs),
-        "heights": base64_of(grid[np.ix_(ys, xs)].astype("<f4")),
+        "heights": base64_of("f", (top * rows[y][x] for y in ys for x in xs)),
     }
 
 
 def _samples(count: int, step: int) -> list[int]:
     """Returns about every ``step``-th index of ``count`` ones, with equal gaps and both ends."""
-    return [int(i) for i in np.linspace(0, count - 1, max(2, math.ceil(count / step))).round()]
+    number = max(2, math.ceil(count / step))
+    gap = (count - 1) / (number - 1)
+    return [*(round(i * gap) for i in range(number - 1)), count - 1]
 
 
 def _text(world: World) -> str:

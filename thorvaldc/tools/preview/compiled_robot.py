@@ -43,7 +43,7 @@ WORKBENCH = "<!--WORKBENCH-->"
 
 
 def robot_page(host: str, workbench: str = "") -> str:
-    """Returns the HTML document of the page, with the script ``host`` and the HTML ``workbench``."""
+    """Returns the HTML document of the page with the script and the workbench of its host."""
     template = data_folder("templates") / "preview" / "page.html"
     page = template.read_text(encoding="utf-8").replace(WORKBENCH, workbench, 1)
     return page.replace(HOST, host, 1).replace(VIEWER, viewer_script(), 1)
