@@ -19,7 +19,7 @@ PIP_INSTALL = PIP_CONSTRAINT=locks/dev.txt PIP_BUILD_CONSTRAINT=locks/dev.txt \
 unexport PYTHONDONTWRITEBYTECODE
 
 .DELETE_ON_ERROR:
-.PHONY: help setup lock demo test test-slow test-all test-core test-matrix lint types chaos fuzz mutants bench golden pictures dist docs docs-serve clean distclean
+.PHONY: help setup lock demo test test-slow test-all test-core test-matrix lint types chaos fuzz mutants bench golden pictures dist docs docs-serve playground clean distclean
 
 help:
 	@echo "make demo      compile every example and drive it in simulation"
@@ -36,6 +36,7 @@ help:
 	@echo "make pictures  render the pictures of examples and modules"
 	@echo "make dist      build and check the wheels and the source distribution"
 	@echo "make docs      build the documentation as a site in build/site"
+	@echo "make playground  build the playground in build/playground (needs npm) and show it"
 	@echo "make docs-serve  show the site at http://127.0.0.1:8000, also while you edit it"
 	@echo "make lint, make types, make clean, make distclean"
 
@@ -163,6 +164,12 @@ dist: $(READY)
 # The variable silences the advertisement of another program.
 docs: $(READY)
 	NO_MKDOCS_2_WARNING=1 PYTHONPATH=. $(BIN)/python -m mkdocs build
+
+# The playground is also a part of the site, where npm is installed.
+playground: $(READY)
+	PYTHONPATH=. $(BIN)/python playground/build.py build/playground
+	@echo "http://127.0.0.1:8010/ (Ctrl-C ends the server; any static server shows build/playground)"
+	@$(BIN)/python -m http.server --bind 127.0.0.1 --directory build/playground 8010
 
 docs-serve: $(READY)
 	NO_MKDOCS_2_WARNING=1 PYTHONPATH=. $(BIN)/python -m mkdocs serve

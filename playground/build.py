@@ -1,6 +1,6 @@
-"""Builds the playground as a static site: `make playground` calls it after `npm ci`.
+"""Builds the playground as a static site, for `make playground` and `make docs`.
 
-    python playground/build.py build/site/playground
+    python playground/build.py build/playground
 
 The page needs no special headers of its server and loads nothing from other hosts.  Large files are
 compressed here, because not every static server does it.
@@ -15,6 +15,7 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 import tempfile
 import zipfile
 from importlib import metadata
@@ -70,34 +71,50 @@ UNUSED_STANDARD = re.compile(
 """Files of Python's standard library that no robot in a browser needs."""
 
 
-def main() -> None:
+def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, help="folder of the site; it is emptied")
     folder = parser.parse_args().folder.resolve()
+    if shutil.which("npm") is None:
+        print("error: the playground needs npm and node, and there is no npm", file=sys.stderr)
+        return 1
+    install()
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    shutil.copy(NODE / "pyodide" / "pyodide.mjs", folder)
-    for name in ("pyodide/pyodide.asm.mjs", "pyodide/pyodide.asm.wasm"):
-        compressed(NODE / name, folder)
-    compressed(NODE / "@mujoco" / "mujoco" / "mujoco.wasm", folder)
-    shutil.copy(NODE / "@mujoco" / "mujoco" / "mujoco.js", folder)
+    for name in ("pyodide/pyodide.mjs", "@mujoco/mujoco/mujoco.js"):
+        shutil.copy(NODE / name, folder)
+    for name in (
+        "pyodide/pyodide.asm.mjs",
+        "pyodide/pyodide.asm.wasm",
+        "@mujoco/mujoco/mujoco.wasm",
+    ):
+        data = gzip.compress((NODE / name).read_bytes(), 9, mtime=0)
+        (folder / f"{Path(name).name}.gz").write_bytes(data)
     lock = json.loads((NODE / "pyodide" / "pyodide-lock.json").read_text(encoding="utf-8"))
     worker = (HERE / "worker.js").read_text(encoding="utf-8")
-    info = json.dumps(lock["info"])
-    write(folder / "worker.js", worker.replace("null /*LOCK*/", info))
+    write(folder / "worker.js", worker.replace("null /*LOCK*/", json.dumps(lock["info"])))
     write(folder / "index.html", page())
-    subprocess.run(
-        ["npm", "run", "--silent", "build", "--", f"--outfile={folder / 'editor.js'}"],
-        check=True,
-        cwd=HERE,
-    )
+    npm("run", "--silent", "build", "--", f"--outfile={folder / 'editor.js'}")
     write_examples(folder)
+    write(folder / "licences.txt", licences())
     with tempfile.TemporaryDirectory() as stage:
         stage_python(Path(stage, "app"))
         stage_standard_library(Path(stage, "lib"))
         for name, archive in (("app", "python.zip"), ("lib", "python_stdlib.zip")):
             command = ["node", "pack.mjs", str(Path(stage, name)), str(folder / archive)]
             subprocess.run(command, check=True, cwd=HERE)
+    return 0
+
+
+def install() -> None:
+    """Installs the packages of package-lock.json, if they are not installed yet."""
+    lock, present = HERE / "package-lock.json", NODE / ".package-lock.json"
+    if not present.is_file() or present.stat().st_mtime < lock.stat().st_mtime:
+        npm("ci", "--ignore-scripts", "--no-audit", "--no-fund", "--silent")
+
+
+def npm(*arguments: str) -> None:
+    subprocess.run(["npm", *arguments], check=True, cwd=HERE, stdout=subprocess.DEVNULL)
 
 
 def write(path: Path, text: str) -> None:
@@ -158,9 +175,49 @@ def content(path: Path) -> str | list[str]:
         return [base64.b64encode(data).decode()]
 
 
-def compressed(path: Path, folder: Path) -> None:
-    data = gzip.compress(path.read_bytes(), 9, mtime=0)
-    (folder / f"{path.name}.gz").write_bytes(data)
+SOURCES = {
+    "pyodide": "https://github.com/pyodide/pyodide",
+    "@mujoco/mujoco": "https://github.com/google-deepmind/mujoco",
+    "three": "https://github.com/mrdoob/three.js",
+}
+"""Where the sources are of what npm packages contain in another form."""
+CPYTHON = """\
+pyodide.asm.wasm and python_stdlib.zip contain CPython {version} (PSF-2.0); its modules are
+compiled, and some are left out. Source: https://github.com/python/cpython
+"""
+
+
+def licences() -> str:
+    """Returns the list of the programs in the site: version, licence, source, and its text."""
+    lock = json.loads((NODE / "pyodide" / "pyodide-lock.json").read_text(encoding="utf-8"))
+    parts = [CPYTHON.format(version=lock["info"]["python"])]
+    for path in sorted(NODE.glob("*/package.json")) + sorted(NODE.glob("@*/*/package.json")):
+        name = path.parent.relative_to(NODE).as_posix()
+        package = json.loads(path.read_text(encoding="utf-8"))
+        if "esbuild" in name or name.startswith("@types"):
+            continue  # tools of the build alone
+        repository = package.get("repository", "")
+        address = repository.get("url", "") if isinstance(repository, dict) else repository
+        source = SOURCES.get(name) or address.removeprefix("git+").removesuffix(".git")
+        texts = [file.read_text(encoding="utf-8") for file in path.parent.glob("LICEN[SC]E*")]
+        parts.append(licence(name, package["version"], package.get("license", ""), source, texts))
+    parts.append(licence("three", "", "MIT", SOURCES["three"], []))
+    for name in PACKAGES:
+        data = metadata.metadata(name)
+        texts = [
+            file.read_text(encoding="utf-8")
+            for file in metadata.files(name) or ()
+            if re.match(r"(LICEN[SC]E|COPYING|NOTICE)", file.name)
+        ]
+        declared = data.get("License-Expression") or data.get("License") or "see the text"
+        source = data.get("Home-page") or ", ".join(data.get_all("Project-URL") or ())
+        parts.append(licence(name, data["Version"], declared.split("\n")[0], source, texts))
+    return "\n".join(parts)
+
+
+def licence(name: str, version: str, declared: str, source: str, texts: list[str]) -> str:
+    head = f"{name} {version}".strip() + f" ({declared})\nSource: {source}\n"
+    return "\n".join([head, *texts])
 
 
 def stage_python(stage: Path) -> None:
@@ -199,4 +256,4 @@ def copy(path: Path, target: Path) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

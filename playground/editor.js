@@ -76,7 +76,7 @@ export function create(parent, { onChange, complete, label }) {
   const view = new EditorView({ parent });
   const extensions = [
     lineNumbers(), history(), drawSelection(), indentOnInput(), bracketMatching(), closeBrackets(), highlightActiveLine(), highlightSelectionMatches(),
-    lintGutter(), yaml(), syntaxHighlighting(COLORS), LOOK, indentUnit.of("  "), EditorState.tabSize.of(2),
+    EditorView.lineWrapping, lintGutter(), yaml(), syntaxHighlighting(COLORS), LOOK, indentUnit.of("  "), EditorState.tabSize.of(2),
     autocompletion({ override: [source], icons: false, activateOnTypingDelay: 50 }),
     readOnly.of([]),
     // Escape and then Tab leaves the editor, for people who use the keyboard alone.

@@ -10,11 +10,14 @@ from __future__ import annotations
 import html
 import os
 import re
+import subprocess
+import sys
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import language_model_files
 import latex2mathml.converter
+import playground_links
 import reference_commands
 import reference_diagnostics
 import reference_documents
@@ -81,6 +84,8 @@ def on_files(files: Files, config: Any) -> Files:
     return files
 
 
+has_playground = False
+
 PAGES_OF_NAVIGATION: dict[str, language_model_files.PageText] = {}
 """Pages by their address, in the order of the navigation."""
 
@@ -100,6 +105,9 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
     text = _with_links_of_the_site(markdown, page)
     if known := PAGES_OF_NAVIGATION.get(page.file.src_uri):
         PAGES_OF_NAVIGATION[page.file.src_uri] = known._replace(title=page.title, text=text)
+    if has_playground:
+        start = PurePosixPath(page.file.src_uri).parent
+        text = playground_links.with_links(text, os.path.relpath("playground/index.html", start))
     return text
 
 
@@ -164,11 +172,22 @@ def named_search(output: str) -> str:
     return output.replace('role="dialog">', 'role="dialog" aria-label="Search">')
 
 
-def on_post_build(config: Any) -> None:
-    """Writes the files for language models, and the index of the search as a script too.
+def on_startup(command: str, dirty: bool) -> None:
+    """Leaves the playground out of a site that is built again after each change of a page."""
+    global has_playground
+    has_playground = command == "build" and playground_links.can_build()
+    if command == "build" and not has_playground:
+        print("The playground is left out of the site: its build needs npm.", file=sys.stderr)
 
-    A page that is opened as a file can load no JSON.
+
+def on_post_build(config: Any) -> None:
+    """Builds the playground, and writes the files for language models and the index of the search.
+
+    A page that is opened as a file can load no JSON: the index is written as a script too.
     """
+    if has_playground:
+        command = [sys.executable, str(ROOT / "playground" / "build.py")]
+        subprocess.run([*command, str(Path(config.site_dir, "playground"))], check=True)
     folder, pages = Path(config.site_dir), PAGES_OF_NAVIGATION.values()
     language_model_files.write_files(folder, config.site_name, config.site_description, pages)
     folder = Path(config.site_dir, "search")

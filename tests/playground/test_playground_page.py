@@ -1,0 +1,455 @@
+"""The page of the playground in a browser, from a static server without special headers."""
+
+from __future__ import annotations
+
+import base64
+import functools
+import http.server
+import io
+import json
+import re
+import subprocess
+import sys
+import threading
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from tests.accessibility import axe_script, violations
+from tests.outside_tools import path_of
+from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.model.stl import binary_stl
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "examples"
+TARGETS = ["urdf", "mjcf", "sdf", "ros2", "can", "datasheet"]
+TEXT = (EXAMPLES / "4wd4ws_wide" / "robot.yaml").read_text(encoding="utf-8")
+OPTIONS = (
+    "--no-sandbox",
+    "--disable-dev-shm-usage",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+)
+DESK, PHONE = {"width": 1440, "height": 860}, {"width": 390, "height": 844}
+WAIT = 60_000  # ms, for a busy machine
+LARGEST = 10_000_000  # bytes until the first robot is on the screen
+
+pytestmark = [pytest.mark.xdist_group("site"), pytest.mark.timeout(300)]
+
+
+class Handler(http.server.SimpleHTTPRequestHandler):
+    """A server of files that counts what it sends, without compression."""
+
+    sent: dict[str, int] = {}
+
+    def log_message(self, *arguments: Any) -> None:
+        pass
+
+    def copyfile(self, source: Any, outputfile: Any) -> None:
+        data = source.read()
+        self.sent[self.path] = len(data)
+        outputfile.write(data)
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    path_of("npm")
+    folder = tmp_path_factory.mktemp("playground") / "site"
+    command = [sys.executable, str(ROOT / "playground" / "build.py"), str(folder)]
+    subprocess.run(command, cwd=ROOT, check=True, timeout=240)
+    handler = functools.partial(Handler, directory=str(folder))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_address[1]}/"
+        server.shutdown()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    program = path_of("chromium")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=list(OPTIONS))
+        yield browser
+        browser.close()
+
+
+Visit = Callable[..., Page]
+
+
+@pytest.fixture
+def visit(address: str, browser: Browser) -> Iterator[Visit]:
+    """Opens the page; a request to another host or an error of the page fails the test."""
+    pages: list[Page] = []
+    errors: list[str] = []
+
+    def open_page(fragment: str = "", robot: bool = True, **options: Any) -> Page:
+        page = browser.new_page(**{"viewport": DESK, **options})
+        pages.append(page)
+        page.on("pageerror", lambda error: errors.append(str(error)))
+
+        def check(request: Any) -> None:
+            if not request.url.startswith((address, f"blob:{address}", "data:")):
+                errors.append(f"a request to {request.url}")
+
+        page.on("request", check)
+        page.goto(f"{address}{fragment}")
+        if robot:
+            page.wait_for_selector("html[data-version]", timeout=WAIT)
+        return page
+
+    yield open_page
+    for page in pages:
+        page.close()
+    assert errors == []
+
+
+def wait_until(page: Page, condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    for _ in range(round(20 * seconds)):
+        if condition():
+            return
+        page.wait_for_timeout(50)
+    raise AssertionError("the page did not change")
+
+
+def version(page: Page) -> int:
+    return int(page.evaluate("Number(document.documentElement.dataset.version)"))
+
+
+def write(page: Page, text: str) -> None:
+    """Replaces the text in the editor, as a user does."""
+    page.evaluate(
+        "text => editor.view.dispatch({changes: {from: 0, to: editor.view.state.doc.length,"
+        " insert: text}, userEvent: 'input'})",
+        text,
+    )
+
+
+def ask(page: Page, kind: str, **fields: Any) -> Any:
+    return page.evaluate("([kind, fields]) => ask(kind, fields)", [kind, fields])
+
+
+def built(page: Page) -> dict[str, bytes]:
+    ask(page, "build", targets=TARGETS)
+    archive = base64.b64decode(ask(page, "archive")["base64"])
+    with zipfile.ZipFile(io.BytesIO(archive)) as packed:
+        return {name: packed.read(name) for name in packed.namelist()}
+
+
+def test_the_first_robot_and_its_size(visit: Visit) -> None:
+    Handler.sent.clear()
+    page = visit()
+    assert sum(Handler.sent.values()) < LARGEST, Handler.sent
+    assert page.inner_text("h1") == "thorvald_4wd4ws_wide"
+    assert "190.6 kg" in page.inner_text("#facts")
+    assert page.evaluate("Number(document.documentElement.dataset.triangles)") > 1000
+    page.wait_for_selector("#tables details", state="attached", timeout=WAIT)
+    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+    assert not page.evaluate("crossOriginIsolated")  # needs no special headers
+
+
+def test_an_error_while_typing_its_fix_and_the_last_robot(visit: Visit) -> None:
+    page = visit()
+    page.click(".cm-line:nth-child(9)")
+    before = version(page)
+    write(page, TEXT.replace("tube_inset_y", "tube_inset"))
+    page.wait_for_selector("#diagnostics .error", timeout=WAIT)
+    assert version(page) == before + 1
+    assert page.evaluate("viewer.isGrey && viewer.robots.length") == 1
+    assert "1 error" in page.inner_text("#status")
+    page.hover(".cm-lintRange-error")
+    page.click(".cm-diagnosticAction")
+    page.wait_for_selector("#diagnostics .error", state="detached", timeout=WAIT)
+    assert page.evaluate("editor.text") == TEXT
+    assert not page.evaluate("viewer.isGrey")
+    write(page, TEXT + "foo: 1\n")  # jsonschema is loaded for the first such error
+    page.wait_for_selector("#diagnostics .error", timeout=WAIT)
+    page.click("#diagnostics .error div")
+    assert page.evaluate("editor.view.state.selection.main.head") == len(TEXT)
+
+
+def test_the_editor_proposes_keys_and_types(visit: Visit) -> None:
+    page = visit()
+    page.click(".cm-content")
+    page.keyboard.press("Control+End")
+    page.keyboard.type("para")
+    page.wait_for_selector(".cm-tooltip-autocomplete", timeout=WAIT)
+    assert "parameter_sets" in page.inner_text(".cm-tooltip-autocomplete")
+    page.keyboard.press("Escape")
+    for _ in "para":
+        page.keyboard.press("Backspace")
+    write(page, TEXT.replace("type: io/board,", "type: caster/"))
+    offset = TEXT.index("io/board,") + len("caster/")
+    page.evaluate("at => editor.view.dispatch({selection: {anchor: at}})", offset)
+    page.click(".cm-content", position={"x": 1, "y": 1}, trial=True)
+    page.evaluate("editor.view.focus()")
+    page.keyboard.press("Control+Space")
+    page.wait_for_selector(".cm-tooltip-autocomplete", timeout=WAIT)
+    page.get_by_text("caster/swivel", exact=False).first.click()
+    assert "type: caster/swivel" in page.evaluate("editor.text")
+
+
+def test_driving_while_another_part_is_typed(visit: Visit) -> None:
+    page = visit()
+    page.click("#drive")
+    page.wait_for_selector("#drive[aria-pressed=true]", timeout=WAIT)
+    odometry = "Number(/odometry x (-?[0-9.]+)/.exec(document.querySelector('#drive-state').textContent)?.[1] ?? 'NaN')"
+    wait_until(page, lambda: page.evaluate(odometry) == page.evaluate(odometry))
+    page.wait_for_timeout(500)
+    assert abs(page.evaluate(odometry)) < 0.01  # it does not move unasked
+    page.evaluate("window.held = setInterval(() => send({kind: 'motion', x: 1, y: 0, yaw: 0}), 50)")
+    page.click(".cm-content")
+    page.keyboard.press("Control+End")
+    for letter in "# typed w":  # `w` drives only outside of the editor
+        page.keyboard.type(letter)
+        page.wait_for_timeout(100)
+    wait_until(page, lambda: page.evaluate(odometry) > 0.3)
+    assert page.evaluate("editor.text").endswith("# typed w")
+    assert page.get_attribute("#drive", "aria-pressed") == "true"
+    page.evaluate("clearInterval(held)")
+    page.wait_for_timeout(2500)
+    stopped = page.evaluate(odometry)
+    page.wait_for_timeout(500)
+    assert page.evaluate(odometry) == pytest.approx(stopped, abs=0.01)
+    page.focus("#stick")
+    page.keyboard.down("s")
+    wait_until(page, lambda: page.evaluate(odometry) < stopped - 0.1)
+    page.keyboard.up("s")
+    page.keyboard.press("Escape")
+    page.wait_for_selector("#drive[aria-pressed=false]", timeout=WAIT)
+
+
+def test_every_example_has_the_files_of_a_native_build(visit: Visit) -> None:
+    page = visit()
+    names = page.eval_on_selector_all("#example option", "all => all.map((o) => o.value)")[1:]
+    assert len(names) >= 12
+    for name in names:
+        before = version(page)
+        page.select_option("#example", name)
+        wait_until(page, lambda: page.evaluate("origin") == name and version(page) != before)
+        main = next(EXAMPLES.glob(f"{name}/*t.yaml"))
+        model = compile_file(main).model
+        assert model is not None
+        native = emit(model, TARGETS)
+        files = built(page)
+        assert sorted(files) == sorted(native), name
+        assert [path for path in native if files[path] != native[path]] == [], name
+
+
+def own_robot() -> dict[str, Any]:
+    """A robot with meshes of its own, and an extra in xacro with an expression."""
+    corners = [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.3)]
+    faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+    triangles = [(corners[a], corners[b], corners[c]) for a, b, c in faces]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners]
+    obj = "\n".join(lines + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces])
+    xacro = (
+        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="x">'
+        '<xacro:property name="h" value="${0.2 + sin(0.5)}"/>'
+        + "".join(
+            f'<link name="m{i}"><visual><geometry><mesh filename="m{i}.{suffix}"/></geometry>'
+            f'</visual></link><joint name="j{i}" type="fixed"><parent link="frame_body"/>'
+            f'<child link="m{i}"/><origin xyz="0 0 ${{h + {i}}}"/></joint>'
+            for i, suffix in enumerate(("stl", "obj"))
+        )
+        + "</robot>"
+    )
+    text = f"{TEXT}extras:\n  - {{xacro: top.xacro}}\n"
+    stl = [base64.b64encode(binary_stl(triangles)).decode()]
+    return {"robot.yaml": text, "top.xacro": xacro, "m0.stl": stl, "m1.obj": obj}
+
+
+def open_files(page: Page, files: dict[str, Any]) -> None:
+    before = version(page)
+    page.evaluate("files => openFiles(files, 'robot.yaml', '')", files)
+    wait_until(page, lambda: version(page) != before)
+
+
+def test_own_files_and_a_link_to_them(visit: Visit, tmp_path: Path) -> None:
+    page = visit()
+    files = own_robot()
+    for name, content in files.items():
+        data = content.encode() if isinstance(content, str) else base64.b64decode(content[0])
+        (tmp_path / name).write_bytes(data)
+    before = version(page)
+    page.set_input_files("#chosen-files", [tmp_path / name for name in files])
+    wait_until(page, lambda: version(page) != before)
+    model = compile_file(tmp_path / "robot.yaml").model
+    assert model is not None
+    native = emit(model, TARGETS)
+    assert built(page) == native
+    page.click("[role=tab]:has-text('top.xacro')")
+    assert page.evaluate("editor.text") == files["top.xacro"]
+    page.click("#share")
+    wait_until(page, lambda: "#robot=" in page.url)
+    other = visit(f"#{page.url.partition('#')[2]}")
+    assert other.eval_on_selector_all("[role=tab]", "all => all.length") == 4
+    assert built(other) == native
+
+
+def test_a_link_that_cannot_be_read_opens_an_example(visit: Visit) -> None:
+    for fragment in ("#robot=AAAA", "#robot=%", "#robot=", "#example=none", "#x"):
+        page = visit(fragment)
+        assert page.inner_text("h1") == "thorvald_4wd4ws_wide"
+        assert ("cannot be read" in page.inner_text("#note")) == fragment.startswith("#robot")
+        page.close()
+
+
+HUNGRY = {
+    "hangs": "${len([0 for i in range(10**9) if not i+1])}",
+    "needs memory": "${[0] * 10**10}",
+    "recursion": '</robot><robot name="b">' + "<a>" * 5000,
+}
+
+
+@pytest.mark.parametrize("fault", HUNGRY)
+def test_a_file_that_takes_too_much_ends_and_the_page_goes_on(visit: Visit, fault: str) -> None:
+    page = visit()
+    files = own_robot()
+    open_files(page, files)
+    assert page.locator("#diagnostics .error").count() == 0
+    name = page.inner_text("h1")
+    page.click("[role=tab]:has-text('top.xacro')")
+    write(page, files["top.xacro"].replace("${0.2 + sin(0.5)}", HUNGRY[fault]))
+    wait_until(
+        page,
+        lambda: (
+            "change the file to try again" in page.inner_text("#note")
+            or page.locator("#diagnostics .error").count() > 0
+        ),
+    )
+    assert ("took longer than" in page.inner_text("#note")) == (fault == "hangs")
+    wait_until(page, lambda: page.evaluate("isReady && !isCompiling"))
+    assert page.inner_text("h1") == name
+    assert page.evaluate("viewer.robots.length") == 1
+    before = page.inner_text("#facts")
+    write(page, files["top.xacro"].replace("0.2", "0.3"))  # the text of the user is still there
+    wait_until(page, lambda: page.evaluate("isReady && !isCompiling && !changed.size"))
+    page.click("[role=tab]:has-text('robot.yaml')")
+    write(page, files["robot.yaml"].replace("1.60 m", "1.70 m"))
+    wait_until(page, lambda: page.inner_text("#facts") != before)
+    assert page.locator("#diagnostics .error").count() == 0
+    assert not page.evaluate("viewer.isGrey")
+
+
+def test_modules_are_mounted_by_click_and_by_drag(visit: Visit) -> None:
+    page = visit()
+    page.click("#library summary")
+    page.fill("#filter", "fixed_drive")
+    button = page.locator("#modules button:visible")
+    button.first.click()
+    page.get_by_role("button", name="frame.mid_left", exact=True).click()
+    wait_until(page, lambda: "mount: frame.mid_left}" in page.evaluate("editor.text"))
+    place = page.evaluate(
+        """() => {
+          const box = $("canvas").getBoundingClientRect();
+          const frame = viewer.robots[0].frames.find((f) => f.userData.name === "frame.mid_right");
+          const point = frame.getWorldPosition(frame.position.clone()).project(viewer.camera);
+          return [box.x + (1 + point.x) * box.width / 2, box.y + (1 - point.y) * box.height / 2];
+        }"""
+    )
+    box = button.first.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 20, box["y"] + 10)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 60, box["y"] + 20, steps=3)
+    page.wait_for_timeout(500)  # the free ports come from the worker
+    page.mouse.move(place[0] + 5, place[1] + 5, steps=5)
+    page.wait_for_selector("#drop", timeout=WAIT)
+    page.mouse.up()
+    wait_until(page, lambda: "mount: frame.mid_right}" in page.evaluate("editor.text"))
+
+
+def test_generated_files_are_shown_and_saved(visit: Visit, tmp_path: Path) -> None:
+    page = visit()
+    page.click("#outputs summary")
+    page.click("#build")
+    page.wait_for_selector("#built button", timeout=WAIT)
+    page.click("#built button:has-text('urdf/robot.urdf')")
+    page.wait_for_selector("#dialog[open] pre", timeout=WAIT)
+    model = compile_file(EXAMPLES / "4wd4ws_wide" / "robot.yaml").model
+    assert model is not None
+    text = emit(model, ["urdf"])["urdf/robot.urdf"]
+    with page.expect_download() as download:
+        page.click("#dialog-content button")
+    assert Path(download.value.path()).read_bytes() == text
+    page.keyboard.press("Escape")
+    with page.expect_download() as download:
+        page.click("#download")
+    assert download.value.suggested_filename == "thorvald_4wd4ws_wide.zip"
+    with zipfile.ZipFile(download.value.path()) as packed:
+        assert packed.read("urdf/robot.urdf") == text
+
+
+def test_each_program_is_listed_with_licence_and_source(visit: Visit, address: str) -> None:
+    page = visit()
+    text = page.request.get(f"{address}licences.txt").text()
+    for name in ("CPython", "pyodide", "@mujoco/mujoco", "three", "@codemirror/view", "Jinja2"):
+        entry = re.search(
+            rf"^.*{re.escape(name)} .*\n+.*Source: (\S+)|{name} .*\n.*Source: (\S+)", text, re.M
+        )
+        assert entry is not None, name
+    assert "Permission is hereby granted" in text
+    assert page.get_attribute("#licences", "href") == "licences.txt"
+
+
+def test_a_phone_shows_text_or_robot(visit: Visit) -> None:
+    page = visit(viewport=PHONE, has_touch=True)
+    assert page.is_visible("#canvas")
+    assert not page.is_visible("#workbench")
+    page.click("#views button:has-text('Text')")
+    assert page.is_visible(".cm-content")
+    assert not page.is_visible("#canvas")
+    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_the_page_is_accessible(
+    visit: Visit, size: dict[str, int], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    axe = axe_script(tmp_path_factory.mktemp("axe"))
+    page = visit(viewport=size, bypass_csp=True)
+    page.wait_for_selector("#tables details", state="attached", timeout=WAIT)
+    problems: list[str] = []
+
+    def check(state: str) -> None:
+        for colours in ("light", "dark"):
+            page.emulate_media(color_scheme=colours)
+            page.wait_for_timeout(300)  # the picture fades
+            problems.extend(violations(page, axe, f"{state} {colours}"))
+
+    check("robot")
+    if size is PHONE:
+        page.click("#views button:has-text('Text')")
+    page.click("#library summary")
+    page.click("#outputs summary")
+    page.click("#build")
+    page.wait_for_selector("#built button", timeout=WAIT)
+    check("workbench")
+    write(page, TEXT.replace("tube_inset_y", "tube_inset"))
+    page.wait_for_selector("#diagnostics .error", state="attached", timeout=WAIT)
+    check("error")
+    page.click("#modules button >> nth=0")
+    page.wait_for_selector("#dialog[open]", timeout=WAIT)
+    check("dialog")
+    assert problems == []
+
+
+def test_the_link_of_a_page_is_the_link_of_the_documentation(visit: Visit) -> None:
+    sys.path.insert(0, str(ROOT / "workshop" / "site"))
+    try:
+        import playground_links
+    finally:
+        sys.path.pop(0)
+    text = TEXT.replace("thorvald_4wd4ws_wide", "linked")
+    markdown = f"Text\n\n```yaml\n{text}```\n\n```yaml\nname: part\n```\n"
+    linked = playground_links.with_links(markdown, "../playground/index.html")
+    (link,) = re.findall(r'href="\.\./playground/index\.html#([^"]+)"', linked)
+    page = visit(f"#{link}")
+    assert page.inner_text("h1") == "linked"
+    assert page.evaluate("editor.text") == text
+    assert json.loads(page.evaluate("JSON.stringify([...files.keys()])")) == ["robot.yaml"]
