@@ -21,7 +21,8 @@ from tests.examples import example_fleet, example_robot
 from tests.outside_tools import path_of
 from thorvaldc.model import Fleet, JointServo, Pose, Robot, Sphere
 from thorvaldc.model.statics.joint_tree import JointTree
-from thorvaldc.simulation.pictures.surfaces import is_closed, surface
+from thorvaldc.simulation.pictures.surfaces import surface
+from thorvaldc.simulation.pictures.triangles import is_closed, shape_triangles
 from thorvaldc.simulation.web_viewer import view_page
 
 NAME = "4wd4ws_wide"
@@ -127,14 +128,15 @@ def test_surfaces_are_closed_and_of_the_right_size() -> None:
     robot = example_robot(NAME)
     shapes = [v.shape for link in robot.links for v in link.visuals]
     for shape in [*{type(s): s for s in shapes}.values(), Sphere(0.4)]:
-        points, faces = surface(robot, shape)
-        a, b, c = (points[faces[:, k]] for k in range(3))
+        vertices, faces = surface(robot, shape)
+        a, b, c = (vertices[faces[:, k]] for k in range(3))
         volume = float(np.sum(np.cross(a, b) * c)) / 6.0
         assert volume > 0.0, shape  # the triangles face outwards
-        assert is_closed(points, faces), shape
-        assert not is_closed(points, faces[1:]), shape  # a hole
-        assert not is_closed(points, np.concatenate((faces[:1, ::-1], faces[1:]))), shape
-    ball, faces = surface(robot, Sphere(0.4))
+        points, [(i, j, k), *others] = shape_triangles(robot, shape)
+        assert is_closed(points, [(i, j, k), *others]), shape
+        assert not is_closed(points, others), shape  # a hole
+        assert not is_closed(points, [(k, j, i), *others]), shape
+    ball, _ = surface(robot, Sphere(0.4))
     assert np.linalg.norm(ball, axis=1) == pytest.approx(0.4)
 
 

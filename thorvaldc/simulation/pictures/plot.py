@@ -309,7 +309,7 @@ def draw_world(axes: Any, world: World, robot: Robot) -> None:
 def _draw_zone(axes: Any, zone: Zone) -> None:
     from matplotlib.patches import Polygon
 
-    from thorvaldc.simulation.pictures.surfaces import zone_text
+    from thorvaldc.simulation.pictures.triangles import zone_text
 
     corners = [zone.pose.apply((x * zone.size[0], y * zone.size[1], 0.0))[:2] for x, y in _CORNERS]
     axes.add_patch(Polygon(corners, facecolor=ZONE, edgecolor="#6baed6", lw=0.6, zorder=0.5))
