@@ -57,6 +57,13 @@ def test_the_terrain_is_that_of_the_simulation() -> None:
     assert 0.5 * MAX_CELLS < shown.size <= MAX_CELLS
     assert shown[0, 0] == 0.0
     assert np.ptp(shown) == pytest.approx(0.04, rel=0.1)
+    assert large.world is not None
+    whole = np.asarray(heights(large.world.ground, [p.pose for p in large.placements]))
+    ys, xs = (
+        np.linspace(0, n - 1, m).round() for n, m in zip(whole.shape, shown.shape, strict=True)
+    )
+    expected = 0.04 * whole[np.ix_(ys.astype(int), xs.astype(int))]
+    assert np.array_equal(shown, expected.astype("<f4"))
 
 
 def test_zones_are_plates_and_reliefs() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import html
-import io
 import json
 import math
 import re
@@ -17,15 +16,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
 
 from tests.examples import example_fleet, example_robot
 from tests.outside_tools import path_of
-from thorvaldc.model import Fleet, JointServo, Mesh, MeshShape, Pose, Robot, Sphere
+from thorvaldc.model import Fleet, JointServo, Pose, Robot, Sphere
 from thorvaldc.model.statics.joint_tree import JointTree
-from thorvaldc.simulation.pictures import triangles as plain
 from thorvaldc.simulation.pictures.surfaces import surface
-from thorvaldc.simulation.pictures.triangles import Surface, is_closed
+from thorvaldc.simulation.pictures.triangles import is_closed, shape_triangles
 from thorvaldc.simulation.web_viewer import view_page
 
 NAME = "4wd4ws_wide"
@@ -131,40 +128,16 @@ def test_surfaces_are_closed_and_of_the_right_size() -> None:
     robot = example_robot(NAME)
     shapes = [v.shape for link in robot.links for v in link.visuals]
     for shape in [*{type(s): s for s in shapes}.values(), Sphere(0.4)]:
-        points, faces = surface(robot, shape)
-        a, b, c = (points[faces[:, k]] for k in range(3))
+        vertices, faces = surface(robot, shape)
+        a, b, c = (vertices[faces[:, k]] for k in range(3))
         volume = float(np.sum(np.cross(a, b) * c)) / 6.0
         assert volume > 0.0, shape  # the triangles face outwards
-        body = plain.surface(robot, shape)
-        (x, y, z), *others = body.triangles
-        assert is_closed(body), shape
-        assert not is_closed(Surface(body.points, others)), shape  # a hole
-        assert not is_closed(Surface(body.points, [(z, y, x), *others])), shape
-    ball, faces = surface(robot, Sphere(0.4))
+        points, [(i, j, k), *others] = shape_triangles(robot, shape)
+        assert is_closed(points, [(i, j, k), *others]), shape
+        assert not is_closed(points, others), shape  # a hole
+        assert not is_closed(points, [(k, j, i), *others]), shape
+    ball, _ = surface(robot, Sphere(0.4))
     assert np.linalg.norm(ball, axis=1) == pytest.approx(0.4)
-
-
-@pytest.mark.parametrize("scale", [(1.0, 1.0, 1.0), (2.0, -1.0, 0.5)])
-def test_meshes_have_the_triangles_that_trimesh_reads(scale: tuple[float, float, float]) -> None:
-    robot = example_robot("4wd2ws_tall")
-    lines = ["v 0 0 0", "v 1 0 0", "v 1 1 0", "v 0 1 0", "v 0 0 1", "v 0 0 0"]
-    faces_of_obj = ["f 4 3 2 1", "f 1 2 -2", "f 2/1 3/1 5/1", "f 3 4 5", "f 4 6 5"]
-    data = "\n".join([*lines, "vt 0 0", *faces_of_obj]).encode()
-    robot = replace(robot, meshes=(*robot.meshes, Mesh("pyramid.obj", "", data)))
-    for mesh in robot.meshes:
-        points, faces = surface(robot, MeshShape(mesh.name, scale))
-        loaded: Any = trimesh.load(io.BytesIO(mesh.data), file_type=mesh.name[-3:], force="mesh")
-        turn = -1 if np.prod(scale) < 0 else 1  # outwards also in a mirror
-        expected = (loaded.vertices * scale)[loaded.faces[:, ::turn]]
-        assert np.array_equal(sort(points[faces]), sort(expected)), mesh.name
-        assert len(points) <= len(loaded.vertices)  # equal points are joined
-
-
-def sort(triangles: Any) -> Any:
-    """The triangles in an order that does not depend on their file."""
-    first = np.lexsort(np.moveaxis(np.round(triangles, 9), 2, 0)[::-1], axis=1)[:, 0]
-    turned = [np.roll(t, -k, axis=0).reshape(-1) for t, k in zip(triangles, first, strict=True)]
-    return np.array(sorted(map(tuple, turned)))
 
 
 # -- in a browser ------------------------------------------------------------------------------

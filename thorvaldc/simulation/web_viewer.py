@@ -1,8 +1,9 @@
 """The 3D viewer in a web browser: the page of ``thorvaldc view`` and the data that it draws.
 
 The JavaScript is built from the folder ``viewer/``, and ``templates/view`` contains the page.  The
-surfaces of shapes come from ``pictures``.  Begin with ``view_page``, or with ``page_data`` for the
-JSON object that the preview sends after each change of a file.
+surfaces of shapes come from ``pictures``.  The module also runs without numpy.  Begin with
+``view_page``, or with ``page_data`` for the JSON object that the preview sends after each change of
+a file.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import chain
-from typing import Any
+from typing import Any, Literal
 
 from thorvaldc.backends.description_parts import BLOCK_COLORS, Color
 from thorvaldc.backends.mjcf import zone_color
@@ -26,7 +27,7 @@ from thorvaldc.model import Box, Fleet, Ground, Joint, MeshShape, Pose, Robot, S
 from thorvaldc.model.plugins import data_folder
 from thorvaldc.model.spatial import quat_from_axis_angle
 from thorvaldc.model.statics.joint_tree import tree_of
-from thorvaldc.simulation.pictures.triangles import is_closed, surface, zone_text
+from thorvaldc.simulation.pictures.triangles import is_closed, shape_triangles, zone_text
 
 PLACEHOLDER = "/*DATA*/"
 """Placeholder in the template that the data of the model replaces."""
@@ -126,23 +127,23 @@ class Shapes:
         key = (shape, content)
         if key not in self._indices:
             if key not in self._cache:
-                body = surface(robot, shape)
+                points, triangles = shape_triangles(robot, shape)
                 self._cache[key] = {
-                    "points": base64_of("f", chain.from_iterable(body.points)),
-                    "faces": base64_of("I", chain.from_iterable(body.triangles)),
-                    "closed": is_closed(body),
+                    "points": base64_of("f", chain.from_iterable(points)),
+                    "faces": base64_of("I", chain.from_iterable(triangles)),
+                    "closed": is_closed(points, triangles),
                 }
             self._indices[key] = len(self.meshes)
             self.meshes.append(self._cache[key])
         return self._indices[key]
 
 
-def base64_of(code: str, values: Iterable[float]) -> str:
-    """Returns numbers in base64: float32 for the code ``f``, uint32 for ``I``, little endian."""
-    numbers = array(code, values)
+def base64_of(kind: Literal["f", "I"], numbers: Iterable[float]) -> str:
+    """Returns numbers as float32 (``f``) or uint32 (``I``), little-endian, in base64."""
+    values = array(kind, numbers)
     if sys.byteorder == "big":
-        numbers.byteswap()
-    return base64.b64encode(numbers.tobytes()).decode("ascii")
+        values.byteswap()
+    return base64.b64encode(values).decode("ascii")
 
 
 def _rounded(values: Sequence[float]) -> list[float]:
@@ -310,9 +311,9 @@ def _zone_relief(zone: Zone) -> dict[str, Any]:
 
 def _relief(size: tuple[float, float], rows: list[list[float]], top: float) -> dict[str, Any]:
     """Returns a height grid, of which every n-th row and column is left in a large one."""
-    count = len(rows) * len(rows[0])
-    step = math.ceil(math.sqrt(count / MAX_CELLS))
-    ys, xs = _samples(len(rows), step), _samples(len(rows[0]), step)
+    counts = (len(rows), len(rows[0]))
+    step = math.ceil(math.sqrt(counts[0] * counts[1] / MAX_CELLS))
+    ys, xs = (_samples(count, step) for count in counts)
     return {
         "size": list(size),
         "rows": len(ys),
@@ -323,9 +324,9 @@ def _relief(size: tuple[float, float], rows: list[list[float]], top: float) -> d
 
 def _samples(count: int, step: int) -> list[int]:
     """Returns about every ``step``-th index of ``count`` ones, with equal gaps and both ends."""
-    number = max(2, math.ceil(count / step))
-    gap = (count - 1) / (number - 1)
-    return [*(round(i * gap) for i in range(number - 1)), count - 1]
+    gaps = max(2, math.ceil(count / step)) - 1
+    gap = (count - 1) / gaps
+    return [*(round(i * gap) for i in range(gaps)), count - 1]
 
 
 def _text(world: World) -> str:

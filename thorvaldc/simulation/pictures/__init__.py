@@ -2,8 +2,8 @@
 
 * ``plot`` draws paths and velocities with matplotlib.
 * ``render`` draws the scene with MuJoCo and Pillow, without a display, also as a video.
-* ``triangles`` computes the surfaces of shapes, also for ``web_viewer``; ``surfaces`` converts them
-  to arrays.
+* ``triangles`` computes the triangles of shapes, also for ``web_viewer``.
+* ``surfaces`` has the triangles as arrays, and outlines of shapes.
 
 Optional packages are imported on first use.  The message of a ``PictureError`` names the missing
 package.

@@ -1,4 +1,4 @@
-"""Triangle meshes of the visual shapes of a robot as arrays, and their outlines."""
+"""Surfaces of the visual shapes of a robot as arrays, and their outlines seen from above."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from thorvaldc.model import Pose, Robot, Shape
-from thorvaldc.simulation.pictures import triangles
+from thorvaldc.simulation.pictures.triangles import shape_triangles
 
 Points = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
@@ -22,8 +22,8 @@ def surface(robot: Robot, shape: Shape) -> tuple[Points, Faces]:
     The vertices (m) are in the frame of the shape, with the array shape (n, 3).  Each triangle has
     three vertex indices, with the array shape (m, 3).
     """
-    points, faces = triangles.surface(robot, shape)
-    return np.asarray(points, dtype=float), np.asarray(faces, dtype=np.int64)
+    points, triangles = shape_triangles(robot, shape)
+    return np.array(points, dtype=np.float64), np.array(triangles, dtype=np.int64)
 
 
 def outline_from_above(robot: Robot, shape: Shape, pose: Pose) -> tuple[Points, float]:

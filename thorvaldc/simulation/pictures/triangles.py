@@ -1,44 +1,48 @@
-"""Triangles of the visual shapes of a robot, and the text on a zone.
+"""Triangle meshes of the visual shapes of a robot, and the text on a zone.
 
-The module needs neither numpy nor trimesh: the playground draws robots in a browser without them.
+The module imports no numpy, because ``web_viewer`` also runs where numpy is not installed.
+``surfaces`` returns the same triangles as arrays.  Begin with ``shape_triangles``.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Sequence
 from functools import cache
-from itertools import chain
-from typing import NamedTuple
 
 from thorvaldc.compiler.shapes.mesh_formats import obj_triangles
 from thorvaldc.model import Box, Cylinder, MeshShape, Robot, Shape, Sphere, Vec3, Zone
 from thorvaldc.model.stl import stl_triangles
 
+Corners = tuple[int, int, int]
+"""Indices of the three corners of a triangle, counterclockwise for a viewer outside the shape."""
+Triangles = tuple[Sequence[Vec3], Sequence[Corners]]
+"""Points (m) and triangles of a surface.  The sequences are shared: nobody changes them."""
 SIDES = 24
 """Number of corners of a circle."""
+_MERGED = 1e8
+"""Points of a mesh file are one point if their coordinates times ``_MERGED`` round to the same
+integers."""
+_EQUAL = 1e7
+"""Points of a surface are equal if their coordinates in m times ``_EQUAL`` round to the same
+integers."""
+# Floats near this number are integers.  The sum of the number and a float below 2**51 is therefore
+# rounded as ``round`` rounds the float, but in less time, and infinity raises no exception.
+_ROUND = 1.5 * 2.0**52
 
 
-class Surface(NamedTuple):
-    """The surface of a shape.
+def shape_triangles(robot: Robot, shape: Shape) -> Triangles:
+    """Returns the points and triangles of the surface of a visual shape, in its frame.
 
-    - ``points``: vertices (m) in the frame of the shape.
-    - ``triangles``: indices of the three vertices of each triangle, counter-clockwise from outside.
+    The model must contain the data of the meshes.
     """
-
-    points: list[Vec3]
-    triangles: list[tuple[int, int, int]]
-
-
-def surface(robot: Robot, shape: Shape) -> Surface:
-    """Returns the surface of a visual shape of a robot with the data of its meshes."""
     if isinstance(shape, MeshShape):
         mesh = next(mesh for mesh in robot.meshes if mesh.name == shape.mesh)
         points, triangles = _mesh(mesh.name, mesh.data)
-        x, y, z = shape.scale
-        if x * y * z < 0.0:  # a mirrored mesh: turn the triangles outside again
+        sx, sy, sz = shape.scale
+        if sx * sy * sz < 0:  # a mirrored mesh: turn the triangles outside again
             triangles = [(c, b, a) for a, b, c in triangles]
-        return Surface([(p[0] * x, p[1] * y, p[2] * z) for p in points], triangles)
+        return [(x * sx, y * sy, z * sz) for x, y, z in points], triangles
     if isinstance(shape, Box):
         return _box(shape.size)
     if isinstance(shape, Cylinder):
@@ -46,67 +50,88 @@ def surface(robot: Robot, shape: Shape) -> Surface:
     return _ball(shape)
 
 
-def is_closed(body: Surface) -> bool:
+def is_closed(points: Sequence[Vec3], triangles: Sequence[Corners]) -> bool:
     """Returns whether triangles enclose a body: each edge has a triangle on both sides, which run
     through the edge in opposite directions."""
     # A corner of two triangles may be two equal points.
-    rounded = ((round(x, 7), round(y, 7), round(z, 7)) for x, y, z in body.points)
-    numbers: dict[Vec3, int] = {}
-    corners = [numbers.setdefault(point, len(numbers)) for point in rounded]
-    edges = set()
-    for a, b, c in body.triangles:
-        i, j, k = corners[a], corners[b], corners[c]
-        edges |= {(i, j), (j, k), (k, i)}
-    return len(edges) == 3 * len(body.triangles) and all((j, i) in edges for i, j in edges)
+    first: dict[Vec3, int] = {}
+    corners = [
+        first.setdefault((x * _EQUAL + _ROUND, y * _EQUAL + _ROUND, z * _EQUAL + _ROUND), number)
+        for number, (x, y, z) in enumerate(points)
+    ]
+    count = len(points)
+    edges: set[int] = set()  # from the corner s to the corner e: s * count + e
+    opposite: set[int] = set()
+    for i, j, k in triangles:
+        a, b, c = corners[i], corners[j], corners[k]
+        edges.update((a * count + b, b * count + c, c * count + a))
+        opposite.update((b * count + a, c * count + b, a * count + c))
+    return len(edges) == 3 * len(triangles) and edges == opposite
 
 
 @cache
-def _mesh(name: str, data: bytes) -> Surface:
-    """Returns the surface of a mesh of the model, whose equal points are joined."""
-    read = obj_triangles if name.endswith(".obj") else stl_triangles
-    numbers: dict[Vec3, int] = {}
-    corners = chain.from_iterable(read(data))
-    indices = iter([numbers.setdefault(corner, len(numbers)) for corner in corners])
-    return Surface([*numbers], [*zip(indices, indices, indices, strict=True)])
+def _mesh(name: str, data: bytes) -> Triangles:
+    """Returns the points and triangles of a checked STL or OBJ file, without the scale of its use.
+
+    The points are in the order of the file.  A point that triangles share is returned once.
+    """
+    listed = obj_triangles(data) if name.endswith(".obj") else stl_triangles(data)
+    points: list[Vec3] = []
+    triangles: list[Corners] = []
+    numbers: dict[Vec3, int] = {}  # of the points in the file
+    merged: dict[Vec3, int] = {}  # of the rounded points
+
+    def number_of(point: Vec3) -> int:
+        x, y, z = point
+        key = (x * _MERGED + _ROUND, y * _MERGED + _ROUND, z * _MERGED + _ROUND)
+        number = numbers[point] = merged.setdefault(key, len(points))
+        if number == len(points):
+            points.append(point)
+        return number
+
+    for corners in listed:
+        try:
+            triangles.append((numbers[corners[0]], numbers[corners[1]], numbers[corners[2]]))
+        except KeyError:  # a new point
+            a, b, c = map(number_of, corners)
+            triangles.append((a, b, c))
+    return points, triangles
 
 
-def _box(size: Vec3) -> Surface:
-    x, y, z = (0.5 * length for length in size)
-    corners = [(i, j, k) for i in (-x, x) for j in (-y, y) for k in (-z, z)]
+def _box(size: Vec3) -> Triangles:
+    x, y, z = size
+    corners = [(i * x, j * y, k * z) for i in (-0.5, 0.5) for j in (-0.5, 0.5) for k in (-0.5, 0.5)]
     sides = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
-    return Surface(corners, [t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))])
+    return corners, [t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))]
 
 
-def _circle(radius: float) -> Iterator[tuple[float, float]]:
-    for angle in (i * math.tau / SIDES for i in range(SIDES)):
-        yield radius * math.cos(angle), radius * math.sin(angle)
-
-
-def _prism(radius: float, length: float) -> Surface:
-    low, high = -0.5 * length, 0.5 * length
-    points = [(x, y, z) for z in (low, high) for x, y in _circle(radius)]
-    triangles = []
+def _prism(radius: float, length: float) -> Triangles:
+    angles = [i * math.tau / SIDES for i in range(SIDES)]
+    ring = [(radius * math.cos(a), radius * math.sin(a)) for a in angles]
+    ends = (-length / 2, length / 2)
+    points = [(x, y, z) for z in ends for x, y in ring] + [(0.0, 0.0, z) for z in ends]
+    triangles: list[Corners] = []
     for i in range(SIDES):
         j = (i + 1) % SIDES
         triangles += [(i, j, SIDES + j), (i, SIDES + j, SIDES + i)]
         triangles += [(2 * SIDES, j, i), (2 * SIDES + 1, SIDES + i, SIDES + j)]
-    return Surface([*points, (0.0, 0.0, low), (0.0, 0.0, high)], triangles)
+    return points, triangles
 
 
-def _ball(shape: Sphere) -> Surface:
-    rows, radius = SIDES // 2, shape.radius
+def _ball(shape: Sphere) -> Triangles:
+    r, rows = shape.radius, SIDES // 2
     points = [
-        (x, y, -radius * math.cos(angle))
-        for angle in (k * math.pi / rows for k in range(rows + 1))
-        for x, y in _circle(radius * math.sin(angle))
+        (r * (math.sin(p) * math.cos(a)), r * (math.sin(p) * math.sin(a)), r * -math.cos(p))
+        for p in (k * math.pi / rows for k in range(rows + 1))
+        for a in (i * math.tau / SIDES for i in range(SIDES))
     ]
-    triangles = []
+    triangles: list[Corners] = []
     for k in range(rows):
         for i in range(SIDES):
             j = (i + 1) % SIDES
-            a, b, c, d = (r * SIDES + s for r, s in ((k, i), (k, j), (k + 1, j), (k + 1, i)))
+            a, b, c, d = (q * SIDES + s for q, s in ((k, i), (k, j), (k + 1, j), (k + 1, i)))
             triangles += [(a, b, c)] * (k > 0) + [(a, c, d)] * (k < rows - 1)
-    return Surface(points, triangles)
+    return points, triangles
 
 
 def zone_text(zone: Zone, separator: str = "\n") -> str:
