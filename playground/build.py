@@ -55,14 +55,14 @@ UNUSED = re.compile(
     r"|runtime/can_base"
     r"|tools/(?!__init__|preview/(__init__|compiled_robot|page_drive)"
     r"|language_server/(__init__|code_completion|hover|module_references|module_view|open_document))"
-    r"|_data/templates/(view|preview|study)|.*\.pyi$|.*/?py\.typed$|.*\.md$|.*\.png$)"
+    r"|_data/templates/(view|preview|study)|.*\.pyi$|.*/?py\.typed$|_data/modules/.*\.(md|png)$)"
 )
 """Files of the package that no robot in a browser needs."""
 
 UNUSED_STANDARD = re.compile(
     r"_aix_support|_android_support|_apple_support|_ios_support|_osx_support|_pyrepl/|antigravity"
     r"|_pyio|asyncio/(proactor|windows)|bdb|cProfile|cmd|doctest|ensurepip|ftplib|http/(cookie|server)|idlelib|imaplib|mailbox|mimetypes"
-    r"|modulefinder|multiprocessing/|netrc|nturl2path|optparse|pdb|pickletools|plistlib|poplib|profile|pstats|pty"
+    r"|modulefinder|multiprocessing/|netrc|nturl2path|pdb|pickletools|plistlib|poplib|profile|pstats|pty"
     r"|pyclbr|pydoc|rlcompleter|sched|smtplib|ssl\.py|socketserver|sqlite3/|tabnanny|this\.py|trace\.py"
     r"|tracemalloc|turtle|unittest/|venv/|wave|webbrowser|wsgiref/|xmlrpc/|xml/sax/saxutils\.pyi"
     r"|encodings/(big5|cp7|cp8|cp9|cp1006|cp1026|cp11|euc|gb|hp_|hz|iso2022|johab|kz|mac_|mbcs|oem"
@@ -158,12 +158,16 @@ def write_examples(folder: Path) -> None:
 
 def inputs(main: Path) -> list[Path]:
     """Returns the main file and the other files that its compilation can read."""
-    others = {path.resolve() for path in compile_file(main).sources.values() if path.is_file()}
-    for path in main.parent.rglob("*"):
-        if path.is_file() and path.suffix in INPUT_SUFFIXES:
-            others.add(path)
-    others.discard(main)
-    return [main, *sorted(path for path in others if path.is_relative_to(ROOT / "examples"))]
+    sources = [path.resolve() for path in compile_file(main).sources.values()]
+    folders = {main.parent, *(path.parent for path in sources)}
+    others = {
+        path
+        for folder in folders
+        if folder.is_relative_to(ROOT / "examples")
+        for path in folder.rglob("*")
+        if path.suffix in INPUT_SUFFIXES
+    }
+    return [main, *sorted(others - {main})]
 
 
 def content(path: Path) -> str | list[str]:

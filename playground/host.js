@@ -121,11 +121,11 @@ function edited(text) {
 const editor = ThorvaldEditor.create($("text"), {
   label: "Text of the file",
   onChange: edited,
-  complete: (text, at) => (isReady && !isCompiling ? ask("complete", { file, text, offset: at }) : null),
+  complete: (text, at) => (isReady ? ask("complete", { file, text, offset: at }) : null),
 });
 
 // Opens the files of a robot: texts, and bytes in base64 as a list of one text.
-function openFiles(content, mainFile, name) {
+function openFiles(content, mainFile, name, message = "") {
   files = new Map(Object.entries(content));
   main = file = mainFile;
   origin = name;
@@ -136,7 +136,7 @@ function openFiles(content, mainFile, name) {
   $("download").hidden = true;
   showTabs();
   openTab(main);
-  note("");
+  note(message);
   if (isReady && isCompiling) endWorker("another robot was opened");
   else if (isReady) compileAll({ files, main });
 }
@@ -203,6 +203,7 @@ async function example(name) {
 
 async function openLink() {
   const [key, value] = location.hash.slice(1).split(/=(.*)/s);
+  let message = "";
   try {
     if (key === "robot") {
       const packed = bytesOf(value.replaceAll("-", "+").replaceAll("_", "/"));
@@ -211,12 +212,12 @@ async function openLink() {
       return openFiles(all.files, all.main, "");
     }
   } catch (error) {
-    note(`The link cannot be read (${error.message}); this is an example.`);
+    message = `The link cannot be read (${error.message}); this is an example.`;
   }
   const known = [...$("example").options].map((option) => option.value).filter(Boolean);
   const name = key === "example" && known.includes(value) ? value : known[0];
   const { files: content, main: mainFile } = await example(name);
-  openFiles(content, mainFile, name);
+  openFiles(content, mainFile, name, message);
 }
 
 $("share").addEventListener("click", async () => {

@@ -17,7 +17,7 @@ def pack(folder, archive):
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as packed:
         for path in sorted(folder.rglob("*")):
             name, data = path.relative_to(folder).as_posix(), None
-            if path.is_file() and path.suffix == ".py":
+            if path.is_file() and path.suffix == ".py" and "_data" not in path.parts: # no templates
                 mode = py_compile.PycInvalidationMode.UNCHECKED_HASH
                 py_compile.compile(path, "/compiled", "/" + name, True, 2, mode)
                 name, data = name + "c", Path("/compiled").read_bytes()

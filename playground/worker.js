@@ -38,9 +38,12 @@ async function start() {
 import sys
 sys.path.insert(0, "/app")
 sys.dont_write_bytecode = True
-import page
+import os, page
+from pathlib import Path
 from playground import Playground
-Playground(page.send)
+os.mkdir("/robot")
+os.chdir("/robot")
+Playground(page.send, Path())
 `);
   postMessage(JSON.stringify({ kind: "ready" }));
 }
@@ -69,5 +72,9 @@ self.onmessage = ({ data }) => {
     if (message.kind === "drive" && message.on) await (simulator ??= startSimulator());
     playground.receive(data);
     if (message.kind === "drive" || timer !== null) timer ??= setInterval(drive, TICK);
-  }).catch((error) => postMessage(JSON.stringify({ kind: "broken", text: String(error.message ?? error) })));
+  }).catch((error) => {
+    console.error(error);
+    const lines = String(error.message ?? error).trim().split("\n"); // the last one of a traceback says what is wrong
+    postMessage(JSON.stringify({ kind: "broken", text: lines.at(-1) }));
+  });
 };

@@ -52,10 +52,11 @@ class Playground:
     """The robot of a page.
 
     - ``send``: receives the messages for the page.
-    - ``folder``: folder for the files of the page, which ``open`` empties.
+    - ``folder``: folder for the files of the page, which ``open`` empties.  Diagnostics show paths
+      with it.
     """
 
-    def __init__(self, send: Callable[[str], None], folder: Path = Path("/robot")) -> None:
+    def __init__(self, send: Callable[[str], None], folder: Path) -> None:
         self._send_text = send
         self._folder = folder
         self._compiled = CompiledRobot(folder / "robot.yaml", (), False)
@@ -98,9 +99,15 @@ class Playground:
 
     def _open(self, message: Message) -> None:
         self._end_drive()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        for path in self._folder.glob("*"):
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
         self._write(message["files"])
+        version = self._compiled.version
         self._compiled = CompiledRobot(self._path(message["main"]), (), False)
+        self._compiled.version = version  # the page counts on
         self._compile()
 
     def _edit(self, message: Message) -> None:
@@ -115,10 +122,10 @@ class Playground:
             path.write_bytes(content.encode() if is_text else base64.b64decode(content[0]))
 
     def _path(self, name: str) -> Path:
-        path = Path(os.path.normpath(self._folder / name))
-        if not path.is_relative_to(self._folder):
+        relative = os.path.normpath(name)
+        if os.path.isabs(relative) or relative.split(os.sep)[0] == "..":
             raise ValueError(f"{name} is outside of the folder of the robot")
-        return path
+        return self._folder / relative
 
     def _compile(self) -> None:
         self._compiled.compile()

@@ -14,7 +14,7 @@ import threading
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
@@ -44,7 +44,7 @@ pytestmark = [pytest.mark.xdist_group("site"), pytest.mark.timeout(300)]
 class Handler(http.server.SimpleHTTPRequestHandler):
     """A server of files that counts what it sends, without compression."""
 
-    sent: dict[str, int] = {}
+    sent: ClassVar[dict[str, int]] = {}
 
     def log_message(self, *arguments: Any) -> None:
         pass
@@ -196,7 +196,8 @@ def test_driving_while_another_part_is_typed(visit: Visit) -> None:
     page = visit()
     page.click("#drive")
     page.wait_for_selector("#drive[aria-pressed=true]", timeout=WAIT)
-    odometry = "Number(/odometry x (-?[0-9.]+)/.exec(document.querySelector('#drive-state').textContent)?.[1] ?? 'NaN')"
+    text = "document.querySelector('#drive-state').textContent"
+    odometry = f"Number(/odometry x (-?[0-9.]+)/.exec({text})?.[1] ?? 'NaN')"
     wait_until(page, lambda: page.evaluate(odometry) == page.evaluate(odometry))
     page.wait_for_timeout(500)
     assert abs(page.evaluate(odometry)) < 0.01  # it does not move unasked
@@ -222,14 +223,18 @@ def test_driving_while_another_part_is_typed(visit: Visit) -> None:
     page.wait_for_selector("#drive[aria-pressed=false]", timeout=WAIT)
 
 
+def open_example(page: Page, name: str) -> None:
+    before = version(page)
+    page.select_option("#example", name)
+    wait_until(page, lambda: page.evaluate("origin") == name and version(page) != before)
+
+
 def test_every_example_has_the_files_of_a_native_build(visit: Visit) -> None:
     page = visit()
     names = page.eval_on_selector_all("#example option", "all => all.map((o) => o.value)")[1:]
     assert len(names) >= 12
     for name in names:
-        before = version(page)
-        page.select_option("#example", name)
-        wait_until(page, lambda: page.evaluate("origin") == name and version(page) != before)
+        open_example(page, name)
         main = next(EXAMPLES.glob(f"{name}/*t.yaml"))
         model = compile_file(main).model
         assert model is not None
