@@ -207,15 +207,16 @@ def licences() -> str:
         parts.append(licence(name, package["version"], package.get("license", ""), source, texts))
     parts.append(licence("three", "", "MIT", SOURCES["three"], []))
     for name in PACKAGES:
-        data = metadata.metadata(name)
+        data = metadata.metadata(name).json
         texts = [
             file.read_text(encoding="utf-8")
             for file in metadata.files(name) or ()
             if re.match(r"(LICEN[SC]E|COPYING|NOTICE)", file.name)
         ]
-        declared = data.get("License-Expression") or data.get("License") or "see the text"
-        source = data.get("Home-page") or ", ".join(data.get_all("Project-URL") or ())
-        parts.append(licence(name, data["Version"], declared.split("\n")[0], source, texts))
+        declared = str(data.get("license_expression") or data.get("license") or "see the text")
+        source = str(data.get("home_page") or ", ".join(data.get("project_url", ())))
+        version = str(data["version"])
+        parts.append(licence(name, version, declared.split("\n")[0], source, texts))
     return "\n".join(parts)
 
 

@@ -82,7 +82,7 @@ export function create(parent, { onChange, complete, label }) {
     // Escape and then Tab leaves the editor, for people who use the keyboard alone.
     keymap.of([{ key: "Escape", run: temporarilySetTabFocusMode }]),
     keymap.of([...closeBracketsKeymap, ...completionKeymap, ...lintKeymap, ...searchKeymap, ...historyKeymap, ...defaultKeymap, indentWithTab]),
-    EditorView.contentAttributes.of({ "aria-label": label }),
+    EditorView.contentAttributes.of({ "aria-label": `${label}; Escape and then Tab leaves it`, tabindex: "0" }),
     EditorView.updateListener.of((update) => {
       if (update.docChanged && !isSilent) onChange(view.state.doc.toString());
     }),

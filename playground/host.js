@@ -426,6 +426,8 @@ $("download").addEventListener("click", async () => {
 function setView(view) {
   document.documentElement.classList.toggle("text-view", view === "text");
   for (const button of $("views").children) button.setAttribute("aria-pressed", String(button.dataset.view === view));
+  // On a phone, one of both is the main part of the page.
+  $("workbench").setAttribute("role", view === "text" && $("views").offsetParent ? "main" : "region");
   viewer.draw();
 }
 for (const button of $("views").children) button.addEventListener("click", () => setView(button.dataset.view));

@@ -146,7 +146,8 @@ class Playground:
         """Drives the changed robot; the drive of an equal one goes on."""
         model = self._compiled.model
         if self._driven is not None and model is not None:
-            if compare_models(self._driven, model).is_equal:
+            difference = compare_models(self._driven, model)
+            if difference is not None and difference.is_equal:
                 return
             self._end_drive()
             self._begin_drive(self._driven_name)
@@ -238,7 +239,10 @@ class Playground:
             "kind": "files",
             "error": error,
             "warnings": [diagnostic.message for diagnostic in report.sorted()],
-            "files": [{"path": p, "bytes": len(d)} for p, d in sorted(self._files.items())],
+            "files": [
+                {"path": path, "bytes": len(self._files[path])}
+                for path in sorted(self._files, key=lambda path: ("meshes/" in path, path))
+            ],
         }
 
     def _file(self, message: Message) -> Message:

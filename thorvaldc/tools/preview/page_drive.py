@@ -31,6 +31,8 @@ PICTURE_PERIOD = 1 / 30
 SOURCE = "teleop_joy"
 MAX_CYCLES = 5
 """Most control cycles in one call of ``advance``, so that a slow computer stays responsive."""
+LONGEST_LAG = 0.5
+"""Time in s by which a simulation without a thread can be late and still catch up."""
 
 Send = Callable[[dict[str, Any]], None]
 
@@ -90,6 +92,7 @@ class PageDrive:
         self._operation: Operation | None = None
         self._source = SOURCE
         self._ended = threading.Event()
+        self._paced = 0.0  # real time (s) up to which the cycles have run, without a thread
 
     def move(self, x: float, y: float, yaw: float) -> None:
         """Drives for ``HOLD_TIME``."""
@@ -104,7 +107,7 @@ class PageDrive:
         """Drives the robot until ``close`` is called, and until it is at rest then."""
         text = ""
         try:
-            vehicle, operator = self._begin()
+            vehicle, operator = self._begin(time.monotonic)
             try:
                 operate(vehicle, operator, self._source, _show_nothing, self._ended.is_set)
             finally:
@@ -116,14 +119,19 @@ class PageDrive:
     def advance(self) -> bool:
         """Runs the control cycles that are due, and returns whether the drive goes on.
 
-        After ``close``, the robot comes to rest without waiting.
+        Cycles that are late, because the only thread has compiled meanwhile, run one after the
+        other as if they were in time.  After ``close``, the robot comes to rest without waiting.
         """
         text = ""
         try:
             if self._vehicle is None or self._operation is None:
-                self._vehicle, operator = self._begin()
+                self._paced = time.monotonic()
+                self._vehicle, operator = self._begin(lambda: self._paced)
                 self._operation = Operation(self._vehicle, operator, self._source, _show_nothing)
+            now = time.monotonic()
+            self._paced = max(self._paced, now - LONGEST_LAG)
             for _ in range(MAX_CYCLES):
+                self._paced = min(self._paced + max(self._vehicle.wait(), 0.0), now)
                 if self._ended.is_set() or self._vehicle.wait() > 0.0:
                     break
                 self._operation.cycle()
@@ -135,10 +143,10 @@ class PageDrive:
         self._send({"kind": "drive", "on": False, "message": text})
         return False
 
-    def _begin(self) -> tuple[_ShownRobot, PageOperator]:
+    def _begin(self, real_time: Callable[[], float]) -> tuple[_ShownRobot, PageOperator]:
         robot = self._robots[self._name]
         scene = MujocoScene(emit_without_model(self._model, ["mjcf"]))
-        vehicle = _ShownRobot(robot, scene, self._name, self._robots, self._send)
+        vehicle = _ShownRobot(robot, scene, self._name, self._robots, self._send, real_time)
         description = vehicle.call("description")
         sources = description["sources"]
         if SOURCE not in sources:
@@ -162,8 +170,9 @@ class _ShownRobot(DrivenRobot):
         name: str,
         robots: Mapping[str, Robot],
         send: Send,
+        real_time: Callable[[], float],
     ) -> None:
-        super().__init__(robot, MujocoBase(robot, scene), arming=AUTOMATIC)
+        super().__init__(robot, MujocoBase(robot, scene), arming=AUTOMATIC, real_time=real_time)
         self._scene, self._name, self._send = scene, name, send
         self._bodies = {
             name: scene.index("body", other.prefix + other.links[0].name, other)
@@ -188,6 +197,7 @@ class _ShownRobot(DrivenRobot):
             {
                 "kind": "state",
                 "robot": self._name,
+                "time": self.now,
                 "poses": {
                     name: [*data.xpos[body].tolist(), *data.xquat[body].tolist()]
                     for name, body in self._bodies.items()
