@@ -114,12 +114,12 @@ test-all: test test-slow
 CORE = build/core
 test-core: $(READY)
 	rm -rf $(CORE) && mkdir -p $(CORE)
-	git ls-files -z -- . ':!thorvaldc/tools/*/*' ':!tests/tools' ':!tests/docs' ':!tests/test_bench.py' \
+	git ls-files -z -- . ':!thorvaldc/tools/*/*' ':!tests/tools' ':!tests/docs' ':!tests/playground' ':!playground' ':!tests/test_bench.py' \
 	  ':!tests/fuzz/test_hostile_files.py' ':!examples/odometry_experiment/run.py' \
 	  $(patsubst %,':!%',$(shell grep -l thorvaldc.tools bench/*.py)) | \
 	  tar --null --files-from - --create | tar --extract --directory $(CORE)
 	cd $(CORE) && export PYTHONPATH="$(abspath $(CORE))" PATH="$(abspath $(BIN)):$$PATH" && \
-	  ruff check . && lint-imports && mypy && python -m pytest --dist loadgroup -n $(JOBS) -m "not slow" $(TESTS)
+	  ruff check . && lint-imports && mypy thorvaldc && python -m pytest --dist loadgroup -n $(JOBS) -m "not slow" $(TESTS)
 
 test-matrix: $(READY)
 	@$(BIN)/python -c 'import uv' 2>/dev/null || $(call PIP_INSTALL,$(BIN)) uv

@@ -89,7 +89,7 @@ def main() -> int:
         "@mujoco/mujoco/mujoco.wasm",
     ):
         data = gzip.compress((NODE / name).read_bytes(), 9, mtime=0)
-        (folder / f"{Path(name).name}.gz").write_bytes(data)
+        (folder / f"{Path(name).name}.packed").write_bytes(data)
     lock = json.loads((NODE / "pyodide" / "pyodide-lock.json").read_text(encoding="utf-8"))
     worker = (HERE / "worker.js").read_text(encoding="utf-8")
     write(folder / "worker.js", worker.replace("null /*LOCK*/", json.dumps(lock["info"])))
@@ -198,8 +198,8 @@ def licences() -> str:
     for path in sorted(NODE.glob("*/package.json")) + sorted(NODE.glob("@*/*/package.json")):
         name = path.parent.relative_to(NODE).as_posix()
         package = json.loads(path.read_text(encoding="utf-8"))
-        if "esbuild" in name or name.startswith("@types"):
-            continue  # tools of the build alone
+        if "esbuild" in name or name.startswith("@types") or name == "ws":
+            continue  # needed by the build alone
         repository = package.get("repository", "")
         address = repository.get("url", "") if isinstance(repository, dict) else repository
         source = SOURCES.get(name) or address.removeprefix("git+").removesuffix(".git")
@@ -214,7 +214,10 @@ def licences() -> str:
             if re.match(r"(LICEN[SC]E|COPYING|NOTICE)", file.name)
         ]
         declared = str(data.get("license_expression") or data.get("license") or "see the text")
-        source = str(data.get("home_page") or ", ".join(data.get("project_url", ())))
+        pages = dict(str(page).split(", ", 1) for page in data.get("project_url", ()))
+        pages = {label.lower(): address for label, address in pages.items()}
+        known = (pages.get(label) for label in ("source", "repository", "github", "homepage"))
+        source = str(data.get("home_page") or next(filter(None, known), ""))
         version = str(data["version"])
         parts.append(licence(name, version, declared.split("\n")[0], source, texts))
     return "\n".join(parts)
@@ -240,7 +243,8 @@ def stage_python(stage: Path) -> None:
                 and not {"tests", "benchmarks"} & {*file.parts}
             ):
                 copy(Path(str(file.locate())), stage / file)
-    shutil.copytree(HERE / "python", stage, dirs_exist_ok=True)
+    shutil.copytree(HERE / "stand_ins", stage, dirs_exist_ok=True)
+    shutil.copy(HERE / "playground.py", stage)
 
 
 def stage_standard_library(stage: Path) -> None:

@@ -1,10 +1,11 @@
 // The web worker of the playground: Python (Pyodide) with the compiler, and MuJoCo at the first
-// drive.  Messages of the page are JSON texts for `Playground.receive`, see python/playground.py.
+// drive.  Messages of the page are JSON texts for `Playground.receive`, see playground.py.
 
-// Files are compressed by the build, because not every static server compresses.
+// Files are compressed (gzip) by the build, because not every static server compresses.  Their names
+// do not end with `.gz`, which some servers would announce as a compression of their own.
 async function unpacked(name, type) {
-  const response = await fetch(new URL(`${name}.gz`, self.location));
-  if (!response.ok) throw new Error(`${name}.gz: ${response.status}`);
+  const response = await fetch(new URL(`${name}.packed`, self.location));
+  if (!response.ok) throw new Error(`${name}.packed: ${response.status}`);
   return new Response(response.body.pipeThrough(new DecompressionStream("gzip")), { headers: { "Content-Type": type } });
 }
 

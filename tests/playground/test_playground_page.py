@@ -33,6 +33,7 @@ OPTIONS = (
     "--disable-dev-shm-usage",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",  # no network
 )
 DESK, PHONE = {"width": 1440, "height": 860}, {"width": 390, "height": 844}
 WAIT = 60_000  # ms, for a busy machine
@@ -143,7 +144,7 @@ def test_the_first_robot_and_its_size(visit: Visit) -> None:
     Handler.sent.clear()
     page = visit()
     assert sum(Handler.sent.values()) < LARGEST, Handler.sent
-    assert page.inner_text("h1") == "thorvald_4wd4ws_wide"
+    assert page.inner_text("#title") == "thorvald_4wd4ws_wide"
     assert "190.6 kg" in page.inner_text("#facts")
     assert page.evaluate("Number(document.documentElement.dataset.triangles)") > 1000
     page.wait_for_selector("#tables details", state="attached", timeout=WAIT)
@@ -298,7 +299,7 @@ def test_own_files_and_a_link_to_them(visit: Visit, tmp_path: Path) -> None:
 def test_a_link_that_cannot_be_read_opens_an_example(visit: Visit) -> None:
     for fragment in ("#robot=AAAA", "#robot=%", "#robot=", "#example=none", "#x"):
         page = visit(fragment)
-        assert page.inner_text("h1") == "thorvald_4wd4ws_wide"
+        assert page.inner_text("#title") == "thorvald_4wd4ws_wide"
         assert ("cannot be read" in page.inner_text("#note")) == fragment.startswith("#robot")
         page.close()
 
@@ -316,7 +317,7 @@ def test_a_file_that_takes_too_much_ends_and_the_page_goes_on(visit: Visit, faul
     files = own_robot()
     open_files(page, files)
     assert page.locator("#diagnostics .error").count() == 0
-    name = page.inner_text("h1")
+    name = page.inner_text("#title")
     page.click("[role=tab]:has-text('top.xacro')")
     write(page, files["top.xacro"].replace("${0.2 + sin(0.5)}", HUNGRY[fault]))
     wait_until(
@@ -328,7 +329,7 @@ def test_a_file_that_takes_too_much_ends_and_the_page_goes_on(visit: Visit, faul
     )
     assert ("took longer than" in page.inner_text("#note")) == (fault == "hangs")
     wait_until(page, lambda: page.evaluate("isReady && !isCompiling"))
-    assert page.inner_text("h1") == name
+    assert page.inner_text("#title") == name
     assert page.evaluate("viewer.robots.length") == 1
     before = page.inner_text("#facts")
     write(page, files["top.xacro"].replace("0.2", "0.3"))  # the text of the user is still there
@@ -456,6 +457,6 @@ def test_the_link_of_a_page_is_the_link_of_the_documentation(visit: Visit) -> No
     linked = playground_links.with_links(markdown, "../playground/index.html")
     (link,) = re.findall(r'href="\.\./playground/index\.html#([^"]+)"', linked)
     page = visit(f"#{link}")
-    assert page.inner_text("h1") == "linked"
+    assert page.inner_text("#title") == "linked"
     assert page.evaluate("editor.text") == text
     assert json.loads(page.evaluate("JSON.stringify([...files.keys()])")) == ["robot.yaml"]

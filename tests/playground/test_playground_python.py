@@ -22,9 +22,7 @@ TEXT = (ROOT / "examples/4wd4ws_wide/robot.yaml").read_text(encoding="utf-8")
 
 def module(name: str) -> ModuleType:
     """Imports a file of the playground, whose folder has stand-ins for other packages."""
-    spec = importlib.util.spec_from_file_location(
-        name, ROOT / "playground" / "python" / f"{name}.py"
-    )
+    spec = importlib.util.spec_from_file_location(name, ROOT / "playground" / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     loaded = importlib.util.module_from_spec(spec)

@@ -25,6 +25,7 @@ from typing import Self
 
 from thorvaldc.compiler.sandbox import missing_limits, worker_protocol
 from thorvaldc.compiler.sandbox.worker_protocol import Fields, read_message, write_message
+from thorvaldc.diagnostics.files import read_json
 
 _ROOT = str(Path(worker_protocol.__file__).parents[3])
 _PROGRAM = (
@@ -119,8 +120,8 @@ class _WorkerInProcess(Worker):
         service = importlib.import_module(self._service)
         try:
             with contextlib.chdir("."):  # a service may change the folder
-                answer, data = service.answer(json.loads(json.dumps(request)), data)
-            return json.loads(json.dumps(answer)), data
+                answer, data = service.answer(read_json(json.dumps(request)), data)
+            return read_json(json.dumps(answer)), data
         except MemoryError as error:
             raise WorkerLimitError("needs more memory than there is") from error
         except RecursionError as error:

@@ -33,6 +33,7 @@ from thorvaldc.comparison.robot_comparison import compare_models
 from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.compiler.source.reader import read_text
+from thorvaldc.compiler.validation.document_check import check
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.diagnostics.files import read_json
@@ -65,6 +66,7 @@ class Playground:
         self._driven: Robot | Fleet | None = None
         self._driven_name = ""
         self._files: dict[str, bytes] = {}
+        self._is_warm = False
         self._handlers: dict[str, Callable[[Message], Message | None]] = {
             "open": self._open,
             "edit": self._edit,
@@ -139,6 +141,12 @@ class Playground:
     def _describe(self, message: Message) -> None:
         if self._compiled.is_good:
             self._send(self._compiled.details())
+        if not self._is_warm:
+            # The first wrong key would wait until jsonschema is imported.
+            self._is_warm = True
+            tree = read_text(b"thorvaldc: 1\nx: 1\n", "robot.yaml", Report())
+            if tree is not None:
+                check(tree, "robot", Report())
 
     # -- driving -----------------------------------------------------------------------
 
