@@ -9,6 +9,7 @@ const TARGETS = ["urdf", "mjcf", "sdf", "ros2", "can", "datasheet"];
 let worker = null, limit = null, describing = null, saving = null, requests = 0;
 let isReady = false, isCompiling = false, isBehind = false; // the worker has other files than the page
 const changed = new Set(); // files with a text that is not compiled
+let isOther = false; // the next model is another robot, not a changed one
 let files = new Map(), main = "", file = "", good = null, origin = "", last = [];
 const waiting = new Map(); // resolve functions of requests by their id
 
@@ -53,8 +54,19 @@ function receive(message, received) {
   else {
     if (message.kind === "model") compiled(message);
     receivers[message.kind]?.(message, received);
-    if (message.kind === "model") next();
+    if (message.kind === "model") {
+      if (isOther && message.good) showWhole();
+      next();
+    }
   }
+}
+
+// Turns the camera to another robot.
+function showWhole() {
+  isOther = false;
+  viewer.look();
+  viewer.addGrid();
+  viewer.draw();
 }
 
 // Ends a worker whose state is unknown.  The page goes on with the last robot without errors.
@@ -130,6 +142,7 @@ function openFiles(content, mainFile, name, message = "") {
   main = file = mainFile;
   origin = name;
   isBehind = false;
+  isOther = true;
   good = null;
   $("example").value = name;
   $("built").replaceChildren();

@@ -224,6 +224,20 @@ def test_driving_while_another_part_is_typed(visit: Visit) -> None:
     page.wait_for_selector("#drive[aria-pressed=false]", timeout=WAIT)
 
 
+def test_another_example_is_shown_as_a_whole(visit: Visit) -> None:
+    page = visit()
+    place = "viewer.camera.position.distanceTo(viewer.controls.target)"
+    small = page.evaluate(place)
+    open_example(page, "9wd9ws")
+    wait_until(page, lambda: page.inner_text("#title") == "thorvald_9wd9ws")
+    whole = page.evaluate(place)
+    assert whole > 1.2 * small
+    page.evaluate("viewer.camera.position.multiplyScalar(0.5)")
+    write(page, page.evaluate("editor.text") + "# changed\n")  # the camera stays
+    page.wait_for_timeout(1000)
+    assert page.evaluate(place) < 0.9 * whole
+
+
 def open_example(page: Page, name: str) -> None:
     before = version(page)
     page.select_option("#example", name)
