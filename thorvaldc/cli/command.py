@@ -52,6 +52,9 @@ CORE: tuple[CommandEntry, ...] = (
         "can plan", "can:plan", "Show the steps that would set up the bus; writes nothing."
     ),
     CommandEntry("can flash", "can:flash", "Write addresses and values to the nodes, verified."),
+    CommandEntry(
+        "can identify", "identify:identify", "Find the file of the robot that is on a bus."
+    ),
     CommandEntry("can verify", "can:verify", "Check identities, values, periods and bus load."),
     CommandEntry("modules", "", "List, show, check and make hardware modules."),
     CommandEntry("modules list", "modules:list_modules", "List the module types."),

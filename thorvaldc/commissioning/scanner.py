@@ -80,6 +80,19 @@ class Scanner:
         if another master is on the bus, and ``bus-not-canopen`` if none of its motor controllers is
         a CANopen node.
         """
+        self.survey(texts=texts)
+        return self._evaluate(values)
+
+    def overhear(self) -> scan_result.Findings:
+        """Receives frames without sending any, and returns the suspected duplicates."""
+        self._listen()
+        return self._findings
+
+    def survey(self, *, texts: bool = False) -> scan_result.Findings:
+        """Receives frames, asks every node id, and returns the devices that have answered.
+
+        Raises the same ``DiagnosticError`` as ``active``.
+        """
         self._require_canopen()
         self._listen()
         if self.master.masters:
@@ -90,7 +103,9 @@ class Scanner:
         self._select([(node.name, node.identity) for node in nodes if node.identity is not None])
         if nodes:
             self._find_devices_without_id()
-        return self._evaluate(values)
+        for node_id in sorted(self.master.surplus):
+            self._findings.evidence.setdefault(node_id, SURPLUS)
+        return self._findings
 
     def _require_canopen(self) -> None:
         """Raises an error before any frame is sent to motor controllers with another protocol.

@@ -193,7 +193,10 @@ class RunSession:
         code, hint = "bus-stopped", None
         if state_machine.mismatch:
             code = "bus-mismatch"
-            hint = "is it this robot's file? `thorvaldc can plan` shows the differences"
+            hint = (
+                "is it this robot's file? `thorvaldc can plan` shows the differences, and"
+                " `thorvaldc can identify FOLDER` finds the file of this robot"
+            )
         elif not state_machine.was_started:
             code = "bus-start"
         return Diagnostic(CODES[code], state_machine.reason, self.robot.span, hint)

@@ -1,0 +1,199 @@
+"""The command ``thorvaldc can identify``: finds the file of the robot that is on a CAN bus."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from thorvaldc.cli import options
+from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+
+if TYPE_CHECKING:
+    from thorvaldc.commissioning.identify import Candidate, Match
+    from thorvaldc.model import Robot
+
+_ROBOT = re.compile(r"^thorvaldc:(?s:.*)^modules:|^modules:(?s:.*)^thorvaldc:", re.MULTILINE)
+_MODULE = re.compile(r"^(links|joints|ports|params|category):", re.MULTILINE)
+_LARGEST = 1_000_000
+"""Size in bytes of the files in a folder that are read."""
+
+
+def identify(
+    files: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FOLDER", help="Folders with robot files, robot.yaml or model.json files."
+        ),
+    ],
+    bus: Annotated[
+        str, typer.Option("--bus", metavar="BUS", help="socketcan:can0, slcan:PORT or sim:NAME.")
+    ],
+    bitrate: Annotated[
+        str,
+        typer.Option(
+            "--bitrate",
+            metavar="KBIT",
+            help="Bit rate in kbit/s, where the files have several.",
+            show_default="that of the files",
+        ),
+    ] = "",
+    json: options.Json = False,
+    library: options.Library = [],  # noqa: B006
+    trust: options.Trust = False,
+) -> int:
+    from thorvaldc.can.open_interface import bus_lock, open_interface
+    from thorvaldc.cli.bus_access import UNTESTED
+    from thorvaldc.cli.diagnostic_output import message, print_json, report_of, show_report
+    from thorvaldc.cli.progress import Progress
+    from thorvaldc.cli.robot_file import is_hardware
+    from thorvaldc.commissioning.identify import identify as identify_robot
+    from thorvaldc.commissioning.identify import only_listens
+    from thorvaldc.diagnostics import DiagnosticError
+
+    if bus.partition(":")[0] == "virtual":
+        raise typer.BadParameter(
+            "`virtual` simulates the robot of one file; `thorvaldc bus` gives a bus sim:NAME",
+            param_hint="'--bus'",
+        )
+    candidates = _candidates(files, library, trust, bitrate)
+    if is_hardware(bus):
+        message(UNTESTED)
+    if why := only_listens(candidates):
+        message(f"no request is sent, because it could be a command for a drive: {why}")
+    bar = Progress(1.0, "")
+
+    def show_progress(activity: str, number: int, total: int) -> None:
+        bar.label, bar.total = f"{activity} ", float(max(total, 1))
+        bar.show(float(number))
+
+    try:
+        with bus_lock(bus):
+            interface = open_interface(bus, candidates[0].bus)
+            try:
+                matches = identify_robot(interface, candidates, show_progress)
+            finally:
+                bar.clear()
+                interface.close()
+    except DiagnosticError as error:
+        return show_report(report_of(error), {})
+    if json:
+        print_json([match.as_json() for match in matches])
+    else:
+        _print(matches)
+    best = matches[0]
+    is_clear = len(matches) == 1 or matches[1].rank != best.rank
+    return DONE if best.ok and not best.differences and is_clear else INPUT
+
+
+def _print(matches: Sequence[Match]) -> None:
+    from thorvaldc.cli.diagnostic_output import table_width
+    from thorvaldc.commissioning.identify import match_table, verdict
+
+    print(match_table(matches, table_width()))
+    print()
+    print(verdict(matches))
+    best = matches[0]
+    for difference in best.differences if best.ok or best.serials else ():
+        print(f"- {difference.text}")
+        if difference.change:
+            print(f"  {difference.change}")
+
+
+def _candidates(
+    files: Sequence[str], library: Sequence[str], trust: bool, bitrate: str
+) -> list[Candidate]:
+    """Returns the buses of the robot files.  Raises ``typer.BadParameter`` if there are none."""
+    from thorvaldc.cli.diagnostic_output import message
+    from thorvaldc.commissioning.bus_configuration import configuration_of
+    from thorvaldc.commissioning.identify import Candidate
+
+    candidates: dict[str, Candidate] = {}
+    for path in _robot_files(files):
+        robot = _load(path, library, trust)
+        if robot is None:
+            message(f"{path} is left out: it has errors, which `thorvaldc check` shows")
+            continue
+        for bus in robot.buses:
+            # A model.json of a build beside its robot.yaml is the same robot.
+            key = configuration_of(robot, bus).hash
+            candidates.setdefault(key, Candidate(str(path), robot, bus))
+    if not candidates:
+        raise typer.BadParameter("there is no robot file with a bus", param_hint="FOLDER")
+    rates = sorted({candidate.bus.bitrate // 1000 for candidate in candidates.values()})
+    if not bitrate and len(rates) > 1:
+        raise typer.BadParameter(
+            f"the files have buses with {', '.join(map(str, rates))} kbit/s; say which one it is",
+            param_hint="'--bitrate'",
+        )
+    chosen = [
+        candidate
+        for candidate in candidates.values()
+        if bitrate in ("", str(candidate.bus.bitrate // 1000))
+    ]
+    if not chosen:
+        raise typer.BadParameter(
+            f"the files have buses with {', '.join(map(str, rates))} kbit/s",
+            param_hint="'--bitrate'",
+        )
+    return chosen
+
+
+def _load(path: Path, library: Sequence[str], trust: bool) -> Robot | None:
+    from thorvaldc.diagnostics import DiagnosticError
+    from thorvaldc.model import Fleet, Robot
+    from thorvaldc.model.model_json import is_model_file, load_model
+
+    model: Robot | Fleet | None = None
+    if path.suffix == ".json" or is_model_file(path):
+        try:
+            model = load_model(path)
+        except DiagnosticError:
+            return None
+    else:
+        # The runtime package has no compiler.
+        from thorvaldc.compiler.pipeline import compile_file
+
+        folders = options.library_folders(library)
+        model = compile_file(path, library=folders, trust=trust).model
+    return model if isinstance(model, Robot) else None
+
+
+def _robot_files(files: Sequence[str]) -> Iterator[Path]:
+    """Yields the files that the user names, and in folders the robot files before the models."""
+    from thorvaldc.cli.command import is_runtime_only
+
+    for file in files:
+        path = Path(file)
+        if not path.exists():
+            raise OutsideError(f"{file} does not exist")
+        if not path.is_dir():
+            if is_runtime_only() and path.suffix != ".json":
+                raise OutsideError(
+                    f"{file} needs the compiler, and this installation is the runtime alone: give"
+                    " the model.json of a build"
+                )
+            yield path
+            continue
+        names = (p for p in sorted(path.rglob("*")) if not _is_hidden(p.relative_to(path)))
+        inside = [p for p in names if p.suffix in (".yaml", ".yml", ".json") and p.is_file()]
+        if not is_runtime_only():
+            yield from (p for p in inside if p.suffix != ".json" and _is_robot(p))
+        yield from (p for p in inside if p.name == "model.json")
+
+
+def _is_hidden(path: Path) -> bool:
+    return any(part.startswith(".") or part == "node_modules" for part in path.parts)
+
+
+def _is_robot(path: Path) -> bool:
+    try:
+        if path.stat().st_size > _LARGEST:
+            return False
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
+    return _ROBOT.search(text) is not None and _MODULE.search(text) is None
