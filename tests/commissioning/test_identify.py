@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from tests.commissioning.bench import QUICK, SWAPPED, Bench
 from tests.commissioning.robots import without_serials
+from tests.examples import example_robot
 from tests.simulation.bus.robots import CIA402, cia402_robot, compiled
 from thorvaldc.commissioning.identify import (
     Candidate,
@@ -18,6 +20,7 @@ from thorvaldc.commissioning.identify import (
 )
 from thorvaldc.model import Robot
 
+ROOT = Path(__file__).parents[2]
 DRIVES = ("fl_controller", "fr_controller", "rl_controller", "rr_controller")
 
 
@@ -160,6 +163,17 @@ def test_no_request_has_the_identifier_of_a_command_of_another_file() -> None:
     matches_on(simulated, candidates(robot, other))
     assert 0x600 + 98 in sent
     assert 0x600 + 99 not in sent
+
+
+def test_each_example_is_found_among_all_examples() -> None:
+    paths = sorted(ROOT.glob("examples/*/robot.yaml"))
+    robots = [example_robot(path.parent.name) for path in paths if path.parent.name != "odrive"]
+    files = candidates(*(robot for robot in robots if robot.buses))
+    for robot in robots:
+        found = matches_on(bench(robot), files)
+        best = [match for match in found if match.rank == found[0].rank]
+        assert robot in [match.candidate.robot for match in best]
+        assert found[0].differences == ()
 
 
 def test_the_table_fits_a_terminal() -> None:
