@@ -260,7 +260,7 @@ def test_every_example_has_the_files_of_a_native_build(visit: Visit) -> None:
 
 
 def own_robot() -> dict[str, Any]:
-    """A robot with meshes of its own, and an extra in xacro with an expression."""
+    """A robot with meshes of its own, from which masses follow, and an expression in xacro."""
     corners = [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.3)]
     faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
     triangles = [(corners[a], corners[b], corners[c]) for a, b, c in faces]
@@ -271,13 +271,14 @@ def own_robot() -> dict[str, Any]:
         '<xacro:property name="h" value="${0.2 + sin(0.5)}"/>'
         + "".join(
             f'<link name="m{i}"><visual><geometry><mesh filename="m{i}.{suffix}"/></geometry>'
-            f'</visual></link><joint name="j{i}" type="fixed"><parent link="frame_body"/>'
+            f'</visual><collision><geometry><mesh filename="m{i}.{suffix}"/></geometry></collision>'
+            f'</link><joint name="j{i}" type="fixed"><parent link="frame_body"/>'
             f'<child link="m{i}"/><origin xyz="0 0 ${{h + {i}}}"/></joint>'
             for i, suffix in enumerate(("stl", "obj"))
         )
         + "</robot>"
     )
-    text = f"{TEXT}extras:\n  - {{xacro: top.xacro}}\n"
+    text = f"{TEXT}extras:\n  - {{xacro: top.xacro, density: 1200 kg/m^3}}\n"
     stl = [base64.b64encode(binary_stl(triangles)).decode()]
     return {"robot.yaml": text, "top.xacro": xacro, "m0.stl": stl, "m1.obj": obj}
 

@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Mapping
 from contextlib import suppress
+from itertools import chain
 from pathlib import Path, PurePosixPath
 
 from thorvaldc.compiler.modules.library import FILE
@@ -173,10 +174,10 @@ def module_files(name: str, mesh: Mesh, mesh_name: str) -> dict[str, bytes]:
     - ``mesh_name``: name of the mesh file without its suffix.
     """
     from thorvaldc.backends.templates import Templates
-    from thorvaldc.compiler.shapes.solids import mesh_triangles
+    from thorvaldc.compiler.shapes.mesh_formats import mesh_triangles
 
-    corners = mesh_triangles(mesh).reshape(-1, 3)
-    low, high = (tuple(map(float, edge)) for edge in (corners.min(axis=0), corners.max(axis=0)))
+    axes = [*zip(*chain.from_iterable(mesh_triangles(mesh.name, mesh.data)), strict=True)]
+    low, high = [min(axis) for axis in axes], [max(axis) for axis in axes]
     is_metric = max(b - a for a, b in zip(low, high, strict=True)) <= _MAX_METRES
     to_millimetres = 1000.0 if is_metric else 1.0
     # The smallest whole millimetres that contain the mesh; a box of a flat mesh needs a thickness.

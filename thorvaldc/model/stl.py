@@ -16,8 +16,6 @@ from thorvaldc.model import Vec3
 Triangle = tuple[Vec3, Vec3, Vec3]
 HEADER, RECORD = 84, 50  # bytes
 _CORNERS = struct.Struct("<12x9f2x")
-NUMPY_RECORD = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")]
-"""The type of a triangle in numpy, which is not imported here."""
 
 
 def binary_stl(triangles: Iterable[Triangle], name: bytes = b"binary stl".ljust(80)) -> bytes:

@@ -281,6 +281,11 @@ def obj_triangles(data: bytes, *, as_float32: bool = False) -> Iterator[Triangle
             yield corners[0], b, c
 
 
+def mesh_triangles(name: str, data: bytes) -> Iterator[Triangle]:
+    """Yields the triangles of a mesh of a model, which is a checked STL or OBJ file."""
+    return obj_triangles(data) if name.endswith(".obj") else stl_triangles(data)
+
+
 def _check_shape(triangles: Iterable[Triangle], is_large: bool) -> None:
     """Raises ``MeshError`` if MuJoCo cannot load a mesh because of its points.
 

@@ -7,16 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
 
-from thorvaldc.compiler.shapes.mesh_formats import obj_triangles
+from thorvaldc.compiler.shapes.mesh_formats import mesh_triangles
 from thorvaldc.model import Box, Cylinder, Inertial, Mesh, Pose, Shape, Sphere, Vec3
 from thorvaldc.model.spatial import combine
-from thorvaldc.model.stl import HEADER, NUMPY_RECORD
+from thorvaldc.model.stl import Triangle
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+_PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""Axes of the products of inertia."""
 
 
 def uniform_solid(shape: Shape, mass: float, wall: float | None = None) -> Inertial:
@@ -85,33 +83,21 @@ def solid_of_shapes(
     return combine(bodies) if bodies else None
 
 
-def mesh_triangles(mesh: Mesh) -> NDArray[np.float64]:
-    """Returns the corners of the triangles of a mesh that ``load_mesh`` has read, as (n, 3, 3)."""
-    import numpy as np
-
-    if not mesh.name.endswith(".obj"):
-        records = np.frombuffer(mesh.data, NUMPY_RECORD, offset=HEADER)
-        return np.asarray(records["corners"], np.float64)
-    return np.array([*obj_triangles(mesh.data)], np.float64)
-
-
-def _is_closed(triangles: NDArray[np.float64]) -> bool:
+def _is_closed(triangles: Iterable[Triangle]) -> bool:
     """Whether each edge belongs to two triangles that pass along it in opposite directions.
 
     Corners with equal coordinates are the same point.
     """
-    import numpy as np
-
-    count = len(triangles)
-    points = np.unique(triangles.reshape(3 * count, 3), axis=0, return_inverse=True)[1]
-    corners = points.reshape(count, 3)
-    following = np.roll(corners, -1, axis=1)
-    # Some programs fill gaps with triangles without area.
-    has_area = np.all(corners != following, axis=1)
-    start, end = corners[has_area].ravel(), following[has_area].ravel()
-    edges, repeated = np.unique(start * (3 * count) + end, return_counts=True)
-    opposite = np.unique(end * (3 * count) + start)
-    return len(edges) > 0 and bool(np.all(repeated == 1)) and np.array_equal(edges, opposite)
+    points: dict[Vec3, int] = {}
+    edges: set[tuple[int, int]] = set()
+    count = 0
+    for corners in triangles:
+        i, j, k = (points.setdefault(corner, len(points)) for corner in corners)
+        # Some programs fill gaps with triangles without area.
+        if i != j and j != k and k != i:
+            edges |= {(i, j), (j, k), (k, i)}
+            count += 3
+    return 0 < count == len(edges) and all((end, start) in edges for start, end in edges)
 
 
 def _closed_mesh(mesh: Mesh, scale: Vec3, density: float) -> Inertial | None:
@@ -122,37 +108,41 @@ def _closed_mesh(mesh: Mesh, scale: Vec3, density: float) -> Inertial | None:
     s / 4 with s = a + b + c, and the integral of x y over it is
     V / 20 (a_x a_y + b_x b_y + c_x c_y + s_x s_y).
     """
-    import numpy as np
-
-    triangles = mesh_triangles(mesh) * np.array(scale)
+    x, y, z = scale
+    triangles: list[Triangle] = [
+        (
+            (a[0] * x, a[1] * y, a[2] * z),
+            (b[0] * x, b[1] * y, b[2] * z),
+            (c[0] * x, c[1] * y, c[2] * z),
+        )
+        for a, b, c in mesh_triangles(mesh.name, mesh.data)
+    ]
     if not _is_closed(triangles):
         return None
-    origin = triangles[0, 0]
-    # Columns of x, y and z coordinates.
-    a, b, c = ((triangles[:, i] - origin).T for i in range(3))
-    s = a + b + c
-    v = a[0] * (b[1] * c[2] - b[2] * c[1])
-    v += a[1] * (b[2] * c[0] - b[0] * c[2])
-    v += a[2] * (b[0] * c[1] - b[1] * c[0])
-    v /= 6
-
-    def total(values: NDArray[np.float64]) -> float:
-        # The method ``sum`` of numpy adds in an order that depends on the processor.
-        return float(np.cumsum(values)[-1])
-
-    volume = total(v)
+    origin = triangles[0][0]
+    totals = [-0.0] * 10  # so that the first addition gives the first value, also -0.0
+    for corners in triangles:
+        a, b, c = ([p[i] - origin[i] for i in range(3)] for p in corners)
+        s = [a[i] + b[i] + c[i] for i in range(3)]
+        v = a[0] * (b[1] * c[2] - b[2] * c[1])
+        v += a[1] * (b[2] * c[0] - b[0] * c[2])
+        v += a[2] * (b[0] * c[1] - b[1] * c[0])
+        v /= 6
+        totals[0] += v
+        for i in range(3):
+            totals[1 + i] += v * s[i] / 4
+        for number, (i, j) in enumerate(_PRODUCTS, 4):
+            totals[number] += v / 20 * (a[i] * a[j] + b[i] * b[j] + c[i] * c[j] + s[i] * s[j])
+    volume = totals[0]
     if volume == 0.0:
         return None
-    x, y, z = (total(v * s[i] / 4) / volume for i in range(3))
+    x, y, z = (total / volume for total in totals[1:4])
     # The volume is negative if the triangles face inwards or the scale mirrors the mesh.
     mass = density * abs(volume)
-    xx, yy, zz, xy, xz, yz = (
-        total(v / 20 * (a[i] * a[j] + b[i] * b[j] + c[i] * c[j] + s[i] * s[j])) / volume * mass
-        for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-    )
+    xx, yy, zz, xy, xz, yz = (total / volume * mass for total in totals[4:])
     xx, yy, zz = xx - mass * x * x, yy - mass * y * y, zz - mass * z * z
     return Inertial(
         mass,
-        (x + float(origin[0]), y + float(origin[1]), z + float(origin[2])),
+        (x + origin[0], y + origin[1], z + origin[2]),
         (yy + zz, xx + zz, xx + yy, mass * x * y - xy, mass * x * z - xz, mass * y * z - yz),
     )

@@ -10,9 +10,8 @@ import math
 from collections.abc import Sequence
 from functools import cache
 
-from thorvaldc.compiler.shapes.mesh_formats import obj_triangles
+from thorvaldc.compiler.shapes.mesh_formats import mesh_triangles
 from thorvaldc.model import Box, Cylinder, MeshShape, Robot, Shape, Sphere, Vec3, Zone
-from thorvaldc.model.stl import stl_triangles
 
 Corners = tuple[int, int, int]
 """Indices of the three corners of a triangle, counterclockwise for a viewer outside the shape."""
@@ -75,7 +74,7 @@ def _mesh(name: str, data: bytes) -> Triangles:
 
     The points are in the order of the file.  A point that triangles share is returned once.
     """
-    listed = obj_triangles(data) if name.endswith(".obj") else stl_triangles(data)
+    listed = mesh_triangles(name, data)
     points: list[Vec3] = []
     triangles: list[Corners] = []
     numbers: dict[Vec3, int] = {}  # of the points in the file
