@@ -47,7 +47,7 @@ def test_the_file_of_a_robot_after_a_repair(thorvaldc: Command, workshop: Path) 
     assert lines[1].split()[1:] == ["alpha", "6", "of", "7", "3", "1"]
     assert lines[2].split()[1] == "beta"
     assert "this is most likely alpha" in result.out
-    assert 'write `serial: "0x777"` in the file' in result.out
+    assert 'write `serial: "0x777"` at robot.yaml:17' in result.out
     assert "broken/robot.yaml is left out: it has errors" in result.err
     assert ".hidden" not in result.out + result.err
     file = workshop / "alpha" / "robot.yaml"

@@ -102,7 +102,7 @@ def test_a_replaced_drive_has_the_line_for_the_file() -> None:
     (difference,) = first.differences
     assert difference.node == "rl_controller"
     assert "at the id 3 of rl_controller is another device of its type" in difference.text
-    assert 'write `serial: "0x1f3"` in the file' in difference.change
+    assert 'write `serial: "0x1f3"` at robot.yaml:17' in difference.change
     assert "this is most likely with_cia402" in verdict([first, second])
     assert "1 difference" in verdict([first, second])
 

@@ -180,10 +180,11 @@ def _match(
         and entry.identity is not None
         and configuration.node(entry.node).serial == entry.identity.serial
     ]
+    places = {node.name: f"{node.span.file}:{node.span.line}" for node in candidate.bus.nodes}
     # A device at the id of a node belongs to the difference of that node.
     told = {e.wanted_id for e in entries if e.node and e.verdict == scan_result.WRONG_IDENTITY}
     differences = [
-        _difference(entry, configuration, by_id)
+        _difference(entry, configuration, by_id, places)
         for entry in entries
         if entry.verdict != scan_result.OK and (entry.node or entry.device_id not in told)
     ]
@@ -198,7 +199,10 @@ def _match(
 
 
 def _difference(
-    entry: ScanEntry, configuration: BusConfiguration, by_id: Mapping[int, FoundDevice]
+    entry: ScanEntry,
+    configuration: BusConfiguration,
+    by_id: Mapping[int, FoundDevice],
+    places: Mapping[str, str],
 ) -> Difference:
     if not entry.node:
         return Difference("", entry.detail + _described(entry.device))
@@ -218,16 +222,14 @@ def _difference(
     if at_id is None or at_id.identity is None:
         return Difference(node.name, f"{node.name}: {entry.detail}")
     actual = at_id.identity
-    owner = next((n for n in configuration.nodes if n.serial == actual.serial is not None), None)
-    if owner is not None:  # its own difference says what to change
-        return Difference(
-            node.name, f"{node.name} does not answer; its id {node.id} has {owner.name}"
-        )
+    serials = {n.serial: n.name for n in configuration.nodes if n.serial}
+    if actual.serial in serials:  # the difference of its owner says what to change
+        text = f"{node.name} does not answer; at its id {node.id} is {serials[actual.serial]}"
+        return Difference(node.name, text)
     if (node.vendor, node.product) in ((None, None), (actual.vendor, actual.product)):
         text = f"at the id {node.id} of {node.name} is another device of its type"
-        change = (
-            f'if {node.name} was replaced, write `serial: "{_serial(actual.serial)}"` in the file'
-        )
+        serial = f'`serial: "{_serial(actual.serial)}"`'
+        change = f"if {node.name} was replaced, write {serial} at {places[node.name]}"
         return Difference(node.name, f"{text}{_described(at_id)}", change)
     text = f"at the id {node.id} of {node.name} is a device of another type{_described(at_id)}"
     return Difference(node.name, text, "look at what is plugged in there")
