@@ -107,7 +107,10 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
         PAGES_OF_NAVIGATION[page.file.src_uri] = known._replace(title=page.title, text=text)
     if has_playground:
         start = PurePosixPath(page.file.src_uri).parent
-        text = playground_links.with_links(text, os.path.relpath("playground/index.html", start))
+        playground = os.path.relpath("playground/index.html", start)
+        text = playground_links.with_links(text, playground)
+        if start.parts[:1] == ("examples",):
+            text = playground_links.with_example_link(text, ROOT / start, playground)
     return text
 
 

@@ -38,6 +38,19 @@ def with_links(markdown: str, playground: str) -> str:
     return BLOCK.sub(linked, markdown)
 
 
+def with_example_link(markdown: str, example: Path, playground: str) -> str:
+    """Adds a link below the title of the page of an example, if the playground has the example.
+
+    - ``example``: folder of the example.
+    """
+    if not any((example / name).is_file() for name in ("robot.yaml", "fleet.yaml")):
+        return markdown
+    title, newline, text = markdown.partition("\n")
+    address = f"{playground}#example={example.name}"
+    link = f'<a class="open-playground" href="{address}">open in the playground</a>'
+    return f"{title}{newline}\n{link}\n{text}"
+
+
 def is_robot(text: str) -> bool:
     """Returns whether a text is a whole robot file that needs no other file.
 
