@@ -53,6 +53,7 @@ WRONG_VALUES = {
     "ADDRESS": ("x", "tcp://", "tcp://host", "tcp://host:x", "http://host:1"),
     "PERCENT": ("x", "-1", "101"),
     "PORT": ("x", "-1", "70000"),
+    "KBIT": ("x", "-1"),
     "WxH": ("x", "0x0", "1000"),
     "VIEW": ("nowhere",),
     "PRESET": ("x",),

@@ -182,11 +182,11 @@ def _match(
     ]
     places = {node.name: f"{node.span.file}:{node.span.line}" for node in candidate.bus.nodes}
     # A device at the id of a node belongs to the difference of that node.
-    told = {e.wanted_id for e in entries if e.node and e.verdict == scan_result.WRONG_IDENTITY}
+    described = {e.wanted_id for e in entries if e.node and e.verdict == scan_result.WRONG_IDENTITY}
     differences = [
         _difference(entry, configuration, by_id, places)
         for entry in entries
-        if entry.verdict != scan_result.OK and (entry.node or entry.device_id not in told)
+        if entry.verdict != scan_result.OK and (entry.node or entry.device_id not in described)
     ]
     differences += [
         Difference("", f"frames with the identifier {identifier:#05x} are not in the file")
