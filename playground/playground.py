@@ -33,7 +33,7 @@ from thorvaldc.comparison.robot_comparison import compare_models
 from thorvaldc.compiler.modules.module_tree import Instance
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.compiler.source.reader import read_text
-from thorvaldc.compiler.validation.document_check import check
+from thorvaldc.compiler.validation.document_check import check, kind_of
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.diagnostics.files import read_json
@@ -210,7 +210,7 @@ class Playground:
 
     @staticmethod
     def _kind(name: str, text: str) -> Kind:
-        return open_document.kind_of(text, name) or "robot"
+        return kind_of(text, name) or "robot"
 
     # -- modules -----------------------------------------------------------------------
 

@@ -155,8 +155,8 @@ def only_diagnostic(text: str, kind: Kind = "robot") -> Diagnostic:
             "robot",
             "language-version",
             "1:12",
-            "version `2` of the language is not supported",
-            "write `thorvaldc: 1`, or use a newer compiler",
+            "the file is in version 2 of the language; this program reads 1",
+            "install a newer thorvaldc: it reads this file, and older ones",
         ),
         (
             MODULE + "joints: {j: {type: hinge, parent: a, child: b}}\n",

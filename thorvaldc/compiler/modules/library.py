@@ -236,6 +236,20 @@ class Library:
         return self._palette
 
 
+def module_library(path: Path, folders: tuple[Path, ...]) -> tuple[str, Library]:
+    """Returns the name of the module type in a module file, and a library with its folder.
+
+    The folder is the one of ``folders`` that contains the file.  Without such a folder, the name of
+    the type has two parts, such as ``drive/standard``.
+    """
+    own = next(
+        (folder for folder in folders if path.is_relative_to(folder)), path.parent.parent.parent
+    )
+    others = [folder for folder in folders if folder != own]
+    name = path.parent.relative_to(own).as_posix()
+    return name, Library([(folder, str(folder)) for folder in (own, *others)])
+
+
 def _read_colors(node: Node | None, report: Report) -> dict[str, str]:
     """Reads the colours of a palette file, by name.  Colours with errors are left out."""
     if node is None:

@@ -18,6 +18,7 @@ from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any
 from thorvaldc.compiler.values import value_reader as values
 from thorvaldc.diagnostics import Label, Proposal, Report, did_you_mean, plain
+from thorvaldc.schema.old_words import old_parameter
 
 NONE = "none"
 # Greatest length of a chain of parameters in which the value of each parameter depends on the next
@@ -299,11 +300,12 @@ class Scope(values.ValueReader):
         """Reports arguments whose names are not parameters of the module type."""
         for name, (node, _) in self._arguments.items():
             if name not in self._params and self.module is not None:
+                old = old_parameter(self.module.name, name)
                 self.report.add(
                     "param-unknown",
                     f"`{self.module.name}` has no parameter `{name}`",
                     node.where,
-                    hint=hint_of_known(name, list(self._params)),
+                    hint=old.hint if old is not None else hint_of_known(name, list(self._params)),
                 )
 
     def _parameter(self, name: str, declaration: Node) -> Any:

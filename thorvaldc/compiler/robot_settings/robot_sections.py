@@ -19,6 +19,7 @@ from thorvaldc.model import Battery, CalculatorChoice, Robot
 from thorvaldc.model import settings as ros
 from thorvaldc.model.robot import PARALLEL, SEPARATE
 from thorvaldc.schema import inlined
+from thorvaldc.schema.old_words import old_value
 
 
 def read_calculator(document: Node, scope: Scope) -> CalculatorChoice:
@@ -64,7 +65,9 @@ def check_calculator(robot: Robot, document: Node, report: Report) -> None:
         span = (option or name or choice or document).span
         if option is not None and isinstance(diagnostic.hint, Proposal):
             span = option.where  # the name of the option is misspelled
-        report.add(diagnostic.code.name, diagnostic.message, span, hint=diagnostic.hint)
+        old = old_value("robot", ("base_calculator",), robot.calculator.name)
+        hint = old.hint if old and diagnostic.code.name == "calculator-unknown" else diagnostic.hint
+        report.add(diagnostic.code.name, diagnostic.message, span, hint=hint)
 
 
 DEFAULT_TIP_OVER = math.radians(15)

@@ -12,6 +12,7 @@ The kind of a document is recognised by its top-level keys.
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -164,6 +165,45 @@ def _expression_error(kind: Kind) -> UnitError:
 
 
 # -- kinds of documents -----------------------------------------------------------
+
+_TOP_LEVEL_KEY = re.compile(r"^(?:\{\s*)?[\"']?([A-Za-z_]\w*)[\"']?[ \t]*:(?=\s|$)", re.MULTILINE)
+_NO_KIND = frozenset(["thorvaldc_lock", "motor_drives"])
+_KEYS_OF_KINDS: tuple[tuple[Kind, frozenset[str]], ...] = (
+    ("study", frozenset(["study", "objectives", "samples"])),
+    ("scenario", frozenset(["scenario", "script", "expect", "duration", "world"])),
+    ("robot", frozenset(["base_calculator", "extras", "buses", "design", "defaults"])),
+    ("fleet", frozenset(["robots"])),
+    ("bus_faults", frozenset(["faults", "quirks"])),
+    ("module", frozenset(["params", "links", "joints", "ports", "let", "category", "mount"])),
+    ("robot", frozenset(["modules", "driver"])),
+    ("calibration", frozenset(["wheels"])),
+)
+_FILE_NAMES: dict[str, Kind] = {
+    "robot.yaml": "robot",
+    "fleet.yaml": "fleet",
+    "scenario.yaml": "scenario",
+    "calibration.yaml": "calibration",
+    "module.yaml": "module",
+}
+
+
+def kind_of(text: str, file_name: str) -> Kind | None:
+    """Returns the kind of a document, also if it is half typed.
+
+    Returns ``None`` if the document is not one of thorvaldc: a document has the key ``thorvaldc``
+    or a file name of the language, such as ``robot.yaml``.
+    """
+    keys = set(_TOP_LEVEL_KEY.findall(text[:1_000_000]))
+    by_name = _FILE_NAMES.get(file_name)
+    if keys & _NO_KIND or ("thorvaldc" not in keys and by_name is None):
+        return None
+    if by_name is not None:
+        return by_name
+    for kind, kind_keys in _KEYS_OF_KINDS:
+        if keys & kind_keys:
+            return kind
+    return "robot"
+
 
 _SCENARIO_KEYS = ("duration", "script", "world", "expect")
 

@@ -17,6 +17,7 @@ from thorvaldc.compiler.source.node import (
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.diagnostics import Label, Proposal, Report, Span, did_you_mean, nearest
 from thorvaldc.schema import Kind
+from thorvaldc.schema.old_words import old_keys
 
 _TYPE_WORDS = {
     "object": "a mapping",
@@ -148,6 +149,8 @@ class _Explanation:
 
     def _key_hint(self, key: str, properties: dict[str, Any]) -> str | None:
         entry = self._entries()[key]
+        for word in old_keys(self.kind, [*self.path, key]):
+            return Proposal(word.hint, word.new) if word.new else word.hint
         if self.path[:-1] == ["modules"] and entry.get("type") is not None:
             return (
                 f"`{key}` looks like a module: a module begins in the column of {self.value_name},"
@@ -337,13 +340,16 @@ class _Explanation:
         )
 
     def _const(self) -> None:
-        version = self.error.validator_value
-        self.add(
-            "language-version",
-            f"version {_actual(self.node)} of the language is not supported",
-            self.node.span if self.node.value is not None else self.start,
-            Proposal(f"write `thorvaldc: {version}`, or use a newer compiler", str(version)),
-        )
+        version, value = int(self.error.validator_value), self.node.value
+        message = f"version {_actual(self.node)} of the language is not supported"
+        hint: str = Proposal(f"write `thorvaldc: {version}`", str(version))
+        if isinstance(value, int | float) and value > version:
+            message = (
+                f"the file is in version {value} of the language; this program reads {version}"
+            )
+            hint = "install a newer thorvaldc: it reads this file, and older ones"
+        span = self.node.span if value is not None else self.start
+        self.add("language-version", message, span, hint)
 
     def _anyof(self) -> None:
         branches = self.error.validator_value

@@ -50,9 +50,11 @@ def dimension_hint(
         proposal = _hint_of_let(names, text, expected, factor, hint)
         if proposal is not None:
             return proposal
+        operand = text if re.fullmatch(r"[\w.]+", text) else f"({text})"
         if repaired is None and dimensions.fits(wrong, dimensions.NONE):
-            operand = text if re.fullmatch(r"[\w.]+", text) else f"({text})"
             repaired = f"{operand} * 1 {dimensions.unit_text(expected)}"
+        elif repaired is None and dimensions.fits(expected, dimensions.NONE):
+            repaired = f"{operand} / 1 {dimensions.unit_text(wrong)}"
         elif repaired is None and all(power == int(power) for power in factor):
             hint += f"; a coefficient in `{dimensions.unit_text(factor)}` would make it one"
     if repaired is None or '"' in repaired:

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.compiler.modules.library import Library, ModuleType
+from thorvaldc.compiler.modules.library import Library, ModuleType, module_library
 from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.modules.module_tree import Instance, Mount, References
 from thorvaldc.compiler.modules.mounting import mount_kinds
@@ -246,20 +246,6 @@ class ModuleView:
         ids = bounds.plain() if bounds is not None else CANOPEN_IDS
         low, high = (i if isinstance(i, int) else CANOPEN_IDS[k] for k, i in enumerate(ids[:2]))
         return [number for number in range(low, min(high, low + 1000) + 1) if number not in taken]
-
-
-def module_library(path: Path, folders: tuple[Path, ...]) -> tuple[str, Library]:
-    """Returns the name of the module type in a module file, and a library with its folder.
-
-    The folder is the one of ``folders`` that contains the file.  Without such a folder, the name of
-    the type has two parts, such as ``drive/standard``.
-    """
-    own = next(
-        (folder for folder in folders if path.is_relative_to(folder)), path.parent.parent.parent
-    )
-    others = [folder for folder in folders if folder != own]
-    name = path.parent.relative_to(own).as_posix()
-    return name, Library([(folder, str(folder)) for folder in (own, *others)])
 
 
 def _id(address: Node | None) -> object:

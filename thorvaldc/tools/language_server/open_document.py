@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 from urllib.parse import quote, unquote, urlsplit
 
-from thorvaldc.compiler.modules.library import FILE as MODULE_FILE
 from thorvaldc.compiler.source.input_file import read_bytes, unsaved_texts
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import read_text
+from thorvaldc.compiler.validation.document_check import kind_of
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.schema import Kind
 
@@ -219,45 +219,6 @@ def node_at(root: Node | None, path: KeyPath) -> Node | None:
 def _contains(span: Span, line: int, column: int) -> bool:
     start, end = (span.line, span.column), (span.end_line, span.end_column)
     return start <= (line, column) <= end
-
-
-_TOP_LEVEL_KEY = re.compile(r"^(?:\{\s*)?[\"']?([A-Za-z_]\w*)[\"']?[ \t]*:(?=\s|$)", re.MULTILINE)
-_NO_KIND = frozenset(["thorvaldc_lock", "motor_drives"])
-_KEYS_OF_KINDS: tuple[tuple[Kind, frozenset[str]], ...] = (
-    ("study", frozenset(["study", "objectives", "samples"])),
-    ("scenario", frozenset(["scenario", "script", "expect", "duration", "world"])),
-    ("robot", frozenset(["base_calculator", "extras", "buses", "design", "defaults"])),
-    ("fleet", frozenset(["robots"])),
-    ("bus_faults", frozenset(["faults", "quirks"])),
-    ("module", frozenset(["params", "links", "joints", "ports", "let", "category", "mount"])),
-    ("robot", frozenset(["modules", "driver"])),
-    ("calibration", frozenset(["wheels"])),
-)
-_FILE_NAMES: dict[str, Kind] = {
-    "robot.yaml": "robot",
-    "fleet.yaml": "fleet",
-    "scenario.yaml": "scenario",
-    "calibration.yaml": "calibration",
-    MODULE_FILE: "module",
-}
-
-
-def kind_of(text: str, file_name: str) -> Kind | None:
-    """Returns the kind of a document, also if it is half typed.
-
-    Returns ``None`` if the document is not one of thorvaldc: a document has the key ``thorvaldc``
-    or a file name of the language, such as ``robot.yaml``.
-    """
-    keys = set(_TOP_LEVEL_KEY.findall(text[:1_000_000]))
-    by_name = _FILE_NAMES.get(file_name)
-    if keys & _NO_KIND or ("thorvaldc" not in keys and by_name is None):
-        return None
-    if by_name is not None:
-        return by_name
-    for kind, kind_keys in _KEYS_OF_KINDS:
-        if keys & kind_keys:
-            return kind
-    return "robot"
 
 
 @dataclass(frozen=True, eq=False)

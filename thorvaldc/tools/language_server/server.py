@@ -18,7 +18,7 @@ from pygls.lsp.server import LanguageServer
 
 from thorvaldc import __version__
 from thorvaldc.compiler.catalogue import check_module
-from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY
+from thorvaldc.compiler.modules.library import BUILTIN_LIBRARY, module_library
 from thorvaldc.compiler.pipeline import compile_file, library_folders_of
 from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.compiler.source.reader import read_text
@@ -27,7 +27,6 @@ from thorvaldc.diagnostics import Diagnostic, Fix, Report, Severity, Span
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.schema import Kind
 from thorvaldc.tools.language_server.features import Features, RenameError, Session
-from thorvaldc.tools.language_server.module_view import module_library
 from thorvaldc.tools.language_server.open_document import (
     OpenDocument,
     open_document,

@@ -1,0 +1,10 @@
+"""Runs the cases of tests/diagnostics that upgrade the file ``entry``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from thorvaldc.tools.upgrade.file_upgrade import upgrade_file
+from thorvaldc.tools.upgrade.rules import Context
+
+COMMANDS = {"upgrade": lambda case, entry: upgrade_file(Path(entry), Context()).report}

@@ -1,0 +1,106 @@
+"""A document with its text, and changes of the text by source spans."""
+
+from __future__ import annotations
+
+import bisect
+import os
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.reader import read_text
+from thorvaldc.diagnostics import Fix, Report, Span
+from thorvaldc.schema import Kind
+
+_LINE_BREAK = re.compile(r"\r\n|\r|\n")
+BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+KeyPath = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class Document:
+    """A document of the language, which a rule reads.
+
+    - ``path``: path of the file, as the user wrote it; its text is the name in spans.
+    - ``kind``: kind of the document.
+    - ``data``: bytes of the document, in UTF-8.
+    - ``root``: YAML tree of ``data``.
+    """
+
+    path: Path
+    kind: Kind
+    data: bytes
+    root: Node
+
+    @cached_property
+    def real_path(self) -> str:
+        """Path without symbolic links."""
+        return os.path.realpath(self.path)
+
+    @cached_property
+    def text(self) -> str:
+        """The text with its line breaks, without a byte order mark."""
+        return self.data.decode("utf-8-sig")
+
+    @cached_property
+    def _line_starts(self) -> list[int]:
+        return [0, *(match.end() for match in _LINE_BREAK.finditer(self.text))]
+
+    def text_at(self, span: Span) -> str:
+        """Returns the text of a source span."""
+        return self.text[slice(*self._range(span))]
+
+    def _range(self, span: Span) -> tuple[int, int]:
+        starts = self._line_starts
+        return (
+            starts[span.line - 1] + span.column - 1,
+            starts[span.end_line - 1] + span.end_column - 1,
+        )
+
+    def changed(self, changes: Iterable[Fix]) -> Document | None:
+        """Returns the document with changes that do not overlap.
+
+        Of changes that overlap, the first is made.  Returns ``None`` if no change is left, or if
+        the new text is no YAML document.
+        """
+        ranges: list[tuple[int, int, str]] = []
+        for change in changes:
+            start, end = self._range(change.span)
+            place = bisect.bisect(ranges, (start, end, change.text))
+            before, after = ranges[place - 1 : place], ranges[place : place + 1]
+            is_free = all(e <= start for _, e, _ in before) and all(end <= s for s, *_ in after)
+            if is_free and self.text[start:end] != change.text:
+                ranges.insert(place, (start, end, change.text))
+        text = self.text
+        for start, end, new in reversed(ranges):
+            text = text[:start] + new + text[end:]
+        mark = BYTE_ORDER_MARK if self.data.startswith(BYTE_ORDER_MARK) else b""
+        report, data = Report(), mark + text.encode()
+        root = read_text(data, str(self.path), report) if ranges else None
+        if root is None or report.has_errors:
+            return None
+        return Document(self.path, self.kind, data, root)
+
+    def entries(self) -> Iterator[tuple[KeyPath, Node]]:
+        """Yields all keys of mappings, and the elements of lists, with their paths."""
+        yield from _entries(self.root, ())
+
+
+def _entries(node: Node, path: KeyPath) -> Iterator[tuple[KeyPath, Node]]:
+    if isinstance(node.value, dict):
+        children: Iterable[tuple[str | int, Node]] = node.value.items()
+    elif isinstance(node.value, tuple):
+        children = enumerate(node.value)
+    else:
+        return
+    for key, child in children:
+        yield (*path, key), child
+        yield from _entries(child, (*path, key))
+
+
+def mapping(node: Node | None) -> dict[str, Node]:
+    """Returns the entries of a YAML mapping, and none for anything else."""
+    return node.value if node is not None and isinstance(node.value, dict) else {}

@@ -1,0 +1,87 @@
+"""The command ``thorvaldc upgrade``: rewrites older files to the present language."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from thorvaldc.cli import options
+from thorvaldc.cli.exits import DONE, INPUT, OUTSIDE
+
+if TYPE_CHECKING:
+    from thorvaldc.tools.upgrade.file_upgrade import Upgrade
+
+
+def upgrade(
+    files: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FILE", help="A robot, module, fleet, scenario, study or calibration file."
+        ),
+    ],
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            "--dry-run",
+            help="Write nothing; print the difference, with the exit status 1 if there is one.",
+        ),
+    ] = False,
+    library: options.Library = [],  # noqa: B006
+) -> int:
+    from thorvaldc.cli import diagnostic_output
+    from thorvaldc.diagnostics import Report
+    from thorvaldc.diagnostics.report import grouped
+    from thorvaldc.tools.upgrade.file_upgrade import kind_of_file, upgrade_file
+    from thorvaldc.tools.upgrade.rules import Context
+
+    folders = tuple(options.library_folders(library))
+    paths = [Path(file) for file in dict.fromkeys(files)]
+    robots = tuple(p for p in paths if kind_of_file(p) in ("robot", "fleet", "scenario"))
+    report, sources, status = Report(), {}, DONE
+    for path in paths:
+        result = upgrade_file(path, Context(folders, robots))
+        report.extend(result.report)
+        sources[str(path)] = path
+        if result.is_changed and dry_run:
+            sys.stdout.write(result.difference())
+            status = max(status, INPUT)
+        elif result.is_changed and not _write(result):
+            status = OUTSIDE
+            continue
+        if result.before is not None:
+            line = f"{path}: {_summary(result, dry_run)}"
+            print(line, file=sys.stderr if dry_run else sys.stdout)
+    shown = Report()
+    shown.extend(grouped(report))
+    return max(status, diagnostic_output.show_report(shown, sources))
+
+
+def _write(result: Upgrade) -> bool:
+    """Replaces the file in one step, or leaves it as it was and prints the reason."""
+    from thorvaldc.cli.diagnostic_output import message
+    from thorvaldc.diagnostics.files import write_file
+
+    assert result.after is not None
+    try:
+        write_file(result.path, result.after.data)
+    except OSError as error:
+        message(f"error: {result.path}: {error.strerror or error}; it is unchanged")
+        return False
+    return True
+
+
+def _summary(result: Upgrade, dry_run: bool) -> str:
+    from thorvaldc.cli.diagnostic_output import count
+
+    decisions = len(list(result.report)) - len(result.report.errors)
+    parts = [f"{name} ({count(n, 'change')})" for name, n in result.changes.items()]
+    verb = "would be upgraded" if dry_run else "upgraded"
+    text = f"{verb}: {', '.join(parts)}" if parts else "nothing to change"
+    if decisions:
+        text += f"; {count(decisions, 'decision')} for you"
+    if result.report.errors:
+        text += f"; {count(len(result.report.errors), 'error')}"
+    return text
