@@ -219,6 +219,7 @@ def _documents() -> list[Kind]:
                 *("view robot.yaml --html -o out.html", "check robot.yaml --strict"),
                 *("info robot.yaml", "info robot.yaml --json", "why robot.yaml mass"),
                 *("diff robot.yaml robot.yaml", "build robot.yaml --target datasheet -o out"),
+                "upgrade robot.yaml --dry-run",
             ),
             _robots(),
             YAML,
