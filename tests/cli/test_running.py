@@ -9,6 +9,7 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,12 @@ import pytest
 
 from tests.can.slcan_adapter import SlcanAdapter
 from tests.child_process import ChildProcess
-from tests.cli.conftest import GOOD, SLOW, Command
+from tests.cli.conftest import GOOD, SLOW, Command, needs_tools
 from tests.cli.test_bus import end, running
+from thorvaldc import __version__
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
+from thorvaldc.runtime import control_channel
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 ROOT = Path(__file__).parents[2]
@@ -184,6 +187,35 @@ def test_a_signal_stops_the_robot_and_disables_the_drives(number: int, tmp_path:
     assert process.returncode == 0, err
     assert out.startswith(("stopping", "ready")), out
     assert "Traceback" not in err
+
+
+@needs_tools
+def test_a_driver_and_a_caller_of_different_versions_both_say_so(
+    thorvaldc: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with tempfile.TemporaryDirectory(prefix="tv") as folder:  # a socket's path is short
+        Path(folder, "good.yaml").write_text(GOOD + SLOW)
+        process = started(Path(folder), "good.yaml", "--bus", "virtual")
+        assert process.stderr is not None
+        for line in process.stderr:
+            if "standby" in line:
+                break
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        equal = thorvaldc("call", "good", "description")
+        assert (equal.status, equal.err) == (0, "")
+        monkeypatch.setattr(control_channel, "program_version", lambda: "9.9.9")
+        other = thorvaldc("call", "good", "description")
+        assert (other.status, other.out) == (0, equal.out)
+        assert other.err.startswith(
+            f"warning: the driver `good` is thorvaldc {__version__}, this program is"
+            " thorvaldc 9.9.9;"
+        )
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    expected = f"is thorvaldc 9.9.9, this program is thorvaldc {__version__}; services and states"
+    assert err.count("warning: connection ") == 1
+    assert expected in err
 
 
 def over_slcan(

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.examples import FLEETS, ROBOTS, example_fleet, example_robot
 from tests.robots import FOUR_STEERED, SPAN, make_robot
+from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import (
     Battery,
     Block,
@@ -43,9 +45,10 @@ from thorvaldc.model import (
     TwistInput,
     Visual,
     World,
+    model_json,
 )
 from thorvaldc.model import robot as robot_module
-from thorvaldc.model.model_json import ModelFormatError, from_json, to_json
+from thorvaldc.model.model_json import ModelFormatError, from_json, load_model, to_json
 
 POSE = Pose.from_xyz_rpy((0.1, -0.2, 1 / 3), (0.3, 0.2, 0.1))
 GREY = (0.5, 0.25, 1.0, 1.0)
@@ -379,3 +382,42 @@ def test_a_path_in_a_fleet() -> None:
 def test_the_message_of_another_version_names_both() -> None:
     with pytest.raises(ModelFormatError, match=r"version 1; this program reads 10"):
         from_json(changed("version", 1))
+
+
+@pytest.mark.parametrize(
+    ("version", "compiler", "hint"),
+    [
+        (9, None, "build the robot again with this thorvaldc 1.0.0: thorvaldc build FILE"),
+        (
+            9,
+            "thorvaldc 1.0.0",
+            "build the robot again with this thorvaldc 1.0.0: thorvaldc build FILE",
+        ),
+        (9, "thorvaldc 0.1.0", "or use thorvaldc 0.1.0, which wrote the file"),
+        (11, "thorvaldc 2.0.0", "or use thorvaldc 2.0.0, which wrote the file"),
+        (11, None, "install a newer thorvaldc than 1.0.0, which wrote the file; or build the"),
+    ],
+)
+def test_a_model_of_another_version_names_the_program(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    version: int,
+    compiler: str | None,
+    hint: str,
+) -> None:
+    monkeypatch.setattr(model_json, "program_version", lambda: "1.0.0")
+    (tmp_path / "model.json").write_text(changed("version", version), encoding="utf-8")
+    if compiler is not None:
+        (tmp_path / "manifest.json").write_text(json.dumps({"compiler": compiler}), "utf-8")
+    with pytest.raises(DiagnosticError) as caught:
+        load_model(tmp_path)
+    assert f"version {version}; this program reads 10" in caught.value.diagnostic.message
+    assert hint in str(caught.value.diagnostic.hint)
+
+
+@pytest.mark.parametrize("text", ["[", "[1]", '{"compiler": 3}', ""])
+def test_a_broken_manifest_hides_no_error(tmp_path: Path, text: str) -> None:
+    (tmp_path / "model.json").write_text(changed("version", 9), encoding="utf-8")
+    (tmp_path / "manifest.json").write_text(text, encoding="utf-8")
+    with pytest.raises(DiagnosticError, match="version 9; this program reads 10"):
+        load_model(tmp_path)

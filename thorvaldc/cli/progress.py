@@ -71,6 +71,7 @@ class StatusView:
         self._session = session
         self._last_time = -math.inf
         self._line_shown = False
+        self._versions_shown = 0
 
     def __enter__(self) -> StatusView:
         return self
@@ -92,6 +93,10 @@ class StatusView:
                 elapsed = change.time - session.start_time
                 message(f"{elapsed:8.2f} s  {change.state.value}{reason}")
             changes.clear()
+        for text in list(driven.other_versions.values())[self._versions_shown :]:
+            self._erase_line()
+            message(f"warning: {text}")
+            self._versions_shown += 1
         now = time.monotonic()
         if sys.stderr.isatty() and now - self._last_time >= STATUS_PERIOD:
             self._last_time = now

@@ -17,6 +17,14 @@ NAME, RUNTIME = "thorvaldc", "thorvaldc-runtime"
 """Names of the two distributions that contain this file."""
 
 
+def program_version() -> str:
+    """Returns the version of this program.
+
+    The package names its whole API for type checkers, so that the lower rooms do not import it.
+    """
+    return str(sys.modules["thorvaldc"].__dict__["__version__"])
+
+
 class Origin(NamedTuple):
     """Where this program was installed from.
 

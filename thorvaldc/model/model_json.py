@@ -7,6 +7,7 @@ list. The JSON object of a ``Shape`` has the name of its class in the field ``ki
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import inspect
@@ -21,6 +22,7 @@ from typing import Any, cast
 
 from thorvaldc.diagnostics import DiagnosticError, Span, did_you_mean
 from thorvaldc.diagnostics.files import read_bounded, read_json
+from thorvaldc.diagnostics.installation import program_version
 from thorvaldc.model import (
     Actuator,
     Bus,
@@ -73,11 +75,13 @@ class ModelFormatError(ValueError):
     - ``reason``: cause of the error.
     - ``path``: position in the model, such as ``robot.wheels[2]``, or empty if the whole file is
       wrong.
+    - ``version``: version of the file, if this program reads another one.
     """
 
-    def __init__(self, reason: str, path: str = "") -> None:
+    def __init__(self, reason: str, path: str = "", version: int | None = None) -> None:
         super().__init__(reason)
         self.reason = reason
+        self.version = version
         self.path = path
 
     def __str__(self) -> str:
@@ -345,7 +349,9 @@ def from_json(text: str) -> Robot | Fleet:
         raise ModelFormatError(f"not a {FORMAT} file")
     version = head.get("version")
     if type(version) is not int or version != VERSION:
-        raise ModelFormatError(f"version {_text(version)}; this program reads {VERSION}")
+        known = version if type(version) is int else None
+        reason = f"version {_text(version)}; this program reads {VERSION}"
+        raise ModelFormatError(reason, version=known)
     _report_fields(head, ["format", "version", "kind", "model"], "")
     kind = head["kind"]
     if not isinstance(kind, str) or kind not in KINDS:
@@ -391,9 +397,29 @@ def load_model(path: Path) -> Robot | Fleet:
             hint="build the robot first: thorvaldc build",
         ) from error
     except ModelFormatError as error:
-        raise DiagnosticError(
-            "model-unreadable", f"{path}: {error}", hint="build the robot again"
-        ) from error
+        hint = "build the robot again"
+        if error.version is not None:
+            hint = _program_hint(path, error.version)
+        raise DiagnosticError("model-unreadable", f"{path}: {error}", hint=hint) from error
+
+
+def _program_hint(path: Path, version: int) -> str:
+    """Returns which program reads a model of another version.
+
+    The manifest of the build names the program that wrote the model.  Before 0.1.0, all programs
+    had one name.
+    """
+    own, writer = program_version(), ""
+    with contextlib.suppress(OSError, ValueError):
+        manifest = read_json(read_bounded(path.with_name("manifest.json"), MAX_BYTES))
+        if isinstance(manifest, dict):
+            writer = str(manifest.get("compiler", ""))[:60]
+    again = f"build the robot again with this thorvaldc {own}: thorvaldc build FILE"
+    if writer and writer != f"thorvaldc {own}":
+        return f"{again}; or use {writer}, which wrote the file"
+    if version > VERSION:
+        return f"install a newer thorvaldc than {own}, which wrote the file; or {again}"
+    return again
 
 
 # -- JSON Schema ----------------------------------------------------------------------------

@@ -64,6 +64,8 @@ class ArmableRobot:
         self.feed: Feed | None = None
         self.paused = False
         self.events: list[RunEvent] = []
+        self.other_versions: dict[str, str] = {}
+        """Versions of other programs that differ from this one, with a sentence about each."""
         self.pre_arm_checks: list[PreArmCheck] = list(PRE_ARM_CHECKS)
         self.stop_engaged = False
         """``True`` from the service ``safety_stop`` until its release by all programs."""

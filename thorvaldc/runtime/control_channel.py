@@ -42,6 +42,7 @@ from typing import Any
 
 from thorvaldc.can.local_socket import listen, socket_path
 from thorvaldc.diagnostics.files import read_json
+from thorvaldc.diagnostics.installation import program_version
 from thorvaldc.runtime.service_table import Argument, Caller, ServiceError, Services
 
 LONGEST_LINE = 65536
@@ -293,11 +294,19 @@ def _process(stream: socket.socket) -> str:
 
 
 def _refusal(error: str) -> dict[str, Any]:
-    return {"ok": False, "error": error}
+    return {"ok": False, "error": " ".join(error.split())}
 
 
 def _line(message: dict[str, Any]) -> bytes:
     return json.dumps(message, ensure_ascii=False).encode("utf-8", "replace") + b"\n"
+
+
+def version_text(other: str, version: str) -> str:
+    """Returns the sentence about another program with another version of thorvaldc."""
+    return (
+        f"{other} is thorvaldc {version}, this program is thorvaldc {program_version()}; services"
+        " and states may differ: install one version on both"
+    )
 
 
 ANSWER_TIME = 2.0
@@ -344,6 +353,20 @@ class ControlClient:
         if not answer.get("ok"):
             raise ServiceError(str(answer.get("error", "refused")))
         return answer.get("result")
+
+    def other_version(self) -> str:
+        """Exchanges versions with the driver, which reports a different one too.
+
+        Returns a sentence if the driver is another version of thorvaldc, or an empty text.  Raises
+        ``ConnectionError`` if the base driver does not answer.
+        """
+        own = program_version()
+        try:
+            answer = self.call("hello", version=own)
+            version = str(answer.get("version")) if isinstance(answer, dict) else "unknown"
+        except ServiceError:
+            version = "older than 0.1.0"  # it has no service `hello`
+        return "" if version == own else version_text(f"the driver `{self.name}`", version)
 
     def close(self) -> None:
         self._stream.close()

@@ -22,11 +22,12 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
+from thorvaldc.diagnostics.installation import program_version
 from thorvaldc.model import Robot
 from thorvaldc.runtime import service_table
 from thorvaldc.runtime.arming import ArmableRobot
 from thorvaldc.runtime.base_interface import BaseHandle, RequestRefused
-from thorvaldc.runtime.control_channel import ControlServer
+from thorvaldc.runtime.control_channel import ControlServer, version_text
 from thorvaldc.runtime.driver import BaseDriver, DriveMode, DriverState
 from thorvaldc.runtime.pace import Clock, Gap, Pace, SimulatedTime, gap_text
 from thorvaldc.runtime.run_time_parameters import LIMITS
@@ -41,6 +42,8 @@ SETTLING = 0.5
 
 The ROS middleware delivers what has waited in a thread of its own, later on a busy computer.
 """
+MOST_VERSIONS = 20
+"""Greatest number of versions of other programs that are reported."""
 _RESTING = 1e-3
 """Speed (m/s, rad/s) at which a robot has come to rest."""
 
@@ -364,7 +367,22 @@ def robot_services(robot: ArmableRobot) -> list[service_table.Service]:
             )
         robot.set_drive_parameters(set or None, radii=radii, limits=changes)
 
+    def hello(caller: service_table.Caller, version: str) -> dict[str, str]:
+        version = version[:40]
+        is_new = version not in robot.other_versions and len(robot.other_versions) < MOST_VERSIONS
+        if version != program_version() and is_new:
+            robot.other_versions[version] = version_text(caller.name, version)
+            robot.note(robot.other_versions[version])
+        return {"version": program_version()}
+
     return [
+        service_table.Service(
+            "hello",
+            "State the caller's version of thorvaldc, and return the driver's; the driver reports a"
+            " difference.",
+            hello,
+            valid_late=True,
+        ),
         service_table.Service(
             "twist",
             "Command the twist of a source (m/s, m/s, rad/s); it is valid until the time-out of the"

@@ -55,6 +55,8 @@ def call(
         )
     client = ControlClient(name)
     try:
+        if warning := client.other_version():
+            diagnostic_output.message(f"warning: {warning}")
         result = client.call(service or "services", **values)
         if service == "arm" and result:
             diagnostic_output.message(result)

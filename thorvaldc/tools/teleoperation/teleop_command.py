@@ -111,10 +111,18 @@ def teleop(
 
 
 def _connect(name: str) -> Vehicle:
+    from thorvaldc.cli.diagnostic_output import message
     from thorvaldc.runtime.control_channel import ControlClient
     from thorvaldc.runtime.teleop_loop import RemoteVehicle
 
-    return RemoteVehicle(ControlClient(name))
+    client = ControlClient(name)
+    try:
+        if warning := client.other_version():
+            message(f"warning: {warning}")
+    except ConnectionError as error:
+        client.close()
+        raise OutsideError(str(error)) from None
+    return RemoteVehicle(client)
 
 
 def _start_driver(
