@@ -32,7 +32,7 @@ SPECIAL = ("missing", "folder", "pipe", "device", "loop", "not permitted", "huge
 class Kind:
     """A kind of file.
 
-    - ``commands``: command lines that read it.
+    - ``commands``: command lines that read it; ``BROKEN`` is its path.
     - ``examples``: name of the file to change, and all files, of each example.
     - ``schema``: name of the kind for ``thorvaldc schema``, if it has a schema.
     - ``writes``: first words of the paths that the commands may write.
@@ -71,7 +71,7 @@ def case_of(seed: int) -> Case:
     all_kinds = kinds()
     kind = rng.choices(all_kinds, [kind.weight for kind in all_kinds])[0]
     file, files = rng.choice(kind.examples)
-    command = rng.choice(kind.commands)
+    command = rng.choice(kind.commands).replace("BROKEN", file)
     if kind.name != "plug-in" and rng.random() < 0.04:
         special = rng.choice(SPECIAL)
         return Case(seed, kind, file, files, command, special, special)
@@ -219,7 +219,7 @@ def _documents() -> list[Kind]:
                 *("view robot.yaml --html -o out.html", "check robot.yaml --strict"),
                 *("info robot.yaml", "info robot.yaml --json", "why robot.yaml mass"),
                 *("diff robot.yaml robot.yaml", "build robot.yaml --target datasheet -o out"),
-                "upgrade robot.yaml --dry-run",
+                "upgrade --dry-run robot.yaml",
             ),
             _robots(),
             YAML,
@@ -229,7 +229,10 @@ def _documents() -> list[Kind]:
         ),
         Kind(
             "module",
-            ("check robot.yaml", "modules check lib", "modules list --library lib"),
+            (
+                *("check robot.yaml", "modules check lib", "modules list --library lib"),
+                "upgrade --dry-run robot.yaml BROKEN --library lib",
+            ),
             modules,
             YAML,
             schema="module",

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from tests.robots import FOUR_STEERED, make_robot
@@ -570,6 +570,7 @@ LINES = st.binary(max_size=60).filter(lambda line: b"\n" not in line) | REQUESTS
     max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(LINES)
+@example(b'{"call": "twist", "arguments": {"\\n": null}}')
 def test_every_line_has_one_answer(running: RunningDriver, line: bytes) -> None:
     client = RawClient(running)
     with contextlib.closing(client.stream):

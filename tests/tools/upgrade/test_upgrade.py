@@ -333,6 +333,7 @@ def test_folders_and_missing_files(thorvaldc: Command, tmp_path: Path) -> None:
     assert "error[TV902] file-is-a-directory" in result.err
     assert "error[TV901] file-not-found" in result.err
     assert "`loop.yaml` cannot be read" in result.err
+    assert "3 errors in 4 files" in result.err
     assert result.out.startswith("good.yaml: nothing to change")
 
 

@@ -40,11 +40,15 @@ def upgrade(
     folders = tuple(options.library_folders(library))
     paths = [Path(file) for file in dict.fromkeys(files)]
     robots = tuple(p for p in paths if kind_of_file(p) in ("robot", "fleet", "scenario"))
-    report, sources, status = Report(), {}, DONE
+    output = diagnostic_output.DiagnosticOutput("text", sys.stderr)
+    decisions, sources, status = Report(), {}, DONE
     for path in paths:
         result = upgrade_file(path, Context(folders, robots))
-        report.extend(result.report)
         sources[str(path)] = path
+        errors = Report()
+        errors.extend(result.report.errors)
+        output.add(errors, sources)
+        decisions.extend(d for d in result.report if d not in result.report.errors)
         if result.is_changed and dry_run:
             sys.stdout.write(result.difference())
             status = max(status, INPUT)
@@ -54,9 +58,10 @@ def upgrade(
         if result.before is not None:
             line = f"{path}: {_summary(result, dry_run)}"
             print(line, file=sys.stderr if dry_run else sys.stdout)
-    shown = Report()
-    shown.extend(grouped(report))
-    return max(status, diagnostic_output.show_report(shown, sources))
+    merged = Report()
+    merged.extend(grouped(decisions))
+    diagnostic_output.show_report(merged, sources)
+    return max(status, output.finish())
 
 
 def _write(result: Upgrade) -> bool:
