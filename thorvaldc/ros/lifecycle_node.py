@@ -40,6 +40,7 @@ from thorvaldc.ros.node_services import create_services
 from thorvaldc.ros.parameters import TOPICS
 from thorvaldc.ros.topic_base import TopicBase, robot_behind_topics
 from thorvaldc.ros.topic_twists import ClockWatch, TwistInputs
+from thorvaldc.runtime.can_base.battery_and_io_drivers import SUPPLY
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.odometry import filter_covariance
 from thorvaldc.runtime.run_session import UNTESTED
@@ -295,7 +296,7 @@ class BaseDriverNode(GuardedLifecycleNode):
         model, add = self.model, self._entities.append
         self._odometry = self.create_publisher(Odometry, "odometry/base_raw", 10)
         self._joint_states = self.create_publisher(JointState, "joint_states", 10)
-        count = max(len(model.batteries), 1)
+        count = len(model.batteries) + 1  # and their common supply
         self._battery = self.create_publisher(BatteryState, "battery_data", latched(count))
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._base_state = self.create_publisher(DiagnosticStatus, "base_state", latched())
@@ -508,7 +509,10 @@ class BaseDriverNode(GuardedLifecycleNode):
         if self._clock_topic is not None and robot is not None:
             self._clock_topic.publish(Clock(clock=stamp))  # also while the simulation is paused
         if robot is not None:
-            for battery, reported in robot.base.batteries().items():
+            batteries, supply = dict(robot.base.batteries()), robot.base.supply()
+            if len(batteries) > 1 and supply is not None:
+                batteries[SUPPLY] = supply
+            for battery, reported in batteries.items():
                 frame = self.values["base_frame_id"]
                 self._battery.publish(messages.battery_message(battery, reported, stamp, frame))
 

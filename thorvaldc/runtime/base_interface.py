@@ -196,6 +196,13 @@ class BaseHandle(abc.ABC):
         """Returns the states of the batteries (``BatteryState``) by name."""
         return {}
 
+    def supply(self) -> Any | None:
+        """Returns the state of the batteries that supply the robot together (``BatteryState``).
+
+        ``None``: there is no such common source, see ``Robot.common_source``.
+        """
+        return None
+
     def motor_controller_data(self, now: float) -> Mapping[str, Mapping[str, float]]:
         """Returns what each motor controller reports, by its name and the name of the signal.
 

@@ -220,8 +220,9 @@ class RunSession:
                 f"{twist.vx:+z.2f} {twist.vy:+z.2f} m/s {twist.wz:+z.2f} rad/s",
                 f"{pose.x:z.1f} {pose.y:z.1f} m {math.degrees(pose.yaw):z.0f} deg",
             ]
-        batteries = base.batteries().values()
-        charges = [battery.charge for battery in batteries if not math.isnan(battery.charge)]
+        supply = base.supply()
+        sources = base.batteries().values() if supply is None else (supply,)
+        charges = [source.charge for source in sources if not math.isnan(source.charge)]
         if charges:
             parts.append(f"battery {100.0 * min(charges):.0f} %")
         if state.not_followed:
@@ -267,6 +268,7 @@ class RunSession:
                 for event in driven.events
             ],
             "batteries": {name: battery.source for name, battery in base.batteries().items()},
+            "supply": None if (supply := base.supply()) is None else supply.source,
             "warnings": base.warnings(driven.now),
             "not_relayed": base.nodes.relay_drops(),
         }

@@ -178,7 +178,7 @@ class _Reader:
                 hint=did_you_mean(str(channel.value), known, f"it has: {', '.join(known)}"),
             )
             return False
-        low, high = (0, 15) if device.id_space == _BATTERIES else (1, 127)
+        low, high = int(device.is_canopen), 15 if device.id_space == _BATTERIES else 127
         if number is not None and isinstance(number.value, int) and not low <= number.value <= high:
             self.report.add(
                 "can-id-range",

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 from thorvaldc.model import Actuator, Battery, Bus, Channel, Node, Robot, Scalar
 from thorvaldc.model import quantities as si
-from thorvaldc.model.robot import PARALLEL
 from thorvaldc.model.spatial import float_sum
 
 
@@ -187,6 +186,8 @@ class Energy:
       one of the numbers is missing.
     - ``power``: power of the electronics in W that the modules state, 0 if none states it.
     - ``connection``: ``parallel``, ``separate`` or ``None``, see ``Robot.battery_connection``.
+    - ``has_common_source``: true if the batteries supply the robot together, see
+      ``Robot.common_source``.
     - ``voltage``, ``capacity``: nominal voltage in V and capacity in A s of the whole source: of
       the only battery, or of batteries in parallel, whose capacities add up. ``None`` if the robot
       has no common source or a module does not state its number.
@@ -199,6 +200,7 @@ class Energy:
 
     batteries: tuple[BatteryFacts, ...]
     connection: str | None
+    has_common_source: bool
     voltage: si.Volts | None
     capacity: si.AmpereSeconds | None
     energy: si.Joules | None
@@ -223,7 +225,8 @@ def energy_of(robot: Robot) -> Energy:
     missing = [
         f"voltage or capacity of `{battery.name}`" for battery in present if battery.energy is None
     ]
-    source = present if len(present) == 1 or robot.battery_connection == PARALLEL else []
+    common = {battery.name for battery in robot.common_source}
+    source = [battery for battery in present if battery.name in common]
     voltages, capacities = {b.voltage for b in source}, [b.capacity for b in source]
     voltage = voltages.pop() if len(voltages) == 1 else None
     known = [capacity for capacity in capacities if capacity is not None]
@@ -244,6 +247,7 @@ def energy_of(robot: Robot) -> Energy:
     return Energy(
         batteries,
         robot.battery_connection,
+        bool(source),
         voltage,
         capacity,
         energy,
@@ -261,10 +265,15 @@ def battery_voltage(battery: Battery) -> float | None:
     return _number(battery.properties, VOLTAGE)
 
 
+def battery_capacity(battery: Battery) -> float | None:
+    """Return the capacity of a battery in A s, or ``None`` if its module states none."""
+    return _number(battery.properties, CAPACITY)
+
+
 def _batteries(robot: Robot) -> Iterator[BatteryFacts]:
     for battery in robot.batteries:
         voltage = battery_voltage(battery)
-        capacity = _number(battery.properties, CAPACITY)
+        capacity = battery_capacity(battery)
         present = battery.node is not None
         energy = voltage * capacity if voltage is not None and capacity is not None else None
         yield BatteryFacts(battery.name, battery.module, present, voltage, capacity, energy)

@@ -14,7 +14,6 @@ from thorvaldc.model.facts.masses import NO_SOURCE, BillRow, ModuleMass, Purchas
 from thorvaldc.model.facts.robot_facts import RobotFacts
 from thorvaldc.model.facts.size import Size
 from thorvaldc.model.facts.stability import DIRECTIONS, SoilLoad, Stability, WheelLoad
-from thorvaldc.model.robot import PARALLEL
 from thorvaldc.model.statics.slope import StandingSlopes
 
 Row = tuple[str, ...]
@@ -40,7 +39,7 @@ class FactTable:
 
 def fact_tables(facts: RobotFacts) -> tuple[FactTable, ...]:
     """Return the facts about a robot as tables. Tables without rows are left out."""
-    has_battery = bool(facts.energy.batteries) and facts.energy.connection != PARALLEL
+    has_battery = bool(facts.energy.batteries) and not facts.energy.has_common_source
     tables = (
         _size(facts.size),
         _mass(facts),

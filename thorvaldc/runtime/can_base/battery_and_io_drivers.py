@@ -9,11 +9,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from thorvaldc.can.frame import CanFrame
-from thorvaldc.model import Bus, Node
+from thorvaldc.model import Battery, Bus, Node, Robot
 from thorvaldc.model.bus import MASTER
+from thorvaldc.model.facts.electrics import battery_capacity
 from thorvaldc.model.plugins import PluginTable
 from thorvaldc.model.settings import BatterySettings
-from thorvaldc.runtime.can_base.motor_controller import driver_class, node_codecs
+from thorvaldc.model.spatial import float_sum
+from thorvaldc.runtime.can_base.motor_controller import driver_class, node_codecs, required_driver
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 
 _KC_TEMPERATURES = 6
@@ -54,9 +56,10 @@ class BatteryState:
 
 
 class BatteryDriver(abc.ABC):
-    """Decodes the CAN frames that a battery sends.
+    """Decodes the CAN frames that a battery sends; it sends nothing.
 
-    A Python package can add a battery driver with the entry-point group ``thorvaldc.batteries``.
+    A Python package can add a battery driver with the entry-point group ``thorvaldc.batteries``;
+    docs/batteries.md describes each step.
     """
 
     def __init__(self, bus: Bus, node: Node) -> None:
@@ -184,11 +187,15 @@ PLUGINS: PluginTable[BatteryDriver] = PluginTable(
 )
 
 
-def battery_driver(bus: Bus, node: Node) -> BatteryDriver | None:
-    """Returns the battery driver for a node, or ``None`` if no battery driver supports the protocol
-    of the node."""
-    battery = driver_class(PLUGINS, node)
-    return None if battery is None else battery(bus, node)
+def battery_driver(robot: Robot, bus: Bus, node: Node) -> BatteryDriver | None:
+    """Returns the battery driver for a node, or ``None`` for a device that is no battery.
+
+    Raises ``DiagnosticError`` (``bus-driver-unknown``) if no driver supports the protocol of a
+    battery of the robot: without its driver, nothing would notice that it is empty.
+    """
+    is_battery = any(battery.node == node.name for battery in robot.batteries)
+    driver = (required_driver if is_battery else driver_class)(PLUGINS, node)
+    return None if driver is None else driver(bus, node)
 
 
 # -- judges the batteries, and limits or stops the robot while their charge is low --------------
@@ -201,9 +208,11 @@ def battery_driver(bus: Bus, node: Node) -> BatteryDriver | None:
 #     speed          100 %          100 %        ``speed``         0
 #
 # The battery with the worst level determines the level of the robot, because the model does not
-# tell which battery supplies which motor.  A battery that has sent no state of charge for
-# ``SILENCE_LIMIT`` seconds has the level LIMIT, and after ``BatterySettings.silence`` the level
-# STOP. A battery that does not allow a discharge current, or that reports alarms, is a warning and
+# tell which battery supplies which motor.  Batteries in parallel supply all motors together: the
+# charge of their common supply has a level of its own, and the charge of one of them is at most a
+# warning.  A battery that has sent no state of charge for ``SILENCE_LIMIT`` seconds has the level
+# LIMIT, and after ``BatterySettings.silence`` the level STOP, also in parallel: nothing tells
+# whether it still supplies its share of the current. A battery that does not allow a discharge current, or that reports alarms, is a warning and
 # a reason not to arm the robot.
 #
 # A level becomes worse after ``WORSE_TIME`` seconds, so that a single wrong report changes nothing.
@@ -219,6 +228,10 @@ HYSTERESIS = 0.02
 """Distance (0 to 1) of the charge above a threshold at which the level becomes better."""
 
 
+SUPPLY = "supply"
+"""Name of the common supply of several batteries in parallel."""
+
+
 class BatteryLevel(enum.IntEnum):
     """Reaction to the state of a battery; see the docstring of this module."""
 
@@ -229,7 +242,7 @@ class BatteryLevel(enum.IntEnum):
 
 
 class _Judgement:
-    """Level of one battery with its reason, and the time since which it has been worse."""
+    """Level of a battery or of the supply with its reason, and the time since which it has been worse."""
 
     def __init__(self, now: float) -> None:
         self.level = BatteryLevel.OK
@@ -247,9 +260,21 @@ class BatterySupervision:
     - ``reason``: reason of the level with the name of the battery, empty at the level ``OK``.
     """
 
-    def __init__(self, settings: BatterySettings, batteries: Sequence[BatteryDriver]) -> None:
+    def __init__(
+        self,
+        settings: BatterySettings,
+        batteries: Sequence[BatteryDriver],
+        source: Sequence[Battery] = (),
+    ) -> None:
+        """``source``: the batteries that supply the robot together, see ``Robot.common_source``."""
         self.settings = settings
         self.batteries = batteries
+        drivers = {driver.node.name: driver for driver in batteries}
+        supplying = [(drivers.get(b.node or ""), battery_capacity(b)) for b in source]
+        known = [(driver, capacity) for driver, capacity in supplying if driver is not None]
+        # The state of a supply with a battery that is on no bus is not known.
+        self._supplying = known if len(known) == len(supplying) else []
+        self._now = -math.inf
         self.level = BatteryLevel.OK
         self.reason = ""
         self._judgements: dict[str, _Judgement] = {}
@@ -262,28 +287,64 @@ class BatterySupervision:
             return 0.0
         return self.settings.speed if self.level is BatteryLevel.LIMIT else 1.0
 
+    @property
+    def supply(self) -> BatteryState | None:
+        """State of the common source as of one battery; ``None`` if the robot has none.
+
+        The currents add up, the voltage is the mean.  The state of charge is the mean by capacity,
+        or that of the emptiest battery if a module does not state its capacity.  The values are NaN
+        while one of the batteries is silent.
+        """
+        if not self._supplying:
+            return None
+        states = [driver.state for driver, _ in self._supplying]
+        times = [driver.charge_time for driver, _ in self._supplying]
+        state = BatteryState(min(times))
+        charges = [state.charge for state in states]
+        if self._now - state.time > SILENCE_LIMIT or any(map(math.isnan, charges)):
+            return state
+        capacities = [capacity for _, capacity in self._supplying if capacity]
+        state.voltage = float_sum(s.voltage for s in states) / len(states)
+        state.current = float_sum(s.current for s in states)
+        state.charge = min(charges)
+        if len(capacities) == len(states):
+            left = float_sum(q * c for q, c in zip(capacities, charges, strict=True))
+            state.charge = left / float_sum(capacities)
+        return state
+
+    @property
+    def has_several(self) -> bool:
+        """``True`` if several batteries are the common source of the robot."""
+        return len(self._supplying) > 1
+
     def update(self, now: float) -> BatteryLevel:
         """Judges the newest reports of all batteries at the time ``now`` (s).
 
         The batteries are judged once in ``INTERVAL``, because their charge changes slowly.
         """
+        self._now = now
         if now < self._due:
             return self.level
         self._due = now + INTERVAL
         self.level, self.reason = BatteryLevel.OK, ""
+        worst = BatteryLevel.WARN if self.has_several else BatteryLevel.STOP
         for battery in self.batteries:
-            name = battery.node.name
-            judgement = self._judgements.get(name)
-            if judgement is None:
-                judgement = self._judgements[name] = _Judgement(now)
-            self._judge(battery, judgement, now)
+            self._judge(battery.node.name, battery.charge_time, battery.state.charge, worst)
+        if self.has_several and (supply := self.supply) is not None:
+            self._judge(SUPPLY, now, supply.charge, BatteryLevel.STOP)
+        for name, judgement in self._judgements.items():
             if judgement.level > self.level:
                 self.level, self.reason = judgement.level, f"{name}: {judgement.reason}"
         return self.level
 
+    def problem(self, name: str) -> str:
+        """Returns why the level of a battery or of ``SUPPLY`` is not ``OK``, or an empty text."""
+        judgement = self._judgements.get(name)
+        return judgement.reason if judgement is not None and judgement.level else ""
+
     def warnings(self) -> list[str]:
         """Returns the reason of each battery whose level is not ``OK``, and its own warnings."""
-        warnings = [f"{name}: {j.reason}" for name, j in self._judgements.items() if j.level]
+        warnings = [f"{n}: {reason}" for n in self._judgements if (reason := self.problem(n))]
         return warnings + [f"{b.node.name}: {b.warning}" for b in self.batteries if b.warning]
 
     def arming_reasons(self, now: float) -> Iterator[str]:
@@ -292,19 +353,28 @@ class BatterySupervision:
             state, name = battery.state, battery.node.name
             if now - battery.charge_time > SILENCE_LIMIT or math.isnan(state.charge):
                 yield f"{name}: no reports of its charge"
-            elif state.charge < self.settings.arm:
-                yield (
-                    f"{name}: {100.0 * state.charge:.0f} % left, "
-                    f"less than {100.0 * self.settings.arm:.0f} %"
-                )
+            elif not self.has_several:
+                yield from self._too_low_to_arm(name, state.charge)
             if battery.warning:
                 yield f"{name}: {battery.warning}"
+        if self.has_several and (supply := self.supply) is not None:
+            yield from self._too_low_to_arm(SUPPLY, supply.charge)
 
     # -- inside --------------------------------------------------------------------------------
 
-    def _judge(self, battery: BatteryDriver, judgement: _Judgement, now: float) -> None:
-        silence = now - max(battery.charge_time, judgement.first_seen)
-        charge = battery.state.charge
+    def _too_low_to_arm(self, name: str, charge: float) -> Iterator[str]:
+        if charge < self.settings.arm:
+            percent, limit = 100.0 * charge, 100.0 * self.settings.arm
+            yield f"{name}: {percent:.0f} % left, less than {limit:.0f} %"
+
+    def _judge(self, name: str, time: float, charge: float, worst: BatteryLevel) -> None:
+        """Judges a state of charge; ``time``: time (s) of its report, ``worst``: its worst level.
+
+        Silence has every level.
+        """
+        now = self._now
+        judgement = self._judgements.setdefault(name, _Judgement(now))
+        silence = now - max(time, judgement.first_seen)
         if silence > SILENCE_LIMIT:
             level = BatteryLevel.LIMIT
             if silence > self.settings.silence:
@@ -314,13 +384,13 @@ class BatterySupervision:
             return
         if math.isnan(charge):
             return  # the first report is still awaited
-        level = self._level(charge)
+        level = min(self._level(charge), worst)
         if level > judgement.level:
             judgement.worse_since = min(judgement.worse_since, now)
             if now - judgement.worse_since < WORSE_TIME:
                 return
         elif level < judgement.level:
-            level = max(level, self._level(charge - HYSTERESIS))
+            level = max(level, min(self._level(charge - HYSTERESIS), worst))
         judgement.level, judgement.worse_since = level, math.inf
         judgement.reason = f"{100.0 * charge:.0f} % left"
 

@@ -57,7 +57,8 @@ class BusConnection:
 
         If ``threaded`` is ``True``, CAN frames are received in a separate thread, if the CAN
         interface needs one for the times of reception.  Raises
-        ``DiagnosticError`` (``bus-driver-unknown``) if a motor controller has no driver.
+        ``DiagnosticError`` (``bus-driver-unknown``) if a motor controller or a battery has no
+        driver.
         """
         self.robot = robot
         self.bus = bus
@@ -146,8 +147,9 @@ class BusConnection:
             )
         elif node.protocol == "thorvald_io":
             self.boards.append(battery_and_io_drivers.IoBoardDriver(self.bus, node))
-        elif (battery := battery_and_io_drivers.battery_driver(self.bus, node)) is not None:
-            self.batteries.append(battery)
+        else:
+            battery = battery_and_io_drivers.battery_driver(self.robot, self.bus, node)
+            self.batteries += [] if battery is None else [battery]
 
     # -- receiving ---------------------------------------------------------------------------------
 

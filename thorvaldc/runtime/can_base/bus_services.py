@@ -8,7 +8,11 @@ from typing import Any
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.runtime.base_interface import ComponentStatus, RequestRefused
 from thorvaldc.runtime.can_base.base_state_machine import BaseState, BaseStateMachine, StateChange
-from thorvaldc.runtime.can_base.battery_and_io_drivers import BatterySupervision, IoBoardDriver
+from thorvaldc.runtime.can_base.battery_and_io_drivers import (
+    SUPPLY,
+    BatterySupervision,
+    IoBoardDriver,
+)
 from thorvaldc.runtime.can_base.bus_connection import BusConnection
 from thorvaldc.runtime.can_base.foreign_frame_relay import RelayedFrame
 from thorvaldc.runtime.can_base.motor_controller import MotorController
@@ -248,17 +252,19 @@ def component_statuses(
     yield ComponentStatus("states", "ok", state_machine.state.value, {"changes": newest})
     for connection in state_machine.connections:
         yield from _connection_statuses(connection, now)
-    reason = batteries.reason
     for driver in batteries.batteries:
-        battery = driver.state
+        battery, name = driver.state, driver.node.name
         values = {
             **battery.source,
             "alarms": battery.alarms,
             "temperatures": battery.temperatures,
         }
-        yield ComponentStatus(
-            driver.node.name, "warning" if reason else "ok", reason or "ok", values
-        )
+        reason = batteries.problem(name) or driver.warning
+        yield ComponentStatus(name, "warning" if reason else "ok", reason or "ok", values)
+    if batteries.has_several and (supply := batteries.supply) is not None:
+        reason = batteries.problem(SUPPLY)
+        level = "warning" if reason else "ok"
+        yield ComponentStatus(SUPPLY, level, reason or "ok", supply.source)
 
 
 def _connection_statuses(connection: BusConnection, now: float) -> Iterator[ComponentStatus]:

@@ -112,7 +112,7 @@ class CanBase(base_interface.BaseHandle):
         """Changes of the state since the start of the run."""
         batteries = [battery for c in self.connections for battery in c.batteries]
         self.battery_supervision = battery_and_io_drivers.BatterySupervision(
-            robot.driver.battery, batteries
+            robot.driver.battery, batteries, robot.common_source
         )
         self._battery_level = battery_and_io_drivers.BatteryLevel.OK
         self.nodes = BusServices(self.connections, lambda: self.standing)
@@ -280,6 +280,9 @@ class CanBase(base_interface.BaseHandle):
     def batteries(self) -> dict[str, battery_and_io_drivers.BatteryState]:
         return {b.node.name: b.state for c in self.connections for b in c.batteries}
 
+    def supply(self) -> battery_and_io_drivers.BatteryState | None:
+        return self.battery_supervision.supply
+
     def motor_controller_data(self, now: float) -> dict[str, dict[str, float]]:
         return {
             controller.node.name: connection.reported(controller.node.name, now)
@@ -307,6 +310,7 @@ class CanBase(base_interface.BaseHandle):
             "supervisor": self.state_machine.state.value,
             "fault": self.state_machine.reason,
             "batteries": {name: finite(b.source) for name, b in self.batteries().items()},
+            "supply": None if (supply := self.supply()) is None else finite(supply.source),
             "outputs": {board.node.name: dict(board.outputs) for board in self.nodes.boards},
             "not_relayed": self.nodes.relay_drops(),
         }

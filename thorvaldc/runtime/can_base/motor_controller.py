@@ -383,19 +383,27 @@ PLUGINS: PluginTable[MotorController] = PluginTable(
 def controller_class(node: Node) -> type[MotorController]:
     """Returns the class of the motor controller driver for the protocol of a node.
 
-    Raises ``DiagnosticError`` (``bus-driver-unknown``) if there is no motor controller driver for
-    the protocol.
+    Raises the same ``DiagnosticError`` as ``required_driver``.
     """
-    controller = driver_class(PLUGINS, node)
-    if controller is None:
-        known = ", ".join(PLUGINS.names())
+    return required_driver(PLUGINS, node)
+
+
+def required_driver(plugins: PluginTable[T], node: Node) -> type[T]:
+    """Returns the driver class for the protocol of a node.
+
+    Raises ``DiagnosticError`` (``bus-driver-unknown``) if no driver supports the protocol, or if
+    the driver class cannot be used.
+    """
+    driver = driver_class(plugins, node)
+    if driver is None:
+        known = ", ".join(plugins.names())
         raise DiagnosticError(
             "bus-driver-unknown",
             f"there is no driver for the protocol `{node.protocol}` of `{node.name}`",
             node.span,
-            hint=f"there are {known}; another package can add one ({PLUGINS.group})",
+            hint=f"there are {known}; another package can add one ({plugins.group})",
         )
-    return controller
+    return driver
 
 
 def driver_class(plugins: PluginTable[T], node: Node) -> type[T] | None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Self
 
 from thorvaldc.can.canopen import RPDO, TPDO, NmtState
 from thorvaldc.can.frame import CanFrame
+from thorvaldc.model.facts.electrics import battery_capacity
+from thorvaldc.model.spatial import float_sum
 from thorvaldc.simulation.bus.simulated_device import DeviceSpecification, SimulatedDevice
 from thorvaldc.simulation.bus.wire import Wire
 
@@ -16,11 +19,16 @@ BATTERY_FRAMES = (0x3C0, 0x3D0, 0x3E0)
 _SECONDS_PER_HOUR = 3600.0
 
 
-class KcBattery(SimulatedDevice):
-    """A simulated battery of the maker KC, which sends three CAN frames periodically.
+class SimulatedBattery(SimulatedDevice):
+    """A simulated battery, which sends its state periodically.
 
+    A subclass implements the method ``report``, which sends the CAN frames.
+
+    * ``id``: battery id.
+    * ``voltage``: battery voltage (V).
     * ``current``: battery current (A), positive while the battery discharges.
     * ``charge``: state of charge, 0..1.
+    * ``period``: time between two calls of ``report`` (s).
     """
 
     def __init__(
@@ -36,11 +44,7 @@ class KcBattery(SimulatedDevice):
         seed: int = 0,
         nonvolatile: Mapping[str, Any] | None = None,
     ) -> None:
-        """Creates a battery with the battery id ``battery_id``.
-
-        ``voltage`` is the battery voltage (V), and ``capacity`` is the battery capacity (Ah).
-        ``period`` is the period of the sent CAN frames (s).
-        """
+        """``capacity``: battery capacity (Ah)."""
         super().__init__(name, wire, bitrate, seed=seed, nonvolatile=nonvolatile)
         self.id = battery_id
         self.period = period
@@ -48,32 +52,36 @@ class KcBattery(SimulatedDevice):
         self.capacity = capacity
         self.current = 2.0
         self.charge = 0.9
-        self.health = 1.0
-        self.cycles = 12
         self.alarms = 0
-        self.temperatures = [25, 25, 25, 25, 25, 25]
-        self.charge_enabled = self.discharge_enabled = True
 
     @classmethod
     def from_specification(cls, specification: DeviceSpecification) -> Self:
-        node = specification.node
-        batteries = specification.robot.batteries
-        battery = next((battery for battery in batteries if battery.node == node.name), None)
-        properties = dict(battery.properties) if battery is not None else {}
+        """Creates the battery of a node: nominal voltage and capacity are those of its module, and
+        the period is that of its most frequent CAN frame."""
+        node, robot = specification.node, specification.robot
+        properties = {b.node: dict(b.properties) for b in robot.batteries}.get(node.name, {})
         capacity = properties.get("capacity")  # the model has the capacity in A s
-        return cls(
+        device = cls(
             specification.name,
             specification.wire,
             specification.bus.bitrate,
             node.id,
             voltage=float(properties.get("voltage") or 48.0),
             capacity=float(capacity) / _SECONDS_PER_HOUR if capacity else 70.0,
-            period=specification.period(BATTERY_FRAMES[0] + node.id, 0.1),
+            period=min((f.period for f in specification.sent if f.period), default=0.1),
             **specification.common(),
         )
+        # Batteries in parallel have equal voltages: each has the share of the current that keeps
+        # their states of charge equal.
+        capacities = [battery_capacity(b) or math.nan for b in robot.common_source]
+        share = device.capacity * _SECONDS_PER_HOUR * len(capacities) / float_sum(capacities or [1])
+        if capacities and math.isfinite(share):
+            device.current *= share
+        return device
 
     def start(self) -> None:
-        self.every(lambda: self.period, self._report, first=self.random.uniform(0.0, self.period))
+        first = self.random.uniform(0.0, self.period)
+        self.every(lambda: self.period, self._discharge, first=first)
 
     def change_node_id(self, node_id: int) -> None:
         self.id = node_id
@@ -82,9 +90,25 @@ class KcBattery(SimulatedDevice):
         previous, self.charge = self.charge, charge
         return previous
 
-    def _report(self) -> None:
+    def _discharge(self) -> None:
         used = self.current * self.period / (self.capacity * _SECONDS_PER_HOUR)
         self.charge = min(max(self.charge - used, 0.0), 1.0)
+        self.report()
+
+    def report(self) -> None:
+        """Sends the CAN frames with the state of the battery."""
+        raise NotImplementedError
+
+
+class KcBattery(SimulatedBattery):
+    """A simulated battery of the maker KC, which sends three CAN frames periodically."""
+
+    health = 1.0
+    cycles = 12
+    charge_enabled = discharge_enabled = True
+    temperatures: Sequence[int] = (25, 25, 25, 25, 25, 25)
+
+    def report(self) -> None:
         switches = int(self.charge_enabled) | int(self.discharge_enabled) << 1
         volts = round(100.0 * self.voltage)
         status, current, charge = (base + self.id for base in BATTERY_FRAMES)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -114,7 +114,7 @@ def fault_cases(robot: Robot) -> list[FaultCase]:
         (_disobedience_cases, targets.values()),
         (_forgery_cases, targets.values()),
         (_bus_cases, on_buses.values()),
-        (_battery_cases, on_buses.values()),
+        (_battery_cases, first),
         (_program_cases, first),
     )
     return [case for source, nodes in sources for target in nodes for case in source(target)]
@@ -445,26 +445,43 @@ def _bus_cases(target: _Target) -> Iterator[FaultCase]:
 
 
 def _battery_cases(target: _Target) -> Iterator[FaultCase]:
-    nodes = [n for n in target.bus.nodes if any(b.node == n.name for b in target.robot.batteries)]
-    silence = target.robot.driver.battery.silence + SLOW
-    for battery in nodes[:1]:
-        low = target.on_node(battery.name, "battery_charge", charge=0.05)
-        # It stops nothing: at rest the driver only warns, which the start-up shows.
-        phases = (START, DRIVING)
-        yield target.case("battery at 5 %", low, None, phases=phases, observed=2.0 * SLOW)
-        empty = target.on_node(battery.name, "battery_charge", charge=0.0)
-        yield target.case(
-            "battery empty", empty, {DRIVING: SLOW}, by_ramp=True, braking=SLOW, observed=SLOW
-        )
-        yield target.case(
-            "battery sends nothing",
-            target.on_node(battery.name, "mute"),
-            {DRIVING: silence},
-            phases=(START, DRIVING),
-            by_ramp=True,
-            braking=silence,
-            observed=silence,
-        )
+    robot, case = target.robot, target.case
+    by_name = {node.name: bus.name for bus in robot.buses for node in bus.nodes}
+    on_buses = [b.node for b in robot.batteries if b.node in by_name]
+    if not on_buses:
+        return
+    # Batteries in parallel are low together, or the others supply the robot.
+    several = len(robot.common_source) > 1
+    supplying = on_buses if several else on_buses[:1]
+    batteries = "all batteries" if several else "battery"
+
+    def injection(nodes: Iterable[str], kind: str, **values: Any) -> Injection:
+        def inject(rehearsal: Rehearsal) -> None:
+            for node in nodes:
+                rehearsal.inject(kind, by_name[node], node, **values)
+
+        return inject
+
+    low = injection(supplying, "battery_charge", charge=0.05)
+    # It stops nothing: at rest the driver only warns, which the start-up shows.
+    phases = (START, DRIVING)
+    yield case(f"{batteries} at 5 %", low, None, phases=phases, observed=2.0 * SLOW)
+    empty = injection(supplying, "battery_charge", charge=0.0)
+    stopped: dict[str, Any] = {"by_ramp": True, "braking": SLOW, "observed": SLOW}
+    yield case(f"{batteries} empty", empty, {DRIVING: SLOW}, **stopped)
+    if several:
+        one = injection(on_buses[:1], "battery_charge", charge=0.0)
+        yield case("one of several batteries empty", one, None, phases=phases, observed=SLOW)
+    silence = robot.driver.battery.silence + SLOW
+    yield case(
+        "battery sends nothing",
+        injection(on_buses[:1], "mute"),
+        {DRIVING: silence},
+        phases=phases,
+        by_ramp=True,
+        braking=silence,
+        observed=silence,
+    )
 
 
 def _program_cases(target: _Target) -> Iterator[FaultCase]:
