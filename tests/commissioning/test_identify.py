@@ -8,6 +8,7 @@ from typing import Any
 
 from tests.commissioning.bench import QUICK, SWAPPED, Bench
 from tests.commissioning.robots import without_serials
+from tests.example_packages import PACKAGES
 from tests.examples import example_robot
 from tests.simulation.bus.robots import CIA402, cia402_robot, compiled
 from thorvaldc.commissioning.identify import (
@@ -167,7 +168,7 @@ def test_no_request_has_the_identifier_of_a_command_of_another_file() -> None:
 
 def test_each_example_is_found_among_all_examples() -> None:
     paths = sorted(ROOT.glob("examples/*/robot.yaml"))
-    robots = [example_robot(path.parent.name) for path in paths if path.parent.name != "odrive"]
+    robots = [example_robot(path.parent.name) for path in paths if path.parent.name not in PACKAGES]
     files = candidates(*(robot for robot in robots if robot.buses))
     for robot in robots:
         found = matches_on(bench(robot), files)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tests.cli.conftest import GOOD
+from tests.example_packages import PACKAGES
 from tests.fuzz import mutations
 from tests.fuzz.mutations import Mutation
 from tests.fuzz.products import ONE, bombs, meshes, png_bomb, products
@@ -129,7 +130,7 @@ def _robots() -> list[tuple[str, Files]]:
             for file in path.parent.rglob("*")
             if file.suffix in (".xacro", ".stl")
         }
-        if path.parent.name != "odrive":  # its driver is another package
+        if path.parent.name not in PACKAGES:  # its driver is another package
             robots.append(("robot.yaml", {"robot.yaml": path.read_bytes(), **beside}))
     return robots
 

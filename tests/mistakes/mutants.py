@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tests.diagnostics.test_hints import apply
+from tests.example_packages import PACKAGES
 from tests.mistakes.test_mistakes import FILES, write
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.result import Compilation
@@ -140,7 +141,7 @@ def documents(folder: Path) -> list[tuple[str, str]]:
     own.append(("parts/tools/box/module.yaml", "robot.yaml"))
     found = sorted(p.relative_to(folder).as_posix() for p in folder.glob("examples/*/*.yaml"))
     return own + [
-        (n, n) for n in found if not set(n.split("/")) & {"bus_faults", "odrive", "9wd9ws"}
+        (n, n) for n in found if not set(n.split("/")) & {"bus_faults", *PACKAGES, "9wd9ws"}
     ]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -12,35 +11,12 @@ import cantools.database
 import pytest
 
 from tests.child_process import ChildProcess
+from tests.example_packages import environment, thorvaldc
 from tests.examples import FOLDER, example_robot
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Robot
 
-ROOT = Path(__file__).parents[2]
 ROBOT = str(FOLDER / "odrive" / "robot.yaml")
-
-
-def environment(folder: Path, *packages: str) -> dict[str, str]:
-    return {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join([str(ROOT), *packages]),
-        "XDG_RUNTIME_DIR": str(folder),
-        "XDG_STATE_HOME": str(folder / "state"),
-    }
-
-
-def thorvaldc(folder: Path, packages: list[str], *arguments: str) -> tuple[int, str, str]:
-    process = subprocess.run(
-        [sys.executable, "-m", "thorvaldc", *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-        cwd=folder,
-        env=environment(folder, *packages),
-    )
-    assert "Traceback" not in process.stderr
-    return process.returncode, process.stdout, process.stderr
 
 
 def test_check_and_build_import_no_code_of_the_package(

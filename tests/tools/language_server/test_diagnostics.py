@@ -15,12 +15,12 @@ pytestmark = pytest.mark.asyncio(loop_scope="package")
 TWICE = ROBOT.replace("can: 2", "can: 3")
 FLEET = "thorvaldc: 1\nname: two\nrobots:\n  a: {robot: robot.yaml, xyz: [0, 0, 0]}\n"
 EXAMPLES = [
-    *(ROOT / "examples" / name for name in ("fleet_of_four/fleet.yaml", "odrive/robot.yaml")),
+    *(ROOT / "examples" / name for name in ("fleet_of_four/fleet.yaml", "odrive/robot.yaml", "jk_bms/robot.yaml")),
     *sorted(ROOT.glob("examples/scenarios/*.yaml")),
     *sorted(ROOT.glob("examples/studies/*/*.yaml")),
     *sorted(ROOT.glob("examples/bus_faults/*.yaml")),
     *sorted(ROOT.glob("examples/calibration/*.yaml")),
-    *sorted(ROOT.glob("examples/odrive/modules/*/*/module.yaml")),
+    *sorted(ROOT.glob("examples/*/modules/*/*/module.yaml")),
     *sorted(ROOT.glob("modules/[ad]*/*/module.yaml")),
 ]
 
