@@ -36,7 +36,7 @@ PAGES = [
     if "```python\n" in page.read_text(encoding="utf-8") and page.parent.name != "diagnostics"
 ]
 BLOCK = re.compile(
-    r"(?:^File `(?P<file>[^`]+)`:\n\n|^<!-- not executed: (?P<reason>.+) -->\n\n?)?"
+    r"(?:^File `(?P<file>[^`]+)`:\n\n|^<!-- not executed: (?P<reason>[^\n]+) -->\n\n?)?"
     r"^```(?P<language>\w*)[^\n]*\n(?P<text>.*?)^```$",
     re.M | re.S,
 )

@@ -346,7 +346,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV869", "flash-ambiguous", "another program changed the bus during a flash"),
     _error("TV870", "bus-locked", "another program is configuring the bus", outside=True),
     _error("TV875", "bus-interface", "the CAN interface cannot be used", outside=True),
-    _error("TV876", "bus-driver-unknown", "no driver supports the protocol of a controller"),
+    _error("TV876", "bus-driver-unknown", "no driver supports the protocol of a device"),
     _error("TV877", "bus-motor-unconnected", "a motor of the base has no motor controller"),
     _error("TV878", "bus-start", "the robot on a bus cannot start", outside=True),
     _error("TV879", "bus-mismatch", "the devices on a bus do not match the robot file"),

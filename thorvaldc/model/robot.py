@@ -524,15 +524,13 @@ class Robot(Element):
 
     @property
     def common_source(self) -> tuple[Battery, ...]:
-        """The batteries that supply the whole robot together: the only battery, or several ones in
-        parallel.
+        """The batteries that supply the whole robot: the only battery, or several in parallel.
 
         Their nominal voltages are equal; their currents, capacities and energies add up. Empty if
         the robot has no battery, or if each of its batteries may supply other modules.
         """
         present = tuple(battery for battery in self.batteries if battery.node is not None)
-        parallel = self.battery_connection == PARALLEL
-        return present if len(present) == 1 or parallel else ()
+        return present if len(present) == 1 or self.battery_connection == PARALLEL else ()
 
     def link(self, name: str) -> Link:
         """Return the link of the robot with the name ``name``.

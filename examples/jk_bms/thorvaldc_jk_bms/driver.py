@@ -1,9 +1,9 @@
 """Driver of a battery with a JK BMS, which only listens.
 
-    JK BMS, from power-on on                       driver
-    every 20 ms   BATT_ST1    0x2F4 + address --->  voltage, current, state of charge
-    every 500 ms  CELL_TEMP   0x5F4 + address --->  temperatures
-    each alarm    ALM_INFO    0x7F4 + address --->  alarms, until none has arrived for ALARM_TIME
+JK BMS, from power-on on                       driver
+every 20 ms   BATT_ST1    0x2F4 + address --->  voltage, current, state of charge
+every 500 ms  CELL_TEMP   0x5F4 + address --->  temperatures
+each alarm    ALM_INFO    0x7F4 + address --->  alarms, until none has arrived for ALARM_TIME
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class JkBmsDriver(BatteryDriver):
         state = self.state
         state.time = time
         state.voltage = values["voltage"]
-        state.current = -values["current"]
+        state.current = values["current"]
         state.charge = values["state_of_charge"] / 100.0
         if time - self._alarm_time > ALARM_TIME:
             self._alarms, state.alarms = {}, 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from lsprotocol import types
 
+from tests.example_packages import PACKAGES
 from tests.tools.language_server.conftest import ROOT, Editor
 from tests.tools.language_server.texts import POST, ROBOT, WITH_POST
 from thorvaldc.compiler.pipeline import compile_file
@@ -15,7 +16,8 @@ pytestmark = pytest.mark.asyncio(loop_scope="package")
 TWICE = ROBOT.replace("can: 2", "can: 3")
 FLEET = "thorvaldc: 1\nname: two\nrobots:\n  a: {robot: robot.yaml, xyz: [0, 0, 0]}\n"
 EXAMPLES = [
-    *(ROOT / "examples" / name for name in ("fleet_of_four/fleet.yaml", "odrive/robot.yaml", "jk_bms/robot.yaml")),
+    ROOT / "examples/fleet_of_four/fleet.yaml",
+    *(ROOT / "examples" / name / "robot.yaml" for name in PACKAGES),
     *sorted(ROOT.glob("examples/scenarios/*.yaml")),
     *sorted(ROOT.glob("examples/studies/*/*.yaml")),
     *sorted(ROOT.glob("examples/bus_faults/*.yaml")),

@@ -186,8 +186,7 @@ class Energy:
       one of the numbers is missing.
     - ``power``: power of the electronics in W that the modules state, 0 if none states it.
     - ``connection``: ``parallel``, ``separate`` or ``None``, see ``Robot.battery_connection``.
-    - ``has_common_source``: true if the batteries supply the robot together, see
-      ``Robot.common_source``.
+    - ``has_common_source``: true if the robot has a ``Robot.common_source``.
     - ``voltage``, ``capacity``: nominal voltage in V and capacity in A s of the whole source: of
       the only battery, or of batteries in parallel, whose capacities add up. ``None`` if the robot
       has no common source or a module does not state its number.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import abc
 import enum
 import math
+import operator
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -58,8 +59,8 @@ class BatteryState:
 class BatteryDriver(abc.ABC):
     """Decodes the CAN frames that a battery sends; it sends nothing.
 
-    A Python package can add a battery driver with the entry-point group ``thorvaldc.batteries``;
-    docs/batteries.md describes each step.
+    A Python package can add one with the entry-point group ``thorvaldc.batteries``
+    (docs/batteries.md).
     """
 
     def __init__(self, bus: Bus, node: Node) -> None:
@@ -212,8 +213,8 @@ def battery_driver(robot: Robot, bus: Bus, node: Node) -> BatteryDriver | None:
 # charge of their common supply has a level of its own, and the charge of one of them is at most a
 # warning.  A battery that has sent no state of charge for ``SILENCE_LIMIT`` seconds has the level
 # LIMIT, and after ``BatterySettings.silence`` the level STOP, also in parallel: nothing tells
-# whether it still supplies its share of the current. A battery that does not allow a discharge current, or that reports alarms, is a warning and
-# a reason not to arm the robot.
+# whether it still supplies its share of the current.  A battery that does not allow a discharge
+# current, or that reports alarms, is a warning and a reason not to arm the robot.
 #
 # A level becomes worse after ``WORSE_TIME`` seconds, so that a single wrong report changes nothing.
 # A level becomes better when the charge is by ``HYSTERESIS`` above the threshold.
@@ -226,8 +227,6 @@ WORSE_TIME = 1.0
 """Time (s) for which a worse level must last."""
 HYSTERESIS = 0.02
 """Distance (0 to 1) of the charge above a threshold at which the level becomes better."""
-
-
 SUPPLY = "supply"
 """Name of the common supply of several batteries in parallel."""
 
@@ -242,7 +241,7 @@ class BatteryLevel(enum.IntEnum):
 
 
 class _Judgement:
-    """Level of a battery or of the supply with its reason, and the time since which it has been worse."""
+    """Level of a battery or of the supply, its reason, and the time since which it is worse."""
 
     def __init__(self, now: float) -> None:
         self.level = BatteryLevel.OK
@@ -269,11 +268,13 @@ class BatterySupervision:
         """``source``: the batteries that supply the robot together, see ``Robot.common_source``."""
         self.settings = settings
         self.batteries = batteries
-        drivers = {driver.node.name: driver for driver in batteries}
-        supplying = [(drivers.get(b.node or ""), battery_capacity(b)) for b in source]
-        known = [(driver, capacity) for driver, capacity in supplying if driver is not None]
+        capacities = {battery.node: battery_capacity(battery) for battery in source}
+        supplying = [b for b in batteries if b.node.name in capacities]
         # The state of a supply with a battery that is on no bus is not known.
-        self._supplying = known if len(known) == len(supplying) else []
+        self._supplying = supplying if len(supplying) == len(capacities) else []
+        self._capacities = [capacities[battery.node.name] or 0.0 for battery in self._supplying]
+        self.has_several = len(self._supplying) > 1
+        """``True`` if several batteries are the common source of the robot."""
         self._now = -math.inf
         self.level = BatteryLevel.OK
         self.reason = ""
@@ -289,33 +290,24 @@ class BatterySupervision:
 
     @property
     def supply(self) -> BatteryState | None:
-        """State of the common source as of one battery; ``None`` if the robot has none.
+        """State of the common source of the robot, or ``None``; NaN while a battery is silent.
 
         The currents add up, the voltage is the mean.  The state of charge is the mean by capacity,
-        or that of the emptiest battery if a module does not state its capacity.  The values are NaN
-        while one of the batteries is silent.
+        or that of the emptiest battery if a module does not state its capacity.
         """
         if not self._supplying:
             return None
-        states = [driver.state for driver, _ in self._supplying]
-        times = [driver.charge_time for driver, _ in self._supplying]
-        state = BatteryState(min(times))
+        states = [battery.state for battery in self._supplying]
         charges = [state.charge for state in states]
-        if self._now - state.time > SILENCE_LIMIT or any(map(math.isnan, charges)):
-            return state
-        capacities = [capacity for _, capacity in self._supplying if capacity]
-        state.voltage = float_sum(s.voltage for s in states) / len(states)
-        state.current = float_sum(s.current for s in states)
-        state.charge = min(charges)
-        if len(capacities) == len(states):
-            left = float_sum(q * c for q, c in zip(capacities, charges, strict=True))
-            state.charge = left / float_sum(capacities)
-        return state
-
-    @property
-    def has_several(self) -> bool:
-        """``True`` if several batteries are the common source of the robot."""
-        return len(self._supplying) > 1
+        time = min(battery.charge_time for battery in self._supplying)
+        if self._now - time > SILENCE_LIMIT or any(map(math.isnan, charges)):
+            return BatteryState(time)
+        charge = min(charges)
+        if all(self._capacities):
+            left = float_sum(map(operator.mul, self._capacities, charges))
+            charge = left / float_sum(self._capacities)
+        voltage = float_sum(state.voltage for state in states) / len(states)
+        return BatteryState(time, voltage, float_sum(state.current for state in states), charge)
 
     def update(self, now: float) -> BatteryLevel:
         """Judges the newest reports of all batteries at the time ``now`` (s).
@@ -368,12 +360,8 @@ class BatterySupervision:
             yield f"{name}: {percent:.0f} % left, less than {limit:.0f} %"
 
     def _judge(self, name: str, time: float, charge: float, worst: BatteryLevel) -> None:
-        """Judges a state of charge; ``time``: time (s) of its report, ``worst``: its worst level.
-
-        Silence has every level.
-        """
-        now = self._now
-        judgement = self._judgements.setdefault(name, _Judgement(now))
+        """``time``: time (s) of the report; ``worst``: worst level by charge, not by silence."""
+        now, judgement = self._now, self._judgements.setdefault(name, _Judgement(self._now))
         silence = now - max(time, judgement.first_seen)
         if silence > SILENCE_LIMIT:
             level = BatteryLevel.LIMIT

@@ -147,9 +147,8 @@ class BusConnection:
             )
         elif node.protocol == "thorvald_io":
             self.boards.append(battery_and_io_drivers.IoBoardDriver(self.bus, node))
-        else:
-            battery = battery_and_io_drivers.battery_driver(self.robot, self.bus, node)
-            self.batteries += [] if battery is None else [battery]
+        elif battery := battery_and_io_drivers.battery_driver(self.robot, self.bus, node):
+            self.batteries.append(battery)
 
     # -- receiving ---------------------------------------------------------------------------------
 

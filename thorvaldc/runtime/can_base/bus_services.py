@@ -252,19 +252,17 @@ def component_statuses(
     yield ComponentStatus("states", "ok", state_machine.state.value, {"changes": newest})
     for connection in state_machine.connections:
         yield from _connection_statuses(connection, now)
-    for driver in batteries.batteries:
-        battery, name = driver.state, driver.node.name
+    states = {b.node.name: (b.state, b.warning) for b in batteries.batteries}
+    if batteries.has_several and (supply := batteries.supply) is not None:
+        states[SUPPLY] = supply, ""
+    for name, (battery, warning) in states.items():
         values = {
             **battery.source,
             "alarms": battery.alarms,
             "temperatures": battery.temperatures,
         }
-        reason = batteries.problem(name) or driver.warning
+        reason = batteries.problem(name) or warning
         yield ComponentStatus(name, "warning" if reason else "ok", reason or "ok", values)
-    if batteries.has_several and (supply := batteries.supply) is not None:
-        reason = batteries.problem(SUPPLY)
-        level = "warning" if reason else "ok"
-        yield ComponentStatus(SUPPLY, level, reason or "ok", supply.source)
 
 
 def _connection_statuses(connection: BusConnection, now: float) -> Iterator[ComponentStatus]:

@@ -381,10 +381,7 @@ PLUGINS: PluginTable[MotorController] = PluginTable(
 
 
 def controller_class(node: Node) -> type[MotorController]:
-    """Returns the class of the motor controller driver for the protocol of a node.
-
-    Raises the same ``DiagnosticError`` as ``required_driver``.
-    """
+    """Returns the class of the driver of a motor controller; raises as ``required_driver``."""
     return required_driver(PLUGINS, node)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Self
@@ -20,12 +19,9 @@ _SECONDS_PER_HOUR = 3600.0
 
 
 class SimulatedBattery(SimulatedDevice):
-    """A simulated battery, which sends its state periodically.
+    """A simulated battery, whose subclass implements the method ``report``.
 
-    A subclass implements the method ``report``, which sends the CAN frames.
-
-    * ``id``: battery id.
-    * ``voltage``: battery voltage (V).
+    * ``id``, ``voltage``: battery id, and battery voltage (V).
     * ``current``: battery current (A), positive while the battery discharges.
     * ``charge``: state of charge, 0..1.
     * ``period``: time between two calls of ``report`` (s).
@@ -56,8 +52,7 @@ class SimulatedBattery(SimulatedDevice):
 
     @classmethod
     def from_specification(cls, specification: DeviceSpecification) -> Self:
-        """Creates the battery of a node: nominal voltage and capacity are those of its module, and
-        the period is that of its most frequent CAN frame."""
+        """Creates a battery with the data of its module, and the shortest period of its frames."""
         node, robot = specification.node, specification.robot
         properties = {b.node: dict(b.properties) for b in robot.batteries}.get(node.name, {})
         capacity = properties.get("capacity")  # the model has the capacity in A s
@@ -71,12 +66,10 @@ class SimulatedBattery(SimulatedDevice):
             period=min((f.period for f in specification.sent if f.period), default=0.1),
             **specification.common(),
         )
-        # Batteries in parallel have equal voltages: each has the share of the current that keeps
-        # their states of charge equal.
-        capacities = [battery_capacity(b) or math.nan for b in robot.common_source]
-        share = device.capacity * _SECONDS_PER_HOUR * len(capacities) / float_sum(capacities or [1])
-        if capacities and math.isfinite(share):
-            device.current *= share
+        # In parallel, each has the share of the current that keeps their states of charge equal.
+        shared = [battery_capacity(battery) or 0.0 for battery in robot.common_source]
+        if capacity and shared and all(shared):
+            device.current *= float(capacity) * len(shared) / float_sum(shared)
         return device
 
     def start(self) -> None:

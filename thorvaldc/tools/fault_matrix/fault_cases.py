@@ -470,8 +470,8 @@ def _battery_cases(target: _Target) -> Iterator[FaultCase]:
     stopped: dict[str, Any] = {"by_ramp": True, "braking": SLOW, "observed": SLOW}
     yield case(f"{batteries} empty", empty, {DRIVING: SLOW}, **stopped)
     if several:
-        one = injection(on_buses[:1], "battery_charge", charge=0.0)
-        yield case("one of several batteries empty", one, None, phases=phases, observed=SLOW)
+        first = injection(on_buses[:1], "battery_charge", charge=0.0)
+        yield case("one of several batteries empty", first, None, phases=phases, observed=SLOW)
     silence = robot.driver.battery.silence + SLOW
     yield case(
         "battery sends nothing",
