@@ -252,17 +252,14 @@ def component_statuses(
     yield ComponentStatus("states", "ok", state_machine.state.value, {"changes": newest})
     for connection in state_machine.connections:
         yield from _connection_statuses(connection, now)
-    states = {b.node.name: (b.state, b.warning) for b in batteries.batteries}
-    if batteries.has_several and (supply := batteries.supply) is not None:
-        states[SUPPLY] = supply, ""
-    for name, (battery, warning) in states.items():
-        values = {
-            **battery.source,
-            "alarms": battery.alarms,
-            "temperatures": battery.temperatures,
-        }
-        reason = batteries.problem(name) or warning
+    for driver in batteries.batteries:
+        name, battery = driver.node.name, driver.state
+        values = {**battery.source, "alarms": battery.alarms, "temperatures": battery.temperatures}
+        reason = batteries.problem(name) or driver.warning
         yield ComponentStatus(name, "warning" if reason else "ok", reason or "ok", values)
+    if batteries.has_several and (supply := batteries.supply) is not None:
+        level = "warning" if (reason := batteries.problem(SUPPLY)) else "ok"
+        yield ComponentStatus(SUPPLY, level, reason or "ok", supply.source)
 
 
 def _connection_statuses(connection: BusConnection, now: float) -> Iterator[ComponentStatus]:
