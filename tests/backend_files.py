@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from thorvaldc.backends import Backend
-from thorvaldc.model import Fleet, Robot
+from thorvaldc.model import Bus, Fleet, Robot
 
 
 def files_of(backend: type[Backend], model: Robot | Fleet) -> dict[str, bytes]:
     """Returns the files of a robot or a fleet."""
     return backend().emit(model) if isinstance(model, Robot) else backend().emit_fleet(model)
+
+
+def dbc_of(robot: Robot, bus: Bus, files: dict[str, bytes]) -> bytes:
+    """Returns the DBC of a bus of a robot from the files of the target ``can``."""
+    return files["can/robot.dbc" if len(robot.buses) == 1 else f"can/{bus.name}.dbc"]

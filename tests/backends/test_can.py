@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from tests.backend_files import files_of
+from tests.backend_files import dbc_of, files_of
 from tests.buses import GEAR, LIMIT, MAX_SPEED, PPR, STEERING_GEAR, robot_with_bus
 from tests.robots import FOUR_STEERED, SPAN, make_robot
 from thorvaldc.backends.can import Can
@@ -232,11 +232,10 @@ def test_examples(path: Path) -> None:
     assert isinstance(robot, Robot)
     files = files_of(Can, robot)
     assert not list(Can().unsupported(robot))
-    (bus,) = robot.buses
-    database = read_dbc(files["can/robot.dbc"])
     driven = {
         (channel["joint"], signal["unit"], signal["direction"])
-        for node in json.loads(files["can/canmap.json"])["buses"][0]["nodes"]
+        for bus in json.loads(files["can/canmap.json"])["buses"]
+        for node in bus["nodes"]
         for channel in node["channels"]
         if channel["actuator"]
         for signal in channel["signals"]
@@ -244,11 +243,13 @@ def test_examples(path: Path) -> None:
     for actuator in robot.actuators:
         unit = "rad/s" if actuator.role == "propulsion" else "rad"
         assert {(actuator.joint, unit, "command"), (actuator.joint, unit, "report")} <= driven
-    for frame in bus.frames:
+    frames = [(bus, frame) for bus in robot.buses for frame in bus.frames]
+    databases = {bus.name: read_dbc(dbc_of(robot, bus, files)) for bus in robot.buses}
+    for bus, frame in frames:
         data = bytes((37 * frame.cob_id + 101 * i) % 251 for i in range(frame.length))
         if any(signal.multiplexer for signal in frame.signals):
             data = data[:3] + b"\x02" + data[4:]
-        read = database.decode_message(frame.cob_id, data, decode_choices=False)
+        read = databases[bus.name].decode_message(frame.cob_id, data, decode_choices=False)
         word = int.from_bytes(data, "little")
         shown = [s for s in frame.signals if not s.selected_by or 2 in s.selected_by]
         assert list(read) == [s.name for s in sorted(shown, key=lambda s: s.start)]

@@ -222,8 +222,10 @@ def test_names_and_texts_that_are_not_valid_in_a_header(tmp_path: Path, cc: str)
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_header_of_an_example_compiles(name: str, tmp_path: Path, cc: str) -> None:
-    header = files_of(Can, example_robot(name))["can/robot_can.h"]
-    main = 'int main(void) { printf("%lu\\n", ROBOT_CAN_MAIN_BITRATE); return 0; }\n'
+    robot = example_robot(name)
+    header = files_of(Can, robot)["can/robot_can.h"]
+    bitrate = f"ROBOT_CAN_{robot.buses[0].name.upper()}_BITRATE"
+    main = f'int main(void) {{ printf("%lu\\n", {bitrate}); return 0; }}\n'
     assert compiled(header, main, tmp_path, cc) == ["500000"]
 
 

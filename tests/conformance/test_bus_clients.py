@@ -11,7 +11,7 @@ import canopen
 import cantools
 import pytest
 
-from tests.backend_files import files_of
+from tests.backend_files import dbc_of, files_of
 from tests.examples import ROBOTS, example_robot
 from tests.runtime.can_base.simulated_rig import Rig
 from tests.simulation.bus.robots import cia402_robot, uneven_robot
@@ -99,8 +99,7 @@ def test_our_codec_and_cantools_agree(robot: Robot, files: dict[str, bytes]) -> 
     draw = random.Random(1)
     databases: dict[str, Any] = {}
     for bus in robot.buses:
-        path = "can/robot.dbc" if len(robot.buses) == 1 else f"can/{bus.name}.dbc"
-        text = files[path].decode("cp1252")
+        text = dbc_of(robot, bus, files).decode("cp1252")
         databases[bus.name] = cantools.database.load_string(text, "dbc")
     frames = [(bus.name, frame) for bus in robot.buses for frame in bus.frames if frame.signals]
     for bus_name, frame in frames:
