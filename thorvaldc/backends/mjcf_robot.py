@@ -89,8 +89,8 @@ class ModelSections:
         The method ``root`` must be called after all robots are written to the MJCF model.
         """
         root = Element("mujoco", model=self.model)
-        # With "false", Drake, Newton and Pinocchio refuse bodies without an element ``inertial``. For
-        # MuJoCo, "auto" is the same, because the shapes of bodies without mass have the mass 0.
+        # With "false", Drake, Newton and Pinocchio refuse bodies without ``inertial``. For MuJoCo,
+        # "auto" is the same, because the shapes of bodies without mass have the mass 0.
         root.add(
             "compiler",
             angle="radian",

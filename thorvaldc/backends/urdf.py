@@ -14,8 +14,8 @@ from thorvaldc.model.spatial import clean
 
 # URDF requires limits for revolute and prismatic joints. The joint limit 1e9 means "no limit".
 UNLIMITED = 1e9
-# DART and Bullet give a link without inertia 1 kg, and warn of a mass of 0. The root has none, because
-# the kdl_parser of robot_state_publisher warns of an inertia there.
+# DART gives a link without inertia 1 kg, and warns of a mass of 0. The root has no inertia, because
+# robot_state_publisher (kdl_parser) warns of one there.
 NEGLIGIBLE = Inertial(1e-10, (0.0, 0.0, 0.0), (1e-12, 1e-12, 1e-12, 0.0, 0.0, 0.0))
 MESHES = "../meshes"
 """Folder of the mesh files in a build, relative to the URDF file."""
