@@ -78,6 +78,9 @@ lock: .venv-lock/bin/uv
 	$(COMPILE) --group dcfgen --output-file locks/dcfgen.txt
 	$(COMPILE) --group drake --output-file locks/drake.txt
 	$(COMPILE) --group dart --output-file locks/dart.txt
+	$(COMPILE) --group pinocchio --output-file locks/pinocchio.txt
+	$(COMPILE) --group usd --output-file locks/usd.txt
+	$(COMPILE) --group warp --output-file locks/warp.txt
 	$(COMPILE) --group jazzy --output-file locks/jazzy.txt
 	$(COMPILE) --group kilted --output-file locks/kilted.txt
 

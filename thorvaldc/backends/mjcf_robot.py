@@ -89,11 +89,13 @@ class ModelSections:
         The method ``root`` must be called after all robots are written to the MJCF model.
         """
         root = Element("mujoco", model=self.model)
+        # With "false", Drake, Newton and Pinocchio refuse bodies without ``inertial``. For MuJoCo,
+        # "auto" is the same, because the shapes of bodies without mass have the mass 0.
         root.add(
             "compiler",
             angle="radian",
             autolimits=True,
-            inertiafromgeom="false",
+            inertiafromgeom="auto",
             balanceinertia=False,
         )
         # MuJoCo uses a dense Jacobian by default for fewer than 60 degrees of freedom. A sparse
@@ -299,6 +301,10 @@ class RobotWriter:
                 mass=link.inertial.mass,
                 fullinertia=link.inertial.inertia,
             )
+        elif any(isinstance(part.shape, model.MeshShape) for part in link.collisions):
+            # Without it, Pinocchio takes 1 kg for the mesh. Other links without mass have none, as
+            # Drake refuses an inertia without mass.
+            body.add("inertial", pos=(0, 0, 0), mass=0, diaginertia=(0, 0, 0))
         for visual in link.visuals if self.visuals else ():
             geom = body.add("geom", class_="visual")
             self._shape(geom, visual.shape, visual.pose)
@@ -306,11 +312,16 @@ class RobotWriter:
         wheel = self.wheel_of_link.get(link.name)
         if wheel is not None:
             self._add_tread(body, wheel, self.statics.wheels[wheel.name])
-            return
-        for i, collision in enumerate(link.collisions):
-            name = f"{self.prefix}{link.name}_collision_{i}"
-            geom = body.add("geom", name=name, class_="collision", **self.bits)
-            self._shape(geom, collision.shape, collision.pose)
+        else:
+            for i, collision in enumerate(link.collisions):
+                name = f"{self.prefix}{link.name}_collision_{i}"
+                geom = body.add("geom", name=name, class_="collision", **self.bits)
+                self._shape(geom, collision.shape, collision.pose)
+        if link.inertial is None:
+            # Pinocchio does not read the mass of shapes from default classes.
+            for geom in body.children:
+                if geom.tag == "geom":
+                    geom.set(mass=0)
 
     def _shape(self, geom: Element, shape: model.Shape, pose: model.Pose) -> None:
         if isinstance(shape, model.MeshShape):

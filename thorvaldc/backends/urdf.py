@@ -8,12 +8,15 @@ from __future__ import annotations
 from thorvaldc.backends import Backend, xml_writer
 from thorvaldc.backends.description_parts import Palette, mesh_files
 from thorvaldc.backends.ros2_control import kept_extensions, ros2_control_elements
-from thorvaldc.model import Box, Cylinder, Joint, Link, MeshShape, Pose, Robot, Shape
+from thorvaldc.model import Box, Cylinder, Inertial, Joint, Link, MeshShape, Pose, Robot, Shape
 from thorvaldc.model.element import once_per_model
 from thorvaldc.model.spatial import clean
 
 # URDF requires limits for revolute and prismatic joints. The joint limit 1e9 means "no limit".
 UNLIMITED = 1e9
+# DART gives a link without inertia 1 kg, and warns of a mass of 0. The root has no inertia, because
+# robot_state_publisher (kdl_parser) warns of one there.
+NEGLIGIBLE = Inertial(1e-10, (0.0, 0.0, 0.0), (1e-12, 1e-12, 1e-12, 0.0, 0.0, 0.0))
 MESHES = "../meshes"
 """Folder of the mesh files in a build, relative to the URDF file."""
 
@@ -74,7 +77,10 @@ def _own_text(robot: Robot) -> str:
     for name, color in palette.entries():
         root.add("material", name=name).add("color", rgba=color)
     for link in robot.links:
-        _add_link(root, link, prefix, palette)
+        inertial = link.inertial
+        if inertial is None and link is not robot.links[0]:
+            inertial = NEGLIGIBLE
+        _add_link(root, link, inertial, prefix, palette)
     for joint in robot.joints:
         _add_joint(root, joint, prefix)
     _add_gazebo(root, robot, prefix)
@@ -127,15 +133,17 @@ def _add_geometry(parent: xml_writer.Element, shape: Shape) -> None:
             geometry.add("sphere", radius=shape.radius)
 
 
-def _add_link(root: xml_writer.Element, link: Link, prefix: str, palette: Palette) -> None:
+def _add_link(
+    root: xml_writer.Element, link: Link, inertial: Inertial | None, prefix: str, palette: Palette
+) -> None:
     element = root.add("link", name=prefix + link.name)
-    if link.inertial is not None:
-        xx, yy, zz, xy, xz, yz = link.inertial.inertia
-        inertial = element.add("inertial")
-        if link.inertial.com != (0.0, 0.0, 0.0):
-            inertial.add("origin", xyz=link.inertial.com, rpy=(0.0, 0.0, 0.0))
-        inertial.add("mass", value=link.inertial.mass)
-        inertial.add("inertia", ixx=xx, ixy=xy, ixz=xz, iyy=yy, iyz=yz, izz=zz)
+    if inertial is not None:
+        xx, yy, zz, xy, xz, yz = inertial.inertia
+        part = element.add("inertial")
+        if inertial.com != (0.0, 0.0, 0.0):
+            part.add("origin", xyz=inertial.com, rpy=(0.0, 0.0, 0.0))
+        part.add("mass", value=inertial.mass)
+        part.add("inertia", ixx=xx, ixy=xy, ixz=xz, iyy=yy, iyz=yz, izz=zz)
     for visual in link.visuals:
         part = element.add("visual")
         _add_origin(part, visual.pose)
