@@ -83,6 +83,26 @@ class Noise:
 
 
 @dataclass(frozen=True, slots=True)
+class SensorSettings:
+    """Settings of the simulated sensors (lidar, IMU, GNSS, camera) of all robots.
+
+    - ``errors``: factor of the errors that the modules state; 0 for exact measurements.
+    - ``seed``: seed of the random number generators; each sensor has one.
+    - ``images``: true if cameras draw images, which needs OpenGL; otherwise they only state their
+      calibration.
+    - ``gyro``, ``gyro_bias``: standard deviation and constant error of the angular velocity in
+      rad/s, in place of those of the modules, or ``None``.  ``Noise`` has the same numbers for the
+      yaw rate that the driver reads.
+    """
+
+    errors: float = 1.0
+    seed: int = 0
+    images: bool = False
+    gyro: float | None = None
+    gyro_bias: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Expectation:
     """The allowed range of a metric of the run, checked for every robot of the scenario.
 
@@ -106,6 +126,7 @@ class Scenario:
     - ``record``: names of the groups of columns in the record of the run.
     - ``every``: time between two rows of the record in s, or 0 to record every control tick.
     - ``open_loop``: ``True`` if the drive motors apply a voltage without speed control.
+    - ``sensors``: settings of the sensors of the modules, or ``None`` if they do not measure.
     """
 
     name: str
@@ -120,6 +141,7 @@ class Scenario:
     record: tuple[str, ...] = field(default=GROUPS)
     every: float = 0.0
     open_loop: bool = False
+    sensors: SensorSettings | None = None
 
 
 # -- faults of a simulated CAN bus, and quirks of its devices ------------------------------------

@@ -154,7 +154,7 @@ class ScenarioSimulation(Simulation):
         ``DiagnosticError`` if the scene cannot be read, or if a robot does not have the parameter
         set ``parameters``.
         """
-        super().__init__(scenario.fleet, files, parameters)
+        super().__init__(scenario.fleet, files, parameters, sensors=scenario.sensors)
         self.scenario = scenario
         world = scenario.fleet.world
         self._zones = world.zones if world is not None else ()

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from thorvaldc.diagnostics import DiagnosticError, Report, millimetres
 from thorvaldc.model import Fleet, Robot, Wheel
 from thorvaldc.model.model_json import load_model
+from thorvaldc.model.scenario import SensorSettings
 from thorvaldc.model.statics.mobility import roll_speeds
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import BaseHandle, JointStates
@@ -28,6 +29,7 @@ from thorvaldc.simulation.physics.mujoco_scene import CollisionCounter, MujocoSc
 from thorvaldc.simulation.physics.sim_base import GroundTruthBase, RollingBase, SimBase, WheelErrors
 
 if TYPE_CHECKING:
+    from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
     from thorvaldc.simulation.vectorised.calculator_batch import OdometryBatch
 
 
@@ -224,6 +226,7 @@ class Simulation:
         *,
         wheel_errors: Mapping[str, WheelErrors] | None = None,
         open_loop: bool = False,
+        sensors: SensorSettings | None = None,
     ) -> None:
         """Loads the scene of the robots.
 
@@ -234,6 +237,9 @@ class Simulation:
         * ``wheel_errors``: errors of the wheels by robot name.  The drivers do not correct the
           wheel errors.
         * ``open_loop``: true if the drive motors apply a voltage without speed control.
+        * ``sensors``: settings of the sensors of the modules, which then measure in MuJoCo, see
+          ``sensors``.  ``None``: they measure, with the default settings, after the first use of
+          ``sensors``.
 
         A simulation with ideal joints uses ``RollingBase``, in which no wheel slips, for robots
         with wheel errors or with ``open_loop``.
@@ -255,7 +261,11 @@ class Simulation:
         self.parameters = parameters
         world = model.world if isinstance(model, Fleet) else None
         self.rails = world is not None and any(block.kind == "rail" for block in world.blocks)
-        self.scene = None if files is None else MujocoScene(files)
+        visuals = sensors is not None and sensors.images
+        self.scene = None if files is None else MujocoScene(files, visuals=visuals)
+        self._suite: SensorSuite | None = None
+        if sensors is not None:
+            self._suite = self._sensor_suite(sensors)
         self.wheel_errors = wheel_errors or {}
         self.open_loop = open_loop
 
@@ -265,6 +275,32 @@ class Simulation:
         return (
             f"<Simulation of {shown} {'with ideal joints' if self.scene is None else 'in MuJoCo'}>"
         )
+
+    @property
+    def sensors(self) -> SensorSuite:
+        """The simulated sensors of the robots by name; in a fleet with the robot: ``r1/lidar``.
+
+        ``sensors["lidar"].latest`` is the last measurement of a run, and the functions in
+        ``sensors.listeners`` are called with each measurement.  The motion of a run is the same
+        with and without sensors.
+
+        Raises ``DiagnosticError`` for ideal joints, which have no scene to measure.
+        """
+        if self._suite is None:
+            self._suite = self._sensor_suite(SensorSettings())
+        return self._suite
+
+    def _sensor_suite(self, settings: SensorSettings) -> SensorSuite:
+        if self.scene is None:
+            raise DiagnosticError(
+                "simulation-scene",
+                "sensors need a scene to measure, which ideal joints do not have",
+                hint="give the files of the target mjcf to `Simulation`",
+            )
+        # Runs without sensors do not import numpy for them.
+        from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
+
+        return SensorSuite(self.scene, [robot for _, robot in self.robots], settings)
 
     def run(
         self,

@@ -1,0 +1,98 @@
+"""GNSS receivers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+from thorvaldc.model.sensor_numbers import WORLD_ORIGIN
+from thorvaldc.simulation.sensors.simulated_sensor import (
+    Array,
+    Measurement,
+    SceneState,
+    SimulatedSensor,
+)
+
+_EQUATOR = 6378137.0
+"""Semi-major axis of the ellipsoid WGS 84 in m."""
+_FLATTENING = 1.0 / 298.257223563
+_SQUARED = _FLATTENING * (2.0 - _FLATTENING)
+"""Square of the first eccentricity."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fix(Measurement):
+    """A position of a GNSS antenna.
+
+    - ``latitude``, ``longitude``: in degrees, on WGS 84.
+    - ``altitude``: height above the ellipsoid in m.
+    - ``variance``: variance of each of east, north and up in m^2, by the numbers of the module.
+    """
+
+    latitude: float
+    longitude: float
+    altitude: float
+    variance: float
+
+
+class Gnss(SimulatedSensor):
+    """A GNSS receiver with its antenna at the measurement frame.
+
+    The error of a fix is the sum of a white and of a slow part.  With the share s of the variance
+    that is slow, and its correlation time T, the slow part is a first-order Gauss-Markov process:
+    after the time t it is exp(-t/T) of its old value plus a new error, and its variance stays s
+    times the square of the accuracy.
+    """
+
+    def reset(self) -> None:
+        super().reset()
+        accuracy, share = self.numbers["accuracy"], self.numbers["wander"]
+        self._slow_deviation = accuracy * math.sqrt(share)
+        self._white_deviation = accuracy * math.sqrt(1.0 - share)
+        self._slow = self._errors(self._slow_deviation, 3)
+        self._time = 0.0
+
+    def measure(self, state: SceneState) -> Fix:
+        position, _ = self.pose(state)
+        kept = math.exp(-(state.data.time - self._time) / self.numbers["wander_time"])
+        self._time = state.data.time
+        new = self._errors(self._slow_deviation * math.sqrt(1.0 - kept * kept), 3)
+        self._slow = kept * self._slow + new
+        errors = self._slow + self._errors(self._white_deviation, 3)
+        return Fix(
+            *self._common(state),
+            *geodetic(state.level @ position + errors),
+            self.numbers["accuracy"] ** 2,
+        )
+
+
+def geodetic(position: Array) -> tuple[float, float, float]:
+    """Returns latitude (deg), longitude (deg) and height (m) of a position (3) east, north and up
+    of ``WORLD_ORIGIN`` in m.
+
+    The position is a vector in the tangent plane, as in Gazebo.  Source of the formulas: Bowring,
+    "Transformation from spatial to geographical coordinates" (1976), repeated until the latitude
+    stays the same.
+    """
+    latitude, longitude = (math.radians(angle) for angle in WORLD_ORIGIN[:2])
+    east, north, up = (float(value) for value in position)
+    sin, cos = math.sin(latitude), math.cos(latitude)
+    normal = _EQUATOR / math.sqrt(1.0 - _SQUARED * sin * sin)
+    # In the meridian plane of the origin: distance from the axis, and along the axis.
+    across = (normal + WORLD_ORIGIN[2]) * cos - sin * north + cos * up
+    along = (normal * (1.0 - _SQUARED) + WORLD_ORIGIN[2]) * sin + cos * north + sin * up
+    distance = math.hypot(across, east)
+    longitude += math.atan2(east, across)
+    reduced = math.atan2(along, distance * (1.0 - _FLATTENING))
+    minor = _EQUATOR * (1.0 - _FLATTENING)
+    for _ in range(3):
+        latitude = math.atan2(
+            along + _SQUARED / (1.0 - _SQUARED) * minor * math.sin(reduced) ** 3,
+            distance - _SQUARED * _EQUATOR * math.cos(reduced) ** 3,
+        )
+        reduced = math.atan((1.0 - _FLATTENING) * math.tan(latitude))
+    sin, cos = math.sin(latitude), math.cos(latitude)
+    normal = _EQUATOR / math.sqrt(1.0 - _SQUARED * sin * sin)
+    height = distance * cos + along * sin - normal * (1.0 - _SQUARED * sin * sin)
+    return math.degrees(latitude), math.degrees(longitude), height

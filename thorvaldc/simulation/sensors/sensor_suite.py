@@ -1,0 +1,101 @@
+"""All sensors of the robots in a scene, which measure at their rates while the scene advances."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+
+from thorvaldc.model import Robot
+from thorvaldc.model.scenario import SensorSettings
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
+from thorvaldc.simulation.sensors.camera import Camera
+from thorvaldc.simulation.sensors.gnss import Gnss
+from thorvaldc.simulation.sensors.imu import Imu
+from thorvaldc.simulation.sensors.lidar import Lidar
+from thorvaldc.simulation.sensors.simulated_sensor import (
+    Measurement,
+    SceneState,
+    SimulatedSensor,
+)
+
+KINDS: Mapping[str, type[SimulatedSensor]] = {
+    "lidar_2d": Lidar,
+    "lidar_3d": Lidar,
+    "imu": Imu,
+    "gnss": Gnss,
+    "camera": Camera,
+}
+"""Classes of the simulated sensors by the type of the sensor; other types are left out."""
+Listener = Callable[[SimulatedSensor, Measurement], None]
+"""Function that is called with each measurement of a run."""
+
+
+class SensorSuite(Mapping[str, SimulatedSensor]):
+    """The sensors of robots in a scene, by name; in a fleet with the name space: ``r1/lidar``.
+
+    While the scene advances, each sensor measures at its rate: at the step of the physics that is
+    nearest to the due time.  ``listeners`` are called with each measurement, in the order of the
+    times.
+    """
+
+    def __init__(
+        self,
+        scene: MujocoScene,
+        robots: Iterable[Robot],
+        settings: SensorSettings = SensorSettings(),
+    ) -> None:
+        """Finds the sensors in the scene, which then measures in each of its steps.
+
+        Raises ``DiagnosticError`` if the scene does not contain a sensor.
+        """
+        self._scene = scene
+        self._state = SceneState(scene)
+        self._sensors: dict[str, SimulatedSensor] = {}
+        for robot in robots:
+            for sensor in robot.sensors:
+                if sensor.type in KINDS:
+                    simulated = KINDS[sensor.type](robot, sensor, scene, settings)
+                    self._sensors[simulated.name] = simulated
+        self.listeners: list[Listener] = []
+        self.reset()
+        scene.sensors = self
+
+    def __getitem__(self, name: str) -> SimulatedSensor:
+        return self._sensors[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._sensors)
+
+    def __len__(self) -> int:
+        return len(self._sensors)
+
+    def reset(self) -> None:
+        """Begins a run: the next measurements are due at once."""
+        for sensor in self._sensors.values():
+            sensor.reset()
+        self._counts = dict.fromkeys(self._sensors, 0)
+
+    def state(self) -> SceneState:
+        """Returns the poses in the scene at its present time, for ``SimulatedSensor.measure``."""
+        self._state.update()
+        return self._state
+
+    def advance(self, now: float) -> None:
+        """Runs the scene from one due measurement to the next, until the last one before ``now``
+        (s)."""
+        sensors, counts, scene = self._sensors, self._counts, self._scene
+        while sensors:
+            due = min(counts[name] * sensor.period for name, sensor in sensors.items())
+            if due > now + 1e-9:
+                return
+            scene.step_to(due)
+            if scene.diverged:
+                return
+            state = self.state()
+            for name, sensor in sensors.items():
+                if counts[name] * sensor.period > due + 1e-9:
+                    continue
+                counts[name] += 1
+                if sensor.active:
+                    sensor.latest = measurement = sensor.measure(state)
+                    for listener in self.listeners:
+                        listener(sensor, measurement)
