@@ -261,8 +261,8 @@ class Simulation:
         self.parameters = parameters
         world = model.world if isinstance(model, Fleet) else None
         self.rails = world is not None and any(block.kind == "rail" for block in world.blocks)
-        visuals = sensors is not None and sensors.images
-        self.scene = None if files is None else MujocoScene(files, visuals=visuals)
+        self.scene = None if files is None else MujocoScene(files)
+        self._files = files
         self._suite: SensorSuite | None = None
         if sensors is not None:
             self._suite = self._sensor_suite(sensors)
@@ -291,7 +291,7 @@ class Simulation:
         return self._suite
 
     def _sensor_suite(self, settings: SensorSettings) -> SensorSuite:
-        if self.scene is None:
+        if self.scene is None or self._files is None:
             raise DiagnosticError(
                 "simulation-scene",
                 "sensors need a scene to measure, which ideal joints do not have",
@@ -300,7 +300,8 @@ class Simulation:
         # Runs without sensors do not import numpy for them.
         from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
 
-        return SensorSuite(self.scene, [robot for _, robot in self.robots], settings)
+        robots = [robot for _, robot in self.robots]
+        return SensorSuite(self.scene, self._files, robots, settings)
 
     def run(
         self,

@@ -11,7 +11,7 @@ import mujoco
 from thorvaldc.simulation.sensors.simulated_sensor import (
     Array,
     Measurement,
-    SceneState,
+    SeenScene,
     SimulatedSensor,
 )
 
@@ -36,15 +36,15 @@ class Camera(SimulatedSensor):
 
     _renderer: Any = None
 
-    def measure(self, state: SceneState) -> CameraFrame:
+    def measure(self, seen: SeenScene) -> CameraFrame:
         values = self.numbers
         width, height = int(values["image_width"]), int(values["image_height"])
         focal_length = width / 2.0 / math.tan(values["horizontal_field_of_view"] / 2.0)
-        pixels = self._draw(state, width, height) if self.settings.images else None
-        return CameraFrame(*self._common(state), width, height, focal_length, pixels)
+        pixels = self._draw(seen, width, height) if self.settings.images else None
+        return CameraFrame(*self._common(seen), width, height, focal_length, pixels)
 
-    def _draw(self, state: SceneState, width: int, height: int) -> Array:
-        model = state.scene.model
+    def _draw(self, seen: SeenScene, width: int, height: int) -> Array:
+        model = seen.model
         if self._renderer is None:
             from thorvaldc.simulation.pictures.render import choose_opengl_backend
 
@@ -52,6 +52,6 @@ class Camera(SimulatedSensor):
             size = model.vis.global_
             size.offwidth, size.offheight = max(size.offwidth, width), max(size.offheight, height)
             self._renderer = mujoco.Renderer(model, height, width)
-        mujoco.mj_camlight(model, state.data)
-        self._renderer.update_scene(state.data, self.name)
+        mujoco.mj_camlight(model, seen.data)
+        self._renderer.update_scene(seen.data, self.name)
         return self._renderer.render()

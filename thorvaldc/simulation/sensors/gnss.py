@@ -10,7 +10,7 @@ from thorvaldc.model.sensor_numbers import WORLD_ORIGIN
 from thorvaldc.simulation.sensors.simulated_sensor import (
     Array,
     Measurement,
-    SceneState,
+    SeenScene,
     SimulatedSensor,
 )
 
@@ -53,16 +53,16 @@ class Gnss(SimulatedSensor):
         self._slow = self._errors(self._slow_deviation, 3)
         self._time = 0.0
 
-    def measure(self, state: SceneState) -> Fix:
-        position, _ = self.pose(state)
-        kept = math.exp(-(state.data.time - self._time) / self.numbers["wander_time"])
-        self._time = state.data.time
+    def measure(self, seen: SeenScene) -> Fix:
+        position, _ = self.pose(seen)
+        kept = math.exp(-(seen.data.time - self._time) / self.numbers["wander_time"])
+        self._time = seen.data.time
         new = self._errors(self._slow_deviation * math.sqrt(1.0 - kept * kept), 3)
         self._slow = kept * self._slow + new
         errors = self._slow + self._errors(self._white_deviation, 3)
         return Fix(
-            *self._common(state),
-            *geodetic(state.level @ position + errors),
+            *self._common(seen),
+            *geodetic(seen.level @ position + errors),
             self.numbers["accuracy"] ** 2,
         )
 

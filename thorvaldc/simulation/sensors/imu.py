@@ -11,7 +11,7 @@ import numpy as np
 from thorvaldc.simulation.sensors.simulated_sensor import (
     Array,
     Measurement,
-    SceneState,
+    SeenScene,
     SimulatedSensor,
     quaternion,
 )
@@ -55,15 +55,15 @@ class Imu(SimulatedSensor):
         self._accelerometer_bias = self._errors(values["accelerometer_bias"], 3)
         self._last: tuple[float, Array, Array] | None = None
 
-    def measure(self, state: SceneState) -> ImuReading:
+    def measure(self, seen: SeenScene) -> ImuReading:
         values, settings = self.numbers, self.settings
-        _, rotation = self.pose(state)
+        _, rotation = self.pose(seen)
         motion = np.empty(6)
         kind = mujoco.mjtObj.mjOBJ_SITE
-        mujoco.mj_objectVelocity(state.scene.model, state.data, kind, self._site, motion, 0)
+        mujoco.mj_objectVelocity(seen.model, seen.data, kind, self._site, motion, 0)
         turning, velocity = motion[:3], motion[3:]
-        acceleration, mean_rotation = self._mean(state.data.time, velocity, rotation)
-        force = mean_rotation.T @ (acceleration - state.gravity)
+        acceleration, mean_rotation = self._mean(seen.data.time, velocity, rotation)
+        force = mean_rotation.T @ (acceleration - seen.gravity)
         gyro_errors = self._errors(self._gyro, 3) + self._gyro_bias
         deviation = self._gyro
         if settings.gyro is not None:
@@ -73,9 +73,9 @@ class Imu(SimulatedSensor):
         turn_errors = self._errors(values["orientation_accuracy"], 3)
         orientation = None
         if values["orientation_accuracy"]:
-            orientation = _turned(turn_errors, state.level @ rotation)
+            orientation = _turned(turn_errors, seen.level @ rotation)
         return ImuReading(
-            *self._common(state),
+            *self._common(seen),
             orientation,
             rotation.T @ turning + gyro_errors,
             force + force_errors,

@@ -11,19 +11,18 @@ import numpy as np
 from thorvaldc.model import Robot, Sensor
 from thorvaldc.model.scenario import SensorSettings
 from thorvaldc.model.sensor_numbers import ray_count
-from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.sensors.simulated_sensor import (
     Array,
     Measurement,
-    SceneState,
+    SeenScene,
     SimulatedSensor,
 )
 
 _OWN_GROUP = 5
 """Group of geoms for those of the robot itself while its lidar measures."""
-_GROUPS = np.array([1, 1, 0, 1, 1, 0], np.uint8)
-"""Groups of geoms that rays hit: all but 2, the visual shapes, which a scene without pictures does
-not have, and the robot itself."""
+_GROUPS = np.array([1, 0, 1, 0, 1, 0], np.uint8)
+"""Groups of geoms that rays hit: the world and the visual shapes of robots; neither plates of
+zones, nor collision shapes, nor the robot itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,15 +55,15 @@ class PointCloud(Measurement):
 
 
 class Lidar(SimulatedSensor):
-    """A lidar, whose rays hit the collision shapes of everything but its own robot.
+    """A lidar, whose rays hit the world and other robots.
 
     All rays of a scan belong to one time: the motion of the robot within a sweep is left out.
     """
 
     def __init__(
-        self, robot: Robot, sensor: Sensor, scene: MujocoScene, settings: SensorSettings
+        self, robot: Robot, sensor: Sensor, seen: SeenScene, settings: SensorSettings
     ) -> None:
-        super().__init__(robot, sensor, scene, settings)
+        super().__init__(robot, sensor, seen, settings)
         values = self.numbers
         half = values["field_of_view"] / 2
         azimuths, self._step = np.linspace(-half, half, ray_count(values), retstep=True)
@@ -76,20 +75,20 @@ class Lidar(SimulatedSensor):
             [np.cos(up) * np.cos(about), np.cos(up) * np.sin(about), np.sin(up)], axis=1
         )
         self._is_planar = sensor.type == "lidar_2d"
-        model = scene.model
+        model = seen.model
         root = model.body_rootid[self._base]
         self._own = np.flatnonzero(model.body_rootid[model.geom_bodyid] == root)
 
-    def distances(self, state: SceneState) -> Array:
+    def distances(self, seen: SeenScene) -> Array:
         """Returns the exact distance (n) of each ray in m; inf if it hits nothing in the range."""
-        model, count = state.scene.model, len(self.directions)
-        position, rotation = self.pose(state)
+        model, count = seen.model, len(self.directions)
+        position, rotation = self.pose(seen)
         geoms, distances = np.empty(count, np.int32), np.empty(count)
         groups = model.geom_group[self._own]
         model.geom_group[self._own] = _OWN_GROUP
         try:
             mujoco.mj_multiRay(
-                *(model, state.data, position, (self.directions @ rotation.T).ravel(), _GROUPS),
+                *(model, seen.data, position, (self.directions @ rotation.T).ravel(), _GROUPS),
                 *(True, -1, geoms, distances, None, count, self.numbers["range"]),
             )
         finally:
@@ -97,14 +96,14 @@ class Lidar(SimulatedSensor):
         distances[geoms < 0] = math.inf
         return distances
 
-    def measure(self, state: SceneState) -> Scan | PointCloud:
+    def measure(self, seen: SeenScene) -> Scan | PointCloud:
         values, count = self.numbers, len(self.directions)
-        distances = self.distances(state) + self._errors(values["range_noise"], count)
+        distances = self.distances(seen) + self._errors(values["range_noise"], count)
         lost = self.random.random(count) < values["dropouts"] * self.settings.errors
         near, far = values["minimum_range"], values["range"]
         distances[lost | (distances > far)] = math.inf
         distances[distances < near] = -math.inf
-        common = self._common(state)
+        common = self._common(seen)
         if self._is_planar:
             first = -values["field_of_view"] / 2
             return Scan(*common, first, float(self._step), near, far, self.period, distances)

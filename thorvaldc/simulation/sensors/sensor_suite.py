@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import SensorSettings
@@ -13,7 +13,8 @@ from thorvaldc.simulation.sensors.imu import Imu
 from thorvaldc.simulation.sensors.lidar import Lidar
 from thorvaldc.simulation.sensors.simulated_sensor import (
     Measurement,
-    SceneState,
+    SceneFiles,
+    SeenScene,
     SimulatedSensor,
 )
 
@@ -40,20 +41,23 @@ class SensorSuite(Mapping[str, SimulatedSensor]):
     def __init__(
         self,
         scene: MujocoScene,
-        robots: Iterable[Robot],
+        files: SceneFiles,
+        robots: Sequence[Robot],
         settings: SensorSettings = SensorSettings(),
     ) -> None:
-        """Finds the sensors in the scene, which then measures in each of its steps.
+        """Makes the sensors of ``robots``, which measure from now on whenever the scene advances.
 
-        Raises ``DiagnosticError`` if the scene does not contain a sensor.
+        ``files`` are those of the scene.  Raises ``DiagnosticError`` if they do not contain a
+        sensor.
         """
         self._scene = scene
-        self._state = SceneState(scene)
+        # A lidar does not see its own robot.
+        self._seen = seen = SeenScene(files, visuals=settings.images or len(robots) > 1)
         self._sensors: dict[str, SimulatedSensor] = {}
         for robot in robots:
             for sensor in robot.sensors:
                 if sensor.type in KINDS:
-                    simulated = KINDS[sensor.type](robot, sensor, scene, settings)
+                    simulated = KINDS[sensor.type](robot, sensor, seen, settings)
                     self._sensors[simulated.name] = simulated
         self.listeners: list[Listener] = []
         self.reset()
@@ -74,10 +78,10 @@ class SensorSuite(Mapping[str, SimulatedSensor]):
             sensor.reset()
         self._counts = dict.fromkeys(self._sensors, 0)
 
-    def state(self) -> SceneState:
-        """Returns the poses in the scene at its present time, for ``SimulatedSensor.measure``."""
-        self._state.update()
-        return self._state
+    def seen(self) -> SeenScene:
+        """Returns the scene at its present time, for ``SimulatedSensor.measure``."""
+        self._seen.update(self._scene)
+        return self._seen
 
     def advance(self, now: float) -> None:
         """Runs the scene from one due measurement to the next, until the last one before ``now``
@@ -90,12 +94,12 @@ class SensorSuite(Mapping[str, SimulatedSensor]):
             scene.step_to(due)
             if scene.diverged:
                 return
-            state = self.state()
+            seen = self.seen()
             for name, sensor in sensors.items():
                 if counts[name] * sensor.period > due + 1e-9:
                     continue
                 counts[name] += 1
                 if sensor.active:
-                    sensor.latest = measurement = sensor.measure(state)
+                    sensor.latest = measurement = sensor.measure(seen)
                     for listener in self.listeners:
                         listener(sensor, measurement)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -16,6 +18,9 @@ from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
 Array = Any
 """Array of numpy.  Its shape is in the documentation."""
+SceneFiles = Path | str | Mapping[str, bytes]
+VISUAL_GROUP, PLATE_GROUP = 2, 1
+"""Groups of the visual geoms in MJCF files, and of those of zones for sensors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,30 +40,33 @@ class Measurement:
     mount: tuple[float, ...]
 
 
-class SceneState:
-    """Poses and velocities in a scene at its present time.
+class SeenScene:
+    """A second scene of the same files for the sensors, with the poses of the simulated one.
 
-    After a step, the arrays of MuJoCo have the poses at the beginning of the step.  They are
-    computed here in arrays of their own, so that sensors do not change the motion of a run.
+    After a step, the arrays of MuJoCo have the poses at the beginning of the step, and the physics
+    needs no visual shapes.  With a scene of their own, sensors do not change the motion of a run.
 
-    - ``data``: the ``MjData`` with these poses and velocities.
+    - ``scene``, ``model``, ``data``: the scene and its objects of MuJoCo.
+    - ``gravity``: (3) in m/s^2.
     - ``level``: (3, 3) rotation from the frame of the scene to east, north and up.  The frame of a
       scene on a slope is the plane of the slope, with a tilted gravity; the rotation is the
       smallest one that makes gravity point down.
     """
 
-    def __init__(self, scene: MujocoScene) -> None:
-        self.scene = scene
-        self.data = mujoco.MjData(scene.model)
-        self.gravity = scene.model.opt.gravity.copy()
+    def __init__(self, files: SceneFiles, *, visuals: bool) -> None:
+        self.scene = MujocoScene(files, visuals=visuals)
+        self.model, self.data = self.scene.model, self.scene.data
+        # Zones are visible plates a millimetre above the ground, which no ray shall hit.
+        plates = (self.model.geom_bodyid == 0) & (self.model.geom_group == VISUAL_GROUP)
+        self.model.geom_group[plates] = PLATE_GROUP
+        self.gravity = self.model.opt.gravity.copy()
         self.level = _level(self.gravity)
 
-    def update(self) -> None:
-        """Computes the poses and velocities at the present time of the scene."""
-        model, data = self.scene.model, self.data
-        data.qpos[:] = self.scene.data.qpos
-        data.qvel[:] = self.scene.data.qvel
-        data.time = self.scene.time
+    def update(self, simulated: MujocoScene) -> None:
+        """Takes the joint positions and velocities of the simulated scene at its present time."""
+        model, data = self.model, self.data
+        data.qpos[:], data.qvel[:] = simulated.data.qpos, simulated.data.qvel
+        data.time = simulated.time
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
@@ -88,7 +96,7 @@ class SimulatedSensor:
     """
 
     def __init__(
-        self, robot: Robot, sensor: Sensor, scene: MujocoScene, settings: SensorSettings
+        self, robot: Robot, sensor: Sensor, seen: SeenScene, settings: SensorSettings
     ) -> None:
         self.name = robot.prefix + sensor.name
         self.frame = robot.prefix + sensor.link
@@ -98,8 +106,8 @@ class SimulatedSensor:
         self.robot, self.sensor = robot, sensor
         self.active = True
         self.latest: Measurement | None = None
-        self._site = scene.index("site", self.name, robot)
-        self._base = scene.index("body", robot.prefix + robot.links[0].name, robot)
+        self._site = seen.scene.index("site", self.name, robot)
+        self._base = seen.scene.index("body", robot.prefix + robot.links[0].name, robot)
         self.reset()
 
     def reset(self) -> None:
@@ -110,27 +118,27 @@ class SimulatedSensor:
         self.random = np.random.default_rng(int.from_bytes(digest))
         self.latest = None
 
-    def measure(self, state: SceneState) -> Measurement:
-        """Returns the measurement at the time of ``state``, with the errors of the sensor."""
+    def measure(self, seen: SeenScene) -> Measurement:
+        """Returns the measurement at the time of ``seen``, with the errors of the sensor."""
         raise NotImplementedError
 
-    def pose(self, state: SceneState) -> tuple[Array, Array]:
+    def pose(self, seen: SeenScene) -> tuple[Array, Array]:
         """Returns the position (3) in m and the rotation (3, 3) of the frame in the scene."""
-        data = state.data
+        data = seen.data
         return data.site_xpos[self._site].copy(), data.site_xmat[self._site].reshape(3, 3).copy()
 
     def _errors(self, deviation: float, count: int) -> Array:
         """Returns ``count`` independent normal errors, scaled by the settings."""
         return self.random.normal(0.0, deviation * self.settings.errors, count)
 
-    def _common(self, state: SceneState) -> tuple[str, float, str, tuple[float, ...]]:
+    def _common(self, seen: SeenScene) -> tuple[str, float, str, tuple[float, ...]]:
         """Returns the fields of ``Measurement``."""
-        position, rotation = self.pose(state)
-        base = state.data.xmat[self._base].reshape(3, 3)
-        x, y, z = base.T @ (position - state.data.xpos[self._base])
+        position, rotation = self.pose(seen)
+        base = seen.data.xmat[self._base].reshape(3, 3)
+        x, y, z = base.T @ (position - seen.data.xpos[self._base])
         qw, qx, qy, qz = quaternion(base.T @ rotation)
         mount = (float(x), float(y), float(z), qx, qy, qz, qw)
-        return self.name, state.data.time, self.frame, mount
+        return self.name, seen.data.time, self.frame, mount
 
 
 def quaternion(rotation: Array) -> tuple[float, float, float, float]:
