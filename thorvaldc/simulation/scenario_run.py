@@ -191,6 +191,7 @@ class ScenarioSimulation(Simulation):
 
         run_hash = RunHash()
         all_recorders = (run_hash, *recorders) if hashed else tuple(recorders)
+        self.record_sensors(recorders)
         metrics: dict[str, ScenarioMetrics] = {}
         limited = [e for e in self.scenario.expectations if ends_early and e.most is not None]
 

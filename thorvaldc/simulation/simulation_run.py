@@ -28,6 +28,8 @@ from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import CollisionCounter, MujocoScene
 from thorvaldc.simulation.physics.sim_base import GroundTruthBase, RollingBase, SimBase, WheelErrors
 
+from thorvaldc.simulation.records.recorder import Recorder, SensorRecorder
+
 if TYPE_CHECKING:
     from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
     from thorvaldc.simulation.vectorised.calculator_batch import OdometryBatch
@@ -289,6 +291,12 @@ class Simulation:
         if self._suite is None:
             self._suite = self._sensor_suite(SensorSettings())
         return self._suite
+
+    def record_sensors(self, recorders: Sequence[Recorder]) -> None:
+        """Gives the measurements to the recorders that take them, if sensors measure."""
+        if self._suite is not None:
+            takers = [r.measured for r in recorders if isinstance(r, SensorRecorder)]
+            self._suite.listeners += takers
 
     def _sensor_suite(self, settings: SensorSettings) -> SensorSuite:
         if self.scene is None or self._files is None:

@@ -1,0 +1,162 @@
+"""IMU and GNSS against closed forms, and their errors against the numbers of the modules."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.simulation.sensors.rover import simulation
+from thorvaldc.diagnostics import Report
+from thorvaldc.model.sensor_numbers import WORLD_ORIGIN
+from thorvaldc.runtime.se2 import Pose2
+from thorvaldc.simulation.physics.mujoco_base import MujocoBase
+from thorvaldc.simulation.sensors.gnss import geodetic
+
+IMU, GNSS = "rover/imu", "rover/gnss"
+G = 9.81
+
+
+def readings(run: Any, name: str) -> list[Any]:
+    """Returns the measurements of a sensor during a scenario."""
+    measured: list[Any] = []
+    run.sensors.listeners.append(lambda s, m: measured.append(m) if s.name == name else None)
+    run.play(Report())
+    return measured
+
+
+def drive(vx: float, wz: float) -> str:
+    return f"script: [{{at: 0, vx: {vx}, wz: {wz}}}]\n"
+
+
+def test_an_imu_at_rest_measures_gravity(tmp_path: Path) -> None:
+    reading = readings(simulation(tmp_path, drive(0.0, 0.0)), IMU)[-1]
+    assert reading.acceleration == pytest.approx([0.0, 0.0, G], abs=0.02)
+    assert reading.angular_velocity == pytest.approx([0.0] * 3, abs=1e-6)
+    assert reading.orientation == pytest.approx((1.0, 0.0, 0.0, 0.0), abs=1e-4)
+
+
+def test_an_imu_on_a_slope_measures_its_tilt(tmp_path: Path) -> None:
+    run = simulation(tmp_path, "world: {ground: {type: slope, angle: 10 deg, direction: 0}}\n")
+    seen, reading = run.sensors.seen(), run.sensors[IMU].measure(run.sensors.seen())
+    tilt = math.radians(10.0)
+    force = [-G * math.sin(-tilt), 0.0, G * math.cos(tilt)]
+    assert reading.acceleration == pytest.approx(force, abs=0.05)
+    # Uphill along x: the nose is up, which is a negative turn about y.
+    expected = (math.cos(tilt / 2), 0.0, -math.sin(tilt / 2), 0.0)
+    assert reading.orientation == pytest.approx(expected, abs=2e-3)
+    up = seen.level @ np.array([5.0, 0.0, 0.0])
+    assert up == pytest.approx([5.0 * math.cos(tilt), 0.0, 5.0 * math.sin(tilt)])
+
+
+def test_an_imu_on_a_circle_measures_yaw_rate_and_centripetal_acceleration(tmp_path: Path) -> None:
+    vx, wz = 0.6, 0.4
+    reading = readings(simulation(tmp_path, drive(vx, wz)), IMU)[-1]
+    x = reading.mount[0]  # behind base_link, which moves along x
+    assert reading.angular_velocity[2] == pytest.approx(wz, rel=0.01)
+    assert reading.acceleration[:2] == pytest.approx([-(wz**2) * x, vx * wz], abs=0.02)
+
+
+def test_an_imu_measures_the_acceleration_of_a_ramp(tmp_path: Path) -> None:
+    measured = readings(simulation(tmp_path, drive(0.8, 0.0)), IMU)
+    speed = sum((m.acceleration[0] for m in measured), 0.0) / 100.0
+    assert speed == pytest.approx(0.8, abs=0.01)
+
+
+def test_errors_of_an_imu_are_those_of_the_module(tmp_path: Path) -> None:
+    run = simulation(tmp_path, sensors="sensors: {errors: 3}\n")
+    imu, seen = run.sensors[IMU], run.sensors.seen()
+    taken = [imu.measure(seen) for _ in range(4000)]
+    gyro = np.array([m.angular_velocity for m in taken])
+    force = np.array([m.acceleration for m in taken])
+    assert gyro.std(axis=0) == pytest.approx([3 * 0.00015 * 10.0] * 3, rel=0.05)
+    assert force.std(axis=0) == pytest.approx([3 * 0.001 * 10.0] * 3, rel=0.05)
+    yaw = np.array([2.0 * m.orientation[3] for m in taken])
+    assert yaw.std() == pytest.approx(3 * math.radians(1.0), rel=0.05)
+    # The variances are those of the module, whatever the errors of the scenario are.
+    assert taken[0].angular_velocity_variance == pytest.approx((0.00015 * 10.0) ** 2)
+    assert taken[0].orientation_variance == pytest.approx(math.radians(1.0) ** 2)
+    biases = []
+    for seed in range(60):
+        run = simulation(tmp_path, f"noise: {{seed: {seed}}}\n", sensors="sensors: {errors: 100}\n")
+        biases.append(run.sensors[IMU]._gyro_bias)
+    assert np.std(biases) == pytest.approx(100 * math.radians(0.002), rel=0.2)
+
+
+def test_the_gyro_of_a_scenario_replaces_that_of_the_module(tmp_path: Path) -> None:
+    run = simulation(tmp_path, "noise: {gyro: 0.02, gyro_bias: 0.1}\n")
+    imu, seen = run.sensors[IMU], run.sensors.seen()
+    rates = np.array([imu.measure(seen).angular_velocity[2] for _ in range(2000)])
+    assert rates.mean() == pytest.approx(0.1, abs=0.002)
+    assert rates.std() == pytest.approx(0.02, rel=0.05)
+
+
+def test_an_imu_without_orientation_says_so(tmp_path: Path) -> None:
+    imu = "  imu: {type: sensor/imu, mount: frame.rear_center, params: {orientation_accuracy: 0}}\n"
+    run = simulation(tmp_path, modules=imu)
+    assert run.sensors[IMU].measure(run.sensors.seen()).orientation is None
+
+
+def ecef(latitude: float, longitude: float, height: float) -> Any:
+    """Returns the Cartesian coordinates of a position on WGS 84."""
+    a, e2 = 6378137.0, 0.0066943799901413165
+    lat, lon = math.radians(latitude), math.radians(longitude)
+    n = a / math.sqrt(1.0 - e2 * math.sin(lat) ** 2)
+    return np.array(
+        [
+            (n + height) * math.cos(lat) * math.cos(lon),
+            (n + height) * math.cos(lat) * math.sin(lon),
+            (n * (1.0 - e2) + height) * math.sin(lat),
+        ]
+    )
+
+
+def local(latitude: float, longitude: float, height: float) -> Any:
+    """Returns the position east, north and up of the origin of the world."""
+    lat, lon = (math.radians(angle) for angle in WORLD_ORIGIN[:2])
+    sin, cos = math.sin, math.cos
+    axes = np.array(
+        [
+            [-sin(lon), cos(lon), 0.0],
+            [-sin(lat) * cos(lon), -sin(lat) * sin(lon), cos(lat)],
+            [cos(lat) * cos(lon), cos(lat) * sin(lon), sin(lat)],
+        ]
+    )
+    return axes @ (ecef(latitude, longitude, height) - ecef(*WORLD_ORIGIN))
+
+
+@pytest.mark.parametrize(
+    "position", [(0, 0, 0), (3, -2, 1.5), (-4000, 2500, -20), (9e4, -1e5, 300)]
+)
+def test_geodetic_coordinates_read_back(position: tuple[float, ...]) -> None:
+    assert local(*geodetic(np.array(position, float))) == pytest.approx(position, abs=1e-6)
+
+
+def test_a_fix_is_the_place_of_the_antenna(tmp_path: Path) -> None:
+    run = simulation(tmp_path)
+    base = MujocoBase(run.robots[0][1], run.scene)
+    base.place(Pose2(10.0, -4.0, 0.7))
+    fix = run.sensors[GNSS].measure(run.sensors.seen())
+    x, y, z = fix.mount[:3]
+    c, s = math.cos(0.7), math.sin(0.7)
+    expected = [10.0 + c * x - s * y, -4.0 + s * x + c * y, z]
+    assert local(fix.latitude, fix.longitude, fix.altitude) == pytest.approx(expected, abs=0.01)
+    assert (x, y) == (pytest.approx(0.3, abs=1e-3), pytest.approx(0.2, abs=1e-3))
+
+
+def test_errors_of_a_fix_wander(tmp_path: Path) -> None:
+    params = "{accuracy: 20 mm, wander: 0.6, wander_time: 2 s, rate: 5 Hz}"
+    gnss = f"  gnss: {{type: sensor/gnss_antenna, mount: {{parent: frame}}, params: {params}}}\n"
+    sensors = "sensors: {errors: 1}\n"
+    run = simulation(tmp_path, drive(0.0, 0.0), gnss, sensors=sensors, duration=600.0)
+    measured = readings(run, GNSS)
+    errors = np.array([local(m.latitude, m.longitude, m.altitude)[:2] for m in measured])
+    errors -= errors.mean(axis=0)
+    assert errors.std() == pytest.approx(0.02, rel=0.1)
+    for lag in (1, 5, 10):
+        correlation = (errors[lag:] * errors[:-lag]).mean() / errors.var()
+        assert correlation == pytest.approx(0.6 * math.exp(-lag * 0.2 / 2.0), abs=0.1)
+    assert measured[0].variance == pytest.approx(0.02**2)
