@@ -32,12 +32,14 @@ from std_msgs.msg import Bool, String
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.diagnostics import DiagnosticError
+from thorvaldc.model.scenario import SensorSettings
 from thorvaldc.model.settings import FOR_FILTERS
 from thorvaldc.ros import messages
 from thorvaldc.ros.bases import NodeError, description_text, open_robot
 from thorvaldc.ros.node_parameters import Changes, NodeParameters
 from thorvaldc.ros.node_services import create_services
 from thorvaldc.ros.parameters import TOPICS
+from thorvaldc.ros.sensor_topics import SensorTopics
 from thorvaldc.ros.topic_base import TopicBase, robot_behind_topics
 from thorvaldc.ros.topic_twists import ClockWatch, TwistInputs
 from thorvaldc.runtime.driven_robot import DrivenRobot
@@ -161,6 +163,7 @@ class BaseDriverNode(GuardedLifecycleNode):
         self.problem = ""
         """Reason why the node is not active although it was, or why it could not be activated."""
         self._entities: list[Any] = []
+        self._sensors: SensorTopics | None = None
         self._next_report = 0.0
         self._next_device_data = -math.inf
         self._reported: Any = None
@@ -268,6 +271,7 @@ class BaseDriverNode(GuardedLifecycleNode):
                     values["base"],
                     values["bus"],
                     values["real_time_factor"],
+                    self._sensor_settings(),
                 )
         except DiagnosticError as error:
             self.problem = error.one_line
@@ -276,11 +280,19 @@ class BaseDriverNode(GuardedLifecycleNode):
         else:
             self.problem, self._reported = "", None
             self._next_device_data = -math.inf
+            if self._sensors is not None:
+                self._sensors.attach(self.robot)
             self._joints = messages.JointMessages(self.model)
             self.parameters.give_all()
             return True
         self.get_logger().error(self.problem)
         return False
+
+    def _sensor_settings(self) -> SensorSettings | None:
+        if self._sensors is None:
+            return None
+        values = self.values
+        return SensorSettings(values["sensor_errors"], images=values["publish_images"])
 
     def _use_parameters(self, parameter_set: str | None, changes: Changes) -> None:
         if self.robot is None:
@@ -303,6 +315,9 @@ class BaseDriverNode(GuardedLifecycleNode):
         self._entities += [self._odometry, self._joint_states, self._battery, self._diagnostics]
         self._entities += [self._base_state, self._joint_commands]
         self._create_device_topics()
+        if self.values["base"] == "mujoco" and self.values["publish_sensors"]:
+            self._sensors = SensorTopics(self)
+            self._entities += self._sensors.entities
         self._clock_topic = self._tf = self._from_devices = None
         if self.owns_clock:
             self._clock_topic = self.create_publisher(Clock, "/clock", 1)
@@ -443,6 +458,8 @@ class BaseDriverNode(GuardedLifecycleNode):
             self._clock_topic.publish(Clock(clock=stamp))
         if not robot.base.lacks_joint_states:
             self._publish_motion(robot, stamp)
+        if self._sensors is not None:
+            self._sensors.publish()
         if state.command is not None:
             command = state.command.joints
             message = messages.joint_commands_message(self.model, command, stamp)

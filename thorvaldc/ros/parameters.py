@@ -124,6 +124,15 @@ PARAMETERS: tuple[NodeParameter, ...] = (
         highest=1000.0,
     ),
     NodeParameter("publish_clock", False, "publish the simulated time on /clock (ideal, mujoco)"),
+    NodeParameter("publish_sensors", True, "measure with the sensors of the modules (mujoco)"),
+    NodeParameter(
+        "sensor_errors",
+        1.0,
+        "factor of the errors of the sensors that the modules state; 0: exact measurements",
+        lowest=0.0,
+        highest=1000.0,
+    ),
+    NodeParameter("publish_images", False, "cameras draw images, which needs OpenGL (mujoco)"),
     NodeParameter("autostart", True, "configure and activate the node at its start; never arms it"),
     NodeParameter(
         "stamped",

@@ -21,6 +21,11 @@ SENSORS = """\
   imu: {type: sensor/imu, mount: frame.rear_center}
   gnss: {type: sensor/gnss_antenna, mount: {parent: frame, xyz: [0.3 m, 0.2 m, 0.1 m]}}
 """
+ALL_SENSORS = f"""\
+{SENSORS}\
+  tower: {{type: sensor/lidar_3d, mount: {{parent: frame, xyz: [0, 0, 0.4 m]}}}}
+  camera: {{type: sensor/camera, mount: {{parent: frame, xyz: [0.4 m, 0.2 m, 0.1 m]}}}}
+"""
 
 
 def simulation(
