@@ -90,6 +90,8 @@ class SensorSettings:
     - ``seed``: seed of the random number generators; each sensor has one.
     - ``images``: true if cameras draw images, which needs OpenGL; otherwise they only state their
       calibration.
+    - ``for_filters``: true if the variances of an IMU are those for filters that take the errors of
+      two readings as independent: they count how long its errors last.
     - ``gyro``, ``gyro_bias``: standard deviation and constant error of the angular velocity in
       rad/s, in place of those of the modules, or ``None``.  ``Noise`` has the same numbers for the
       yaw rate that the driver reads.
@@ -98,6 +100,7 @@ class SensorSettings:
     errors: float = 1.0
     seed: int = 0
     images: bool = False
+    for_filters: bool = False
     gyro: float | None = None
     gyro_bias: float | None = None
 

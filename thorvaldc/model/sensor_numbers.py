@@ -30,6 +30,7 @@ _DEFAULTS: Mapping[str, Mapping[str, float]] = {
         "accelerometer_noise": 0.0,
         "accelerometer_bias": 0.0,
         "orientation_accuracy": 0.0,
+        "orientation_time": 10.0,
     },
     "gnss": {"rate": 10.0, "accuracy": 0.0, "wander": 0.0, "wander_time": 60.0},
     "camera": {

@@ -292,7 +292,11 @@ class BaseDriverNode(GuardedLifecycleNode):
         if self._sensors is None:
             return None
         values = self.values
-        return SensorSettings(values["sensor_errors"], images=values["publish_images"])
+        return SensorSettings(
+            values["sensor_errors"],
+            images=values["publish_images"],
+            for_filters=values["twist_covariance"] == FOR_FILTERS,
+        )
 
     def _use_parameters(self, parameter_set: str | None, changes: Changes) -> None:
         if self.robot is None:

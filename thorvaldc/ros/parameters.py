@@ -161,8 +161,8 @@ PARAMETERS: tuple[NodeParameter, ...] = (
     NodeParameter(
         "twist_covariance",
         MEASURED,
-        "covariance of the twist of the odometry: of one twist, or for filters that take the errors"
-        " of the twists as independent",
+        "covariance of the twist of the odometry, and of a simulated IMU: of one measurement, or for"
+        " filters that take the errors of two measurements as independent",
         choices=(MEASURED, FOR_FILTERS),
     ),
     NodeParameter(

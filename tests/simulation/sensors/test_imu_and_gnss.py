@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from bench.sensors import local
 from tests.simulation.sensors.rover import simulation
 from thorvaldc.diagnostics import Report
-from thorvaldc.model.sensor_numbers import WORLD_ORIGIN
 from thorvaldc.runtime.se2 import Pose2
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.sensors.gnss import geodetic
@@ -74,16 +75,33 @@ def test_errors_of_an_imu_are_those_of_the_module(tmp_path: Path) -> None:
     force = np.array([m.acceleration for m in taken])
     assert gyro.std(axis=0) == pytest.approx([3 * 0.00015 * 10.0] * 3, rel=0.05)
     assert force.std(axis=0) == pytest.approx([3 * 0.001 * 10.0] * 3, rel=0.05)
-    yaw = np.array([2.0 * m.orientation[3] for m in taken])
-    assert yaw.std() == pytest.approx(3 * math.radians(1.0), rel=0.05)
     # The variances are those of the module, whatever the errors of the scenario are.
     assert taken[0].angular_velocity_variance == pytest.approx((0.00015 * 10.0) ** 2)
     assert taken[0].orientation_variance == pytest.approx(math.radians(1.0) ** 2)
+    filters = replace(imu.settings, for_filters=True)
+    imu.settings = filters
+    reading = imu.measure(seen)
+    n = np.arange(-10**5, 10**5)  # the sum of the autocorrelation over all lags
+    lasting = np.exp(-abs(n) * 0.01 / 10.0).sum()
+    assert reading.orientation_variance == pytest.approx(math.radians(1.0) ** 2 * lasting)
     biases = []
     for seed in range(60):
         run = simulation(tmp_path, f"noise: {{seed: {seed}}}\n", sensors="sensors: {errors: 100}\n")
         biases.append(run.sensors[IMU]._gyro_bias)
-    assert np.std(biases) == pytest.approx(100 * math.radians(0.002), rel=0.2)
+    assert np.std(biases) == pytest.approx(100 * math.radians(0.01), rel=0.2)
+
+
+def test_errors_of_the_orientation_last(tmp_path: Path) -> None:
+    imu = (
+        "  imu: {type: sensor/imu, mount: frame.rear_center, params:"
+        " {rate: 10 Hz, orientation_accuracy: 2 deg, orientation_time: 1 s}}\n"
+    )
+    keys, sensors = drive(0.0, 0.0), "sensors: {errors: 1}\n"
+    run = simulation(tmp_path, keys, imu, sensors=sensors, duration=400.0)
+    yaw = np.array([2.0 * m.orientation[3] for m in readings(run, IMU)])
+    assert yaw.std() == pytest.approx(math.radians(2.0), rel=0.15)
+    correlation = (yaw[10:] * yaw[:-10]).mean() / yaw.var()
+    assert correlation == pytest.approx(math.exp(-1.0), abs=0.12)
 
 
 def test_the_gyro_of_a_scenario_replaces_that_of_the_module(tmp_path: Path) -> None:
@@ -98,34 +116,6 @@ def test_an_imu_without_orientation_says_so(tmp_path: Path) -> None:
     imu = "  imu: {type: sensor/imu, mount: frame.rear_center, params: {orientation_accuracy: 0}}\n"
     run = simulation(tmp_path, modules=imu)
     assert run.sensors[IMU].measure(run.sensors.seen()).orientation is None
-
-
-def ecef(latitude: float, longitude: float, height: float) -> Any:
-    """Returns the Cartesian coordinates of a position on WGS 84."""
-    a, e2 = 6378137.0, 0.0066943799901413165
-    lat, lon = math.radians(latitude), math.radians(longitude)
-    n = a / math.sqrt(1.0 - e2 * math.sin(lat) ** 2)
-    return np.array(
-        [
-            (n + height) * math.cos(lat) * math.cos(lon),
-            (n + height) * math.cos(lat) * math.sin(lon),
-            (n * (1.0 - e2) + height) * math.sin(lat),
-        ]
-    )
-
-
-def local(latitude: float, longitude: float, height: float) -> Any:
-    """Returns the position east, north and up of the origin of the world."""
-    lat, lon = (math.radians(angle) for angle in WORLD_ORIGIN[:2])
-    sin, cos = math.sin, math.cos
-    axes = np.array(
-        [
-            [-sin(lon), cos(lon), 0.0],
-            [-sin(lat) * cos(lon), -sin(lat) * sin(lon), cos(lat)],
-            [cos(lat) * cos(lon), cos(lat) * sin(lon), sin(lat)],
-        ]
-    )
-    return axes @ (ecef(latitude, longitude, height) - ecef(*WORLD_ORIGIN))
 
 
 @pytest.mark.parametrize(

@@ -458,7 +458,11 @@ class _SectionReader:
             )
         bias = None if noise.gyro is None else noise.gyro_bias
         return SensorSettings(
-            settings["errors"], noise.seed, settings["images"], noise.gyro, bias
+            settings["errors"],
+            noise.seed,
+            settings["images"],
+            gyro=noise.gyro,
+            gyro_bias=bias,
         )
 
     def expectations(self, expected: Section) -> Iterator[Expectation]:

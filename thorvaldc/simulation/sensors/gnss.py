@@ -39,32 +39,20 @@ class Fix(Measurement):
 class Gnss(SimulatedSensor):
     """A GNSS receiver with its antenna at the measurement frame.
 
-    The error of a fix is the sum of a white and of a slow part.  With the share s of the variance
-    that is slow, and its correlation time T, the slow part is a first-order Gauss-Markov process:
-    after the time t it is exp(-t/T) of its old value plus a new error, and its variance stays s
-    times the square of the accuracy.
+    The share ``wander`` of the variance of a fix changes slowly, and the rest is white.  The stated
+    variance is that of a fix, as receivers state it.
     """
 
-    def reset(self) -> None:
-        super().reset()
-        accuracy, share = self.numbers["accuracy"], self.numbers["wander"]
-        self._slow_deviation = accuracy * math.sqrt(share)
-        self._white_deviation = accuracy * math.sqrt(1.0 - share)
-        self._slow = self._errors(self._slow_deviation, 3)
-        self._time = 0.0
-
     def measure(self, seen: SeenScene) -> Fix:
-        position, _ = self.pose(seen)
-        kept = math.exp(-(seen.data.time - self._time) / self.numbers["wander_time"])
-        self._time = seen.data.time
-        new = self._errors(self._slow_deviation * math.sqrt(1.0 - kept * kept), 3)
-        self._slow = kept * self._slow + new
-        errors = self._slow + self._errors(self._white_deviation, 3)
-        return Fix(
-            *self._common(seen),
-            *geodetic(seen.level @ position + errors),
-            self.numbers["accuracy"] ** 2,
+        values = self.numbers
+        accuracy, share = values["accuracy"], values["wander"]
+        slow = self._slow_errors(
+            accuracy * math.sqrt(share), values["wander_time"], seen.data.time
         )
+        white = self._errors(accuracy * math.sqrt(1.0 - share), 3)
+        position, _ = self.pose(seen)
+        place = geodetic(seen.level @ position + slow + white)
+        return Fix(*self._common(seen), *place, accuracy**2)
 
 
 def geodetic(position: Array) -> tuple[float, float, float]:

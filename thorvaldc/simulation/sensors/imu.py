@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from thorvaldc.runtime.odometry import DRIVE_ERROR_TIME, sum_of_autocorrelation
 from thorvaldc.simulation.sensors.simulated_sensor import (
     Array,
     Measurement,
@@ -26,7 +27,7 @@ class ImuReading(Measurement):
     - ``angular_velocity``: (3) in rad/s.
     - ``acceleration``: (3) specific force in m/s^2: a unit at rest measures gravity upwards.
     - ``orientation_variance``, ``angular_velocity_variance``, ``acceleration_variance``: variances
-      of each axis by the numbers of the module.
+      of each axis by the numbers of the module, see ``SensorSettings.for_filters``.
     """
 
     orientation: tuple[float, float, float, float] | None
@@ -42,7 +43,8 @@ class Imu(SimulatedSensor):
 
     The acceleration is the mean since the last reading, as in a unit that integrates between two
     readings, so that the impacts of a contact in a single step of the physics do not dominate it.
-    A noise density d gives the standard deviation d sqrt(rate) of a reading.
+    A noise density d gives the standard deviation d sqrt(rate) of a reading.  The errors of the
+    orientation last for ``orientation_time``, and biases for the whole run.
     """
 
     def reset(self) -> None:
@@ -70,17 +72,20 @@ class Imu(SimulatedSensor):
             gyro_errors = self.random.normal(settings.gyro_bias or 0.0, settings.gyro, 3)
             deviation = settings.gyro or deviation
         force_errors = self._errors(self._accelerometer, 3) + self._accelerometer_bias
-        turn_errors = self._errors(values["orientation_accuracy"], 3)
-        orientation = None
-        if values["orientation_accuracy"]:
-            orientation = _turned(turn_errors, seen.level @ rotation)
+        accuracy, lasting = values["orientation_accuracy"], values["orientation_time"]
+        turn_errors = self._slow_errors(accuracy, lasting, seen.data.time)
+        orientation = _turned(turn_errors, seen.level @ rotation) if accuracy else None
+        orientation_variance, gyro_variance = accuracy**2, deviation**2
+        if settings.for_filters:
+            orientation_variance *= sum_of_autocorrelation(lasting, self.period)
+            gyro_variance += 2.0 * DRIVE_ERROR_TIME / self.period * values["gyro_bias"] ** 2
         return ImuReading(
             *self._common(seen),
             orientation,
             rotation.T @ turning + gyro_errors,
             force + force_errors,
-            values["orientation_accuracy"] ** 2,
-            deviation**2,
+            orientation_variance,
+            gyro_variance,
             self._accelerometer**2,
         )
 

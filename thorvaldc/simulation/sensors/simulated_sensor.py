@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -117,6 +118,8 @@ class SimulatedSensor:
         digest = hashlib.sha256(text.encode()).digest()
         self.random = np.random.default_rng(int.from_bytes(digest))
         self.latest = None
+        self._slow: Array | None = None
+        self._slow_time = 0.0
 
     def measure(self, seen: SeenScene) -> Measurement:
         """Returns the measurement at the time of ``seen``, with the errors of the sensor."""
@@ -130,6 +133,19 @@ class SimulatedSensor:
     def _errors(self, deviation: float, count: int) -> Array:
         """Returns ``count`` independent normal errors, scaled by the settings."""
         return self.random.normal(0.0, deviation * self.settings.errors, count)
+
+    def _slow_errors(self, deviation: float, correlation_time: float, now: float) -> Array:
+        """Returns the present errors (3) of a first-order Gauss-Markov process.
+
+        After the time t, an error is exp(-t/T) of its old value plus a new error, with the
+        correlation time T; its standard deviation stays ``deviation``.
+        """
+        kept = math.exp(-(now - self._slow_time) / correlation_time)
+        if self._slow is None:
+            self._slow, kept = np.zeros(3), 0.0
+        new = self._errors(deviation * math.sqrt(1.0 - kept * kept), 3)
+        self._slow, self._slow_time = kept * self._slow + new, now
+        return self._slow
 
     def _common(self, seen: SeenScene) -> tuple[str, float, str, tuple[float, ...]]:
         """Returns the fields of ``Measurement``."""
