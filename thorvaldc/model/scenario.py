@@ -93,8 +93,8 @@ class SensorSettings:
     - ``for_filters``: true if the variances of an IMU are those for filters that take the errors of
       two readings as independent: they count how long its errors last.
     - ``gyro``, ``gyro_bias``: standard deviation and constant error of the angular velocity in
-      rad/s, in place of those of the modules, or ``None``.  ``Noise`` has the same numbers for the
-      yaw rate that the driver reads.
+      rad/s.  If ``gyro`` is not ``None``, they replace those of the modules; ``Noise`` has the same
+      numbers for the yaw rate that the driver reads.
     """
 
     errors: float = 1.0
@@ -102,7 +102,7 @@ class SensorSettings:
     images: bool = False
     for_filters: bool = False
     gyro: float | None = None
-    gyro_bias: float | None = None
+    gyro_bias: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

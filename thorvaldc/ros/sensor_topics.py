@@ -29,34 +29,30 @@ class SensorTopics:
         from thorvaldc.backends.ros2_parts import sensor_topics  # not on a robot's computer
 
         self._publishers = {
-            node.model.prefix + sensor.name: {
-                kind: node.create_publisher(_class_of(kind), topic, DEPTH)
-                for topic, kind, _ in sensor_topics(sensor)
-            }
+            (node.model.prefix + sensor.name, kind): node.create_publisher(
+                _class_of(kind), topic, DEPTH
+            )
             for sensor in node.model.sensors
+            for topic, kind, _ in sensor_topics(sensor)
         }
-        self.entities = [p for topics in self._publishers.values() for p in topics.values()]
-        self._measured: list[tuple[Any, Any]] = []
+        self.entities = list(self._publishers.values())
 
     def attach(self, robot: DrivenRobot) -> None:
-        """Takes the measurements of a robot in MuJoCo from now on."""
+        """Publishes the messages of a robot in MuJoCo from now on, when ``publish`` is called."""
+        self._pending: list[tuple[Any, Any]] = []
         self._sensors: Any = robot.base.scene.sensors  # type: ignore[attr-defined]
-        self._measured.clear()
-        self._sensors.listeners.append(lambda *measured: self._measured.append(measured))
+        self._sensors.listeners.append(lambda *measured: self._pending.append(measured))
 
     def publish(self) -> None:
         """Publishes what was measured since the last call."""
-        from thorvaldc.simulation.sensors.ros_messages import build, messages
-
-        for sensor, measurement in self._measured:
-            publishers = self._publishers[sensor.name]
-            for message in messages(measurement):
-                publishers[message.type].publish(build(message, _class_of, _sequence, tuple))
-        self._measured.clear()
-        for name, sensor in self._sensors.items():
-            sensor.active = sensor.sensor.type not in _COSTLY or any(
-                p.get_subscription_count() for p in self._publishers[name].values()
-            )
+        for sensor, message in self._pending:
+            publisher = self._publishers[sensor.name, message.ros_type]
+            publisher.publish(message.build(_class_of, _array))
+        self._pending.clear()
+        for sensor in self._sensors.values():
+            sensor.active = sensor.sensor.type not in _COSTLY
+        for (name, _), publisher in self._publishers.items():
+            self._sensors[name].active |= publisher.get_subscription_count() > 0
 
 
 def _class_of(kind: str) -> Any:
@@ -64,6 +60,6 @@ def _class_of(kind: str) -> Any:
     return getattr(importlib.import_module(f"{package}.msg"), name)
 
 
-def _sequence(values: Any) -> Any:
+def _array(values: Any) -> Any:
     # rclpy checks each number of a list, and takes an array of the right type as it is.
-    return array.array(values.dtype.char, values.tobytes())
+    return values if isinstance(values, tuple) else array.array(values.dtype.char, values.tobytes())

@@ -27,8 +27,7 @@ from thorvaldc.simulation.control_loop import ControlLoop, Manoeuvre, Simulation
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import CollisionCounter, MujocoScene
 from thorvaldc.simulation.physics.sim_base import GroundTruthBase, RollingBase, SimBase, WheelErrors
-
-from thorvaldc.simulation.records.recorder import Recorder, SensorRecorder
+from thorvaldc.simulation.records.recorder import Recorder
 
 if TYPE_CHECKING:
     from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
@@ -239,9 +238,8 @@ class Simulation:
         * ``wheel_errors``: errors of the wheels by robot name.  The drivers do not correct the
           wheel errors.
         * ``open_loop``: true if the drive motors apply a voltage without speed control.
-        * ``sensors``: settings of the sensors of the modules, which then measure in MuJoCo, see
-          ``sensors``.  ``None``: they measure, with the default settings, after the first use of
-          ``sensors``.
+        * ``sensors``: settings of the sensors of the modules, which then measure in MuJoCo.
+          ``None``: they measure, with the default settings, from the first use of ``sensors`` on.
 
         A simulation with ideal joints uses ``RollingBase``, in which no wheel slips, for robots
         with wheel errors or with ``open_loop``.
@@ -264,10 +262,10 @@ class Simulation:
         world = model.world if isinstance(model, Fleet) else None
         self.rails = world is not None and any(block.kind == "rail" for block in world.blocks)
         self.scene = None if files is None else MujocoScene(files)
-        self._files = files
+        self._files, self._sensor_settings = files, sensors
         self._suite: SensorSuite | None = None
         if sensors is not None:
-            self._suite = self._sensor_suite(sensors)
+            _ = self.sensors
         self.wheel_errors = wheel_errors or {}
         self.open_loop = open_loop
 
@@ -282,34 +280,33 @@ class Simulation:
     def sensors(self) -> SensorSuite:
         """The simulated sensors of the robots by name; in a fleet with the robot: ``r1/lidar``.
 
-        ``sensors["lidar"].latest`` is the last measurement of a run, and the functions in
-        ``sensors.listeners`` are called with each measurement.  The motion of a run is the same
-        with and without sensors.
+        ``sensors["lidar"].latest`` is the last message of a run, and the functions in
+        ``sensors.listeners`` are called with each sensor and message.  The motion of a run is the
+        same with and without sensors.
 
         Raises ``DiagnosticError`` for ideal joints, which have no scene to measure.
         """
         if self._suite is None:
-            self._suite = self._sensor_suite(SensorSettings())
+            if self.scene is None or self._files is None:
+                raise DiagnosticError(
+                    "simulation-scene",
+                    "sensors need a scene to measure, and ideal joints have none",
+                    hint="leave out --ideal; in Python, give `Simulation` the files of the mjcf",
+                )
+            # Runs without sensors do not import numpy for them.
+            from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
+
+            robots, settings = [robot for _, robot in self.robots], self._sensor_settings
+            self._suite = SensorSuite(self.scene, self._files, robots, settings or SensorSettings())
         return self._suite
 
     def record_sensors(self, recorders: Sequence[Recorder]) -> None:
-        """Gives the measurements to the recorders that take them, if sensors measure."""
+        """Gives the messages of the sensors to the MCAP recorders, if the sensors measure."""
         if self._suite is not None:
-            takers = [r.measured for r in recorders if isinstance(r, SensorRecorder)]
-            self._suite.listeners += takers
+            from thorvaldc.simulation.records.mcap_writer import McapRecorder
 
-    def _sensor_suite(self, settings: SensorSettings) -> SensorSuite:
-        if self.scene is None or self._files is None:
-            raise DiagnosticError(
-                "simulation-scene",
-                "sensors need a scene to measure, which ideal joints do not have",
-                hint="give the files of the target mjcf to `Simulation`",
-            )
-        # Runs without sensors do not import numpy for them.
-        from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
-
-        robots = [robot for _, robot in self.robots]
-        return SensorSuite(self.scene, self._files, robots, settings)
+            bags = [r.measured for r in recorders if isinstance(r, McapRecorder)]
+            self._suite.listeners += bags
 
     def run(
         self,

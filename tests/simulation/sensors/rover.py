@@ -42,6 +42,4 @@ def simulation(
     (folder / "trial.yaml").write_text(text + sensors + keys)
     compilation = compile_file(folder / "trial.yaml")
     assert compilation.scenario is not None, [d.message for d in compilation.report]
-    return ScenarioSimulation(
-        compilation.scenario, emit(compilation.scenario.fleet, ["mjcf"])
-    )
+    return ScenarioSimulation(compilation.scenario, emit(compilation.scenario.fleet, ["mjcf"]))

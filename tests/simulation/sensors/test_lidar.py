@@ -30,9 +30,10 @@ CLOUD = "  tower: {type: sensor/lidar_3d, mount: {parent: frame, xyz: [0, 0, 0.4
 
 def rays(suite: Any, name: str) -> tuple[Any, Any, Any]:
     """Returns the origin, the directions in the scene, and the exact distances of a lidar."""
-    seen = suite.seen()
-    origin, rotation = suite[name].pose(seen)
-    return origin, suite[name].directions @ rotation.T, suite[name].distances(seen)
+    lidar = suite[name]
+    lidar.seen.update()
+    origin, rotation = lidar.pose()
+    return origin, lidar.directions @ rotation.T, lidar.distances()
 
 
 def circle(origin: Any, direction: Any, centre: Any, radius: float) -> float:
@@ -93,7 +94,9 @@ world: {zones: [{xyz: [8 m, 0, 0], size: [10 m, 10 m], height: 600 mm, slope: 0.
 
 
 def test_points_of_rough_ground_lie_on_its_triangles(tmp_path: Path) -> None:
-    world = "world: {ground: {type: rough, amplitude: 60 mm, wavelength: 2 m, size: [20 m, 20 m]}}\n"
+    world = (
+        "world: {ground: {type: rough, amplitude: 60 mm, wavelength: 2 m, size: [20 m, 20 m]}}\n"
+    )
     run = simulation(tmp_path, world, SENSORS + CLOUD)
     ground = run.scenario.fleet.world.ground
     grid = np.array(heights(ground, [p.pose for p in run.scenario.fleet.placements]), np.float32)
@@ -113,7 +116,9 @@ def test_points_of_rough_ground_lie_on_its_triangles(tmp_path: Path) -> None:
         # The diagonal of a cell goes from (0, 0) to (1, 1) or from (1, 0) to (0, 1).
         one = a + s * (b - a) + t * (d - b) if s > t else a + t * (c - a) + s * (d - c)
         other = (
-            a + s * (b - a) + t * (c - a) if s + t < 1.0 else d + (1 - s) * (c - d) + (1 - t) * (b - d)
+            a + s * (b - a) + t * (c - a)
+            if s + t < 1.0
+            else d + (1 - s) * (c - d) + (1 - t) * (b - d)
         )
         assert min(abs(one - z), abs(other - z)) < 1e-6
         checked += 1
@@ -152,9 +157,9 @@ def test_errors_of_a_scan_are_those_of_the_module(tmp_path: Path) -> None:
     params = "{range_noise: 20 mm, dropouts: 0.1, minimum_range: 2.8 m, range: 5 m}"
     lidar = f"  lidar: {{type: sensor/lidar_2d, mount: frame.front_center, params: {params}}}\n"
     run = simulation(tmp_path, WALLS, lidar, sensors="sensors: {errors: 1}\nnoise: {seed: 3}\n")
-    sensor, seen = run.sensors["rover/lidar"], run.sensors.seen()
-    exact = sensor.distances(seen)
-    scans = np.array([sensor.measure(seen).ranges for _ in range(200)])
+    sensor = run.sensors["rover/lidar"]
+    exact = sensor.distances()
+    scans = np.array([sensor.measure()[0].ranges for _ in range(200)])
     inside = (exact > 2.9) & (exact < 4.8)
     errors = scans[:, inside] - exact[inside]
     kept = np.isfinite(errors)
@@ -167,6 +172,6 @@ def test_errors_of_a_scan_are_those_of_the_module(tmp_path: Path) -> None:
     assert set(np.unique(scans[:, near])) <= {-math.inf, math.inf}
     # Equal seeds give equal errors, other seeds other ones.
     sensor.reset()
-    assert (sensor.measure(seen).ranges == scans[0]).all()
+    assert (sensor.measure()[0].ranges == scans[0]).all()
     other = simulation(tmp_path, WALLS, lidar, sensors="sensors: {errors: 1}\nnoise: {seed: 4}\n")
-    assert (other.sensors["rover/lidar"].measure(other.sensors.seen()).ranges != scans[0]).any()
+    assert (other.sensors["rover/lidar"].measure()[0].ranges != scans[0]).any()

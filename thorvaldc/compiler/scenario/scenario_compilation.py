@@ -456,14 +456,9 @@ class _SectionReader:
                 settings.node.where,
                 hint=f"mount a module with one of these: {', '.join(SIMULATED)}",
             )
-        bias = None if noise.gyro is None else noise.gyro_bias
-        return SensorSettings(
-            settings["errors"],
-            noise.seed,
-            settings["images"],
-            gyro=noise.gyro,
-            gyro_bias=bias,
-        )
+        errors, images = settings["errors"], settings["images"]
+        bias = noise.gyro_bias
+        return SensorSettings(errors, noise.seed, images, gyro=noise.gyro, gyro_bias=bias)
 
     def expectations(self, expected: Section) -> Iterator[Expectation]:
         """Yields the expected range of each metric in the section `expect` of a scenario."""

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 SCENE = "mjcf/scene.xml"
 HOME = "home"
+SceneFiles = Path | str | Mapping[str, bytes]
 Prepare = Callable[[Any], None] | None
 _DIVERGED_SPEED = 1e4
 """Norm of all joint speeds (m/s, rad/s) from which a simulation counts as diverged."""
@@ -40,7 +41,7 @@ class MujocoScene:
 
     def __init__(
         self,
-        files: Path | str | Mapping[str, bytes],
+        files: SceneFiles,
         scene: str = SCENE,
         *,
         visuals: bool = False,

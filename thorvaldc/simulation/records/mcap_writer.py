@@ -12,7 +12,7 @@ of the robot:
 ``joint_commands``    JointState       the joint commands of the driver
 ====================  ===============  ====================================================
 
-The measurements of sensors have the topics that the node has, such as ``lidar/scan``.
+Sensors have the topics that the node has, such as ``lidar/scan``.
 
 The topics ``/tf`` and ``/tf_static`` have these frames::
 
@@ -44,8 +44,7 @@ from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.records.recorder import SampleInterval
 
 if TYPE_CHECKING:
-    from thorvaldc.simulation.sensors.ros_messages import Message
-    from thorvaldc.simulation.sensors.simulated_sensor import Measurement, SimulatedSensor
+    from thorvaldc.simulation.sensors.simulated_sensor import Message, SimulatedSensor
 
 # -- ROS 2 messages --------------------------------------------------------------------------------
 
@@ -203,16 +202,10 @@ class MessageTypes:
 
     def serialized(self, message: Message) -> bytes:
         """Returns the bytes of the message of a sensor."""
-        from thorvaldc.simulation.sensors.ros_messages import build
+        from numpy import asarray
 
-        built = build(message, self._store.types.__getitem__, lambda a: a, _array)
-        return bytes(self._store.serialize_cdr(built, message.type))
-
-
-def _array(values: tuple[float, ...]) -> Any:
-    import numpy
-
-    return numpy.array(values)
+        built = message.build(self._store.types.__getitem__, asarray)
+        return bytes(self._store.serialize_cdr(built, message.ros_type))
 
 
 def latched_qos() -> Any:
@@ -289,7 +282,7 @@ class McapRecorder:
         self._failed = False
         self._tf: Any = None
         self._tf_static: Any = None
-        self._sensors: dict[str, tuple[dict[str, Any], MessageTemplate]] = {}
+        self._sensors: dict[tuple[str, str], tuple[Any, MessageTemplate]] = {}
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
         with errors_with_name(path):
@@ -321,25 +314,19 @@ class McapRecorder:
             with uninterrupted(), self._failing():
                 self._write()
 
-    def measured(self, sensor: SimulatedSensor, measurement: Measurement) -> None:
-        """Queues a measurement of a sensor, and the pose of its frame, for the next write."""
-        from thorvaldc.simulation.sensors.ros_messages import messages
-
-        time = round(measurement.time * 1e9)
-        if sensor.name not in self._sensors:
-            names = ros2_parts.sensor_topics(sensor.sensor)
-            connections = {
-                kind: self._connect(f"/{sensor.robot.prefix}{topic}", kind)
-                for topic, kind, _ in names
-            }
-            base = f"{sensor.robot.prefix}base_link"
-            mount = transforms_template([(base, measurement.frame)])
-            self._sensors[sensor.name] = connections, mount
+    def measured(self, sensor: SimulatedSensor, message: Message) -> None:
+        """Queues a message of a sensor, and the pose of its frame, for the next write."""
+        time, prefix = round(sensor.seen.data.time * 1e9), sensor.robot.prefix
+        key = sensor.name, message.ros_type
+        if key not in self._sensors:
+            topics = {kind: topic for topic, kind, _ in ros2_parts.sensor_topics(sensor.sensor)}
+            connection = self._connect(f"/{prefix}{topics[message.ros_type]}", message.ros_type)
+            mount = transforms_template([(f"{prefix}base_link", sensor.frame)])
+            self._sensors[key] = connection, mount
             self._tf = self._tf or self._connect("/tf", _TF)
-        connections, mount = self._sensors[sensor.name]
-        for message in messages(measurement):
-            self.send(connections[message.type], time, self._types.serialized(message))
-        self.send_tf(time, mount.encode(time, measurement.mount))
+        connection, mount = self._sensors[key]
+        self.send(connection, time, self._types.serialized(message))
+        self.send_tf(time, mount.encode(time, sensor.mount()))
 
     def close(self) -> None:
         if not self._folder.exists():

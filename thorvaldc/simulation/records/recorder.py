@@ -6,14 +6,11 @@ import hashlib
 import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol
 
 from thorvaldc.diagnostics import Report, Span, did_you_mean
 from thorvaldc.runtime.base_interface import JointCommands
 from thorvaldc.simulation.control_loop import ControlLoop, Sample, TickCallback
-
-if TYPE_CHECKING:
-    from thorvaldc.simulation.sensors.simulated_sensor import Measurement, SimulatedSensor
 
 
 class Recorder(Protocol):
@@ -27,13 +24,6 @@ class Recorder(Protocol):
     def record(self, robot: str, sample: Sample, commands: JointCommands | None) -> None: ...
 
     def close(self) -> None: ...
-
-
-@runtime_checkable
-class SensorRecorder(Protocol):
-    """A recorder that also receives the measurements of the sensors, in the order of time."""
-
-    def measured(self, sensor: SimulatedSensor, measurement: Measurement) -> None: ...
 
 
 def record_ticks(recorders: Sequence[Recorder]) -> TickCallback:

@@ -3,37 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-
 
 from thorvaldc.model.sensor_numbers import WORLD_ORIGIN
 from thorvaldc.simulation.sensors.simulated_sensor import (
     Array,
-    Measurement,
-    SeenScene,
+    Message,
     SimulatedSensor,
+    diagonal,
 )
 
-_EQUATOR = 6378137.0
-"""Semi-major axis of the ellipsoid WGS 84 in m."""
-_FLATTENING = 1.0 / 298.257223563
+_EQUATOR, _FLATTENING = 6378137.0, 1.0 / 298.257223563
+"""Semi-major axis of the ellipsoid WGS 84 in m, and its flattening."""
+_POLE = _EQUATOR * (1.0 - _FLATTENING)
 _SQUARED = _FLATTENING * (2.0 - _FLATTENING)
 """Square of the first eccentricity."""
-
-
-@dataclass(frozen=True, slots=True)
-class Fix(Measurement):
-    """A position of a GNSS antenna.
-
-    - ``latitude``, ``longitude``: in degrees, on WGS 84.
-    - ``altitude``: height above the ellipsoid in m.
-    - ``variance``: variance of each of east, north and up in m^2, by the numbers of the module.
-    """
-
-    latitude: float
-    longitude: float
-    altitude: float
-    variance: float
 
 
 class Gnss(SimulatedSensor):
@@ -43,16 +26,24 @@ class Gnss(SimulatedSensor):
     variance is that of a fix, as receivers state it.
     """
 
-    def measure(self, seen: SeenScene) -> Fix:
-        values = self.numbers
-        accuracy, share = values["accuracy"], values["wander"]
-        slow = self._slow_errors(
-            accuracy * math.sqrt(share), values["wander_time"], seen.data.time
-        )
+    def measure(self) -> list[Message]:
+        accuracy, share = self.numbers["accuracy"], self.numbers["wander"]
+        slow = self._slow_errors(accuracy * math.sqrt(share), self.numbers["wander_time"])
         white = self._errors(accuracy * math.sqrt(1.0 - share), 3)
-        position, _ = self.pose(seen)
-        place = geodetic(seen.level @ position + slow + white)
-        return Fix(*self._common(seen), *place, accuracy**2)
+        position, _ = self.pose()
+        latitude, longitude, altitude = geodetic(self.seen.level @ position + slow + white)
+        # A fix with corrections of a base station, by the system GPS.
+        status = Message("sensor_msgs/msg/NavSatStatus", {"status": 2, "service": 1})
+        fix = self._message(
+            "NavSatFix",
+            status=status,
+            latitude=latitude,
+            longitude=longitude,
+            altitude=altitude,
+            position_covariance=diagonal(accuracy**2),
+            position_covariance_type=2,  # the diagonal is known
+        )
+        return [fix]
 
 
 def geodetic(position: Array) -> tuple[float, float, float]:
@@ -71,16 +62,13 @@ def geodetic(position: Array) -> tuple[float, float, float]:
     across = (normal + WORLD_ORIGIN[2]) * cos - sin * north + cos * up
     along = (normal * (1.0 - _SQUARED) + WORLD_ORIGIN[2]) * sin + cos * north + sin * up
     distance = math.hypot(across, east)
-    longitude += math.atan2(east, across)
     reduced = math.atan2(along, distance * (1.0 - _FLATTENING))
-    minor = _EQUATOR * (1.0 - _FLATTENING)
     for _ in range(3):
         latitude = math.atan2(
-            along + _SQUARED / (1.0 - _SQUARED) * minor * math.sin(reduced) ** 3,
+            along + _SQUARED / (1.0 - _SQUARED) * _POLE * math.sin(reduced) ** 3,
             distance - _SQUARED * _EQUATOR * math.cos(reduced) ** 3,
         )
         reduced = math.atan((1.0 - _FLATTENING) * math.tan(latitude))
     sin, cos = math.sin(latitude), math.cos(latitude)
-    normal = _EQUATOR / math.sqrt(1.0 - _SQUARED * sin * sin)
-    height = distance * cos + along * sin - normal * (1.0 - _SQUARED * sin * sin)
-    return math.degrees(latitude), math.degrees(longitude), height
+    height = distance * cos + along * sin - _EQUATOR * math.sqrt(1.0 - _SQUARED * sin * sin)
+    return math.degrees(latitude), math.degrees(longitude + math.atan2(east, across)), height

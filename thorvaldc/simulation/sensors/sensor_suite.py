@@ -6,17 +6,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import SensorSettings
-from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene, SceneFiles
 from thorvaldc.simulation.sensors.camera import Camera
 from thorvaldc.simulation.sensors.gnss import Gnss
 from thorvaldc.simulation.sensors.imu import Imu
 from thorvaldc.simulation.sensors.lidar import Lidar
-from thorvaldc.simulation.sensors.simulated_sensor import (
-    Measurement,
-    SceneFiles,
-    SeenScene,
-    SimulatedSensor,
-)
+from thorvaldc.simulation.sensors.simulated_sensor import Message, SeenScene, SimulatedSensor
 
 KINDS: Mapping[str, type[SimulatedSensor]] = {
     "lidar_2d": Lidar,
@@ -26,16 +21,15 @@ KINDS: Mapping[str, type[SimulatedSensor]] = {
     "camera": Camera,
 }
 """Classes of the simulated sensors by the type of the sensor; other types are left out."""
-Listener = Callable[[SimulatedSensor, Measurement], None]
-"""Function that is called with each measurement of a run."""
+Listener = Callable[[SimulatedSensor, Message], None]
+"""Function that is called with each message of a run."""
 
 
 class SensorSuite(Mapping[str, SimulatedSensor]):
     """The sensors of robots in a scene, by name; in a fleet with the name space: ``r1/lidar``.
 
     While the scene advances, each sensor measures at its rate: at the step of the physics that is
-    nearest to the due time.  ``listeners`` are called with each measurement, in the order of the
-    times.
+    nearest to the due time.  ``listeners`` are called with each message, in the order of the times.
     """
 
     def __init__(
@@ -47,18 +41,17 @@ class SensorSuite(Mapping[str, SimulatedSensor]):
     ) -> None:
         """Makes the sensors of ``robots``, which measure from now on whenever the scene advances.
 
-        ``files`` are those of the scene.  Raises ``DiagnosticError`` if they do not contain a
-        sensor.
+        ``files`` are those of the scene.  Raises ``DiagnosticError`` if they lack a sensor.
         """
         self._scene = scene
-        # A lidar does not see its own robot.
-        self._seen = seen = SeenScene(files, visuals=settings.images or len(robots) > 1)
-        self._sensors: dict[str, SimulatedSensor] = {}
-        for robot in robots:
-            for sensor in robot.sensors:
-                if sensor.type in KINDS:
-                    simulated = KINDS[sensor.type](robot, sensor, seen, settings)
-                    self._sensors[simulated.name] = simulated
+        # A lidar does not see its own robot, so that only several robots need visual shapes.
+        self._seen = SeenScene(scene, files, visuals=settings.images or len(robots) > 1)
+        self._sensors = {
+            robot.prefix + sensor.name: KINDS[sensor.type](robot, sensor, self._seen, settings)
+            for robot in robots
+            for sensor in robot.sensors
+            if sensor.type in KINDS
+        }
         self.listeners: list[Listener] = []
         self.reset()
         scene.sensors = self
@@ -74,18 +67,13 @@ class SensorSuite(Mapping[str, SimulatedSensor]):
 
     def reset(self) -> None:
         """Begins a run: the next measurements are due at once."""
+        self._counts = dict.fromkeys(self._sensors, 0)
         for sensor in self._sensors.values():
             sensor.reset()
-        self._counts = dict.fromkeys(self._sensors, 0)
-
-    def seen(self) -> SeenScene:
-        """Returns the scene at its present time, for ``SimulatedSensor.measure``."""
-        self._seen.update(self._scene)
-        return self._seen
+        self._seen.update()
 
     def advance(self, now: float) -> None:
-        """Runs the scene from one due measurement to the next, until the last one before ``now``
-        (s)."""
+        """Runs the scene from one due measurement to the next, up to the time ``now`` (s)."""
         sensors, counts, scene = self._sensors, self._counts, self._scene
         while sensors:
             due = min(counts[name] * sensor.period for name, sensor in sensors.items())
@@ -94,12 +82,12 @@ class SensorSuite(Mapping[str, SimulatedSensor]):
             scene.step_to(due)
             if scene.diverged:
                 return
-            seen = self.seen()
+            self._seen.update()
             for name, sensor in sensors.items():
                 if counts[name] * sensor.period > due + 1e-9:
                     continue
                 counts[name] += 1
-                if sensor.active:
-                    sensor.latest = measurement = sensor.measure(seen)
+                for message in sensor.measure() if sensor.active else ():
+                    sensor.latest = message
                     for listener in self.listeners:
-                        listener(sensor, measurement)
+                        listener(sensor, message)
