@@ -11,34 +11,21 @@ WORLD_ORIGIN = (59.665, 10.775, 90.0)
 """Latitude (deg), longitude (deg) and height (m) of the origin of simulated worlds for GNSS
 receivers: a field in As, Norway.  The x axis of a world points east, the y axis north."""
 
-_LIDAR = {
-    "range": 30.0,
-    "minimum_range": 0.05,
-    "field_of_view": math.tau,
-    "angular_resolution": math.radians(1.0),
-    "rate": 10.0,
-    "range_noise": 0.0,
-    "dropouts": 0.0,
-}
+_LIDAR = {"range": 30.0, "minimum_range": 0.05, "range_noise": 0.0, "dropouts": 0.0, "rate": 10.0}
+_LIDAR |= {"field_of_view": math.tau, "angular_resolution": math.radians(1.0)}
+_IMU = ("gyro_noise", "gyro_bias", "accelerometer_noise", "accelerometer_bias")
+_IMAGE = {"image_width": 1280.0, "image_height": 720.0}
 _DEFAULTS: Mapping[str, Mapping[str, float]] = {
     "lidar_2d": _LIDAR,
     "lidar_3d": {**_LIDAR, "vertical_field_of_view": math.radians(30.0), "layers": 16.0},
     "imu": {
         "rate": 100.0,
-        "gyro_noise": 0.0,
-        "gyro_bias": 0.0,
-        "accelerometer_noise": 0.0,
-        "accelerometer_bias": 0.0,
         "orientation_accuracy": 0.0,
         "orientation_time": 10.0,
+        **dict.fromkeys(_IMU, 0.0),
     },
     "gnss": {"rate": 10.0, "accuracy": 0.0, "wander": 0.0, "wander_time": 60.0},
-    "camera": {
-        "rate": 10.0,
-        "image_width": 1280.0,
-        "image_height": 720.0,
-        "horizontal_field_of_view": math.radians(69.0),
-    },
+    "camera": {"rate": 10.0, "horizontal_field_of_view": math.radians(69.0), **_IMAGE},
 }
 SIMULATED = tuple(_DEFAULTS)
 """Types of the sensors that simulators have."""

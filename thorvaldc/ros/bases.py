@@ -11,7 +11,6 @@ from thorvaldc.can.frame import CanInterface
 from thorvaldc.can.open_interface import lock_buses, open_interfaces
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
-from thorvaldc.model.scenario import SensorSettings
 from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driven_robot import DrivenRobot
 
@@ -20,17 +19,9 @@ class NodeError(Exception):
     """The node cannot start or drive; the message is one line for the operator."""
 
 
-def open_robot(
-    robot: Robot,
-    model_file: Path,
-    base: str,
-    bus: str,
-    factor: float,
-    sensors: SensorSettings | None = None,
-) -> DrivenRobot:
+def open_robot(robot: Robot, model_file: Path, base: str, bus: str, factor: float) -> DrivenRobot:
     """Opens a robot on the base ``base``.
 
-    ``sensors``: settings of the sensors in MuJoCo, or ``None`` if they do not measure.
     Raises ``NodeError`` if the base needs a package that is not installed, and ``DiagnosticError``
     if the base cannot be opened.
     """
@@ -39,7 +30,7 @@ def open_robot(
     if base == "bus":
         return _on_buses(robot, bus)
     try:
-        return _simulated(robot, model_file, base, factor, sensors)
+        return _simulated(robot, model_file, base, factor)
     except ModuleNotFoundError as error:
         raise NodeError(
             f"base `{base}` needs the Python package {error.name}: install the whole package"
@@ -72,9 +63,7 @@ def _over_buses(
     return DrivenRobot(robot, base, interfaces[robot.buses[0].name], factor=factor)
 
 
-def _simulated(
-    robot: Robot, model_file: Path, base: str, factor: float, sensors: SensorSettings | None
-) -> DrivenRobot:
+def _simulated(robot: Robot, model_file: Path, base: str, factor: float) -> DrivenRobot:
     # Only a computer with the whole package has these rooms.
     if base == "virtual":
         from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
@@ -90,16 +79,11 @@ def _simulated(
     from thorvaldc.simulation.physics.mujoco_base import MujocoBase
     from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
-    files = _scene_files(robot, model_file)
-    scene = MujocoScene(files)
-    if sensors is not None:
-        from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
-
-        SensorSuite(scene, files, [robot], sensors)
+    scene = MujocoScene(scene_files(robot, model_file))
     return DrivenRobot(robot, MujocoBase(robot, scene), factor=factor)
 
 
-def _scene_files(robot: Robot, model_file: Path) -> Path | Mapping[str, bytes]:
+def scene_files(robot: Robot, model_file: Path) -> Path | Mapping[str, bytes]:
     """Returns the folder with the MJCF files of the build, or makes them from the model."""
     from thorvaldc.simulation.physics.mujoco_scene import SCENE
 

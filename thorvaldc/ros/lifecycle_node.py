@@ -32,7 +32,6 @@ from std_msgs.msg import Bool, String
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.diagnostics import DiagnosticError
-from thorvaldc.model.scenario import SensorSettings
 from thorvaldc.model.settings import FOR_FILTERS
 from thorvaldc.ros import messages
 from thorvaldc.ros.bases import NodeError, description_text, open_robot
@@ -271,8 +270,9 @@ class BaseDriverNode(GuardedLifecycleNode):
                     values["base"],
                     values["bus"],
                     values["real_time_factor"],
-                    self._sensor_settings(),
                 )
+            if self._sensors is not None:
+                self._sensors.attach(self.robot)
         except DiagnosticError as error:
             self.problem = error.one_line
         except (NodeError, OSError) as error:
@@ -280,23 +280,11 @@ class BaseDriverNode(GuardedLifecycleNode):
         else:
             self.problem, self._reported = "", None
             self._next_device_data = -math.inf
-            if self._sensors is not None:
-                self._sensors.attach(self.robot)
             self._joints = messages.JointMessages(self.model)
             self.parameters.give_all()
             return True
         self.get_logger().error(self.problem)
         return False
-
-    def _sensor_settings(self) -> SensorSettings | None:
-        if self._sensors is None:
-            return None
-        values = self.values
-        return SensorSettings(
-            values["sensor_errors"],
-            images=values["publish_images"],
-            for_filters=values["twist_covariance"] == FOR_FILTERS,
-        )
 
     def _use_parameters(self, parameter_set: str | None, changes: Changes) -> None:
         if self.robot is None:

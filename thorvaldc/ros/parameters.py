@@ -125,13 +125,7 @@ PARAMETERS: tuple[NodeParameter, ...] = (
     ),
     NodeParameter("publish_clock", False, "publish the simulated time on /clock (ideal, mujoco)"),
     NodeParameter("publish_sensors", True, "measure with the sensors of the modules (mujoco)"),
-    NodeParameter(
-        "sensor_errors",
-        1.0,
-        "factor of the errors of the sensors that the modules state; 0: exact measurements",
-        lowest=0.0,
-        highest=1000.0,
-    ),
+    NodeParameter("sensor_errors", 1.0, "factor of the errors of sensors", lowest=0.0, highest=1e3),
     NodeParameter("publish_images", False, "cameras draw images, which needs OpenGL (mujoco)"),
     NodeParameter("autostart", True, "configure and activate the node at its start; never arms it"),
     NodeParameter(
@@ -161,8 +155,8 @@ PARAMETERS: tuple[NodeParameter, ...] = (
     NodeParameter(
         "twist_covariance",
         MEASURED,
-        "covariance of the twist of the odometry, and of a simulated IMU: of one measurement, or for"
-        " filters that take the errors of two measurements as independent",
+        "covariance of the twist of the odometry, and of a simulated IMU: of one measurement, or"
+        " for filters that take the errors of two measurements as independent",
         choices=(MEASURED, FOR_FILTERS),
     ),
     NodeParameter(

@@ -10,6 +10,9 @@ import array
 import importlib
 from typing import Any
 
+from thorvaldc.model.scenario import SensorSettings
+from thorvaldc.model.settings import FOR_FILTERS
+from thorvaldc.ros.bases import scene_files
 from thorvaldc.runtime.driven_robot import DrivenRobot
 
 DEPTH = 10
@@ -20,39 +23,45 @@ _COSTLY = ("lidar_2d", "lidar_3d", "camera")
 
 
 class SensorTopics:
-    """The publishers of a node for the sensors of its robot.
-
-    ``entities``: the publishers that the node removes.
-    """
+    """The publishers of a node for the sensors of its robot; the node removes ``entities``."""
 
     def __init__(self, node: Any) -> None:
         from thorvaldc.backends.ros2_parts import sensor_topics  # not on a robot's computer
 
+        self._node = node
         self._publishers = {
-            (node.model.prefix + sensor.name, kind): node.create_publisher(
-                _class_of(kind), topic, DEPTH
-            )
+            (sensor.name, kind): node.create_publisher(_class_of(kind), topic, DEPTH)
             for sensor in node.model.sensors
             for topic, kind, _ in sensor_topics(sensor)
         }
         self.entities = list(self._publishers.values())
 
     def attach(self, robot: DrivenRobot) -> None:
-        """Publishes the messages of a robot in MuJoCo from now on, when ``publish`` is called."""
-        self._pending: list[tuple[Any, Any]] = []
-        self._sensors: Any = robot.base.scene.sensors  # type: ignore[attr-defined]
+        """Makes the sensors of a robot in MuJoCo measure, for ``publish``."""
+        from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
+
+        model, values = self._node.model, self._node.values
+        settings = SensorSettings(
+            values["sensor_errors"],
+            images=values["publish_images"],
+            for_filters=values["twist_covariance"] == FOR_FILTERS,
+        )
+        scene, files = robot.base.scene, scene_files(model, self._node.model_file)  # type: ignore
+        self._sensors = SensorSuite(scene, files, [model], settings)
+        self._pending: list[Any] = []
         self._sensors.listeners.append(lambda *measured: self._pending.append(measured))
 
     def publish(self) -> None:
         """Publishes what was measured since the last call."""
         for sensor, message in self._pending:
-            publisher = self._publishers[sensor.name, message.ros_type]
+            publisher = self._publishers[sensor.sensor.name, message.ros_type]
             publisher.publish(message.build(_class_of, _array))
         self._pending.clear()
         for sensor in self._sensors.values():
-            sensor.active = sensor.sensor.type not in _COSTLY
-        for (name, _), publisher in self._publishers.items():
-            self._sensors[name].active |= publisher.get_subscription_count() > 0
+            name = sensor.sensor.name
+            sensor.active = sensor.sensor.type not in _COSTLY or any(
+                p.get_subscription_count() for (n, _), p in self._publishers.items() if n == name
+            )
 
 
 def _class_of(kind: str) -> Any:

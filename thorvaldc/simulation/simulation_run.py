@@ -262,7 +262,7 @@ class Simulation:
         world = model.world if isinstance(model, Fleet) else None
         self.rails = world is not None and any(block.kind == "rail" for block in world.blocks)
         self.scene = None if files is None else MujocoScene(files)
-        self._files, self._sensor_settings = files, sensors
+        self._files, self._sensor_settings = files, sensors or SensorSettings()
         self._suite: SensorSuite | None = None
         if sensors is not None:
             _ = self.sensors
@@ -297,7 +297,7 @@ class Simulation:
             from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
 
             robots, settings = [robot for _, robot in self.robots], self._sensor_settings
-            self._suite = SensorSuite(self.scene, self._files, robots, settings or SensorSettings())
+            self._suite = SensorSuite(self.scene, self._files, robots, settings)
         return self._suite
 
     def record_sensors(self, recorders: Sequence[Recorder]) -> None:

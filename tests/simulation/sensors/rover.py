@@ -38,7 +38,8 @@ def simulation(
 ) -> ScenarioSimulation:
     """Returns the simulation of a scenario with the robot ``rover`` and more keys."""
     (folder / "rover.yaml").write_text(ROBOT + modules)
-    text = f"thorvaldc: 1\nscenario: trial\nrobots: {{rover: {{robot: rover.yaml}}}}\nduration: {duration}\n"
+    text = "thorvaldc: 1\nscenario: trial\nrobots: {rover: {robot: rover.yaml}}\n"
+    text += f"duration: {duration}\n"
     (folder / "trial.yaml").write_text(text + sensors + keys)
     compilation = compile_file(folder / "trial.yaml")
     assert compilation.scenario is not None, [d.message for d in compilation.report]

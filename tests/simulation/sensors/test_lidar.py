@@ -25,7 +25,12 @@ world:
     post: {shape: cylinder, xyz: [0, 3 m, 0], diameter: 0.6 m, height: 3 m}
     ball: {shape: sphere, xyz: [0, -3 m, 0.2 m], diameter: 1 m}
 """
-CLOUD = "  tower: {type: sensor/lidar_3d, mount: {parent: frame, xyz: [0, 0, 0.4 m]}, params: {angular_resolution: 2 deg}}\n"
+CLOUD = """\
+  tower:
+    type: sensor/lidar_3d
+    mount: {parent: frame, xyz: [0, 0, 0.4 m]}
+    params: {angular_resolution: 2 deg}
+"""
 
 
 def rays(suite: Any, name: str) -> tuple[Any, Any, Any]:
@@ -142,7 +147,8 @@ def test_two_robots_see_each_other(tmp_path: Path) -> None:
     run = simulation(tmp_path, sensors="sensors: {errors: 0}\n")
     (tmp_path / "trial.yaml").write_text(
         "thorvaldc: 1\nscenario: trial\nduration: 1 s\nsensors: {errors: 0}\n"
-        "robots:\n  a: {robot: rover.yaml}\n  b: {robot: rover.yaml, xyz: [4 m, 0, 0], yaw: 180 deg}\n"
+        "robots:\n  a: {robot: rover.yaml}\n"
+        "  b: {robot: rover.yaml, xyz: [4 m, 0, 0], yaw: 180 deg}\n"
     )
     scenario = compile_file(tmp_path / "trial.yaml").scenario
     assert scenario is not None

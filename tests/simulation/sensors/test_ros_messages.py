@@ -54,7 +54,8 @@ def test_mcap_reads_the_measurements(bag: tuple[Path, Any]) -> None:
                 assert stamp.sec * 10**9 + stamp.nanosec == message.log_time
             messages.setdefault(f"{channel.topic} {schema.name}", []).append(decoded)
     scans = messages["/rover/lidar/scan sensor_msgs/msg/LaserScan"]
-    assert len(scans) == 51 and scans[0].header.frame_id == "rover/lidar_laser"
+    assert len(scans) == 51
+    assert scans[0].header.frame_id == "rover/lidar_laser"
     ranges = np.array(scans[-1].ranges)
     assert ranges == pytest.approx(run.sensors["rover/lidar"].latest.ranges, rel=1e-6)
     assert np.isfinite(ranges).sum() > 50
@@ -180,7 +181,8 @@ def test_the_topics_satisfy_the_inputs_of_the_generated_files(
     }
     with bag[0].open("rb") as file:
         summary = make_reader(file).get_summary()
-    assert summary is not None and summary.statistics is not None
+    assert summary is not None
+    assert summary.statistics is not None
     counts = summary.statistics.channel_message_counts
     published = {
         channel.topic: (summary.schemas[channel.schema_id].name, counts[number] / 2.0)

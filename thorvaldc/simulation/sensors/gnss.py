@@ -5,18 +5,10 @@ from __future__ import annotations
 import math
 
 from thorvaldc.model.sensor_numbers import WORLD_ORIGIN
-from thorvaldc.simulation.sensors.simulated_sensor import (
-    Array,
-    Message,
-    SimulatedSensor,
-    diagonal,
-)
+from thorvaldc.simulation.sensors.simulated_sensor import Array, Message, SimulatedSensor, diagonal
 
-_EQUATOR, _FLATTENING = 6378137.0, 1.0 / 298.257223563
-"""Semi-major axis of the ellipsoid WGS 84 in m, and its flattening."""
-_POLE = _EQUATOR * (1.0 - _FLATTENING)
-_SQUARED = _FLATTENING * (2.0 - _FLATTENING)
-"""Square of the first eccentricity."""
+_EQUATOR, _SQUARED = 6378137.0, 0.0066943799901413165
+"""Semi-major axis (m) and square of the first eccentricity of the ellipsoid WGS 84."""
 
 
 class Gnss(SimulatedSensor):
@@ -30,13 +22,12 @@ class Gnss(SimulatedSensor):
         accuracy, share = self.numbers["accuracy"], self.numbers["wander"]
         slow = self._slow_errors(accuracy * math.sqrt(share), self.numbers["wander_time"])
         white = self._errors(accuracy * math.sqrt(1.0 - share), 3)
-        position, _ = self.pose()
-        latitude, longitude, altitude = geodetic(self.seen.level @ position + slow + white)
+        place = geodetic(self.seen.level @ self.pose()[0] + slow + white)
+        latitude, longitude, altitude = place
         # A fix with corrections of a base station, by the system GPS.
-        status = Message("sensor_msgs/msg/NavSatStatus", {"status": 2, "service": 1})
         fix = self._message(
             "NavSatFix",
-            status=status,
+            status=Message("sensor_msgs/msg/NavSatStatus", {"status": 2, "service": 1}),
             latitude=latitude,
             longitude=longitude,
             altitude=altitude,
@@ -48,27 +39,22 @@ class Gnss(SimulatedSensor):
 
 def geodetic(position: Array) -> tuple[float, float, float]:
     """Returns latitude (deg), longitude (deg) and height (m) of a position (3) east, north and up
-    of ``WORLD_ORIGIN`` in m.
+    of ``WORLD_ORIGIN`` in m, which is a vector in the tangent plane, as in Gazebo.
 
-    The position is a vector in the tangent plane, as in Gazebo.  Source of the formulas: Bowring,
-    "Transformation from spatial to geographical coordinates" (1976), repeated until the latitude
-    stays the same.
+    The latitude is the fixed point of tan(latitude) = (z + e^2 N sin(latitude)) / p, with the
+    distance p from the axis; each round multiplies the error by e^2.
     """
     latitude, longitude = (math.radians(angle) for angle in WORLD_ORIGIN[:2])
-    east, north, up = (float(value) for value in position)
+    east, north, up = position.tolist()
     sin, cos = math.sin(latitude), math.cos(latitude)
     normal = _EQUATOR / math.sqrt(1.0 - _SQUARED * sin * sin)
     # In the meridian plane of the origin: distance from the axis, and along the axis.
     across = (normal + WORLD_ORIGIN[2]) * cos - sin * north + cos * up
     along = (normal * (1.0 - _SQUARED) + WORLD_ORIGIN[2]) * sin + cos * north + sin * up
     distance = math.hypot(across, east)
-    reduced = math.atan2(along, distance * (1.0 - _FLATTENING))
-    for _ in range(3):
-        latitude = math.atan2(
-            along + _SQUARED / (1.0 - _SQUARED) * _POLE * math.sin(reduced) ** 3,
-            distance - _SQUARED * _EQUATOR * math.cos(reduced) ** 3,
-        )
-        reduced = math.atan((1.0 - _FLATTENING) * math.tan(latitude))
-    sin, cos = math.sin(latitude), math.cos(latitude)
-    height = distance * cos + along * sin - _EQUATOR * math.sqrt(1.0 - _SQUARED * sin * sin)
+    for _ in range(7):
+        latitude = math.atan2(along + _SQUARED * normal * sin, distance)
+        sin, cos = math.sin(latitude), math.cos(latitude)
+        normal = _EQUATOR / math.sqrt(1.0 - _SQUARED * sin * sin)
+    height = distance * cos + along * sin - _EQUATOR**2 / normal
     return math.degrees(latitude), math.degrees(longitude + math.atan2(east, across)), height

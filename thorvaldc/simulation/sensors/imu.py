@@ -48,15 +48,17 @@ class Imu(SimulatedSensor):
         if settings.gyro is not None:
             gyro_errors = self.random.normal(settings.gyro_bias, settings.gyro, 3)
             deviation = settings.gyro or deviation
-        force = mean_rotation.T @ (acceleration - seen.gravity) + self._accelerometer_bias
-        orientation = self._orientation(rotation)
-        variances = self._variances(deviation)
+        force = mean_rotation.T @ (acceleration - seen.model.opt.gravity) + self._accelerometer_bias
+        w, *xyz = self._orientation(rotation)
+        turn_variance, gyro_variance = self._variances(deviation)
+        # REP 145: -1 marks an orientation that the unit does not know.
+        unknown = (-1.0, *[0.0] * 8)
         message = self._message(
             "Imu",
-            orientation=_vector("Quaternion", (*orientation[1:], orientation[0])),
-            orientation_covariance=variances[0],
+            orientation=_vector("Quaternion", (*xyz, w)),
+            orientation_covariance=diagonal(turn_variance) if turn_variance else unknown,
             angular_velocity=_vector("Vector3", rotation.T @ motion[:3] + gyro_errors),
-            angular_velocity_covariance=variances[1],
+            angular_velocity_covariance=diagonal(gyro_variance),
             linear_acceleration=_vector("Vector3", force + self._errors(self._accelerometer, 3)),
             linear_acceleration_covariance=diagonal(self._accelerometer**2),
         )
@@ -65,13 +67,12 @@ class Imu(SimulatedSensor):
     def _mean(self, velocity: Array, rotation: Array) -> tuple[Array, Array]:
         """Returns the mean acceleration (3) in the scene and the mean rotation (3, 3) since the
         last reading.  The first reading of a run takes the robot as at rest."""
-        last, time = self._last, self.seen.data.time
-        if last is not None and time <= last[0]:
+        last, now = self._last, self.seen.data.time
+        if last is None or now > last[0]:
+            self._last = (now, velocity, rotation)
+        if last is None or now <= last[0]:
             return np.zeros(3), rotation
-        self._last = (time, velocity, rotation)
-        if last is None:
-            return np.zeros(3), rotation
-        return (velocity - last[1]) / (time - last[0]), (rotation + last[2]) / 2.0
+        return (velocity - last[1]) / (now - last[0]), (rotation + last[2]) / 2.0
 
     def _orientation(self, rotation: Array) -> list[float]:
         """Returns the quaternion w, x, y, z after small turns about east, north and up."""
@@ -82,16 +83,14 @@ class Imu(SimulatedSensor):
         mujoco.mju_mulQuat(result, turn, np.array(quaternion(self.seen.level @ rotation)))
         return [float(value) for value in result]
 
-    def _variances(self, gyro: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Returns the covariances of orientation and angular velocity, see ``SensorSettings``."""
+    def _variances(self, gyro: float) -> tuple[float, float]:
+        """Returns the variances of orientation and angular velocity, see ``SensorSettings``."""
         values = self.numbers
         orientation, gyro = values["orientation_accuracy"] ** 2, gyro**2
         if self.settings.for_filters:
             orientation *= sum_of_autocorrelation(values["orientation_time"], self.period)
             gyro += 2.0 * DRIVE_ERROR_TIME / self.period * values["gyro_bias"] ** 2
-        # REP 145: -1 marks an orientation that the unit does not know.
-        unknown = (-1.0, *[0.0] * 8)
-        return diagonal(orientation) if orientation else unknown, diagonal(gyro)
+        return orientation, gyro
 
 
 def _vector(kind: str, values: Any) -> Message:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 from thorvaldc.model import Robot
 from thorvaldc.model.scenario import SensorSettings
@@ -13,19 +13,12 @@ from thorvaldc.simulation.sensors.imu import Imu
 from thorvaldc.simulation.sensors.lidar import Lidar
 from thorvaldc.simulation.sensors.simulated_sensor import Message, SeenScene, SimulatedSensor
 
-KINDS: Mapping[str, type[SimulatedSensor]] = {
-    "lidar_2d": Lidar,
-    "lidar_3d": Lidar,
-    "imu": Imu,
-    "gnss": Gnss,
-    "camera": Camera,
-}
-"""Classes of the simulated sensors by the type of the sensor; other types are left out."""
+_KINDS = {"lidar_2d": Lidar, "lidar_3d": Lidar, "imu": Imu, "gnss": Gnss, "camera": Camera}
 Listener = Callable[[SimulatedSensor, Message], None]
 """Function that is called with each message of a run."""
 
 
-class SensorSuite(Mapping[str, SimulatedSensor]):
+class SensorSuite(dict[str, SimulatedSensor]):
     """The sensors of robots in a scene, by name; in a fleet with the name space: ``r1/lidar``.
 
     While the scene advances, each sensor measures at its rate: at the step of the physics that is
@@ -37,7 +30,7 @@ class SensorSuite(Mapping[str, SimulatedSensor]):
         scene: MujocoScene,
         files: SceneFiles,
         robots: Sequence[Robot],
-        settings: SensorSettings = SensorSettings(),
+        settings: SensorSettings,
     ) -> None:
         """Makes the sensors of ``robots``, which measure from now on whenever the scene advances.
 
@@ -46,47 +39,35 @@ class SensorSuite(Mapping[str, SimulatedSensor]):
         self._scene = scene
         # A lidar does not see its own robot, so that only several robots need visual shapes.
         self._seen = SeenScene(scene, files, visuals=settings.images or len(robots) > 1)
-        self._sensors = {
-            robot.prefix + sensor.name: KINDS[sensor.type](robot, sensor, self._seen, settings)
-            for robot in robots
-            for sensor in robot.sensors
-            if sensor.type in KINDS
-        }
+        for robot in robots:
+            for sensor in robot.sensors:
+                if sensor.type in _KINDS:
+                    kind: type[SimulatedSensor] = _KINDS[sensor.type]
+                    self[robot.prefix + sensor.name] = kind(robot, sensor, self._seen, settings)
         self.listeners: list[Listener] = []
         self.reset()
         scene.sensors = self
 
-    def __getitem__(self, name: str) -> SimulatedSensor:
-        return self._sensors[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._sensors)
-
-    def __len__(self) -> int:
-        return len(self._sensors)
-
     def reset(self) -> None:
         """Begins a run: the next measurements are due at once."""
-        self._counts = dict.fromkeys(self._sensors, 0)
-        for sensor in self._sensors.values():
+        self._counts, self._due = dict.fromkeys(self, 0), dict.fromkeys(self, 0.0)
+        for sensor in self.values():
             sensor.reset()
         self._seen.update()
 
     def advance(self, now: float) -> None:
         """Runs the scene from one due measurement to the next, up to the time ``now`` (s)."""
-        sensors, counts, scene = self._sensors, self._counts, self._scene
-        while sensors:
-            due = min(counts[name] * sensor.period for name, sensor in sensors.items())
-            if due > now + 1e-9:
-                return
+        scene, times = self._scene, self._due
+        while times and (due := min(times.values())) <= now + 1e-9:
             scene.step_to(due)
             if scene.diverged:
                 return
             self._seen.update()
-            for name, sensor in sensors.items():
-                if counts[name] * sensor.period > due + 1e-9:
+            for name, sensor in self.items():
+                if times[name] > due + 1e-9:
                     continue
-                counts[name] += 1
+                self._counts[name] += 1
+                times[name] = self._counts[name] * sensor.period
                 for message in sensor.measure() if sensor.active else ():
                     sensor.latest = message
                     for listener in self.listeners:

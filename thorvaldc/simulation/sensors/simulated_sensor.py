@@ -18,8 +18,6 @@ from thorvaldc.simulation.physics.mujoco_scene import MujocoScene, SceneFiles
 
 Array = Any
 """Array of numpy.  Its shape is in the documentation."""
-PLATE_GROUP = 1
-"""Group of the visible plates of zones, a millimetre above the ground, which no ray shall hit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,16 +38,16 @@ class Message:
         raise AttributeError(name)
 
     def build(self, class_of: Callable[[str], Any], array: Callable[[Any], Any]) -> Any:
-        """Returns an object of the class ``class_of(ros_type)``, for rclpy or the library rosbags.
+        """Returns an object of the class ``class_of(ros_type)``, of rclpy or the library rosbags.
 
         ``array`` converts tuples and arrays of numpy.
         """
 
         def converted(field: Any) -> Any:
-            if isinstance(field, Message):
-                return field.build(class_of, array)
             if isinstance(field, list):
                 return [converted(item) for item in field]
+            if isinstance(field, Message):
+                return field.build(class_of, array)
             return array(field) if isinstance(field, tuple | np.ndarray) else field
 
         return class_of(self.ros_type)(**{n: converted(v) for n, v in self.values.items()})
@@ -61,7 +59,6 @@ class SeenScene:
     After a step, the arrays of MuJoCo have the poses at the beginning of the step, and the physics
     needs no visual shapes.  With a scene of their own, sensors do not change the motion of a run.
 
-    - ``gravity``: (3) in m/s^2.
     - ``level``: (3, 3) rotation from the frame of the scene to east, north and up.  The frame of a
       scene on a slope is the plane of the slope, with a tilted gravity.
     """
@@ -69,12 +66,11 @@ class SeenScene:
     def __init__(self, simulated: MujocoScene, files: SceneFiles, *, visuals: bool) -> None:
         self.scene, self._simulated = MujocoScene(files, visuals=visuals), simulated
         self.model, self.data = self.scene.model, self.scene.data
-        plates = (self.model.geom_bodyid == 0) & (self.model.geom_group == 2)
-        self.model.geom_group[plates] = PLATE_GROUP
-        self.gravity = self.model.opt.gravity.copy()
+        # No ray shall hit the visible plates of zones, a millimetre above the ground.
+        self.model.geom_group[(self.model.geom_bodyid == 0) & (self.model.geom_group == 2)] = 1
         # The smallest rotation that turns the direction u against gravity into the z axis: with
         # v = u x z and c = u . z, Rodrigues' formula is I + [v] + [v]^2 / (1 + c).
-        x, y, z = (-self.gravity / np.linalg.norm(self.gravity)).tolist()
+        x, y, z = (-self.model.opt.gravity / np.linalg.norm(self.model.opt.gravity)).tolist()
         skew = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
         self.level = np.eye(3) + skew + skew @ skew / (1.0 + z)
 
