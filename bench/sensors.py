@@ -29,6 +29,7 @@ from thorvaldc.backends.ros2_parameters import process_noise
 from thorvaldc.compiler.pipeline import compile_file, emit, load
 from thorvaldc.diagnostics import Report
 from thorvaldc.model import Robot
+from thorvaldc.model.scenario import Noise as Errors
 from thorvaldc.model.scenario import SensorSettings
 from thorvaldc.model.sensor_numbers import WORLD_ORIGIN
 from thorvaldc.runtime.odometry import filter_covariance
@@ -66,7 +67,7 @@ def events_of(robot: Robot, files: Mapping[str, bytes], seed: int) -> list[Event
     ratios = 1.0 + rng.normal(0.0, radius_error, n)
     offsets = rng.normal(0.0, noise.steering_offset_error or 0.0, n)
     errors = {robot.name: WheelErrors(tuple(ratios), tuple(offsets))}
-    settings = SensorSettings(seed=seed, for_filters=True)
+    settings = SensorSettings(for_filters=True, noise=Errors(seed))
     simulation = Simulation(robot, files, wheel_errors=errors, sensors=settings)
     receiver = next(sensor for sensor in robot.sensors if sensor.type == "gnss").name
     events: list[Event] = []

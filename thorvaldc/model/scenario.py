@@ -87,22 +87,17 @@ class SensorSettings:
     """Settings of the simulated sensors (lidar, IMU, GNSS, camera) of all robots.
 
     - ``errors``: factor of the errors that the modules state; 0 for exact measurements.
-    - ``seed``: seed of the random number generators; each sensor has one.
-    - ``images``: true if cameras draw images, which needs OpenGL; otherwise they only state their
-      calibration.
+    - ``images``: true if cameras draw images, which needs OpenGL.
     - ``for_filters``: true if the variances of an IMU are those for filters that take the errors of
       two readings as independent: they count how long its errors last.
-    - ``gyro``, ``gyro_bias``: standard deviation and constant error of the angular velocity in
-      rad/s.  If ``gyro`` is not ``None``, they replace those of the modules; ``Noise`` has the same
-      numbers for the yaw rate that the driver reads.
+    - ``noise``: its seed, and the errors of the gyro in place of those of the modules, if
+      ``noise.gyro`` is not ``None``.
     """
 
     errors: float = 1.0
-    seed: int = 0
     images: bool = False
     for_filters: bool = False
-    gyro: float | None = None
-    gyro_bias: float = 0.0
+    noise: Noise = Noise()
 
 
 @dataclass(frozen=True, slots=True)

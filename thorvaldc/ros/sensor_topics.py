@@ -43,8 +43,8 @@ class SensorTopics:
         model, values = self._node.model, self._node.values
         settings = SensorSettings(
             values["sensor_errors"],
-            images=values["publish_images"],
-            for_filters=values["twist_covariance"] == FOR_FILTERS,
+            values["publish_images"],
+            values["twist_covariance"] == FOR_FILTERS,
         )
         scene, files = robot.base.scene, scene_files(model, self._node.model_file)  # type: ignore
         self._sensors = SensorSuite(scene, files, [model], settings)

@@ -456,9 +456,7 @@ class _SectionReader:
                 settings.node.where,
                 hint=f"mount a module with one of these: {', '.join(SIMULATED)}",
             )
-        errors, images = settings["errors"], settings["images"]
-        bias = noise.gyro_bias
-        return SensorSettings(errors, noise.seed, images, gyro=noise.gyro, gyro_bias=bias)
+        return SensorSettings(settings["errors"], settings["images"], noise=noise)
 
     def expectations(self, expected: Section) -> Iterator[Expectation]:
         """Yields the expected range of each metric in the section `expect` of a scenario."""

@@ -35,7 +35,7 @@ class Camera(SimulatedSensor):
             p=(f, 0.0, cx, 0.0, 0.0, f, cy, 0.0, 0.0, 0.0, 1.0, 0.0),
             binning_x=0,
             binning_y=0,
-            roi=Message("sensor_msgs/msg/RegionOfInterest", whole),
+            roi=Message("sensor_msgs/msg/RegionOfInterest", **whole),
         )
         return [*([self._image(width, height)] if self.settings.images else []), calibration]
 

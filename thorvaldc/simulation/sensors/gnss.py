@@ -27,7 +27,7 @@ class Gnss(SimulatedSensor):
         # A fix with corrections of a base station, by the system GPS.
         fix = self._message(
             "NavSatFix",
-            status=Message("sensor_msgs/msg/NavSatStatus", {"status": 2, "service": 1}),
+            status=Message("sensor_msgs/msg/NavSatStatus", status=2, service=1),
             latitude=latitude,
             longitude=longitude,
             altitude=altitude,

@@ -38,16 +38,16 @@ class Imu(SimulatedSensor):
         self._last: tuple[float, Array, Array] | None = None
 
     def measure(self) -> list[Message]:
-        seen, settings = self.seen, self.settings
+        seen, noise = self.seen, self.settings.noise
         _, rotation = self.pose()
         motion = np.empty(6)
         kind = mujoco.mjtObj.mjOBJ_SITE
         mujoco.mj_objectVelocity(seen.model, seen.data, kind, self._site, motion, 0)
         acceleration, mean_rotation = self._mean(motion[3:], rotation)
         gyro_errors, deviation = self._errors(self._gyro, 3) + self.gyro_bias, self._gyro
-        if settings.gyro is not None:
-            gyro_errors = self.random.normal(settings.gyro_bias, settings.gyro, 3)
-            deviation = settings.gyro or deviation
+        if noise.gyro is not None:
+            gyro_errors = self.random.normal(noise.gyro_bias, noise.gyro, 3)
+            deviation = noise.gyro or deviation
         force = mean_rotation.T @ (acceleration - seen.model.opt.gravity) + self._accelerometer_bias
         w, *xyz = self._orientation(rotation)
         turn_variance, gyro_variance = self._variances(deviation)
@@ -94,4 +94,6 @@ class Imu(SimulatedSensor):
 
 
 def _vector(kind: str, values: Any) -> Message:
-    return Message(f"geometry_msgs/msg/{kind}", dict(zip("xyzw", map(float, values), strict=False)))
+    return Message(
+        f"geometry_msgs/msg/{kind}", **dict(zip("xyzw", map(float, values), strict=False))
+    )

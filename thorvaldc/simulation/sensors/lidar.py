@@ -83,15 +83,15 @@ class Lidar(SimulatedSensor):
     def _points(self, distances: Array) -> Message:
         returned = np.isfinite(distances)
         points = self.directions[returned] * distances[returned, np.newaxis]
-        fields = [
-            {"name": name, "offset": 4 * i, "datatype": _FLOAT32, "count": 1}
-            for i, name in enumerate("xyz")
-        ]
+        field = {"datatype": _FLOAT32, "count": 1}
         return self._message(
             "PointCloud2",
             height=1,
             width=len(points),
-            fields=[Message("sensor_msgs/msg/PointField", field) for field in fields],
+            fields=[
+                Message("sensor_msgs/msg/PointField", name=name, offset=4 * i, **field)
+                for i, name in enumerate("xyz")
+            ],
             is_bigendian=False,
             point_step=12,
             row_step=12 * len(points),

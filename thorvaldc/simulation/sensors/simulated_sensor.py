@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -20,22 +20,16 @@ Array = Any
 """Array of numpy.  Its shape is in the documentation."""
 
 
-@dataclass(frozen=True, slots=True)
-class Message:
+class Message(SimpleNamespace):
     """A ROS 2 message, whose fields are attributes: ``message.header.stamp.sec``.
 
-    - ``ros_type``: such as ``sensor_msgs/msg/Imu``.
-    - ``values``: fields by name: a number, a text, a message, a list of messages, a tuple for an
-      array of fixed length, or an array of numpy for a sequence.
+    A field is a number, a text, a message, a list of messages, a tuple for an array of fixed
+    length, or an array of numpy.  ``ros_type`` is the type, such as ``sensor_msgs/msg/Imu``.
     """
 
-    ros_type: str
-    values: Mapping[str, Any]
-
-    def __getattr__(self, name: str) -> Any:
-        if name in self.values:
-            return self.values[name]
-        raise AttributeError(name)
+    def __init__(self, ros_type: str, **fields: Any) -> None:
+        super().__init__(**fields)
+        self.ros_type, self._fields = ros_type, fields
 
     def build(self, class_of: Callable[[str], Any], array: Callable[[Any], Any]) -> Any:
         """Returns an object of the class ``class_of(ros_type)``, of rclpy or the library rosbags.
@@ -50,7 +44,7 @@ class Message:
                 return field.build(class_of, array)
             return array(field) if isinstance(field, tuple | np.ndarray) else field
 
-        return class_of(self.ros_type)(**{n: converted(v) for n, v in self.values.items()})
+        return class_of(self.ros_type)(**{n: converted(v) for n, v in self._fields.items()})
 
 
 class SeenScene:
@@ -108,7 +102,7 @@ class SimulatedSensor:
     def reset(self) -> None:
         """Begins a run: equal runs have equal errors."""
         # SHA-256, because the function hash() of a text differs between processes.
-        digest = hashlib.sha256(f"{self.settings.seed} {self.name}".encode()).digest()
+        digest = hashlib.sha256(f"{self.settings.noise.seed} {self.name}".encode()).digest()
         self.random = np.random.default_rng(int.from_bytes(digest))
         self.latest: Message | None = None
         self._slow: Array | None = None
@@ -150,9 +144,9 @@ class SimulatedSensor:
     def _message(self, kind: str, **fields: Any) -> Message:
         """Returns a message of the package sensor_msgs with its header."""
         seconds, nanoseconds = divmod(round(self.seen.data.time * 1e9), 1_000_000_000)
-        stamp = Message("builtin_interfaces/msg/Time", {"sec": seconds, "nanosec": nanoseconds})
-        header = Message("std_msgs/msg/Header", {"stamp": stamp, "frame_id": self.frame})
-        return Message(f"sensor_msgs/msg/{kind}", {"header": header, **fields})
+        stamp = Message("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+        header = Message("std_msgs/msg/Header", stamp=stamp, frame_id=self.frame)
+        return Message(f"sensor_msgs/msg/{kind}", header=header, **fields)
 
 
 def quaternion(rotation: Array) -> list[float]:
