@@ -10,13 +10,10 @@ import math
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
-
-if TYPE_CHECKING:
-    from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
 
 SCENE = "mjcf/scene.xml"
 HOME = "home"
@@ -67,7 +64,7 @@ class MujocoScene:
         self._mujoco = mujoco
         self.data = mujoco.MjData(self.model)
         self.timestep = float(self.model.opt.timestep)
-        self.sensors: SensorSuite | None = None
+        self.sensors: Any = None
         # By default, MuJoCo resets a diverged simulation to the start without an error.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         if self.model.ntree <= 1:
