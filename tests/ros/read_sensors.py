@@ -1,4 +1,4 @@
-"""Reads the sensors of a node ``/r1`` with MuJoCo: names, types, frames, rates, covariances."""
+"""Reads the sensors of a node ``/rover`` with MuJoCo: names, types, frames, rates, covariances."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from tests.ros.client import Client
 RELIABLE = 10
 """Depth; the default of a subscription is a reliable one."""
 TOPICS = {
-    "lidar/scan": (LaserScan, qos_profile_sensor_data, "r1/lidar_laser", 25.0),
-    "tower/points": (PointCloud2, qos_profile_sensor_data, "r1/tower_laser", 10.0),
-    "imu/data": (Imu, qos_profile_sensor_data, "r1/imu_imu", 100.0),
-    "gnss/fix": (NavSatFix, RELIABLE, "r1/gnss_antenna", 10.0),
-    "camera/camera_info": (CameraInfo, RELIABLE, "r1/camera_optical", 30.0),
+    "lidar/scan": (LaserScan, qos_profile_sensor_data, "rover/lidar_laser", 25.0),
+    "tower/points": (PointCloud2, qos_profile_sensor_data, "rover/tower_laser", 10.0),
+    "imu/data": (Imu, qos_profile_sensor_data, "rover/imu_imu", 100.0),
+    "gnss/fix": (NavSatFix, RELIABLE, "rover/gnss_antenna", 10.0),
+    "camera/camera_info": (CameraInfo, RELIABLE, "rover/camera_optical", 30.0),
 }
 
 
 def main() -> None:
-    client = Client("/r1", stamped=True)
+    client = Client("/rover", stamped=True)
     received: dict[str, list[Any]] = {topic: [] for topic in TOPICS}
     for topic, (kind, qos, _, _) in TOPICS.items():
         keep = received[topic].append
-        client.node.create_subscription(kind, f"/r1/{topic}", keep, qos)
+        client.node.create_subscription(kind, f"/rover/{topic}", keep, qos)
     client.wait("measurements", lambda: min(map(len, received.values())) > 20)
     for topic, (_, _, frame, rate) in TOPICS.items():
         messages = received[topic]
@@ -41,7 +41,9 @@ def main() -> None:
     angles = scan.angle_max - scan.angle_min
     assert len(scan.ranges) == round(angles / scan.angle_increment) + 1 == 541
     assert scan.range_max == 25.0
-    assert all(math.isinf(r) for r in scan.ranges)
+    # The wall at x = 4 m, before the lidar at x = 0.476 m; nothing behind.
+    assert abs(scan.ranges[270] - 3.524) < 0.06
+    assert math.isinf(scan.ranges[0])
     cloud = received["tower/points"][-1]
     assert [f.name for f in cloud.fields] == ["x", "y", "z"]
     assert len(cloud.data) == cloud.width * cloud.point_step > 0
@@ -55,7 +57,7 @@ def main() -> None:
     info = received["camera/camera_info"][-1]
     assert (info.width, info.height) == (1280, 720)
     assert info.k[2] == 640.0
-    assert client.node.count_publishers("/r1/camera/image_raw") == 1
+    assert client.node.count_publishers("/rover/camera/image_raw") == 1
 
 
 if __name__ == "__main__":

@@ -270,6 +270,7 @@ class BaseDriverNode(GuardedLifecycleNode):
                     values["base"],
                     values["bus"],
                     values["real_time_factor"],
+                    values["world"],
                 )
             if self._sensors is not None:
                 self._sensors.attach(self.robot)

@@ -124,6 +124,7 @@ PARAMETERS: tuple[NodeParameter, ...] = (
         highest=1000.0,
     ),
     NodeParameter("publish_clock", False, "publish the simulated time on /clock (ideal, mujoco)"),
+    NodeParameter("world", "", "build of a scenario with this robot; empty: level ground (mujoco)"),
     NodeParameter("publish_sensors", True, "measure with the sensors of the modules (mujoco)"),
     NodeParameter("sensor_errors", 1.0, "factor of the errors of sensors", lowest=0.0, highest=1e3),
     NodeParameter("publish_images", False, "cameras draw images, which needs OpenGL (mujoco)"),

@@ -46,7 +46,7 @@ class SensorTopics:
             values["publish_images"],
             values["twist_covariance"] == FOR_FILTERS,
         )
-        scene, files = robot.base.scene, scene_files(model, self._node.model_file)  # type: ignore
+        scene, files = robot.base.scene, scene_files(model, self._node.model_file, values["world"])  # type: ignore
         self._sensors = SensorSuite(scene, files, [model], settings)
         self._pending: list[Any] = []
         self._sensors.listeners.append(lambda *measured: self._pending.append(measured))

@@ -38,7 +38,7 @@ class SensorSuite(dict[str, SimulatedSensor]):
         """
         self._scene = scene
         # A lidar does not see its own robot, so that only several robots need visual shapes.
-        self._seen = SeenScene(scene, files, visuals=settings.images or len(robots) > 1)
+        self._seen = SeenScene(scene, files, visuals=settings.images or scene.model.ntree > 1)
         for robot in robots:
             for sensor in robot.sensors:
                 if sensor.type in _KINDS:
