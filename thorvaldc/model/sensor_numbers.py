@@ -43,3 +43,17 @@ def sensor_numbers(sensor: Sensor) -> dict[str, float]:
 def ray_count(numbers: Mapping[str, float]) -> int:
     """Return the number of rays of one layer of a lidar, the first and the last one included."""
     return max(2, round(numbers["field_of_view"] / numbers["angular_resolution"]) + 1)
+
+
+def wrong_numbers(sensor: Sensor) -> list[str]:
+    """Return the names of the numbers of a sensor that no sensor can have: negative ones, zero
+    where the default is a positive number, and a share above 1."""
+    if sensor.type not in SIMULATED:
+        return []
+    defaults = {**_DEFAULTS[sensor.type], "minimum_range": 0.0}
+    shares = ("dropouts", "wander")
+    return [
+        name
+        for name, value in sensor_numbers(sensor).items()
+        if value < 0.0 or (value == 0.0 < defaults[name]) or (name in shares and value > 1.0)
+    ]

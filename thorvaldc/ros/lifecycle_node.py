@@ -308,7 +308,7 @@ class BaseDriverNode(GuardedLifecycleNode):
         self._entities += [self._odometry, self._joint_states, self._battery, self._diagnostics]
         self._entities += [self._base_state, self._joint_commands]
         self._create_device_topics()
-        if self.values["base"] == "mujoco" and self.values["publish_sensors"]:
+        if model.sensors and self.values["base"] == "mujoco" and self.values["publish_sensors"]:
             self._sensors = SensorTopics(self)
             self._entities += self._sensors.entities
         self._clock_topic = self._tf = self._from_devices = None

@@ -305,7 +305,7 @@ class Simulation:
         if self._suite is not None:
             from thorvaldc.simulation.records.mcap_writer import McapRecorder
 
-            self._suite.listeners += [r.measured for r in recorders if isinstance(r, McapRecorder)]
+            self._suite.recorders = [r.measured for r in recorders if isinstance(r, McapRecorder)]
 
     def run(
         self,

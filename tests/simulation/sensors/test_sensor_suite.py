@@ -13,9 +13,11 @@ import pytest
 import thorvaldc
 from bench.sensors import stamp
 from tests.examples import example_robot
-from tests.simulation.sensors.rover import ALL_SENSORS, SENSORS, simulation
-from thorvaldc.compiler.pipeline import emit
+from tests.simulation.sensors.rover import ALL_SENSORS, ROBOT, SENSORS, simulation
+from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import DiagnosticError, Report
+from thorvaldc.simulation.pictures import PictureError
+from thorvaldc.simulation.records.mcap_writer import McapRecorder
 
 CURVE = "script: [{at: 0, vx: 0.5, wz: 0.3}]\n"
 
@@ -102,7 +104,6 @@ def test_a_camera_states_its_calibration(tmp_path: Path) -> None:
 
 def test_a_camera_draws_images_where_opengl_is(tmp_path: Path) -> None:
     from tests.outside_tools import without
-    from thorvaldc.simulation.pictures import PictureError
 
     camera = (
         "  camera: {type: sensor/camera, mount: {parent: frame, xyz: [0.6 m, 0, 0.3 m]},"
@@ -112,12 +113,61 @@ def test_a_camera_draws_images_where_opengl_is(tmp_path: Path) -> None:
     sensors = "sensors: {images: true}\n"
     pictures = []
     for keys in ("", world):
-        run = simulation(tmp_path, keys, SENSORS + camera, sensors=sensors)
         try:
-            image, _ = run.sensors["rover/camera"].measure()
-        except PictureError as error:
-            without(str(error))
+            run = simulation(tmp_path, keys, SENSORS + camera, sensors=sensors)
+        except DiagnosticError as error:
+            without(error.one_line)
+        image, _ = run.sensors["rover/camera"].measure()
         assert (image.height, image.width, image.step) == (48, 64, 192)
         pictures.append(image.data.reshape(48, 64, 3).astype(float))
     # The wall hides the sky, in the upper half of the image.
     assert abs(pictures[0] - pictures[1])[:20].mean() > 20.0
+
+
+def test_images_without_opengl_are_an_error_at_the_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing() -> None:
+        raise PictureError("cannot draw without a display")
+
+    monkeypatch.setattr("thorvaldc.simulation.sensors.camera.choose_opengl_backend", missing)
+    with pytest.raises(DiagnosticError, match="cannot draw without a display"):
+        simulation(tmp_path, "", ALL_SENSORS, sensors="sensors: {images: true}\n")
+
+
+def test_a_sensor_does_not_measure_twice_in_a_step(tmp_path: Path) -> None:
+    fast = "  imu: {type: sensor/imu, mount: frame.rear_center, params: {rate: 1000 Hz}}\n"
+    times = [time for _, time, _ in measured(simulation(tmp_path, CURVE, fast, duration=0.5))]
+    assert times == pytest.approx(np.arange(101) * 0.005)
+
+
+@pytest.mark.parametrize(
+    "numbers", ["rate: 0 Hz", "angular_resolution: 0", "range: -1 m", "dropouts: 2"]
+)
+def test_numbers_that_no_sensor_can_have_are_errors(tmp_path: Path, numbers: str) -> None:
+    folder = tmp_path / "library" / "sensor" / "mine"
+    folder.mkdir(parents=True)
+    (folder / "module.yaml").write_text(
+        "thorvaldc: 1\ndescription: A lidar.\nmount: {kinds: [sensor_mount], link: body}\n"
+        "links: {body: {parts: [{shape: {box: [0.1, 0.1, 0.1]}, mass: 1 kg,"
+        " source: 'measured: scale'}]}}\n"
+        f"sensor: {{type: lidar_2d, link: body, properties: {{{numbers}}}}}\n"
+    )
+    module = (
+        "library: [library]\n" + ROBOT + "  mine: {type: sensor/mine, mount: {parent: frame}}\n"
+    )
+    (tmp_path / "rover.yaml").write_text(module)
+    compilation = compile_file(tmp_path / "rover.yaml")
+    name = numbers.partition(":")[0]
+    assert [d.message for d in compilation.report.errors if f"`{name}` of a lidar_2d" in d.message]
+
+
+def test_two_plays_write_two_records(tmp_path: Path) -> None:
+    run = simulation(tmp_path, CURVE, duration=0.5)
+    sizes = []
+    for name in ("a.mcap", "b.mcap"):
+        recorder = McapRecorder(tmp_path / name, run.robots, ("truth",))
+        run.play(Report(), [recorder])
+        recorder.close()
+        sizes.append((tmp_path / name).read_bytes())
+    assert sizes[0] == sizes[1]

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from thorvaldc.diagnostics import DiagnosticError
+from thorvaldc.simulation.pictures import PictureError
+from thorvaldc.simulation.pictures.render import choose_opengl_backend
 from thorvaldc.simulation.sensors.simulated_sensor import Message, SimulatedSensor
 
 
@@ -17,10 +21,22 @@ class Camera(SimulatedSensor):
     With images, the message of the image is before that of the calibration.
     """
 
-    _renderer: Any = None
+    def __init__(self, *arguments: Any) -> None:
+        """Raises ``DiagnosticError`` if it shall draw images and MuJoCo cannot draw."""
+        super().__init__(*arguments)
+        width, height = (int(self.numbers[f"image_{edge}"]) for edge in ("width", "height"))
+        self._size = width, height
+        if self.settings.images:
+            try:
+                choose_opengl_backend()
+            except PictureError as error:
+                raise DiagnosticError("simulation-scene", str(error)) from None
+            size = self.seen.model.vis.global_
+            size.offwidth, size.offheight = max(size.offwidth, width), max(size.offheight, height)
+            self._renderer = mujoco.Renderer(self.seen.model, height, width)
 
     def measure(self) -> list[Message]:
-        width, height = int(self.numbers["image_width"]), int(self.numbers["image_height"])
+        width, height = self._size
         f = width / 2.0 / math.tan(self.numbers["horizontal_field_of_view"] / 2.0)
         cx, cy = width / 2.0, height / 2.0
         whole = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}
@@ -37,25 +53,13 @@ class Camera(SimulatedSensor):
             binning_y=0,
             roi=Message("sensor_msgs/msg/RegionOfInterest", **whole),
         )
-        return [*([self._image(width, height)] if self.settings.images else []), calibration]
+        return [*self._images(), calibration]
 
-    def _image(self, width: int, height: int) -> Message:
-        model, data = self.seen.model, self.seen.data
-        if self._renderer is None:
-            from thorvaldc.simulation.pictures.render import choose_opengl_backend
-
-            choose_opengl_backend()
-            size = model.vis.global_
-            size.offwidth, size.offheight = max(size.offwidth, width), max(size.offheight, height)
-            self._renderer = mujoco.Renderer(model, height, width)
-        mujoco.mj_camlight(model, data)
-        self._renderer.update_scene(data, self.name)
-        return self._message(
-            "Image",
-            height=height,
-            width=width,
-            encoding="rgb8",
-            is_bigendian=0,
-            step=3 * width,
-            data=self._renderer.render().ravel(),
-        )
+    def _images(self) -> Iterator[Message]:
+        if self.settings.images:
+            width, height = self._size
+            mujoco.mj_camlight(self.seen.model, self.seen.data)
+            self._renderer.update_scene(self.seen.data, self.name)
+            pixels = self._renderer.render().ravel()
+            form = {"encoding": "rgb8", "is_bigendian": 0, "step": 3 * width}
+            yield self._message("Image", height=height, width=width, data=pixels, **form)

@@ -22,7 +22,8 @@ class SensorSuite(dict[str, SimulatedSensor]):
     """The sensors of robots in a scene, by name; in a fleet with the name space: ``r1/lidar``.
 
     While the scene advances, each sensor measures at its rate: at the step of the physics that is
-    nearest to the due time.  ``listeners`` are called with each message, in the order of the times.
+    nearest to the due time.  ``listeners`` and the ``recorders`` of the present run are called with
+    each message, in the order of the times.
     """
 
     def __init__(
@@ -45,6 +46,7 @@ class SensorSuite(dict[str, SimulatedSensor]):
                     kind: type[SimulatedSensor] = _KINDS[sensor.type]
                     self[robot.prefix + sensor.name] = kind(robot, sensor, self._seen, settings)
         self.listeners: list[Listener] = []
+        self.recorders: list[Listener] = []
         self.reset()
         scene.sensors = self
 
@@ -70,5 +72,5 @@ class SensorSuite(dict[str, SimulatedSensor]):
                 times[name] = self._counts[name] * sensor.period
                 for message in sensor.measure() if sensor.active else ():
                     sensor.latest = message
-                    for listener in self.listeners:
+                    for listener in (*self.listeners, *self.recorders):
                         listener(sensor, message)

@@ -93,7 +93,7 @@ class SimulatedSensor:
         self.robot, self.sensor, self.seen, self.settings = robot, sensor, seen, settings
         self.name, self.frame = robot.prefix + sensor.name, robot.prefix + sensor.link
         self.numbers = sensor_numbers(sensor)
-        self.period = 1.0 / self.numbers["rate"]
+        self.period = max(1.0 / self.numbers["rate"], seen.scene.timestep)
         self.active = True
         self._site = seen.scene.index("site", self.name, robot)
         self._base = seen.scene.index("body", robot.prefix + robot.links[0].name, robot)
