@@ -41,13 +41,10 @@ class SensorTopics:
         from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
 
         model, values = self._node.model, self._node.values
-        settings = SensorSettings(
-            values["sensor_errors"],
-            values["publish_images"],
-            values["twist_covariance"] == FOR_FILTERS,
-        )
-        scene, files = robot.base.scene, scene_files(model, self._node.model_file, values["world"])  # type: ignore
-        self._sensors = SensorSuite(scene, files, [model], settings)
+        for_filters = values["twist_covariance"] == FOR_FILTERS
+        settings = SensorSettings(values["sensor_errors"], values["publish_images"], for_filters)
+        files, base = scene_files(model, self._node.model_file, values["world"]), robot.base
+        self._sensors = SensorSuite(base.scene, files, [model], settings)  # type: ignore[attr-defined]
         self._pending: list[Any] = []
         self._sensors.listeners.append(lambda *measured: self._pending.append(measured))
 

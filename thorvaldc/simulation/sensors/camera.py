@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import mujoco
@@ -24,14 +23,13 @@ class Camera(SimulatedSensor):
     def __init__(self, *arguments: Any) -> None:
         """Raises ``DiagnosticError`` if it shall draw images and MuJoCo cannot draw."""
         super().__init__(*arguments)
-        width, height = (int(self.numbers[f"image_{edge}"]) for edge in ("width", "height"))
-        self._size = width, height
+        self._size = int(self.numbers["image_width"]), int(self.numbers["image_height"])
         if self.settings.images:
             try:
                 choose_opengl_backend()
             except PictureError as error:
                 raise DiagnosticError("simulation-scene", str(error)) from None
-            size = self.seen.model.vis.global_
+            (width, height), size = self._size, self.seen.model.vis.global_
             size.offwidth, size.offheight = max(size.offwidth, width), max(size.offheight, height)
             self._renderer = mujoco.Renderer(self.seen.model, height, width)
 
@@ -53,13 +51,11 @@ class Camera(SimulatedSensor):
             binning_y=0,
             roi=Message("sensor_msgs/msg/RegionOfInterest", **whole),
         )
-        return [*self._images(), calibration]
-
-    def _images(self) -> Iterator[Message]:
-        if self.settings.images:
-            width, height = self._size
-            mujoco.mj_camlight(self.seen.model, self.seen.data)
-            self._renderer.update_scene(self.seen.data, self.name)
-            pixels = self._renderer.render().ravel()
-            form = {"encoding": "rgb8", "is_bigendian": 0, "step": 3 * width}
-            yield self._message("Image", height=height, width=width, data=pixels, **form)
+        if not self.settings.images:
+            return [calibration]
+        mujoco.mj_camlight(self.seen.model, self.seen.data)
+        self._renderer.update_scene(self.seen.data, self.name)
+        form = {"encoding": "rgb8", "is_bigendian": 0, "step": 3 * width}
+        pixels = self._renderer.render().ravel()
+        image = self._message("Image", height=height, width=width, data=pixels, **form)
+        return [image, calibration]

@@ -31,6 +31,7 @@ class Imu(SimulatedSensor):
     def reset(self) -> None:
         super().reset()
         density = math.sqrt(self.numbers["rate"])
+        self._accuracy = self.numbers["orientation_accuracy"]
         self._gyro = self.numbers["gyro_noise"] * density
         self._accelerometer = self.numbers["accelerometer_noise"] * density
         self.gyro_bias = self._errors(self.numbers["gyro_bias"], 3)
@@ -50,13 +51,16 @@ class Imu(SimulatedSensor):
             deviation = noise.gyro or deviation
         force = mean_rotation.T @ (acceleration - seen.model.opt.gravity) + self._accelerometer_bias
         w, *xyz = self._orientation(rotation)
-        turn_variance, gyro_variance = self._variances(deviation)
+        values, variance, gyro_variance = self.numbers, self._accuracy**2, deviation**2
+        if self.settings.for_filters:
+            variance *= sum_of_autocorrelation(values["orientation_time"], self.period)
+            gyro_variance += 2.0 * DRIVE_ERROR_TIME / self.period * values["gyro_bias"] ** 2
         # REP 145: -1 marks an orientation that the unit does not know.
-        unknown = (-1.0, *[0.0] * 8)
+        known = diagonal(variance) if variance else (-1.0, *[0.0] * 8)
         message = self._message(
             "Imu",
             orientation=_vector("Quaternion", (*xyz, w)),
-            orientation_covariance=diagonal(turn_variance) if turn_variance else unknown,
+            orientation_covariance=known,
             angular_velocity=_vector("Vector3", rotation.T @ motion[:3] + gyro_errors),
             angular_velocity_covariance=diagonal(gyro_variance),
             linear_acceleration=_vector("Vector3", force + self._errors(self._accelerometer, 3)),
@@ -76,24 +80,13 @@ class Imu(SimulatedSensor):
 
     def _orientation(self, rotation: Array) -> list[float]:
         """Returns the quaternion w, x, y, z after small turns about east, north and up."""
-        values = self.numbers
-        errors = self._slow_errors(values["orientation_accuracy"], values["orientation_time"])
+        errors = self._slow_errors(self._accuracy, self.numbers["orientation_time"])
         turn, result = np.array([1.0, *(errors / 2.0)]), np.empty(4)
         mujoco.mju_normalize4(turn)
         mujoco.mju_mulQuat(result, turn, np.array(quaternion(self.seen.level @ rotation)))
-        return [float(value) for value in result]
-
-    def _variances(self, gyro: float) -> tuple[float, float]:
-        """Returns the variances of orientation and angular velocity, see ``SensorSettings``."""
-        values = self.numbers
-        orientation, gyro = values["orientation_accuracy"] ** 2, gyro**2
-        if self.settings.for_filters:
-            orientation *= sum_of_autocorrelation(values["orientation_time"], self.period)
-            gyro += 2.0 * DRIVE_ERROR_TIME / self.period * values["gyro_bias"] ** 2
-        return orientation, gyro
+        return list(map(float, result))
 
 
 def _vector(kind: str, values: Any) -> Message:
-    return Message(
-        f"geometry_msgs/msg/{kind}", **dict(zip("xyzw", map(float, values), strict=False))
-    )
+    fields = zip("xyzw", map(float, values), strict=False)
+    return Message(f"geometry_msgs/msg/{kind}", **dict(fields))
