@@ -93,6 +93,9 @@ def test_errors_of_an_imu_are_those_of_the_module(tmp_path: Path) -> None:
     n = np.arange(-(10**5), 10**5)  # the sum of the autocorrelation over all lags
     lasting = np.exp(-abs(n) * 0.01 / 10.0).sum()
     assert reading.orientation_covariance[4] == pytest.approx(math.radians(1.0) ** 2 * lasting)
+    # A bias lasts for the whole drive, which counts as 15 s, in both directions of time.
+    bias = 2.0 * 15.0 / 0.01 * math.radians(0.01) ** 2
+    assert reading.angular_velocity_covariance[0] == pytest.approx((0.00015 * 10.0) ** 2 + bias)
     biases = []
     for seed in range(60):
         run = simulation(tmp_path, f"noise: {{seed: {seed}}}\n", sensors="sensors: {errors: 100}\n")
