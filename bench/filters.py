@@ -73,6 +73,8 @@ DEFAULT_PROCESS_NOISE = [
 """Process noise of robot_localization if the parameter is missing: diagonal of 15 states."""
 _KEPT = [0, 1, 5, 6, 7, 11, 12, 13]
 """Indices of the states of the planar filter among the 15 states."""
+YAW, YAW_RATE = 2, 5
+"""Indices of the yaw and its rate among the planar states."""
 
 
 class PlanarEkf:
@@ -96,15 +98,30 @@ class PlanarEkf:
             self.state[:, 3:6] = twists
             self.covariance[:, 3:6, 3:6] = covariances
             return
-        self._predict(dt)
+        self.predict(dt)
+        self.correct([3, 4, 5], twists, covariances)
+
+    def correct(self, states: list[int], values: Array, covariances: Array) -> None:
+        """Fuses values (runs, n) of some states with covariances (runs or 1, n, n)."""
         p = self.covariance
-        gain = p[:, :, 3:6] @ np.linalg.inv(p[:, 3:6, 3:6] + covariances)
-        self.state += (gain @ (twists - self.state[:, 3:6])[:, :, np.newaxis])[:, :, 0]
+        gain = p[:, :, states] @ np.linalg.inv(p[:, states][:, :, states] + covariances)
+        differences = values - self.state[:, states]
+        if YAW in states:
+            differences[:, states.index(YAW)] = wrapped(differences[:, states.index(YAW)])
+        self.state += (gain @ differences[:, :, np.newaxis])[:, :, 0]
         rest = np.tile(np.eye(8), (len(p), 1, 1))
-        rest[:, :, 3:6] -= gain
+        rest[:, :, states] -= gain
         self.covariance = _of(rest, p) + _of(gain, covariances)
 
-    def _predict(self, dt: float) -> None:
+    def nees(self, poses: Array) -> Array:
+        """Returns NEES/3 (runs) for true poses (runs, 3)."""
+        errors = poses - self.state[:, :3]
+        errors[:, 2] = wrapped(errors[:, 2])
+        solved = np.linalg.solve(self.covariance[:, :3, :3], errors[:, :, np.newaxis])[:, :, 0]
+        result: Array = np.einsum("ni,ni->n", errors, solved) / 3.0
+        return result
+
+    def predict(self, dt: float) -> None:
         _, _, yaw, vx, vy, _, ax, ay = self.state.T
         c, s = np.cos(yaw), np.sin(yaw)
         f = np.tile(np.eye(8), (len(yaw), 1, 1))
@@ -117,6 +134,11 @@ class PlanarEkf:
         jacobian[:, 0, 2], jacobian[:, 1, 2] = -s * dx - c * dy, c * dx - s * dy
         self.state = (f @ self.state[:, :, np.newaxis])[:, :, 0]
         self.covariance = _of(jacobian, self.covariance) + dt * self._process_noise
+
+
+def wrapped(angles: Array) -> Array:
+    """Returns angles (rad) in -pi..pi."""
+    return (angles + math.pi) % (2.0 * math.pi) - math.pi
 
 
 def _of(matrices: Array, covariances: Array) -> Array:
@@ -177,13 +199,10 @@ def study(
         ekf.measure(twists, np.array([published]), dt)
     means = ((true[1:] + true[:-1]) / 2.0).transpose(2, 0, 1).tolist()
     ends = np.array([_end(run, dt) for run in means])
-    errors = ends - ekf.state[:, :3]
-    errors[:, 2] = (errors[:, 2] + math.pi) % (2.0 * math.pi) - math.pi
-    pose = ekf.covariance[:, :3, :3]
-    solved = np.linalg.solve(pose, errors[:, :, np.newaxis])[:, :, 0]
+    pose = ekf.covariance
     return Result(
-        float(np.einsum("ni,ni->n", errors, solved).mean()) / 3.0,
-        math.sqrt(float((errors[:, :2] ** 2).sum(1).mean())),
+        float(ekf.nees(ends).mean()),
+        math.sqrt(float(((ends - ekf.state[:, :3])[:, :2] ** 2).sum(1).mean())),
         math.sqrt(float((pose[:, 0, 0] + pose[:, 1, 1]).mean())),
     )
 

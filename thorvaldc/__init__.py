@@ -31,6 +31,7 @@ __all__ = [
     "Report",
     "Robot",
     "RobotResult",
+    "SensorSettings",
     "Severity",
     "SimBase",
     "Simulation",
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from thorvaldc.compiler.result import Compilation
     from thorvaldc.diagnostics import Diagnostic, DiagnosticError, Report, Severity, Span
     from thorvaldc.model import Fleet, Robot
+    from thorvaldc.model.scenario import SensorSettings
     from thorvaldc.runtime.driver import BaseDriver, DriverState
     from thorvaldc.runtime.se2 import Pose2, Twist
     from thorvaldc.simulation.control_loop import RobotResult, SimulationResult
@@ -71,6 +73,7 @@ else:
         "Report": "diagnostics",
         "Robot": "model",
         "RobotResult": "simulation.control_loop",
+        "SensorSettings": "model.scenario",
         "Severity": "diagnostics",
         "SimBase": "simulation.physics.sim_base",
         "Simulation": "simulation.simulation_run",

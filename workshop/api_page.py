@@ -23,7 +23,7 @@ SECTIONS = (
     ("Read and compile files", ("load", "load_fleet", "compile", "Compilation", "CompileError")),
     ("Diagnostics", ("Report", "Diagnostic", "Severity", "Span", "DiagnosticError")),
     ("Generate files", ("emit",)),
-    ("Simulate", ("Simulation", "SimulationResult", "RobotResult")),
+    ("Simulate", ("Simulation", "SimulationResult", "RobotResult", "SensorSettings")),
     ("Drive", ("BaseDriver", "DriverState", "SimBase", "Twist", "Pose2")),
     ("The model", ("Robot", "Fleet")),
 )

@@ -17,6 +17,7 @@ from tests.cli.test_bus import running
 from tests.examples import example_robot
 from tests.ros.environments import DISTROS, each_distro, python_of, require_messages, variables
 from tests.simulation.bus.robots import cia402_robot
+from tests.simulation.sensors.rover import ALL_SENSORS, simulation
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.model.model_json import to_json
 
@@ -145,6 +146,19 @@ def test_node_with_mujoco_and_its_clock(distro: str, build: Path, tmp_path: Path
     options["publish_description"] = True
     with node(distro, build, tmp_path, space="/r1", **options) as process:
         run_client(distro, "drive_mujoco", tmp_path)
+        end(process)
+
+
+def test_sensors_of_mujoco(distro: str, tmp_path: Path) -> None:
+    wall = "world: {obstacles: {wall: {shape: box, xyz: [4.5, 0, 0], size: [1, 30, 3]}}}\n"
+    simulated = simulation(tmp_path, wall, ALL_SENSORS)
+    for path, data in emit(simulated.scenario.fleet, ["mjcf", "ros2"]).items():
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).write_bytes(data)
+    options = {"base": "mujoco", "publish_clock": True, "stamped": True, "world": str(tmp_path)}
+    config = tmp_path / "rover" / "ros2" / "config"
+    with node(distro, config, tmp_path, space="/rover", **options) as process:
+        run_client(distro, "read_sensors", tmp_path)
         end(process)
 
 

@@ -16,6 +16,7 @@ from thorvaldc.backends import Backend, description_parts, sdf_extra_sensors, sd
 from thorvaldc.backends.xml_writer import Element, to_bytes
 from thorvaldc.diagnostics import Diagnostic
 from thorvaldc.model import Fleet, Ground, Pose, Robot, World
+from thorvaldc.model.sensor_numbers import WORLD_ORIGIN
 from thorvaldc.model.stl import Triangle, binary_stl
 
 STEP = 0.001
@@ -23,8 +24,6 @@ STEP = 0.001
 TERRAIN = "terrain.stl"
 _GROUND_SIZE = 200.0  # m, edge of the visible ground
 _GROUND_COLOR = (0.5, 0.47, 0.4, 1.0)
-_FIELD = {"latitude_deg": 59.665, "longitude_deg": 10.775, "elevation": 90.0}
-"""Origin of the world for GNSS receivers: a field in As, Norway."""
 _SYSTEMS = (
     ("physics", "Physics"),
     ("user-commands", "UserCommands"),
@@ -151,7 +150,9 @@ def _add_systems(world: Element, robots: Sequence[Robot], surroundings: World | 
             if system == sdf_extra_sensors.RENDERING:
                 plugin.fill(render_engine="ogre2")
     if "navsat" in kinds:
-        world.add("spherical_coordinates").fill(surface_model="EARTH_WGS84", **_FIELD)
+        latitude, longitude, height = WORLD_ORIGIN
+        coordinates = world.add("spherical_coordinates").fill(surface_model="EARTH_WGS84")
+        coordinates.fill(latitude_deg=latitude, longitude_deg=longitude, elevation=height)
 
 
 def _add_ground(

@@ -24,6 +24,7 @@ from thorvaldc.backends import ros2_parts, sdf_extra_sensors
 from thorvaldc.backends.ros2_controllers import CONTROLLER_FILE
 from thorvaldc.backends.xml_writer import Element, numbers
 from thorvaldc.model import joint_topics
+from thorvaldc.model.sensor_numbers import ray_count, sensor_numbers
 from thorvaldc.model.spatial import clean, clean3, combine, quat_from_z_to
 from thorvaldc.model.statics.joint_tree import JointTree, tree_of
 from thorvaldc.model.statics.standing_pose import solve_statics, spin_axis
@@ -41,7 +42,7 @@ CAMERA = ir.Pose.from_xyz_rpy((0.0, 0.0, 0.0), (0.0, -math.pi / 2, math.pi / 2))
 """The frame of an SDF camera in the optical frame: an SDF camera looks along x with z up, the
 optical frame looks along z with y down."""
 
-Values = Mapping[str, ir.Scalar]
+Numbers = Mapping[str, float]
 GZ_ROS2_CONTROL = ("gz_ros2_control-system", "gz_ros2_control::GazeboSimROS2ControlPlugin")
 """File and class of the plug-in of ros2_control for Gazebo."""
 POSITION_GAIN = 0.5
@@ -310,10 +311,10 @@ def add_sensor(link: Element, sensor: ir.Sensor, pose: ir.Pose, prefix: str) -> 
     kind = SENSORS.get(sensor.type)
     if kind is None:
         return
-    values = dict(sensor.properties)
+    values = sensor_numbers(sensor)
     element = link.add("sensor", name=prefix + sensor.name, type=kind)
     add_pose(element, pose * CAMERA if kind == "camera" else pose)
-    element.fill(always_on=True, update_rate=_number(values, "rate", 10.0))
+    element.fill(always_on=True, update_rate=values["rate"])
     first, *others = (prefix + topic for topic, _, _ in ros2_parts.sensor_topics(sensor))
     # A lidar publishes scans on its topic, and points on the topic ``points`` below it.
     element.fill(topic=first.removesuffix("/points"), gz_frame_id=prefix + sensor.link)
@@ -327,57 +328,51 @@ def add_sensor(link: Element, sensor: ir.Sensor, pose: ir.Pose, prefix: str) -> 
         _add_navsat(element, values)
 
 
-def _number(values: Values, name: str, default: float) -> float:
-    value = values.get(name, default)
-    return default if isinstance(value, str) else float(value)
-
-
-def _add_lidar(element: Element, values: Values, kind: str) -> None:
+def _add_lidar(element: Element, values: Numbers, kind: str) -> None:
     lidar = element.add("lidar")
     scan = lidar.add("scan")
-    width = _number(values, "field_of_view", math.tau)
-    step = _number(values, "angular_resolution", math.radians(1.0))
-    _add_scan(scan.add("horizontal"), width, max(2, round(width / step) + 1))
+    _add_scan(scan.add("horizontal"), values["field_of_view"], ray_count(values))
     if kind == "lidar_3d":
-        height = _number(values, "vertical_field_of_view", math.radians(30.0))
-        _add_scan(scan.add("vertical"), height, int(_number(values, "layers", 16)))
-    nearest, farthest = _number(values, "minimum_range", 0.05), _number(values, "range", 30.0)
-    lidar.add("range").fill(min=nearest, max=farthest)
+        height, layers = values["vertical_field_of_view"], int(values["layers"])
+        _add_scan(scan.add("vertical"), height, layers)
+    lidar.add("range").fill(min=values["minimum_range"], max=values["range"])
+    if values["range_noise"]:
+        noise = lidar.add("noise")
+        noise.fill(type="gaussian", mean=0, stddev=values["range_noise"])
 
 
 def _add_scan(element: Element, angle: float, samples: int) -> None:
     element.fill(samples=samples, min_angle=clean(-angle / 2), max_angle=clean(angle / 2))
 
 
-def _add_camera(element: Element, values: Values, info_topic: str) -> None:
-    angle = _number(values, "horizontal_field_of_view", math.radians(69.0))
+def _add_camera(element: Element, values: Numbers, info_topic: str) -> None:
+    angle = values["horizontal_field_of_view"]
     camera = element.add("camera").fill(camera_info_topic=info_topic, horizontal_fov=angle)
-    width, height = _number(values, "image_width", 1280), _number(values, "image_height", 720)
-    camera.add("image").fill(width=int(width), height=int(height))
+    width, height = int(values["image_width"]), int(values["image_height"])
+    camera.add("image").fill(width=width, height=height)
     camera.add("clip").fill(near=0.05, far=100)
 
 
-def _add_imu(element: Element, values: Values) -> None:
+def _add_imu(element: Element, values: Numbers) -> None:
     """Add an IMU. A noise density d gives the standard deviation d sqrt(rate) of a sample."""
     imu = element.add("imu")
-    samples = math.sqrt(_number(values, "rate", 100.0))
+    samples = math.sqrt(values["rate"])
     for group, name in (
         ("angular_velocity", "gyro_noise"),
         ("linear_acceleration", "accelerometer_noise"),
     ):
-        deviation = clean(_number(values, name, 0.0) * samples)
+        deviation = clean(values[name] * samples)
         if deviation:
             part = imu.add(group)
             for axis in "xyz":
                 _add_noise(part.add(axis), deviation)
 
 
-def _add_navsat(element: Element, values: Values) -> None:
-    deviation = _number(values, "accuracy", 0.0)
-    if deviation:
+def _add_navsat(element: Element, values: Numbers) -> None:
+    if values["accuracy"]:
         sensing = element.add("navsat").add("position_sensing")
         for axis in ("horizontal", "vertical"):
-            _add_noise(sensing.add(axis), deviation)
+            _add_noise(sensing.add(axis), values["accuracy"])
 
 
 def _add_noise(element: Element, deviation: float) -> None:

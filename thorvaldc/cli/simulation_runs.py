@@ -20,7 +20,7 @@ from thorvaldc.compiler.scenario.variations import Variations, plan_variations
 from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.diagnostics.files import write_file
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.model.scenario import GROUPS, Scenario
+from thorvaldc.model.scenario import GROUPS, Scenario, SensorSettings
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation import scenario_run
 from thorvaldc.simulation.control_loop import SimulationResult, TickCallback, result_table
@@ -121,6 +121,7 @@ def run_drive(
     duration: float,
     ideal: bool,
     open_loop: bool,
+    sensors: bool,
 ) -> int:
     """Drives a robot or fleet in simulation, prints the result and returns the exit status.
 
@@ -131,11 +132,18 @@ def run_drive(
     report = Report()
     try:
         files = None if ideal else emit(model, ["mjcf"], report)
-        simulation = Simulation(model, files, options.parameters or None, open_loop=open_loop)
+        simulation = Simulation(
+            model,
+            files,
+            options.parameters or None,
+            open_loop=open_loop,
+            sensors=SensorSettings() if sensors else None,
+        )
         if not duration:
             duration = TWIST_DURATION if twist is not None else simulation.demonstration()[1]
         with ExitStack() as stack:
             recorders, watches = options.open(simulation.robots, GROUPS, 0.0, duration, stack)
+            simulation.record_sensors(recorders)
             if recorders:
                 watches.append(record_ticks(recorders))
             if twist is not None:

@@ -83,6 +83,24 @@ class Noise:
 
 
 @dataclass(frozen=True, slots=True)
+class SensorSettings:
+    """Settings of the simulated sensors (lidar, IMU, GNSS, camera) of all robots.
+
+    - ``errors``: factor of the errors that the modules state; 0 for exact measurements.
+    - ``images``: true if cameras draw images, which needs OpenGL.
+    - ``for_filters``: true if the variances of an IMU are those for filters that take the errors of
+      two readings as independent: they count how long its errors last.
+    - ``noise``: its seed, and the errors of the gyro in place of those of the modules, if
+      ``noise.gyro`` is not ``None``.
+    """
+
+    errors: float = 1.0
+    images: bool = False
+    for_filters: bool = False
+    noise: Noise = Noise()
+
+
+@dataclass(frozen=True, slots=True)
 class Expectation:
     """The allowed range of a metric of the run, checked for every robot of the scenario.
 
@@ -106,6 +124,7 @@ class Scenario:
     - ``record``: names of the groups of columns in the record of the run.
     - ``every``: time between two rows of the record in s, or 0 to record every control tick.
     - ``open_loop``: ``True`` if the drive motors apply a voltage without speed control.
+    - ``sensors``: settings of the sensors of the modules, or ``None`` if they do not measure.
     """
 
     name: str
@@ -120,6 +139,7 @@ class Scenario:
     record: tuple[str, ...] = field(default=GROUPS)
     every: float = 0.0
     open_loop: bool = False
+    sensors: SensorSettings | None = None
 
 
 # -- faults of a simulated CAN bus, and quirks of its devices ------------------------------------

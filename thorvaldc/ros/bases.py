@@ -19,8 +19,10 @@ class NodeError(Exception):
     """The node cannot start or drive; the message is one line for the operator."""
 
 
-def open_robot(robot: Robot, model_file: Path, base: str, bus: str, factor: float) -> DrivenRobot:
-    """Opens a robot on the base ``base``.
+def open_robot(
+    robot: Robot, model_file: Path, base: str, bus: str, factor: float, world: str = ""
+) -> DrivenRobot:
+    """Opens a robot on the base ``base``; ``world`` is the parameter of the node.
 
     Raises ``NodeError`` if the base needs a package that is not installed, and ``DiagnosticError``
     if the base cannot be opened.
@@ -30,7 +32,7 @@ def open_robot(robot: Robot, model_file: Path, base: str, bus: str, factor: floa
     if base == "bus":
         return _on_buses(robot, bus)
     try:
-        return _simulated(robot, model_file, base, factor)
+        return _simulated(robot, model_file, base, factor, world)
     except ModuleNotFoundError as error:
         raise NodeError(
             f"base `{base}` needs the Python package {error.name}: install the whole package"
@@ -63,7 +65,7 @@ def _over_buses(
     return DrivenRobot(robot, base, interfaces[robot.buses[0].name], factor=factor)
 
 
-def _simulated(robot: Robot, model_file: Path, base: str, factor: float) -> DrivenRobot:
+def _simulated(robot: Robot, model_file: Path, base: str, factor: float, world: str) -> DrivenRobot:
     # Only a computer with the whole package has these rooms.
     if base == "virtual":
         from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
@@ -79,14 +81,17 @@ def _simulated(robot: Robot, model_file: Path, base: str, factor: float) -> Driv
     from thorvaldc.simulation.physics.mujoco_base import MujocoBase
     from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
-    scene = MujocoScene(_scene_files(robot, model_file))
+    scene = MujocoScene(scene_files(robot, model_file, world))
     return DrivenRobot(robot, MujocoBase(robot, scene), factor=factor)
 
 
-def _scene_files(robot: Robot, model_file: Path) -> Path | Mapping[str, bytes]:
-    """Returns the folder with the MJCF files of the build, or makes them from the model."""
+def scene_files(robot: Robot, model_file: Path, world: str) -> Path | Mapping[str, bytes]:
+    """Returns the folder with the MJCF files of ``world`` or of the build, or makes them from the
+    model."""
     from thorvaldc.simulation.physics.mujoco_scene import SCENE
 
+    if world:
+        return Path(world)
     if (model_file.parent / SCENE).is_file():
         return model_file.parent
     from thorvaldc.compiler.pipeline import emit

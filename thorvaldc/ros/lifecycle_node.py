@@ -38,6 +38,7 @@ from thorvaldc.ros.bases import NodeError, description_text, open_robot
 from thorvaldc.ros.node_parameters import Changes, NodeParameters
 from thorvaldc.ros.node_services import create_services
 from thorvaldc.ros.parameters import TOPICS
+from thorvaldc.ros.sensor_topics import SensorTopics
 from thorvaldc.ros.topic_base import TopicBase, robot_behind_topics
 from thorvaldc.ros.topic_twists import ClockWatch, TwistInputs
 from thorvaldc.runtime.can_base.battery_and_io_drivers import SUPPLY
@@ -162,6 +163,7 @@ class BaseDriverNode(GuardedLifecycleNode):
         self.problem = ""
         """Reason why the node is not active although it was, or why it could not be activated."""
         self._entities: list[Any] = []
+        self._sensors: SensorTopics | None = None
         self._next_report = 0.0
         self._next_device_data = -math.inf
         self._reported: Any = None
@@ -269,7 +271,10 @@ class BaseDriverNode(GuardedLifecycleNode):
                     values["base"],
                     values["bus"],
                     values["real_time_factor"],
+                    values["world"],
                 )
+            if self._sensors is not None:
+                self._sensors.attach(self.robot)
         except DiagnosticError as error:
             self.problem = error.one_line
         except (NodeError, OSError) as error:
@@ -304,6 +309,9 @@ class BaseDriverNode(GuardedLifecycleNode):
         self._entities += [self._odometry, self._joint_states, self._battery, self._diagnostics]
         self._entities += [self._base_state, self._joint_commands]
         self._create_device_topics()
+        if model.sensors and self.values["base"] == "mujoco" and self.values["publish_sensors"]:
+            self._sensors = SensorTopics(self)
+            self._entities += self._sensors.entities
         self._clock_topic = self._tf = self._from_devices = None
         if self.owns_clock:
             self._clock_topic = self.create_publisher(Clock, "/clock", 1)
@@ -444,6 +452,8 @@ class BaseDriverNode(GuardedLifecycleNode):
             self._clock_topic.publish(Clock(clock=stamp))
         if not robot.base.lacks_joint_states:
             self._publish_motion(robot, stamp)
+        if self._sensors is not None:
+            self._sensors.publish()
         if state.command is not None:
             command = state.command.joints
             message = messages.joint_commands_message(self.model, command, stamp)

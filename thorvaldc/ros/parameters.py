@@ -124,6 +124,10 @@ PARAMETERS: tuple[NodeParameter, ...] = (
         highest=1000.0,
     ),
     NodeParameter("publish_clock", False, "publish the simulated time on /clock (ideal, mujoco)"),
+    NodeParameter("world", "", "build of a scenario with this robot; empty: level ground (mujoco)"),
+    NodeParameter("publish_sensors", True, "measure with the sensors of the modules (mujoco)"),
+    NodeParameter("sensor_errors", 1.0, "factor of the errors of sensors", lowest=0.0, highest=1e3),
+    NodeParameter("publish_images", False, "cameras draw images, which needs OpenGL (mujoco)"),
     NodeParameter("autostart", True, "configure and activate the node at its start; never arms it"),
     NodeParameter(
         "stamped",
@@ -152,8 +156,8 @@ PARAMETERS: tuple[NodeParameter, ...] = (
     NodeParameter(
         "twist_covariance",
         MEASURED,
-        "covariance of the twist of the odometry: of one twist, or for filters that take the errors"
-        " of the twists as independent",
+        "covariance of the twist of the odometry, and of a simulated IMU: of one measurement, or"
+        " for filters that take the errors of two measurements as independent",
         choices=(MEASURED, FOR_FILTERS),
     ),
     NodeParameter(

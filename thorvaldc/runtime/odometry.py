@@ -512,6 +512,16 @@ DRIVE_ERROR_TIME = 15.0
 """Time constant tau_d (s) of the errors that last for the whole drive: a quarter of 60 s."""
 
 
+def sum_of_autocorrelation(tau: float, period: float) -> float:
+    """Returns the sum over all lags of exp(-|lag| period / tau): by this factor, a filter that
+    takes the errors of two measurements as independent needs a larger variance.
+
+    - ``tau``: time constant of the errors (s).
+    - ``period``: time between two measurements (s).
+    """
+    return 1.0 / math.tanh(period / (2.0 * tau))
+
+
 def filter_covariance(
     estimator: TwistEstimator, joints: JointStates | None, estimate: TwistEstimate, period: float
 ) -> Cov3:
@@ -524,7 +534,7 @@ def filter_covariance(
         return estimate.covariance
     # The odometry has the same rule for directions that no wheel measures.
     tau = estimator.noise.correlation if estimate.rank == 3 else LOW_RANK_CORRELATION
-    factor = 1.0 / math.tanh(period / (2.0 * tau)) if tau else 1.0
+    factor = sum_of_autocorrelation(tau, period) if tau else 1.0
     lasting = 2.0 * DRIVE_ERROR_TIME / period
     xx = xy = xw = yy = yw = ww = 0.0
     for x, y, w in estimator.lasting_errors(joints, estimate, estimate.twist):

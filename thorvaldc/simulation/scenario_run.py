@@ -154,7 +154,7 @@ class ScenarioSimulation(Simulation):
         ``DiagnosticError`` if the scene cannot be read, or if a robot does not have the parameter
         set ``parameters``.
         """
-        super().__init__(scenario.fleet, files, parameters)
+        super().__init__(scenario.fleet, files, parameters, sensors=scenario.sensors)
         self.scenario = scenario
         world = scenario.fleet.world
         self._zones = world.zones if world is not None else ()
@@ -191,6 +191,7 @@ class ScenarioSimulation(Simulation):
 
         run_hash = RunHash()
         all_recorders = (run_hash, *recorders) if hashed else tuple(recorders)
+        self.record_sensors(recorders)
         metrics: dict[str, ScenarioMetrics] = {}
         limited = [e for e in self.scenario.expectations if ends_early and e.most is not None]
 

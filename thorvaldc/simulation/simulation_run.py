@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from thorvaldc.diagnostics import DiagnosticError, Report, millimetres
 from thorvaldc.model import Fleet, Robot, Wheel
 from thorvaldc.model.model_json import load_model
+from thorvaldc.model.scenario import SensorSettings
 from thorvaldc.model.statics.mobility import roll_speeds
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import BaseHandle, JointStates
@@ -26,8 +27,10 @@ from thorvaldc.simulation.control_loop import ControlLoop, Manoeuvre, Simulation
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import CollisionCounter, MujocoScene
 from thorvaldc.simulation.physics.sim_base import GroundTruthBase, RollingBase, SimBase, WheelErrors
+from thorvaldc.simulation.records.recorder import Recorder
 
 if TYPE_CHECKING:
+    from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
     from thorvaldc.simulation.vectorised.calculator_batch import OdometryBatch
 
 
@@ -224,6 +227,7 @@ class Simulation:
         *,
         wheel_errors: Mapping[str, WheelErrors] | None = None,
         open_loop: bool = False,
+        sensors: SensorSettings | None = None,
     ) -> None:
         """Loads the scene of the robots.
 
@@ -234,6 +238,8 @@ class Simulation:
         * ``wheel_errors``: errors of the wheels by robot name.  The drivers do not correct the
           wheel errors.
         * ``open_loop``: true if the drive motors apply a voltage without speed control.
+        * ``sensors``: settings of the sensors of the modules, which then measure in MuJoCo.
+          ``None``: they measure, with the default settings, from the first use of ``sensors`` on.
 
         A simulation with ideal joints uses ``RollingBase``, in which no wheel slips, for robots
         with wheel errors or with ``open_loop``.
@@ -256,6 +262,10 @@ class Simulation:
         world = model.world if isinstance(model, Fleet) else None
         self.rails = world is not None and any(block.kind == "rail" for block in world.blocks)
         self.scene = None if files is None else MujocoScene(files)
+        self._files, self._sensor_settings = files, sensors or SensorSettings()
+        self._suite: SensorSuite | None = None
+        if sensors is not None:
+            _ = self.sensors
         self.wheel_errors = wheel_errors or {}
         self.open_loop = open_loop
 
@@ -265,6 +275,37 @@ class Simulation:
         return (
             f"<Simulation of {shown} {'with ideal joints' if self.scene is None else 'in MuJoCo'}>"
         )
+
+    @property
+    def sensors(self) -> SensorSuite:
+        """The simulated sensors of the robots by name; in a fleet with the robot: ``r1/lidar``.
+
+        ``sensors["lidar"].latest`` is the last message of a run, and the functions in
+        ``sensors.listeners`` are called with each sensor and message.  The motion of a run is the
+        same with and without sensors.
+
+        Raises ``DiagnosticError`` for ideal joints, which have no scene to measure.
+        """
+        if self._suite is None:
+            if self.scene is None or self._files is None:
+                raise DiagnosticError(
+                    "simulation-scene",
+                    "sensors need a scene to measure, and ideal joints have none",
+                    hint="leave out --ideal; in Python, give `Simulation` the files of the mjcf",
+                )
+            # Runs without sensors do not import numpy for them.
+            from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
+
+            robots, settings = [robot for _, robot in self.robots], self._sensor_settings
+            self._suite = SensorSuite(self.scene, self._files, robots, settings)
+        return self._suite
+
+    def record_sensors(self, recorders: Sequence[Recorder]) -> None:
+        """Gives the messages of the sensors to the MCAP recorders, if the sensors measure."""
+        if self._suite is not None:
+            from thorvaldc.simulation.records.mcap_writer import McapRecorder
+
+            self._suite.recorders = [r.measured for r in recorders if isinstance(r, McapRecorder)]
 
     def run(
         self,

@@ -38,6 +38,10 @@ def sim(
         bool,
         typer.Option("--open-loop", help="Drive without speed control, for a log to calibrate."),
     ] = False,
+    sensors: Annotated[
+        bool,
+        typer.Option("--sensors", help="Measure with the sensors of the modules, for a .mcap."),
+    ] = False,
     record: options.Record = "",
     log: options.JointLog = "",
     plot: options.Plot = "",
@@ -59,6 +63,7 @@ def sim(
         return INPUT
     if compilation.scenario is not None:
         drive_options = {"--duration": duration, "--twist": twist, "--ideal": ideal}
+        drive_options["--sensors"] = sensors
         options.refuse_options(drive_options, "the scenario defines this")
         open_loop = open_loop or compilation.scenario.open_loop
         changed = replace(compilation.scenario, open_loop=open_loop)
@@ -71,6 +76,7 @@ def sim(
         duration=seconds,
         ideal=ideal,
         open_loop=open_loop,
+        sensors=sensors,
     )
 
 

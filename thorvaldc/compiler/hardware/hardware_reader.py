@@ -27,6 +27,7 @@ from thorvaldc.compiler.values.document_section import Section
 from thorvaldc.compiler.values.value_reader import INVALID, entries, items
 from thorvaldc.diagnostics import Proposal, Report, plain
 from thorvaldc.model.robot import NOT_STATED
+from thorvaldc.model.sensor_numbers import wrong_numbers
 from thorvaldc.model.spatial import clean, combine
 
 
@@ -274,7 +275,12 @@ class _HardwareReader:
         """Reads the section `sensor` of a module document."""
         kind, link = self.scope.text(node.get("type")), self.values.link_name(node.get("link"))
         properties = self.values.properties(node.get("properties"))
-        return model.Sensor("", "", kind, link, properties, node.where)
+        sensor = model.Sensor("", "", kind, link, properties, node.where)
+        for name in wrong_numbers(sensor):
+            value = dict(properties)[name]
+            message = f"`{name}` of a {kind} is {value:g}, which no sensor can have"
+            self.report.add("out-of-range", message, node.where)
+        return sensor
 
     def _battery(self, node: Node) -> model.Battery:
         """Reads the section `battery` of a module document."""

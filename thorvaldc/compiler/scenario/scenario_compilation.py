@@ -25,7 +25,16 @@ from thorvaldc.compiler.values.value_reader import ValueReader
 from thorvaldc.diagnostics import Report, did_you_mean
 from thorvaldc.model import Fleet, Placement, Pose, Robot
 from thorvaldc.model import quantities as si
-from thorvaldc.model.scenario import GROUPS, Command, Expectation, Noise, Scenario, WheelFault
+from thorvaldc.model.scenario import (
+    GROUPS,
+    Command,
+    Expectation,
+    Noise,
+    Scenario,
+    SensorSettings,
+    WheelFault,
+)
+from thorvaldc.model.sensor_numbers import SIMULATED
 from thorvaldc.schema import inlined
 
 
@@ -239,7 +248,7 @@ def _read(document: Section, fleet: Fleet, report: Report) -> Scenario:
     # A missing or wrong duration is an error; then no step is after the end.
     duration = document.get("duration", math.inf)
     sections = _SectionReader(fleet, duration, report)
-    record = document["record"]
+    record, noise = document["record"], sections.noise(document["noise"])
     return Scenario(
         name=name,
         description=description,
@@ -247,12 +256,13 @@ def _read(document: Section, fleet: Fleet, report: Report) -> Scenario:
         duration=duration,
         commands=sections.commands(document["script"]),
         faults=tuple(sections.wheel_faults(document["faults"])),
-        noise=sections.noise(document["noise"]),
+        noise=noise,
         expectations=tuple(sections.expectations(document["expect"])),
         span=document.node.span,
         record=tuple(group for group in GROUPS if group in (record["what"] or GROUPS)),
         every=record["every"],
         open_loop=document["open_loop"],
+        sensors=sections.sensors(document["sensors"], noise) if "sensors" in document else None,
     )
 
 
@@ -436,6 +446,17 @@ class _SectionReader:
             noise["gyro_bias"],
             noise["encoder_counts"],
         )
+
+    def sensors(self, settings: Section, noise: Noise) -> SensorSettings:
+        """Returns the settings of the sensors of the modules."""
+        if not any(s.type in SIMULATED for r in self.robots.values() for s in r.sensors):
+            self.report.add(
+                "scenario-sensor-missing",
+                "no robot of the scenario has a sensor that is simulated",
+                settings.node.where,
+                hint=f"mount a module with one of these: {', '.join(SIMULATED)}",
+            )
+        return SensorSettings(settings["errors"], settings["images"], noise=noise)
 
     def expectations(self, expected: Section) -> Iterator[Expectation]:
         """Yields the expected range of each metric in the section `expect` of a scenario."""

@@ -17,6 +17,7 @@ from thorvaldc.model import Robot
 
 SCENE = "mjcf/scene.xml"
 HOME = "home"
+SceneFiles = Path | str | Mapping[str, bytes]
 Prepare = Callable[[Any], None] | None
 _DIVERGED_SPEED = 1e4
 """Norm of all joint speeds (m/s, rad/s) from which a simulation counts as diverged."""
@@ -31,12 +32,13 @@ class MujocoScene:
 
     ``model`` is the ``MjModel`` of MuJoCo, and ``data`` is the ``MjData``.  ``diverged`` is true
     after a step in which a joint speed is not finite, or the norm of all joint speeds is larger
-    than ``_DIVERGED_SPEED``.
+    than ``_DIVERGED_SPEED``.  ``sensors`` is a ``SensorSuite`` that measures during the steps, or
+    ``None``.
     """
 
     def __init__(
         self,
-        files: Path | str | Mapping[str, bytes],
+        files: SceneFiles,
         scene: str = SCENE,
         *,
         visuals: bool = False,
@@ -62,6 +64,7 @@ class MujocoScene:
         self._mujoco = mujoco
         self.data = mujoco.MjData(self.model)
         self.timestep = float(self.model.opt.timestep)
+        self.sensors: Any = None
         # By default, MuJoCo resets a diverged simulation to the start without an error.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         if self.model.ntree <= 1:
@@ -80,6 +83,8 @@ class MujocoScene:
         self.steps = 0
         self.diverged = False
         self._mujoco.mj_forward(self.model, self.data)
+        if self.sensors is not None:
+            self.sensors.reset()
 
     def forward(self) -> None:
         """Computes the poses and contacts of the scene again after a change of ``data.qpos``."""
@@ -94,8 +99,15 @@ class MujocoScene:
         """Runs the simulation until the time ``now`` (s).
 
         The time ``now`` is rounded to a whole number of simulation steps.  All simulation steps run
-        in one call of MuJoCo.  A call with a time in the past has no effect.
+        in one call of MuJoCo.  A call with a time in the past has no effect.  Sensors measure at
+        their own times, between two calls of MuJoCo.
         """
+        if self.sensors is not None:
+            self.sensors.advance(now)
+        self.step_to(now)
+
+    def step_to(self, now: float) -> None:
+        """Runs the simulation as ``advance``, without measurements of the sensors."""
         steps = round(now / self.timestep) - self.steps
         if steps > 0 and not self.diverged:
             # MuJoCo prints warnings about a divergence and writes a log file.  The attribute

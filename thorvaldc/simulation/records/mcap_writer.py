@@ -12,9 +12,11 @@ of the robot:
 ``joint_commands``    JointState       the joint commands of the driver
 ====================  ===============  ====================================================
 
+Sensors have the topics that the node has, such as ``lidar/scan``.
+
 The topics ``/tf`` and ``/tf_static`` have these frames::
 
-    map --(static: start pose)--> odom --(estimated)--> base_link
+    map --(static: start pose)--> odom --(estimated)--> base_link --> frames of sensors
      \--(true)--> base_link_true
 """
 
@@ -29,8 +31,9 @@ import struct
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from thorvaldc.backends import ros2_parts
 from thorvaldc.compiler.recordings import ros_bag
 from thorvaldc.diagnostics.files import INCOMPLETE, errors_with_name, uninterrupted
 from thorvaldc.model import Robot, wheel_joints
@@ -39,6 +42,9 @@ from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import ZERO_COV, Pose2
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.records.recorder import SampleInterval
+
+if TYPE_CHECKING:
+    from thorvaldc.simulation.sensors.simulated_sensor import Message, SimulatedSensor
 
 # -- ROS 2 messages --------------------------------------------------------------------------------
 
@@ -194,6 +200,13 @@ class MessageTypes:
             self._definitions[type_name] = (str(text), self._store.hash_rihs01(type_name))
         return self._definitions[type_name]
 
+    def serialized(self, message: Message) -> bytes:
+        """Returns the bytes of the message of a sensor."""
+        from numpy import asarray
+
+        built = message.build(self._store.types.__getitem__, asarray)
+        return bytes(self._store.serialize_cdr(built, message.ros_type))
+
 
 def latched_qos() -> Any:
     """Returns the quality of service of the topic ``/tf_static``.
@@ -269,6 +282,7 @@ class McapRecorder:
         self._failed = False
         self._tf: Any = None
         self._tf_static: Any = None
+        self._sensors: dict[tuple[str, str], tuple[Any, MessageTemplate]] = {}
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
         with errors_with_name(path):
@@ -299,6 +313,20 @@ class McapRecorder:
             # Ctrl-C while a message is written would make a whole chunk of the file unreadable.
             with uninterrupted(), self._failing():
                 self._write()
+
+    def measured(self, sensor: SimulatedSensor, message: Message) -> None:
+        """Queues a message of a sensor, and the pose of its frame, for the next write."""
+        time, prefix = round(sensor.seen.data.time * 1e9), sensor.robot.prefix
+        key = sensor.name, message.ros_type
+        if key not in self._sensors:
+            topics = {kind: topic for topic, kind, _ in ros2_parts.sensor_topics(sensor.sensor)}
+            connection = self._connect(f"/{prefix}{topics[message.ros_type]}", message.ros_type)
+            mount = transforms_template([(f"{prefix}base_link", sensor.frame)])
+            self._sensors[key] = connection, mount
+            self._tf = self._tf or self._connect("/tf", _TF)
+        connection, mount = self._sensors[key]
+        self.send(connection, time, self._types.serialized(message))
+        self.send_tf(time, mount.encode(time, sensor.mount()))
 
     def close(self) -> None:
         if not self._folder.exists():

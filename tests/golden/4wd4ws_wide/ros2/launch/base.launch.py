@@ -17,6 +17,7 @@ ARGUMENTS = {
     "bus": ("socketcan:can0", "CAN interface of the robot's bus, as in thorvaldc run --bus"),
     "guard": ("false", "stop the drives of another program when the base driver is silent"),
     "real_time_factor": ("1.0", "speed of a simulation; 0.0: as fast as possible"),
+    "world": ("", "build of a scenario with this robot, for MuJoCo"),
     "use_sim_time": ("false", "take the time from /clock"),
     "publish_clock": ("false", "publish /clock"),
     "enable_odom_tf": (
@@ -101,6 +102,7 @@ def start(context):
                     "base": argument("base", str),
                     "bus": argument("bus", str),
                     "real_time_factor": argument("real_time_factor", float),
+                    "world": argument("world", str),
                     "publish_clock": argument("publish_clock", bool),
                     "enable_odom_tf": argument("enable_odom_tf", bool),
                 },

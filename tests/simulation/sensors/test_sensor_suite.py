@@ -1,0 +1,173 @@
+"""The sensors of a run: their rates, their names, their errors in equal runs, and their cost."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import thorvaldc
+from bench.sensors import stamp
+from tests.examples import example_robot
+from tests.simulation.sensors.rover import ALL_SENSORS, ROBOT, SENSORS, simulation
+from thorvaldc.compiler.pipeline import compile_file, emit
+from thorvaldc.diagnostics import DiagnosticError, Report
+from thorvaldc.simulation.pictures import PictureError
+from thorvaldc.simulation.records.mcap_writer import McapRecorder
+
+CURVE = "script: [{at: 0, vx: 0.5, wz: 0.3}]\n"
+
+
+def measured(run: Any) -> list[tuple[str, float, Any]]:
+    """Returns name, time and measurement of each sensor in a scenario."""
+    result: list[tuple[str, float, Any]] = []
+    run.sensors.listeners.append(lambda s, m: result.append((s.name, stamp(m), m)))
+    run.play(Report())
+    run.sensors.listeners.clear()
+    return result
+
+
+def test_sensors_measure_at_their_rates(tmp_path: Path) -> None:
+    run = simulation(tmp_path, CURVE, ALL_SENSORS, duration=2.0)
+    times: dict[str, list[float]] = {name: [] for name in run.sensors}
+    for name, time, _ in measured(run):
+        times[name].append(time)
+    rates = {"lidar": 25.0, "imu": 100.0, "gnss": 10.0, "tower": 10.0, "camera": 30.0}
+    assert set(times) == {f"rover/{name}" for name in rates}
+    for name, rate in rates.items():
+        due = np.arange(round(2.0 * rate) + 1) / rate
+        assert times[f"rover/{name}"] == pytest.approx(due, abs=0.0026)  # half a step
+
+
+def test_sensors_do_not_change_the_motion(tmp_path: Path) -> None:
+    keys = f"{CURVE}noise: {{wheel_speed: 0.02, seed: 2}}\n"
+    hashes = {
+        simulation(tmp_path, keys, modules, sensors=sensors).play(Report()).hash
+        for modules, sensors in (
+            (ALL_SENSORS, ""),
+            (ALL_SENSORS, "sensors: {errors: 1}\n"),
+            (ALL_SENSORS, "sensors: {errors: 0}\n"),
+        )
+    }
+    assert len(hashes) == 1
+
+
+def test_equal_runs_have_equal_measurements(tmp_path: Path) -> None:
+    run = simulation(tmp_path, CURVE, sensors="sensors: {errors: 1}\n", duration=1.0)
+    first, second = measured(run), measured(run)
+    assert [repr(m) for _, _, m in first] == [repr(m) for _, _, m in second]
+
+
+def test_a_run_without_sensors_imports_nothing_for_them(tmp_path: Path) -> None:
+    (tmp_path / "s.yaml").write_text(
+        "thorvaldc: 1\nscenario: s\nduration: 1\n"
+        f"robots: {{r: {{robot: {Path('examples/4wd4ws_wide/robot.yaml').resolve()}}}}}\n{CURVE}"
+    )
+    program = (
+        "import sys\nfrom thorvaldc.cli.main import main\n"
+        "try:\n    main(sys.argv[1:])\nexcept SystemExit:\n    pass\n"
+        "print([m for m in sys.modules if m.startswith('thorvaldc.simulation.sensors')])"
+    )
+    command = [sys.executable, "-c", program, "scenario", str(tmp_path / "s.yaml")]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert result.stdout.splitlines()[-1] == "[]"
+
+
+def test_the_api_has_the_sensors_of_a_robot() -> None:
+    robot = example_robot("4wd4ws_wide")
+    files = emit(robot, ["mjcf"])
+    run = thorvaldc.Simulation(robot, files)
+    assert list(run.sensors) == ["lidar_front", "gnss_main", "gnss_aux", "imu"]
+    assert run.sensors["imu"].latest is None
+    run.run(1.0, thorvaldc.Twist(0.5, 0.0, 0.0))
+    assert stamp(run.sensors["imu"].latest) == 1.0
+    exact = thorvaldc.Simulation(robot, files, sensors=thorvaldc.SensorSettings(errors=0.0))
+    exact.run(1.0, thorvaldc.Twist(0.5, 0.0, 0.0))
+    assert exact.sensors["imu"].latest.angular_velocity.z == pytest.approx(0.0, abs=1e-6)
+
+
+def test_ideal_joints_have_no_scene_to_measure() -> None:
+    with pytest.raises(DiagnosticError, match="ideal joints"):
+        _ = thorvaldc.Simulation(example_robot("4wd4ws_wide")).sensors
+
+
+def test_a_camera_states_its_calibration(tmp_path: Path) -> None:
+    run = simulation(tmp_path, "", ALL_SENSORS)
+    (info,) = run.sensors["rover/camera"].measure()
+    # 69 deg over 1280 pixels
+    assert info.k[0] == info.p[0] == pytest.approx(640.0 / np.tan(np.radians(34.5)))
+
+
+def test_a_camera_draws_images_where_opengl_is(tmp_path: Path) -> None:
+    from tests.outside_tools import without
+
+    camera = (
+        "  camera: {type: sensor/camera, mount: {parent: frame, xyz: [0.6 m, 0, 0.3 m]},"
+        " params: {image_width: 64, image_height: 48}}\n"
+    )
+    world = "world: {obstacles: {wall: {shape: box, xyz: [3, 0, 0], size: [0.2, 9, 9]}}}\n"
+    sensors = "sensors: {images: true}\n"
+    pictures = []
+    for keys in ("", world):
+        try:
+            run = simulation(tmp_path, keys, SENSORS + camera, sensors=sensors)
+        except DiagnosticError as error:
+            without(error.one_line)
+        image, _ = run.sensors["rover/camera"].measure()
+        assert (image.height, image.width, image.step) == (48, 64, 192)
+        pictures.append(image.data.reshape(48, 64, 3).astype(float))
+    # The wall hides the sky, in the upper half of the image.
+    assert abs(pictures[0] - pictures[1])[:20].mean() > 20.0
+
+
+def test_images_without_opengl_are_an_error_at_the_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing() -> None:
+        raise PictureError("cannot draw without a display")
+
+    monkeypatch.setattr("thorvaldc.simulation.sensors.camera.choose_opengl_backend", missing)
+    with pytest.raises(DiagnosticError, match="cannot draw without a display"):
+        simulation(tmp_path, "", ALL_SENSORS, sensors="sensors: {images: true}\n")
+
+
+def test_a_sensor_does_not_measure_twice_in_a_step(tmp_path: Path) -> None:
+    fast = "  imu: {type: sensor/imu, mount: frame.rear_center, params: {rate: 1000 Hz}}\n"
+    times = [time for _, time, _ in measured(simulation(tmp_path, CURVE, fast, duration=0.5))]
+    assert times == pytest.approx(np.arange(101) * 0.005)
+
+
+@pytest.mark.parametrize(
+    "numbers", ["rate: 0 Hz", "angular_resolution: 0", "range: -1 m", "dropouts: 2"]
+)
+def test_numbers_that_no_sensor_can_have_are_errors(tmp_path: Path, numbers: str) -> None:
+    folder = tmp_path / "library" / "sensor" / "mine"
+    folder.mkdir(parents=True)
+    (folder / "module.yaml").write_text(
+        "thorvaldc: 1\ndescription: A lidar.\nmount: {kinds: [sensor_mount], link: body}\n"
+        "links: {body: {parts: [{shape: {box: [0.1, 0.1, 0.1]}, mass: 1 kg,"
+        " source: 'measured: scale'}]}}\n"
+        f"sensor: {{type: lidar_2d, link: body, properties: {{{numbers}}}}}\n"
+    )
+    module = (
+        "library: [library]\n" + ROBOT + "  mine: {type: sensor/mine, mount: {parent: frame}}\n"
+    )
+    (tmp_path / "rover.yaml").write_text(module)
+    compilation = compile_file(tmp_path / "rover.yaml")
+    name = numbers.partition(":")[0]
+    assert [d.message for d in compilation.report.errors if f"`{name}` of a lidar_2d" in d.message]
+
+
+def test_two_plays_write_two_records(tmp_path: Path) -> None:
+    run = simulation(tmp_path, CURVE, duration=0.5)
+    sizes = []
+    for name in ("a.mcap", "b.mcap"):
+        recorder = McapRecorder(tmp_path / name, run.robots, ("truth",))
+        run.play(Report(), [recorder])
+        recorder.close()
+        sizes.append((tmp_path / name).read_bytes())
+    assert sizes[0] == sizes[1]
