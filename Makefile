@@ -78,6 +78,8 @@ lock: .venv-lock/bin/uv
 	$(COMPILE) --group dcfgen --output-file locks/dcfgen.txt
 	$(COMPILE) --group drake --output-file locks/drake.txt
 	$(COMPILE) --group dart --output-file locks/dart.txt
+	$(COMPILE) --group usd --output-file locks/usd.txt
+	$(COMPILE) --group usdcore --output-file locks/usdcore.txt
 	$(COMPILE) --group jazzy --output-file locks/jazzy.txt
 	$(COMPILE) --group kilted --output-file locks/kilted.txt
 

@@ -22,7 +22,8 @@ from tests.packaging.runtime_environment import requirements_of
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 GROUPS: dict[str, Any] = PROJECT["dependency-groups"]
-ENVIRONMENTS = ("dcfgen", "drake", "dart", "jazzy", "kilted")
+READERS = ("dcfgen", "drake", "dart", "usd", "usdcore")
+ENVIRONMENTS = (*READERS, "jazzy", "kilted")
 
 
 def pins(name: str) -> dict[str, Version]:
@@ -89,7 +90,7 @@ def test_every_group_has_a_lock_that_make_and_ci_use() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     script = (ROOT / ".ci/run").read_text(encoding="utf-8")
     assert re.findall(r"--output-file locks/(\w+)\.txt", makefile) == ["dev", *ENVIRONMENTS]
-    assert re.findall(r"^environment (\w+)$", script, re.M) == ["dcfgen", "drake", "dart"]
+    assert re.findall(r"^environment (\w+)$", script, re.M) == [*READERS]
     for text in (makefile, script):
         installs = [line for line in text.splitlines() if "pip install" in line]
         assert len(installs) == 1, "one command installs, with the lock"
