@@ -24,9 +24,9 @@ def matrix(value: Any) -> list[list[float]]:
 def read_body(prim: Any, cache: Any) -> dict[str, Any]:
     mass = UsdPhysics.MassAPI(prim)
     axes = Gf.Matrix3d(Gf.Rotation(Gf.Quatd(mass.GetPrincipalAxesAttr().Get())))
-    inertia = axes.GetTranspose() * Gf.Matrix3d(
-        *(v if i == j else 0.0 for i, v in enumerate(mass.GetDiagonalInertiaAttr().Get()) for j in range(3))
-    ) * axes
+    diagonal = Gf.Matrix3d(1.0)
+    diagonal.SetDiagonal(Gf.Vec3d(mass.GetDiagonalInertiaAttr().Get()))
+    inertia = axes.GetTranspose() * diagonal * axes  # row vectors
     return {
         "mass": mass.GetMassAttr().Get(),
         "com": list(mass.GetCenterOfMassAttr().Get()),
@@ -91,7 +91,7 @@ def read(path: str) -> dict[str, Any]:
                 "type": prim.GetTypeName(),
                 "body": body.GetName(),
                 "center": list(center),
-                "radius": prim.GetAttribute("radius").Get() if prim.HasAttribute("radius") else None,
+                "radius": prim.GetAttribute("radius").Get() if prim.HasAttribute("radius") else 0,
             }
     objects = UsdPhysics.LoadUsdPhysicsFromRange(stage, [stage.GetPseudoRoot().GetPath()])
     return {
@@ -100,7 +100,7 @@ def read(path: str) -> dict[str, Any]:
         "up_axis": UsdGeom.GetStageUpAxis(stage),
         "metres": UsdGeom.GetStageMetersPerUnit(stage),
         "default": stage.GetDefaultPrim().GetName(),
-        "layers": len(stage.GetUsedLayers()),
+        "files": sum(not layer.anonymous for layer in stage.GetUsedLayers()),
         "roots": [p.GetName() for p in prims if p.HasAPI(UsdPhysics.ArticulationRootAPI)],
         "nested": [
             prim.GetName()

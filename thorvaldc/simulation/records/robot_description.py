@@ -16,6 +16,7 @@ import math
 import re
 import struct
 from collections.abc import Callable, Sequence
+from itertools import chain
 
 from thorvaldc.backends.urdf import MESHES, urdf_text
 from thorvaldc.backends.xml_writer import escape
@@ -48,8 +49,9 @@ def _glb_url(name: str, data: bytes) -> str:
     """
     import numpy as np
 
-    triangles = np.array(list(mesh_triangles(name, data)))[:, :, (0, 2, 1)]
-    triangles *= (1.0, 1.0, -1.0)  # from z up to y up
+    points = chain.from_iterable(mesh_triangles(name, data))
+    triangles = np.fromiter(chain.from_iterable(points), np.float64).reshape(-1, 3, 3)
+    triangles = triangles[:, :, (0, 2, 1)] * (1.0, 1.0, -1.0)  # from z up to y up
     a, b, c = triangles.swapaxes(0, 1)
     normals = np.cross(b - a, c - a)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)

@@ -34,9 +34,7 @@ def usd(
     shown = DiagnosticOutput(format, sys.stderr)
     report, model = compilation.report, compilation.model
     if model is not None and not isinstance(model, Robot):
-        raise typer.BadParameter(
-            f"{file} is a fleet; name one of its robots", param_hint="'FILE'"
-        )
+        raise typer.BadParameter(f"{file} is a fleet; name one of its robots", param_hint="'FILE'")
     data = None
     if model is not None and not report.has_errors:
         try:

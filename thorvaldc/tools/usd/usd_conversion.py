@@ -7,12 +7,12 @@ which Isaac Sim (PhysX) is the strictest:
 * One rigid body for each group of links that fixed joints hold together; the links are its frames.
 * Rigid bodies side by side.  PhysX refuses nested ones (requirement RB.006 of NVIDIA's asset
   requirements, before OpenUSD 25.11 a rule of UsdPhysics as well).
-* A ``PhysicsDriveAPI`` for each motor, spring and damper.  Isaac Sim and Newton read no other gains.
+* A ``PhysicsDriveAPI`` for each motor, spring and damper, from which simulators read gains.
 * Parts of one robot do not collide with each other, as in the MJCF.
 
-A request has the paths ``mjcf`` and ``usd``, ``bodies`` (see ``usd_export``), ``targets`` (positions
-of servos, by joint) and ``limits`` (speeds of joints).  The answer has the texts ``left_out`` and
-``errors``, and the file as data.
+A request has the paths ``mjcf`` and ``usd``, ``bodies`` (see ``usd_export``), ``targets``
+(positions of servos, by joint) and ``limits`` (speeds of joints).  The answer has the texts
+``left_out`` and ``errors``, and the file as data.
 """
 
 from __future__ import annotations
@@ -49,14 +49,19 @@ def _converted(mjcf: Path, left_out: list[str]) -> Any:
     from pxr import Tf, Usd
 
     def warn(text: str) -> None:
-        # Every MJCF of thorvaldc has sensors and cameras; ``usd_export`` warns of those of the robot.
+        # Every MJCF of thorvaldc has sensors; ``usd_export`` warns of those of the robot.
         if text not in ("sensors are not supported", "cameras are not supported"):
             left_out.append(f"the USD file leaves out a part of the MJCF: {text}")
 
     # The converter reports by this function; pxr gives Python no other way to receive its warnings.
     Tf.Warn = warn
     folder = tempfile.mkdtemp(dir=mjcf.parent)
-    return Usd.Stage.Open(Converter(layer_structure=False).convert(str(mjcf), folder).path)
+    stage = Usd.Stage.Open(Converter().convert(str(mjcf), folder).path)
+    # OpenUSD numbers the prototypes of instances in any order, so that bytes would differ.
+    while instances := [prim for prim in stage.Traverse() if prim.IsInstance()]:
+        for prim in instances:
+            prim.SetInstanceable(False)
+    return Usd.Stage.Open(stage.Flatten(addSourceFileComment=False))
 
 
 def _named_prims(stage: Any) -> dict[str, Any]:
@@ -146,7 +151,7 @@ def _add_drives(prims: dict[str, Any], mjcf: Path, targets: dict[str, float]) ->
     for number in range(model.nu):
         joint = joints[model.actuator_trnid[number, 0]]
         driven.add(joint.id)
-        stiffness, damping = (max(-float(bias), 0.0) for bias in model.actuator_biasprm[number, 1:3])
+        stiffness, damping = (abs(float(bias)) for bias in model.actuator_biasprm[number, 1:3])
         limited = model.actuator_forcelimited[number]
         limit = model.actuator_forcerange[number, 1] if limited else math.inf
         target = targets.get(joint.name, 0.0)
@@ -159,9 +164,7 @@ def _add_drives(prims: dict[str, Any], mjcf: Path, targets: dict[str, float]) ->
                 _add_drive(prims[joint.name], stiffness, damping, reference, math.inf)
 
 
-def _add_drive(
-    prim: Any, stiffness: float, damping: float, target: float, limit: float
-) -> None:
+def _add_drive(prim: Any, stiffness: float, damping: float, target: float, limit: float) -> None:
     """Adds a drive with the gains per rad or m."""
     from pxr import UsdPhysics
 

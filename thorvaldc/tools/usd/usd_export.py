@@ -65,9 +65,7 @@ def export_usd(robot: Robot, suffix: str, report: Report) -> bytes:
             "mjcf": str(folder / "mjcf" / "robot.xml"),
             "usd": str(folder / f"robot{suffix}"),
             "bodies": _rigid_bodies(robot),
-            "targets": {
-                robot.prefix + servo.joint: servo.initial for servo in robot.joint_servos
-            },
+            "targets": {robot.prefix + servo.joint: servo.initial for servo in robot.joint_servos},
             "limits": {
                 robot.prefix + joint.name: joint.velocity
                 for joint in robot.joints
