@@ -80,6 +80,7 @@ lock: .venv-lock/bin/uv
 	$(COMPILE) --group dart --output-file locks/dart.txt
 	$(COMPILE) --group pinocchio --output-file locks/pinocchio.txt
 	$(COMPILE) --group usd --output-file locks/usd.txt
+	$(COMPILE) --group usdcore --output-file locks/usdcore.txt
 	$(COMPILE) --group warp --output-file locks/warp.txt
 	$(COMPILE) --group jazzy --output-file locks/jazzy.txt
 	$(COMPILE) --group kilted --output-file locks/kilted.txt

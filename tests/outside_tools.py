@@ -71,6 +71,10 @@ DRAKE_PYTHON = ENVIRONMENTS / "drake/bin/python"
 """The Python of an environment with Drake, which reads URDF; made by ``.ci/run``."""
 DART_PYTHON = ENVIRONMENTS / "dart/bin/python"
 """The Python of an environment with DART, the physics engine of Gazebo; made by ``.ci/run``."""
+USD_PYTHON = ENVIRONMENTS / "usd/bin/python"
+"""The Python of an environment with the converter to OpenUSD; made by ``.ci/run``."""
+USD_CORE_PYTHON = ENVIRONMENTS / "usdcore/bin/python"
+"""The Python of an environment with OpenUSD alone; made by ``.ci/run``."""
 ALWAYS_HERE = frozenset(["sh", "bash"])  # programs of every system
 
 
@@ -108,6 +112,14 @@ def path_of_dart_python() -> str:
     if not DART_PYTHON.exists():
         without("DART is not installed (.ci/run shows how)")
     return str(DART_PYTHON)
+
+
+def path_of_usd_python(*, converter: bool) -> str:
+    """Returns the path of a Python with OpenUSD, with or without its converter, as ``path_of``."""
+    python = USD_PYTHON if converter else USD_CORE_PYTHON
+    if not python.exists():
+        without("OpenUSD is not installed (.ci/run shows how)")
+    return str(python)
 
 
 def without(reason: str) -> None:

@@ -22,7 +22,7 @@ from tests.packaging.runtime_environment import requirements_of
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 GROUPS: dict[str, Any] = PROJECT["dependency-groups"]
-READERS = ("dcfgen", "drake", "dart", "pinocchio", "usd", "warp")
+READERS = ("dcfgen", "drake", "dart", "pinocchio", "usd", "usdcore", "warp")
 ENVIRONMENTS = (*READERS, "jazzy", "kilted")
 
 

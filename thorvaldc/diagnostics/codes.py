@@ -253,6 +253,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV614", "ros-frame-name", "a link has a name that no frame of ROS 2 can have"),
     _error("TV615", "ros-frame-reserved", "a link has the name of a frame of the localization"),
     _error("TV616", "ros-topic-duplicate", "a twist source or lock has a topic that is used"),
+    _warning("TV617", "usd-left-out", "a part of the robot is not in its OpenUSD file"),
     _warning("TV620", "dbc-text", "a text contains characters that a DBC file cannot represent"),
     # 7xx: library and extras
     _error("TV701", "library-missing", "a library folder does not exist"),

@@ -79,6 +79,7 @@ def test_messages_have_the_values_of_the_samples(robot: Robot, tmp_path: Path) -
     topics = by_topic(tmp_path / "a.mcap")
     assert {topic: len(got) for topic, got in topics.items()} == {
         "/tf_static": 1,
+        "/robot_description": 1,
         **dict.fromkeys(("/odom", "/ground_truth/odom", "/cmd_vel", "/cmd_vel_limited"), 51),
         **dict.fromkeys(("/joint_states", "/joint_commands", "/tf"), 51),
     }
@@ -103,9 +104,11 @@ def test_messages_have_the_values_of_the_samples(robot: Robot, tmp_path: Path) -
     assert list(joints.velocity[:4]) == list(last.joints.speeds)
     assert list(joints.position[4:]) == list(last.joints.angles)
     frames = {t.child_frame_id: t for _, tf in topics["/tf"] for t in tf.transforms}
+    joint_frames = {j.child: j.parent for j in robot.joints if j.name in joints.name}
     assert {name: t.header.frame_id for name, t in frames.items()} == {
         "base_link": "odom",
         "base_link_true": "map",
+        **joint_frames,
     }
     assert topics["/tf_static"][0][1].transforms[0].child_frame_id == "odom"
 
@@ -139,7 +142,7 @@ def test_another_reader_than_rosbags_reads_profile_schemas_and_index(
         assert {s.encoding for s in schemas.values()} == {"ros2msg"}
         assert b"MSG: geometry_msgs/PoseWithCovariance" in schemas["nav_msgs/msg/Odometry"].data
         times = [message.log_time for _, _, message in reader.iter_messages()]
-        assert len(times) == summary.statistics.message_count == 51 * 7 + 1
+        assert len(times) == summary.statistics.message_count == 51 * 7 + 2
         assert times == sorted(times)
         # The decoder uses only the message definitions in the file.
         decoded = [m for *_, m in reader.iter_decoded_messages(topics=["/odom"])]
@@ -151,7 +154,12 @@ def test_topics_of_a_fleet_have_name_spaces(tmp_path: Path) -> None:
     fleet = compiled("fleet_of_four/fleet.yaml")
     samples = drive(fleet, tmp_path / "a.mcap", 0.2, groups=("odometry",))
     topics = by_topic(tmp_path / "a.mcap")
-    assert set(topics) == {"/tf", "/tf_static", *(f"/{name}/odom" for name in samples)}
+    assert set(topics) == {
+        "/tf",
+        "/tf_static",
+        *(f"/{name}/{topic}" for name in samples for topic in ("odom", "robot_description")),
+    }
+    assert len(topics["/tf_static"]) == 1  # a late subscriber gets only the last message
     moved = {t.child_frame_id for _, tf in topics["/tf"] for t in tf.transforms}
     assert moved == {f"{name}/base_link" for name in samples}
     (odom,) = {m.header.frame_id for _, m in topics["/wide/odom"]}
@@ -164,13 +172,18 @@ def test_equal_runs_give_equal_bytes_with_any_file_name(robot: Robot, tmp_path: 
     for name in ("a", "b"):
         drive(robot, tmp_path / f"{name}.mcap")
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
-    assert sorted(os.listdir(tmp_path)) == ["a.mcap", "b.mcap"]
+    assert (tmp_path / "a.foxglove.json").read_bytes() == (
+        tmp_path / "b.foxglove.json"
+    ).read_bytes()
+    assert sorted(os.listdir(tmp_path)) == [
+        f"{name}.{suffix}" for name in "ab" for suffix in ("foxglove.json", "mcap")
+    ]
 
 
 def test_groups_and_times_are_those_requested(robot: Robot, tmp_path: Path) -> None:
     drive(robot, tmp_path / "a.mcap", groups=("truth",), every=0.1)
     topics = by_topic(tmp_path / "a.mcap")
-    assert set(topics) == {"/ground_truth/odom", "/tf"}
+    assert set(topics) == {"/ground_truth/odom", "/tf", "/tf_static", "/robot_description"}
     assert [time for time, _ in topics["/ground_truth/odom"]] == [k * 10**8 for k in range(11)]
 
 

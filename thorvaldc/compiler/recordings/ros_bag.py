@@ -20,6 +20,7 @@ from thorvaldc.diagnostics.installation import install_command
 ODOM, TRUE_ODOM = "odom", "ground_truth/odom"
 COMMANDED_TWIST, LIMITED_TWIST = "cmd_vel", "cmd_vel_limited"
 JOINTS, COMMANDS = "joint_states", "joint_commands"
+DESCRIPTION = "robot_description"
 TYPES = {
     ODOM: "nav_msgs/msg/Odometry",
     TRUE_ODOM: "nav_msgs/msg/Odometry",

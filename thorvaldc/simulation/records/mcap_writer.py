@@ -10,14 +10,17 @@ of the robot:
 ``cmd_vel_limited``   TwistStamped     the commanded twist after limits and ramps
 ``joint_states``      JointState       the joint states that the driver reads
 ``joint_commands``    JointState       the joint commands of the driver
+``robot_description`` String           the URDF with its meshes, see ``robot_description``
 ====================  ===============  ====================================================
 
 Sensors have the topics that the node has, such as ``lidar/scan``.
 
 The topics ``/tf`` and ``/tf_static`` have these frames::
 
-    map --(static: start pose)--> odom --(estimated)--> base_link --> frames of sensors
+    map --(static: start pose)--> odom --(estimated)--> base_link --> links of the URDF
      \--(true)--> base_link_true
+
+Without odometry, ``base_link`` is at ``base_link_true``.
 """
 
 from __future__ import annotations
@@ -30,18 +33,21 @@ import shutil
 import struct
 import tempfile
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from thorvaldc.backends import ros2_parts
 from thorvaldc.compiler.recordings import ros_bag
-from thorvaldc.diagnostics.files import INCOMPLETE, errors_with_name, uninterrupted
+from thorvaldc.diagnostics.files import INCOMPLETE, errors_with_name, uninterrupted, write_file
 from thorvaldc.model import Robot, wheel_joints
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import ZERO_COV, Pose2
 from thorvaldc.simulation.control_loop import Sample
+from thorvaldc.simulation.records.foxglove_layout import LAYOUT_SUFFIX, foxglove_layout
 from thorvaldc.simulation.records.recorder import SampleInterval
+from thorvaldc.simulation.records.robot_description import LinkFrames, self_contained_urdf
 
 if TYPE_CHECKING:
     from thorvaldc.simulation.sensors.simulated_sensor import Message, SimulatedSensor
@@ -209,7 +215,7 @@ class MessageTypes:
 
 
 def latched_qos() -> Any:
-    """Returns the quality of service of the topic ``/tf_static``.
+    """Returns the quality of service of the topics ``/tf_static`` and ``robot_description``.
 
     A subscriber that connects after the message was sent also receives the message.
     """
@@ -236,7 +242,7 @@ def latched_qos() -> Any:
     )
 
 
-_TF = "tf2_msgs/msg/TFMessage"
+_TF, _STRING = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
 _GROUPS = {
     "odometry": (ros_bag.ODOM,),
     "truth": (ros_bag.TRUE_ODOM,),
@@ -252,7 +258,7 @@ _BATCH = 500
 
 
 class McapRecorder:
-    """Writes the samples of all robots to one MCAP file.
+    """Writes the samples of all robots to one MCAP file, and a layout for Foxglove beside it.
 
     The arguments ``groups`` and ``every`` have the same meaning as for ``CsvRecorder``.  Two equal
     runs give MCAP files with equal bytes.  During the run, the MCAP file is in a hidden folder next
@@ -276,13 +282,15 @@ class McapRecorder:
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
         self.path = path
+        self._layout = foxglove_layout(robots, groups)
         self._interval = SampleInterval(every)
         self._types = MessageTypes()
         self._pending: list[tuple[Any, int, bytes]] = []
         self._failed = False
-        self._tf: Any = None
-        self._tf_static: Any = None
-        self._sensors: dict[tuple[str, str], tuple[Any, MessageTemplate]] = {}
+        self._sensors: dict[tuple[str, str], Any] = {}
+        self._static_frames: list[tuple[str, str]] = []
+        self._static_numbers: list[float] = []
+        self._robots_without_frames = len(robots)
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
         with errors_with_name(path):
@@ -297,10 +305,8 @@ class McapRecorder:
                 self._writer.open()
             topics = [topic for group in _GROUPS if group in groups for topic in _GROUPS[group]]
             self._robots = {name: self._open(robot, topics) for name, robot in robots}
-            if ros_bag.ODOM in topics or ros_bag.TRUE_ODOM in topics:
-                self._tf = self._connect("/tf", _TF)
-            if ros_bag.ODOM in topics:
-                self._tf_static = self._connect("/tf_static", _TF, latched=True)
+            self._tf = self._connect("/tf", _TF)
+            self._tf_static = self._connect("/tf_static", _TF, latched=True)
         except BaseException:
             self._remove_folder()
             raise
@@ -315,18 +321,14 @@ class McapRecorder:
                 self._write()
 
     def measured(self, sensor: SimulatedSensor, message: Message) -> None:
-        """Queues a message of a sensor, and the pose of its frame, for the next write."""
-        time, prefix = round(sensor.seen.data.time * 1e9), sensor.robot.prefix
+        """Queues a message of a sensor for the next write."""
         key = sensor.name, message.ros_type
         if key not in self._sensors:
             topics = {kind: topic for topic, kind, _ in ros2_parts.sensor_topics(sensor.sensor)}
-            connection = self._connect(f"/{prefix}{topics[message.ros_type]}", message.ros_type)
-            mount = transforms_template([(f"{prefix}base_link", sensor.frame)])
-            self._sensors[key] = connection, mount
-            self._tf = self._tf or self._connect("/tf", _TF)
-        connection, mount = self._sensors[key]
-        self.send(connection, time, self._types.serialized(message))
-        self.send_tf(time, mount.encode(time, sensor.mount()))
+            topic = f"/{sensor.robot.prefix}{topics[message.ros_type]}"
+            self._sensors[key] = self._connect(topic, message.ros_type)
+        time = round(sensor.seen.data.time * 1e9)
+        self.send(self._sensors[key], time, self._types.serialized(message))
 
     def close(self) -> None:
         if not self._folder.exists():
@@ -347,6 +349,8 @@ class McapRecorder:
                 with contextlib.suppress(FileNotFoundError):
                     os.replace(self._folder / _NAME / f"{_NAME}.mcap", name)
                 self._remove_folder()
+        if not self._failed:
+            write_file(self.path.with_suffix(LAYOUT_SUFFIX), self._layout)
 
     @contextlib.contextmanager
     def _failing(self) -> Iterator[None]:
@@ -361,9 +365,23 @@ class McapRecorder:
         """Queues a message with the time ``time`` (ns) for the next write."""
         self._pending.append((connection, time, data))
 
-    def send_tf(self, time: int, data: bytes, *, static: bool = False) -> None:
+    def send_tf(self, time: int, data: bytes) -> None:
         """Queues a TFMessage with the time ``time`` (ns) for the next write."""
-        self.send(self._tf_static if static else self._tf, time, data)
+        self.send(self._tf, time, data)
+
+    def send_static_frames(
+        self, time: int, frames: Sequence[tuple[str, str]], numbers: Sequence[float]
+    ) -> None:
+        """Takes the static frames of a robot, and queues one message when all robots have theirs.
+
+        A late subscriber gets only the last message on the topic.
+        """
+        self._static_frames += frames
+        self._static_numbers += numbers
+        self._robots_without_frames -= 1
+        if self._robots_without_frames == 0:
+            message = transforms_template(self._static_frames)
+            self.send(self._tf_static, time, message.encode(time, self._static_numbers))
 
     def _write(self) -> None:
         pending, self._pending = self._pending, []
@@ -375,6 +393,8 @@ class McapRecorder:
             topic: self._connect(f"/{robot.prefix}{topic}", ros_bag.TYPES[topic])
             for topic in topics
         }
+        description = f"/{robot.prefix}{ros_bag.DESCRIPTION}"
+        connections[ros_bag.DESCRIPTION] = self._connect(description, _STRING, latched=True)
         return _RobotTopics(robot, connections, self)
 
     def _connect(self, topic: str, type_name: str, *, latched: bool = False) -> Any:
@@ -402,16 +422,22 @@ class _RobotTopics:
         self._recorder = recorder
         odom, base = f"{robot.prefix}odom", f"{robot.prefix}base_link"
         true_base = f"{base}_true"
+        self._robot = robot
         drives, steering = wheel_joints(robot)
         self._drives, self._steering = list(drives.values()), list(steering.values())
         self._odometry = odometry_template(odom, base)
         self._truth = odometry_template("map", true_base)
-        self._start_frame = transforms_template([("map", odom)])
-        frames = [(odom, base)] if ros_bag.ODOM in connections else []
-        frames += [("map", true_base)] if ros_bag.TRUE_ODOM in connections else []
-        self._frames = transforms_template(frames)
+        has_odometry = ros_bag.ODOM in connections
+        has_truth = ros_bag.TRUE_ODOM in connections
+        joints = [*drives, *steering]
+        self._links = LinkFrames(robot, joints if ros_bag.JOINTS in connections else ())
+        self._static_frames = [("map", odom)] if has_odometry else []
+        self._static_frames += [(true_base, base)] if has_truth and not has_odometry else []
+        frames = [(odom, base)] if has_odometry else []
+        frames += [("map", true_base)] if has_truth else []
+        self._frames = transforms_template([*frames, *self._links.moving])
         self._twist = twist_template(base)
-        self._joints = joints_template([*drives, *steering])
+        self._joints = joints_template(joints)
         self._start: Pose2 | None = None
 
     def send(self, sample: Sample, commands: JointCommands | None) -> None:
@@ -419,11 +445,10 @@ class _RobotTopics:
         connections, send = self._connections, self._recorder.send
         time = round(sample.time * 1e9)
         poses: tuple[float, ...] = ()
+        if self._start is None:
+            self._start = sample.pose_estimated
+            self._send_description(time)
         if ros_bag.ODOM in connections:
-            if self._start is None:
-                self._start = sample.pose_estimated
-                data = self._start_frame.encode(time, se2.pose_numbers(self._start))
-                self._recorder.send_tf(time, data, static=True)
             local = sample.pose_estimated.relative_to(self._start)
             poses = se2.pose_numbers(local)
             numbers = (
@@ -439,6 +464,8 @@ class _RobotTopics:
             unknown = se2.covariance_numbers(ZERO_COV)
             numbers = (*true_pose, *unknown, *se2.twist_numbers(sample.true), *unknown)
             send(connections[ros_bag.TRUE_ODOM], time, self._truth.encode(time, numbers))
+        if self._links.moving:
+            poses += tuple(self._links.moving_numbers(self._readings(sample.joints)))
         if poses:
             self._recorder.send_tf(time, self._frames.encode(time, poses))
         for topic, twist in (
@@ -457,6 +484,29 @@ class _RobotTopics:
         if ros_bag.COMMANDS in connections and commands is not None:
             data = self._joints.encode(time, self._command_numbers(commands))
             send(connections[ros_bag.COMMANDS], time, data)
+
+    def _send_description(self, time: int) -> None:
+        """Queues the URDF and the frames that do not move.  ``_start`` is the start pose."""
+        urdf = MessageTemplate()
+        urdf.text(self_contained_urdf(self._robot))
+        self._recorder.send(self._connections[ros_bag.DESCRIPTION], time, urdf.encode(time, ()))
+        start = se2.pose_numbers(self._start or se2.ORIGIN)
+        if ros_bag.ODOM not in self._connections:
+            start = se2.pose_numbers(se2.ORIGIN)
+        transforms = [start] * len(self._static_frames) + self._links.fixed_transforms
+        self._recorder.send_static_frames(
+            time, [*self._static_frames, *self._links.fixed], list(chain.from_iterable(transforms))
+        )
+
+    def _readings(self, joints: JointStates | None) -> list[float]:
+        """Returns the positions (rad) of the drive and steering joints, 0 where unknown."""
+        if joints is None:
+            return [0.0] * (len(self._drives) + len(self._steering))
+        positions = joints.positions
+        return [
+            *(positions[i] if positions is not None else 0.0 for i in self._drives),
+            *(joints.angles[i] for i in self._steering),
+        ]
 
     def _state_numbers(self, joints: JointStates) -> list[float]:
         """Returns the numbers of a JointState message from joint states.
