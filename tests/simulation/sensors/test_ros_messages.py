@@ -72,12 +72,15 @@ def test_mcap_reads_the_measurements(bag: tuple[Path, Any]) -> None:
     info = messages["/rover/camera/camera_info sensor_msgs/msg/CameraInfo"][-1]
     assert info.k[0] == info.p[0] == run.sensors["rover/camera"].latest.k[0]
     frames = {
-        (t.header.frame_id, t.child_frame_id): t.transform
-        for message in messages["/tf tf2_msgs/msg/TFMessage"]
+        t.child_frame_id: (t.header.frame_id, t.transform.translation.x)
+        for message in messages["/tf_static tf2_msgs/msg/TFMessage"]
         for t in message.transforms
     }
-    mount = frames["rover/base_link", "rover/lidar_laser"]
-    assert mount.translation.x == pytest.approx(0.476, abs=1e-3)
+    frame, x = "rover/lidar_laser", 0.0
+    while frame != "rover/base_link":  # links that are not turned
+        frame, step = frames[frame]
+        x += step
+    assert x == pytest.approx(0.476, abs=1e-3)
 
 
 def tower_points(run: Any) -> Any:
