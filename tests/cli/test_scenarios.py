@@ -83,10 +83,13 @@ def test_the_suffix_selects_the_format_of_the_record(thorvaldc: Command, tmp_pat
     path.write_text(SCENARIO)
     for source in (path, ROBOT):
         seconds = [] if source == path else ["--twist", "0.5,0,0", "--duration", "1"]
-        for name, starts in (("a.mcap", b"\x89MCAP"), ("a.csv", b"time,")):
+        for name, starts, files in (
+            ("a.mcap", b"\x89MCAP", "a.mcap, a.foxglove.json\n"),
+            ("a.csv", b"time,", "a.csv\n"),
+        ):
             result = thorvaldc("sim", str(source), *seconds, "--record", name)
             assert result.status == 0, result.err
-            assert result.err == f"{name}\n"
+            assert result.err == files
             assert Path(name).read_bytes().startswith(starts)
     result = thorvaldc("sim", str(path), "--record", "a.bag")
     assert result.status == 2

@@ -32,6 +32,7 @@ from thorvaldc.simulation.pictures.render import (
     encoder,
 )
 from thorvaldc.simulation.records.csv_record import CsvRecorder
+from thorvaldc.simulation.records.foxglove_layout import LAYOUT_SUFFIX
 from thorvaldc.simulation.records.joint_csv import JointLogWriter
 from thorvaldc.simulation.records.mcap_writer import McapRecorder
 from thorvaldc.simulation.records.recorder import Recorder
@@ -87,7 +88,10 @@ def _check_path(path: Path, record: str, robot_count: int) -> None:
 
 def record_summary(record: str, robots: Robots) -> str:
     """Returns the file names of a record as one line of text."""
-    if Path(record).suffix.lower() in (".mcap", ".csv"):
+    path = Path(record)
+    if path.suffix.lower() == ".mcap":
+        return f"{record}, {path.with_suffix(LAYOUT_SUFFIX)}"
+    if path.suffix.lower() == ".csv":
         return record
     return f"{record}: {', '.join(f'{name}.csv' for name, _ in robots)}"
 

@@ -49,7 +49,7 @@ class Record:
 
     def frames(self, *, first: bool = False) -> dict[str, tuple[str, np.ndarray]]:
         """Returns parent and 4x4 pose of each frame at the end or the beginning of the record."""
-        (static,) = self.messages["/tf_static"]
+        static = self.messages["/tf_static"][-1]
         messages = self.messages.get("/tf", [])
         moving = {
             t.child_frame_id: t for m in messages[: 1 if first else None] for t in m.transforms

@@ -1,115 +1,55 @@
 """A layout for Foxglove that shows the MCAP file of a run: robots, frames, odometry and joints.
 
-The keys are those that Foxglove writes when it exports a layout: a tree of panels that split the
-window (``layout``), and the settings of each panel (``configById``), whose key begins with the type
-of the panel.  Lichtblick, its open-source fork, reads the same files.
+``templates/foxglove/layout.json`` has the panels, in the form that Foxglove exports and that its
+open-source fork Lichtblick reads too; the robots and the plotted fields are added here.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Collection, Sequence
 
 from thorvaldc.compiler.recordings import ros_bag
+from thorvaldc.diagnostics.files import read_json
 from thorvaldc.model import Robot, wheel_joints
+from thorvaldc.model.plugins import data_folder
 
 LAYOUT_SUFFIX = ".foxglove.json"
-_ODOMETRY = {"odometry": ros_bag.ODOM, "truth": ros_bag.TRUE_ODOM}
-_TWISTS = (ros_bag.COMMANDED_TWIST, ros_bag.LIMITED_TWIST)
+_TWISTS = {
+    "odometry": (f"{ros_bag.ODOM}.twist",),
+    "truth": (f"{ros_bag.TRUE_ODOM}.twist",),
+    "twist": (ros_bag.COMMANDED_TWIST, ros_bag.LIMITED_TWIST),
+}
 
 
 def foxglove_layout(robots: Sequence[tuple[str, Robot]], groups: Collection[str]) -> str:
     """Returns the layout of a record as JSON text.  ``groups``: groups of the recorded values."""
-    is_fleet = len(robots) > 1
-    odometry = [topic for group, topic in _ODOMETRY.items() if group in groups]
-    twists = [f"{topic}.twist" for topic in odometry]
-    twists += _TWISTS if "twist" in groups else ()
-    layers = {"grid": _layer("Grid", "grid", frameId="map", size=100, divisions=100)}
-    topics: dict[str, Mapping[str, bool]] = {}
-    plots: dict[str, list[tuple[str, str]]] = {
-        "Speed of the base": [],
-        "Speeds of the drive joints (rad/s)": [],
-        "Angles of the steering joints (rad)": [],
-    }
-    speeds, velocities, angles = plots.values()
+    template = (data_folder("templates") / "foxglove" / "layout.json").read_text(encoding="utf-8")
+    layout = read_json(template)
+    scene, speeds, drives, steering = layout["configById"].values()
+    if len(robots) == 1:
+        scene["followTf"] = f"{robots[0][1].prefix}base_link"
     for name, robot in robots:
-        space = f"/{robot.prefix}"
-        label = f"{name} " if is_fleet else ""
-        layers[name] = _layer(
-            "Urdf", name, sourceType="topic", topic=f"{space}{ros_bag.DESCRIPTION}"
-        )
-        topics |= {f"{space}{topic}": {"visible": True} for topic in odometry}
-        for twist in twists:
-            title = f"{label}{twist.removesuffix('.twist')}"
-            speeds.append((f"{space}{twist}.twist.linear.x", f"{title} vx (m/s)"))
-            speeds.append((f"{space}{twist}.twist.angular.z", f"{title} yaw rate (rad/s)"))
+        space, label = f"/{robot.prefix}", f"{name} " if len(robots) > 1 else ""
+        layer = {"layerId": "foxglove.Urdf", "instanceId": name, "label": name}
+        topic = f"{space}{ros_bag.DESCRIPTION}"
+        scene["layers"][name] = {**layer, "sourceType": "topic", "topic": topic}
+        for twist in (twist for group in _TWISTS if group in groups for twist in _TWISTS[group]):
+            topic = twist.removesuffix(".twist")
+            if topic != twist:
+                scene["topics"][f"{space}{topic}"] = {"visible": True}
+            for part, unit in (("linear.x", "vx (m/s)"), ("angular.z", "yaw rate (rad/s)")):
+                _plot(speeds, f"{space}{twist}.twist.{part}", f"{label}{topic} {unit}")
         if "joints" in groups:
-            drives, steering = wheel_joints(robot)
-            states = f"{space}{ros_bag.JOINTS}"
-            for index, joint in enumerate((*drives, *steering)):
-                if index < len(drives):
-                    velocities.append((f"{states}.velocity[{index}]", f"{label}{joint}"))
-                else:
-                    angles.append((f"{states}.position[{index}]", f"{label}{joint}"))
-    panels: dict[str, Any] = {
-        "3D!robots": {
-            "cameraState": {"distance": 15 if is_fleet else 4, "phi": 60, "thetaOffset": 40},
-            "followTf": "map" if is_fleet else f"{robots[0][1].prefix}base_link",
-            "followMode": "follow-position",
-            "scene": {"transforms": {"showLabel": False, "axisScale": 0.5, "lineWidth": 1}},
-            "topics": topics,
-            "layers": layers,
-        }
-    }
-    panels |= {
-        f"Plot!plot{number}": _plot(title, series)
-        for number, (title, series) in enumerate(plots.items())
-        if series
-    }
-    first, *others = panels
-    layout: Any = first
-    if others:
-        column = _column(others)
-        layout = {"direction": "row", "first": first, "second": column, "splitPercentage": 60}
-    content = {
-        "configById": panels,
-        "globalVariables": {},
-        "userNodes": {},
-        "playbackConfig": {"speed": 1},
-        "layout": layout,
-    }
-    return json.dumps(content, indent=1) + "\n"
+            joints = wheel_joints(robot)
+            for index, joint in enumerate((*joints[0], *joints[1])):
+                is_drive = index < len(joints[0])
+                field = f"{'velocity' if is_drive else 'position'}[{index}]"
+                plot = drives if is_drive else steering
+                _plot(plot, f"{space}{ros_bag.JOINTS}.{field}", f"{label}{joint}")
+    return json.dumps(layout, indent=1) + "\n"
 
 
-def _layer(kind: str, name: str, **settings: Any) -> Mapping[str, Any]:
-    return {"layerId": f"foxglove.{kind}", "instanceId": name, "label": name, **settings}
-
-
-def _plot(title: str, series: Iterable[tuple[str, str]]) -> Mapping[str, Any]:
-    """Returns the settings of a plot over time.  ``series`` has message path and label of each."""
-    return {
-        "foxglovePanelTitle": title,
-        "paths": [
-            {"value": path, "label": label, "enabled": True, "timestampMethod": "receiveTime"}
-            for path, label in series
-        ],
-        "xAxisVal": "timestamp",
-        "showLegend": True,
-        "legendDisplay": "left",
-        "showPlotValuesInLegend": False,
-        "showXAxisLabels": True,
-        "showYAxisLabels": True,
-        "isSynced": True,
-        "sidebarDimension": 200,
-    }
-
-
-def _column(panels: Sequence[str]) -> Any:
-    """Returns panels of equal height, one below another."""
-    first, *others = panels
-    if not others:
-        return first
-    share = round(100 / len(panels))
-    second = _column(others)
-    return {"direction": "column", "first": first, "second": second, "splitPercentage": share}
+def _plot(panel: dict[str, list[dict[str, object]]], path: str, label: str) -> None:
+    series = {"value": path, "label": label, "enabled": True, "timestampMethod": "receiveTime"}
+    panel["paths"].append(series)

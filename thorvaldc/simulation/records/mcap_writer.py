@@ -32,7 +32,7 @@ import os
 import shutil
 import struct
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -47,7 +47,11 @@ from thorvaldc.runtime.se2 import ZERO_COV, Pose2
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.records.foxglove_layout import LAYOUT_SUFFIX, foxglove_layout
 from thorvaldc.simulation.records.recorder import SampleInterval
-from thorvaldc.simulation.records.robot_description import LinkFrames, self_contained_urdf
+from thorvaldc.simulation.records.robot_description import (
+    LinkFrames,
+    Transform,
+    urdf_with_meshes,
+)
 
 if TYPE_CHECKING:
     from thorvaldc.simulation.sensors.simulated_sensor import Message, SimulatedSensor
@@ -288,9 +292,7 @@ class McapRecorder:
         self._pending: list[tuple[Any, int, bytes]] = []
         self._failed = False
         self._sensors: dict[tuple[str, str], Any] = {}
-        self._static_frames: list[tuple[str, str]] = []
-        self._static_numbers: list[float] = []
-        self._robots_without_frames = len(robots)
+        self._static_frames: dict[tuple[str, str], Transform] = {}
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
         with errors_with_name(path):
@@ -305,7 +307,7 @@ class McapRecorder:
                 self._writer.open()
             topics = [topic for group in _GROUPS if group in groups for topic in _GROUPS[group]]
             self._robots = {name: self._open(robot, topics) for name, robot in robots}
-            self._tf = self._connect("/tf", _TF)
+            self.tf = self._connect("/tf", _TF)
             self._tf_static = self._connect("/tf_static", _TF, latched=True)
         except BaseException:
             self._remove_folder()
@@ -365,23 +367,15 @@ class McapRecorder:
         """Queues a message with the time ``time`` (ns) for the next write."""
         self._pending.append((connection, time, data))
 
-    def send_tf(self, time: int, data: bytes) -> None:
-        """Queues a TFMessage with the time ``time`` (ns) for the next write."""
-        self.send(self._tf, time, data)
-
-    def send_static_frames(
-        self, time: int, frames: Sequence[tuple[str, str]], numbers: Sequence[float]
-    ) -> None:
-        """Takes the static frames of a robot, and queues one message when all robots have theirs.
+    def send_static_frames(self, time: int, frames: Mapping[tuple[str, str], Transform]) -> None:
+        """Queues a message with the static frames of a robot and of all robots before it.
 
         A late subscriber gets only the last message on the topic.
         """
-        self._static_frames += frames
-        self._static_numbers += numbers
-        self._robots_without_frames -= 1
-        if self._robots_without_frames == 0:
-            message = transforms_template(self._static_frames)
-            self.send(self._tf_static, time, message.encode(time, self._static_numbers))
+        self._static_frames |= frames
+        message = transforms_template([*self._static_frames])
+        numbers = list(chain.from_iterable(self._static_frames.values()))
+        self.send(self._tf_static, time, message.encode(time, numbers))
 
     def _write(self) -> None:
         pending, self._pending = self._pending, []
@@ -427,14 +421,13 @@ class _RobotTopics:
         self._drives, self._steering = list(drives.values()), list(steering.values())
         self._odometry = odometry_template(odom, base)
         self._truth = odometry_template("map", true_base)
-        has_odometry = ros_bag.ODOM in connections
-        has_truth = ros_bag.TRUE_ODOM in connections
         joints = [*drives, *steering]
         self._links = LinkFrames(robot, joints if ros_bag.JOINTS in connections else ())
-        self._static_frames = [("map", odom)] if has_odometry else []
-        self._static_frames += [(true_base, base)] if has_truth and not has_odometry else []
-        frames = [(odom, base)] if has_odometry else []
-        frames += [("map", true_base)] if has_truth else []
+        frames = [(odom, base)] if ros_bag.ODOM in connections else []
+        self._static_frames = [("map", odom)] if frames else []
+        if ros_bag.TRUE_ODOM in connections:
+            self._static_frames += [] if frames else [(true_base, base)]
+            frames.append(("map", true_base))
         self._frames = transforms_template([*frames, *self._links.moving])
         self._twist = twist_template(base)
         self._joints = joints_template(joints)
@@ -446,8 +439,8 @@ class _RobotTopics:
         time = round(sample.time * 1e9)
         poses: tuple[float, ...] = ()
         if self._start is None:
-            self._start = sample.pose_estimated
-            self._send_description(time)
+            self._start = sample.pose_estimated if ros_bag.ODOM in connections else se2.ORIGIN
+            self._send_description(time, self._start)
         if ros_bag.ODOM in connections:
             local = sample.pose_estimated.relative_to(self._start)
             poses = se2.pose_numbers(local)
@@ -464,10 +457,9 @@ class _RobotTopics:
             unknown = se2.covariance_numbers(ZERO_COV)
             numbers = (*true_pose, *unknown, *se2.twist_numbers(sample.true), *unknown)
             send(connections[ros_bag.TRUE_ODOM], time, self._truth.encode(time, numbers))
-        if self._links.moving:
-            poses += tuple(self._links.moving_numbers(self._readings(sample.joints)))
+        poses += self._links.moving_numbers(self._state_numbers(sample.joints))
         if poses:
-            self._recorder.send_tf(time, self._frames.encode(time, poses))
+            send(self._recorder.tf, time, self._frames.encode(time, poses))
         for topic, twist in (
             (ros_bag.COMMANDED_TWIST, sample.commanded),
             (ros_bag.LIMITED_TWIST, sample.limited),
@@ -485,36 +477,23 @@ class _RobotTopics:
             data = self._joints.encode(time, self._command_numbers(commands))
             send(connections[ros_bag.COMMANDS], time, data)
 
-    def _send_description(self, time: int) -> None:
-        """Queues the URDF and the frames that do not move.  ``_start`` is the start pose."""
+    def _send_description(self, time: int, start: Pose2) -> None:
+        """Queues the URDF and the frames that do not move."""
         urdf = MessageTemplate()
-        urdf.text(self_contained_urdf(self._robot))
+        urdf.text(urdf_with_meshes(self._robot))
         self._recorder.send(self._connections[ros_bag.DESCRIPTION], time, urdf.encode(time, ()))
-        start = se2.pose_numbers(self._start or se2.ORIGIN)
-        if ros_bag.ODOM not in self._connections:
-            start = se2.pose_numbers(se2.ORIGIN)
-        transforms = [start] * len(self._static_frames) + self._links.fixed_transforms
-        self._recorder.send_static_frames(
-            time, [*self._static_frames, *self._links.fixed], list(chain.from_iterable(transforms))
-        )
+        frames = dict.fromkeys(self._static_frames, se2.pose_numbers(start)) | self._links.fixed
+        self._recorder.send_static_frames(time, frames)
 
-    def _readings(self, joints: JointStates | None) -> list[float]:
-        """Returns the positions (rad) of the drive and steering joints, 0 where unknown."""
-        if joints is None:
-            return [0.0] * (len(self._drives) + len(self._steering))
-        positions = joints.positions
-        return [
-            *(positions[i] if positions is not None else 0.0 for i in self._drives),
-            *(joints.angles[i] for i in self._steering),
-        ]
-
-    def _state_numbers(self, joints: JointStates) -> list[float]:
+    def _state_numbers(self, joints: JointStates | None) -> list[float]:
         """Returns the numbers of a JointState message from joint states.
 
         The positions of all joints are followed by the velocities of all joints, in the order of
         the joint names.
         """
         drives, steering = self._drives, self._steering
+        if joints is None:
+            return [math.nan] * (2 * (len(drives) + len(steering)))
         positions = joints.positions
         return [
             *(positions[i] if positions is not None else math.nan for i in drives),

@@ -1,10 +1,9 @@
 """The robot in an MCAP file: its URDF with the meshes inside, and the frames of its links.
 
-A viewer of MCAP files has one file and no ROS package, so that it cannot resolve ``package://``.
-Foxglove fetches the URL of a mesh with the browser's ``fetch`` (``ThreeDeeRender/ModelCache.ts`` in
-its open-source fork Lichtblick), which reads ``data:`` URLs without a server.  It turns STL and OBJ
-files by its setting "Mesh up axis", which is "Y-up" at first, but takes the axes of glTF files from
-their standard (y up).  The meshes are therefore binary glTF files in ``data:`` URLs.
+Foxglove resolves ``package://`` only with a ROS installation.  It fetches other URLs of meshes with
+the browser's ``fetch`` (``ThreeDeeRender/ModelCache.ts`` in its open-source fork Lichtblick), which
+reads ``data:`` URLs.  It turns STL and OBJ files by its setting "Mesh up axis", at first "Y-up",
+but not glTF files, whose standard has y up.
 """
 
 from __future__ import annotations
@@ -15,22 +14,22 @@ import json
 import math
 import re
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import chain
 
 from thorvaldc.backends.urdf import MESHES, urdf_text
 from thorvaldc.backends.xml_writer import escape
 from thorvaldc.compiler.shapes.mesh_formats import mesh_triangles
-from thorvaldc.model import Joint, Robot
-from thorvaldc.model.spatial import quat_multiply
-from thorvaldc.model.statics.joint_tree import follow
+from thorvaldc.model import Robot, Vec3
+from thorvaldc.model.spatial import Quat, quat_multiply
+from thorvaldc.model.statics.joint_tree import follow, tree_of
 from thorvaldc.model.statics.standing_pose import solve_statics
 
 Transform = tuple[float, ...]
-"""Position (m) and quaternion xyzw of a frame in its parent frame."""
+"""Positions (m) and quaternions xyzw of frames in their parent frames."""
 
 
-def self_contained_urdf(robot: Robot) -> str:
+def urdf_with_meshes(robot: Robot) -> str:
     """Returns the URDF of a robot with its meshes as ``data:`` URLs of binary glTF files.
 
     The model must contain the data of the meshes.
@@ -62,7 +61,6 @@ def _glb_url(name: str, data: bytes) -> str:
     bounds = {"min": corners.min(axis=0).tolist(), "max": corners.max(axis=0).tolist()}
     header = {
         "asset": {"version": "2.0"},
-        "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0}],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "NORMAL": 1}}]}],
@@ -70,70 +68,51 @@ def _glb_url(name: str, data: bytes) -> str:
         "bufferViews": [{"buffer": 0, "byteOffset": i * size, "byteLength": size} for i in (0, 1)],
         "buffers": [{"byteLength": 2 * size}],
     }
-    text = json.dumps(header, separators=(",", ":")).encode()
+    text = json.dumps(header).encode()
     text += b" " * (-len(text) % 4)
-    content = struct.pack("<4sII", b"glTF", 2, 28 + len(text) + 2 * size)
-    content += struct.pack("<I4s", len(text), b"JSON") + text
-    content += struct.pack("<I4s", 2 * size, b"BIN\0") + arrays
+    content = struct.pack("<4sIII4s", b"glTF", 2, 28 + len(text) + 2 * size, len(text), b"JSON")
+    content += text + struct.pack("<I4s", 2 * size, b"BIN\0") + arrays
     return "data:model/gltf-binary;base64," + base64.b64encode(content).decode("ascii")
 
 
 class LinkFrames:
     """The frames of all links of a robot in their parent links, with names as in the URDF.
 
-    - ``fixed``: tuples (parent, child) of the frames that do not move in a record.  Joints that no
-      joint reading moves, such as springs and casters, have the positions of the standing robot.
-    - ``fixed_transforms``: the transform of each fixed frame.
-    - ``moving``: tuples (parent, child) of the frames that the joint readings move.
+    - ``fixed``: transform of each frame (parent, child) that does not move in a record.  Springs,
+      casters and other joints without readings have the positions of the standing robot.
+    - ``moving``: the frames that the joint readings turn.
     """
 
     def __init__(self, robot: Robot, joints: Sequence[str]) -> None:
         """``joints``: names of the joints with readings."""
-        self.fixed: list[tuple[str, str]] = []
-        self.fixed_transforms: list[Transform] = []
+        self.fixed: dict[tuple[str, str], Transform] = {}
         self.moving: list[tuple[str, str]] = []
-        # Number of the reading, ratio and offset of the coupling to it, motion of the joint.
-        self._motions: list[tuple[int, float, float, Callable[[float], Transform]]] = []
-        standing = solve_statics(robot).positions
-        by_name = {joint.name: joint for joint in robot.joints}
-        numbers = {name: number for number, name in enumerate(joints)}
+        # Index of the reading, ratio and offset of the coupling to it, and three constants.  The
+        # rotation A and then the one by the angle q about n is A (cos(q/2), sin(q/2) n)
+        # = cos(q/2) A + sin(q/2) B, with B = A (0, n).
+        self._turns: list[tuple[int, float, float, Vec3, Quat, Quat]] = []
+        tree = tree_of(robot).at(solve_statics(robot).positions)
         for joint in robot.joints:
             frame = (robot.prefix + joint.parent, robot.prefix + joint.child)
-            leader = follow(joint, by_name)
-            if leader is not None and leader.joint.name in numbers:
-                number = numbers[leader.joint.name]
+            leader = follow(joint, tree.joints)
+            if leader is not None and leader.joint.name in joints and joint.type != "prismatic":
                 self.moving.append(frame)
-                self._motions.append((number, leader.ratio, leader.offset, _motion(joint)))
+                index, a = joints.index(leader.joint.name), joint.pose.quat
+                b = quat_multiply(a, (0.0, *joint.axis))
+                self._turns.append((index, leader.ratio, leader.offset, joint.pose.xyz, a, b))
             else:
-                self.fixed.append(frame)
-                self.fixed_transforms.append(_motion(joint)(standing.get(joint.name, 0.0)))
+                pose = tree.pose[joint.parent].inverse() * tree.pose[joint.child]
+                self.fixed[frame] = (*pose.xyz, *pose.quat[1:], pose.quat[0])
 
-    def moving_numbers(self, readings: Sequence[float]) -> list[float]:
+    def moving_numbers(self, readings: Sequence[float]) -> Transform:
         """Returns the numbers of the transforms of the moving frames, one after another.
 
-        ``readings``: positions of the joints in rad.
+        ``readings``: positions of the joints in rad, nan for one that is not known.
         """
         numbers: list[float] = []
-        for reading, ratio, offset, motion in self._motions:
-            numbers += motion(ratio * readings[reading] + offset)
-        return numbers
-
-
-def _motion(joint: Joint) -> Callable[[float], Transform]:
-    """Returns the function from the position of a joint (rad or m) to the pose of its child.
-
-    The rotation by the angle q about the axis n after the rotation A is the quaternion product
-    A (cos(q/2), sin(q/2) n) = cos(q/2) A + sin(q/2) B, with the constant B = A (0, n).
-    """
-    x, y, z = joint.pose.xyz
-    aw, ax, ay, az = joint.pose.quat
-    if joint.type in ("fixed", "prismatic"):
-        dx, dy, dz = joint.pose.rotate(joint.axis)
-        return lambda q: (x + q * dx, y + q * dy, z + q * dz, ax, ay, az, aw)
-    bw, bx, by, bz = quat_multiply(joint.pose.quat, (0.0, *joint.axis))
-
-    def turned(q: float) -> Transform:
-        c, s = math.cos(q / 2), math.sin(q / 2)
-        return (x, y, z, c * ax + s * bx, c * ay + s * by, c * az + s * bz, c * aw + s * bw)
-
-    return turned
+        for index, ratio, offset, xyz, (aw, ax, ay, az), (bw, bx, by, bz) in self._turns:
+            reading = readings[index]
+            q = (0.0 if math.isnan(reading) else ratio * reading) + offset
+            c, s = math.cos(q / 2), math.sin(q / 2)
+            numbers += (*xyz, c * ax + s * bx, c * ay + s * by, c * az + s * bz, c * aw + s * bw)
+        return tuple(numbers)
