@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page
 
 from tests.accessibility import axe_script, violations
+from tests.browser import WAIT, chromium, wait_until
 from tests.outside_tools import path_of
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model.stl import binary_stl
@@ -28,15 +29,8 @@ ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
 TARGETS = ["urdf", "mjcf", "sdf", "ros2", "can", "datasheet"]
 TEXT = (EXAMPLES / "4wd4ws_wide" / "robot.yaml").read_text(encoding="utf-8")
-OPTIONS = (
-    "--no-sandbox",
-    "--disable-dev-shm-usage",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",  # no network
-)
+NO_NETWORK = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
 DESK, PHONE = {"width": 1440, "height": 860}, {"width": 390, "height": 844}
-WAIT = 60_000  # ms, for a busy machine
 LARGEST = 10_000_000  # bytes until the first robot is on the screen
 
 pytestmark = [pytest.mark.xdist_group("site"), pytest.mark.timeout(300)]
@@ -71,11 +65,8 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    program = path_of("chromium")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=list(OPTIONS))
+    with chromium(NO_NETWORK) as browser:
         yield browser
-        browser.close()
 
 
 Visit = Callable[..., Page]
@@ -106,14 +97,6 @@ def visit(address: str, browser: Browser) -> Iterator[Visit]:
     for page in pages:
         page.close()
     assert errors == []
-
-
-def wait_until(page: Page, condition: Callable[[], bool], seconds: float = 60.0) -> None:
-    for _ in range(round(20 * seconds)):
-        if condition():
-            return
-        page.wait_for_timeout(50)
-    raise AssertionError("the page did not change")
 
 
 def version(page: Page) -> int:
