@@ -35,6 +35,9 @@ def workshop(bus: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path
     ):
         (folder / name).mkdir(parents=True)
         (folder / name / "robot.yaml").write_text(text, encoding="utf-8")
+    (folder / "fleet.yaml").write_text(
+        "thorvaldc: 1\nname: both\nrobots: {a: {robot: alpha/robot.yaml}}\n", encoding="utf-8"
+    )
     (folder / "notes.yaml").write_text("modules: none\n", encoding="utf-8")
     (folder / "scenario.yaml").write_bytes(b"\xff\xfe")
     return folder
@@ -49,7 +52,11 @@ def test_the_file_of_a_robot_after_a_repair(thorvaldc: Command, workshop: Path) 
     assert "this is most likely alpha" in result.out
     assert 'write `serial: "0x777"` at robot.yaml:17' in result.out
     assert "broken/robot.yaml is left out: it has errors" in result.err
+    assert "fleet.yaml" not in result.err
     assert ".hidden" not in result.out + result.err
+    fleet = str(workshop / "fleet.yaml")
+    named = thorvaldc("can", "identify", str(workshop), fleet, "--bus", "sim:shed")
+    assert "fleet.yaml is left out: it is no robot" in named.err
     file = workshop / "alpha" / "robot.yaml"
     text = file.read_text(encoding="utf-8").replace('"0x103"', '"0x777"')
     file.write_text(text, encoding="utf-8")

@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 
 from tests.accessibility import axe_script, violations
+from tests.browser import chromium
 from tests.docs.site_pages import dead_links, foreign_files
-from tests.outside_tools import path_of
 
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = [pytest.mark.xdist_group("site"), pytest.mark.timeout(300)]
@@ -115,14 +115,8 @@ def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(
-            executable_path=path_of("chromium"), args=["--no-sandbox"]
-        )
-        yield chromium
-        chromium.close()
+    with chromium() as browser:
+        yield browser
 
 
 @pytest.mark.slow

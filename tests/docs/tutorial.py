@@ -41,8 +41,8 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tests.browser import WAIT, chromium
 from tests.child_process import ChildProcess
-from tests.outside_tools import path_of
 from tests.ros.environments import python_of, variables
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -345,19 +345,14 @@ def ros_programs_in(folder: Path) -> None:
 
 def take_screenshot(output: str, picture: Path) -> None:
     """Stores what a browser shows of the address in ``output``, a page with a picture in 3D."""
-    from playwright.sync_api import sync_playwright
-
     address = re.findall(r"http://\S+", output)[0]
-    options = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path_of("chromium"), args=options)
+    with chromium() as browser:
         page = browser.new_page(viewport={"width": 1000, "height": 600})
         page.goto(address)
-        page.wait_for_selector("html[data-version]", timeout=60_000)
-        page.wait_for_selector("#tables details", state="attached", timeout=60_000)
+        page.wait_for_selector("html[data-version]", timeout=WAIT)
+        page.wait_for_selector("#tables details", state="attached", timeout=WAIT)
         page.wait_for_timeout(1000)  # for the picture in 3D
         page.screenshot(path=picture)
-        browser.close()
 
 
 def pictures_in(page: str) -> list[str]:

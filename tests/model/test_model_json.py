@@ -395,7 +395,7 @@ def test_the_message_of_another_version_names_both() -> None:
         ),
         (9, "thorvaldc 0.1.0", "or use thorvaldc 0.1.0, which wrote the file"),
         (11, "thorvaldc 2.0.0", "or use thorvaldc 2.0.0, which wrote the file"),
-        (11, None, "install a newer thorvaldc than 1.0.0, which wrote the file; or build the"),
+        (11, None, "a thorvaldc newer than 1.0.0 wrote the file: install it, or build the"),
     ],
 )
 def test_a_model_of_another_version_names_the_program(

@@ -173,14 +173,20 @@ def test_run_drives_over_python_can(runtime: Path, build: Path) -> None:
 
 
 @pytest.mark.slow
-def test_scan_and_verify(runtime: Path, build: Path) -> None:
+def test_scan_verify_and_identify(runtime: Path, build: Path) -> None:
     with running(build, "good.yaml") as (_, bus):
         channel = f"sim:{bus['channel']}"
         scan = call(runtime, build, "can", "scan", "model.json", "--bus", channel, "--json")
         verify = call(runtime, build, "can", "verify", "model.json", "--bus", channel)
+        identify = call(runtime, build, "can", "identify", ".", "--bus", channel)
+        refused = call(runtime, build, "can", "identify", "good.yaml", "--bus", channel)
     assert scan.returncode == 0, scan.stderr
     assert json.loads(scan.stdout)
     assert verify.returncode == 0, verify.stderr
+    assert identify.returncode == 0, identify.stderr
+    assert "model.json" in identify.stdout
+    assert refused.returncode == 3, refused.stderr
+    assert "good.yaml needs the compiler" in refused.stderr
 
 
 @pytest.mark.slow

@@ -17,26 +17,20 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page
 
 from tests.accessibility import axe_script, violations
+from tests.browser import WAIT, chromium, wait_until
+from tests.examples import robot_with_meshes
 from tests.outside_tools import path_of
 from thorvaldc.compiler.pipeline import compile_file, emit
-from thorvaldc.model.stl import binary_stl
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
 TARGETS = ["urdf", "mjcf", "sdf", "ros2", "can", "datasheet"]
 TEXT = (EXAMPLES / "4wd4ws_wide" / "robot.yaml").read_text(encoding="utf-8")
-OPTIONS = (
-    "--no-sandbox",
-    "--disable-dev-shm-usage",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",  # no network
-)
+NO_NETWORK = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
 DESK, PHONE = {"width": 1440, "height": 860}, {"width": 390, "height": 844}
-WAIT = 60_000  # ms, for a busy machine
 LARGEST = 10_000_000  # bytes until the first robot is on the screen
 
 pytestmark = [pytest.mark.xdist_group("site"), pytest.mark.timeout(300)]
@@ -71,11 +65,8 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    program = path_of("chromium")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=list(OPTIONS))
+    with chromium(NO_NETWORK) as browser:
         yield browser
-        browser.close()
 
 
 Visit = Callable[..., Page]
@@ -106,14 +97,6 @@ def visit(address: str, browser: Browser) -> Iterator[Visit]:
     for page in pages:
         page.close()
     assert errors == []
-
-
-def wait_until(page: Page, condition: Callable[[], bool], seconds: float = 60.0) -> None:
-    for _ in range(round(20 * seconds)):
-        if condition():
-            return
-        page.wait_for_timeout(50)
-    raise AssertionError("the page did not change")
 
 
 def version(page: Page) -> int:
@@ -259,30 +242,6 @@ def test_every_example_has_the_files_of_a_native_build(visit: Visit) -> None:
         assert [path for path in native if files[path] != native[path]] == [], name
 
 
-def own_robot() -> dict[str, Any]:
-    """A robot with meshes of its own, from which masses follow, and an expression in xacro."""
-    corners = [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.3)]
-    faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
-    triangles = [(corners[a], corners[b], corners[c]) for a, b, c in faces]
-    lines = [f"v {x} {y} {z}" for x, y, z in corners]
-    obj = "\n".join(lines + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces])
-    xacro = (
-        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="x">'
-        '<xacro:property name="h" value="${0.2 + sin(0.5)}"/>'
-        + "".join(
-            f'<link name="m{i}"><visual><geometry><mesh filename="m{i}.{suffix}"/></geometry>'
-            f'</visual><collision><geometry><mesh filename="m{i}.{suffix}"/></geometry></collision>'
-            f'</link><joint name="j{i}" type="fixed"><parent link="frame_body"/>'
-            f'<child link="m{i}"/><origin xyz="0 0 ${{h + {i}}}"/></joint>'
-            for i, suffix in enumerate(("stl", "obj"))
-        )
-        + "</robot>"
-    )
-    text = f"{TEXT}extras:\n  - {{xacro: top.xacro, density: 1200 kg/m^3}}\n"
-    stl = [base64.b64encode(binary_stl(triangles)).decode()]
-    return {"robot.yaml": text, "top.xacro": xacro, "m0.stl": stl, "m1.obj": obj}
-
-
 def open_files(page: Page, files: dict[str, Any]) -> None:
     before = version(page)
     page.evaluate("files => openFiles(files, 'robot.yaml', '')", files)
@@ -291,9 +250,8 @@ def open_files(page: Page, files: dict[str, Any]) -> None:
 
 def test_own_files_and_a_link_to_them(visit: Visit, tmp_path: Path) -> None:
     page = visit()
-    files = own_robot()
-    for name, content in files.items():
-        data = content.encode() if isinstance(content, str) else base64.b64decode(content[0])
+    files = robot_with_meshes()
+    for name, data in files.items():
         (tmp_path / name).write_bytes(data)
     before = version(page)
     page.set_input_files("#chosen-files", [tmp_path / name for name in files])
@@ -303,7 +261,7 @@ def test_own_files_and_a_link_to_them(visit: Visit, tmp_path: Path) -> None:
     native = emit(model, TARGETS)
     assert built(page) == native
     page.click("[role=tab]:has-text('top.xacro')")
-    assert page.evaluate("editor.text") == files["top.xacro"]
+    assert page.evaluate("editor.text") == files["top.xacro"].decode()
     page.click("#share")
     wait_until(page, lambda: "#robot=" in page.url)
     other = visit(f"#{page.url.partition('#')[2]}")
@@ -329,7 +287,7 @@ HUNGRY = {
 @pytest.mark.parametrize("fault", HUNGRY)
 def test_a_file_that_takes_too_much_ends_and_the_page_goes_on(visit: Visit, fault: str) -> None:
     page = visit()
-    files = own_robot()
+    files = robot_with_meshes()
     open_files(page, files)
     assert page.locator("#diagnostics .error").count() == 0
     name = page.inner_text("#title")

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.browser import OPTIONS
 from tests.examples import example_fleet, example_robot
 from tests.outside_tools import path_of
 from thorvaldc.model import Fleet, JointServo, Pose, Robot, Sphere
@@ -28,12 +29,8 @@ from thorvaldc.simulation.web_viewer import view_page
 NAME = "4wd4ws_wide"
 ROOT = Path(__file__).parents[2]
 VIEWER = ROOT / "templates" / "view" / "viewer.js"
-OPTIONS = (
+HEADLESS = (
     "--headless",
-    "--no-sandbox",
-    "--disable-dev-shm-usage",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
     "--hide-scrollbars",
     "--window-size=1000,700",
     "--virtual-time-budget=4000",
@@ -155,6 +152,7 @@ def browse(tmp_path: Path) -> Callable[..., tuple[str, Path]]:
             [
                 program,
                 *OPTIONS,
+                *HEADLESS,
                 f"--user-data-dir={tmp_path / 'profile'}",
                 "--dump-dom",
                 f"--screenshot={tmp_path / 'view.png'}",

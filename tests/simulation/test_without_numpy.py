@@ -12,11 +12,13 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
+from tests.examples import FOLDER, robot_with_meshes
+
 ROOT = Path(__file__).parents[2]
 EXAMPLES = (
-    "4wd4ws_wide/robot.yaml",
-    "4wd2ws_tall/robot.yaml",  # with a xacro file
-    "scenarios/field_edge.yaml",  # with a world
+    FOLDER / "4wd4ws_wide/robot.yaml",
+    FOLDER / "4wd2ws_tall/robot.yaml",  # with a xacro file
+    FOLDER / "scenarios/field_edge.yaml",  # with a world
 )
 MISSING = ("numpy", "trimesh", "aiohttp", "watchfiles", "resource")
 MODULES = (
@@ -32,12 +34,12 @@ for name in {MISSING!r}:
     sys.modules[name] = None
 for name in {MODULES!r}:
     importlib.import_module(name)
-from tests.simulation.test_without_numpy import EXAMPLES, products
-json.dump({{name: products(name) for name in EXAMPLES}}, sys.stdout)
+from tests.simulation.test_without_numpy import products
+json.dump({{name: products(name) for name in sys.argv[1:]}}, sys.stdout)
 """
 
 
-def products(example: str) -> dict[str, str]:
+def products(file: str) -> dict[str, str]:
     """Returns hashes of the files of all targets, of the page data and of the facts."""
     from thorvaldc.backends import TARGETS
     from thorvaldc.compiler.pipeline import compile_file, emit
@@ -46,7 +48,7 @@ def products(example: str) -> dict[str, str]:
     from thorvaldc.model.facts.robot_facts import robot_facts
     from thorvaldc.simulation.web_viewer import page_data
 
-    compilation = compile_file(ROOT / "examples" / example)
+    compilation = compile_file(file)
     model = compilation.model
     assert model is not None, [d.message for d in compilation.report]
     robots = [p.robot for p in model.placements] if isinstance(model, Fleet) else [model]
@@ -60,9 +62,16 @@ def products(example: str) -> dict[str, str]:
     return {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
 
 
-def test_all_products_are_the_same_without_numpy() -> None:
+def test_all_products_are_the_same_without_numpy(tmp_path: Path) -> None:
+    for name, data in robot_with_meshes().items():
+        (tmp_path / name).write_bytes(data)
+    files = [*map(str, EXAMPLES), str(tmp_path / "robot.yaml")]
     run = subprocess.run(
-        [sys.executable, "-c", SCRIPT], cwd=ROOT, capture_output=True, text=True, timeout=120
+        [sys.executable, "-c", SCRIPT, *files],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
     )
     assert run.returncode == 0, run.stderr
-    assert json.loads(run.stdout) == {name: products(name) for name in EXAMPLES}
+    assert json.loads(run.stdout) == {name: products(name) for name in files}

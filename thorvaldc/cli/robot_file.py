@@ -15,7 +15,7 @@ from thorvaldc.cli.diagnostic_output import message, report_of, show_report
 from thorvaldc.cli.exits import OutsideError
 from thorvaldc.cli.options import library_folders
 from thorvaldc.diagnostics import DiagnosticError, Report
-from thorvaldc.model import Bus, Robot
+from thorvaldc.model import Bus, Fleet, Robot
 from thorvaldc.model.model_json import is_model_file, load_model
 
 if TYPE_CHECKING:  # the runtime package has no compiler
@@ -51,34 +51,47 @@ def load_robot(file: str, library: Sequence[str], trust: bool) -> LoadedRobot | 
     ``typer.BadParameter`` if the file contains a fleet or anything else but a robot. Raises
     ``OutsideError`` for a robot.yaml if the compiler is not installed.
     """
+    loaded = read_robot_file(file, library, trust)
+    show_report(loaded.report, loaded.sources)
+    if loaded.model is None:
+        return None
+    if not isinstance(loaded.model, Robot):
+        raise typer.BadParameter(f"{file} is no robot", param_hint="FILE")
+    return LoadedRobot(loaded.model, loaded.sources, loaded.locate)
+
+
+class RobotFile(NamedTuple):
+    """The model in a file, or ``None`` if the file has errors, with the diagnostics of the file."""
+
+    model: Robot | Fleet | None
+    report: Report
+    sources: Mapping[str, Path]
+    locate: Callable[[Report], Report]
+
+
+def read_robot_file(file: str, library: Sequence[str], trust: bool) -> RobotFile:
+    """Reads a file as ``load_robot`` does, and prints nothing.
+
+    Raises ``OutsideError`` for a robot.yaml if the compiler is not installed.
+    """
     # A JSON file that is no model gets the message of `load_model`.
     if is_model_file(file) or Path(file).suffix == ".json":
-        return _load_model_file(Path(file))
+        try:
+            return RobotFile(load_model(Path(file)), Report(), {}, lambda report: report)
+        except DiagnosticError as error:
+            return RobotFile(None, report_of(error), {}, lambda report: report)
     if is_runtime_only():
         raise OutsideError(
             f"{file} needs the compiler, and this installation is the runtime alone: give the"
             " model.json of a build"
         )
-    compilation = compile_and_show(file, library, trust=trust)
-    if compilation.model is None:
-        return None
-    if not isinstance(compilation.model, Robot):
-        raise typer.BadParameter(f"{file} is no robot", param_hint="FILE")
-    return LoadedRobot(compilation.model, compilation.sources, compilation.located)
+    # The runtime package does not contain the compiler.
+    from thorvaldc.compiler.pipeline import compile_file
 
-
-def _load_model_file(path: Path) -> LoadedRobot | None:
-    try:
-        model = load_model(path)
-    except DiagnosticError as error:
-        show_report(report_of(error), {})
-        return None
-    if not isinstance(model, Robot):
-        raise typer.BadParameter(f"{path} is no robot", param_hint="FILE")
-    return LoadedRobot(model, {}, lambda report: report)
-
-
-# Compiles a robot or fleet file for a command and prints its diagnostics on stderr.
+    compilation = compile_file(file, library=library_folders(library), trust=trust)
+    return RobotFile(
+        compilation.model, compilation.report, compilation.sources, compilation.located
+    )
 
 
 def compile_and_show(

@@ -103,8 +103,7 @@ class Scanner:
         self._select([(node.name, node.identity) for node in nodes if node.identity is not None])
         if nodes:
             self._find_devices_without_id()
-        for node_id in sorted(self.master.surplus):
-            self._findings.evidence.setdefault(node_id, SURPLUS)
+        self._add_surplus()
         return self._findings
 
     def _require_canopen(self) -> None:
@@ -314,9 +313,13 @@ class Scanner:
             self.configuration, self._findings, self.master.received, known
         )
 
-    def _evaluate(self, values: bool) -> scan_result.ScanResult:
-        for node_id in sorted(self.master.surplus):
+    def _add_surplus(self) -> None:
+        """Suspects two nodes with one id where more SDO responses arrived than were requested."""
+        for node_id in self.master.surplus:
             self._findings.evidence.setdefault(node_id, SURPLUS)
+
+    def _evaluate(self, values: bool) -> scan_result.ScanResult:
+        self._add_surplus()
         entries = self._evaluation().active_entries()
         read: dict[str, dict[tuple[int, int], int | None]] = {}
         if values:
@@ -353,15 +356,13 @@ class Scanner:
                 scan_result.WITHOUT_ID,
             ):
                 enabled += [(node.name, reason) for reason in self._enabled(node, node_id)]
-        evidence = self._findings.evidence
-        # Surplus SDO responses that arrived while values were read are added as duplicates.
-        late = [(i, SURPLUS) for i in sorted(self.master.surplus) if i not in evidence]
+        self._add_surplus()  # those that arrived while values were read
         return scan_result.ScanResult(
             active,
             tuple(entries),
             tuple(self.master.masters),
             tuple(enabled),
-            (*sorted(evidence.items()), *late),
+            tuple(sorted(self._findings.evidence.items())),
             values or {},
             self.master.frames,
         )

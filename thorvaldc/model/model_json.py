@@ -418,7 +418,7 @@ def _program_hint(path: Path, version: int) -> str:
     if writer and writer != f"thorvaldc {own}":
         return f"{again}; or use {writer}, which wrote the file"
     if version > VERSION:
-        return f"install a newer thorvaldc than {own}, which wrote the file; or {again}"
+        return f"a thorvaldc newer than {own} wrote the file: install it, or {again}"
     return again
 
 

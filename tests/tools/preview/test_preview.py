@@ -11,7 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -19,12 +19,12 @@ from urllib.parse import urlsplit
 
 import aiohttp
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page
 
 from tests.accessibility import axe_script, violations
+from tests.browser import WAIT, chromium, wait_until
 from tests.child_process import ChildProcess
 from tests.examples import example_robot
-from tests.outside_tools import path_of
 from thorvaldc.comparison.robot_comparison import compare_robots
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.simulation.web_viewer import view_page
@@ -33,14 +33,7 @@ from thorvaldc.tools.comparison.comparison_output import difference_page
 ROOT = Path(__file__).parents[3]
 GOOD = (ROOT / "examples" / "4wd4ws_wide" / "robot.yaml").read_text(encoding="utf-8")
 BAD = GOOD + "\nfoo: 3\n"
-OPTIONS = (
-    "--no-sandbox",
-    "--disable-dev-shm-usage",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-)
 SIZES, IDS = ((1280, 800), (390, 844)), ("desk", "phone")
-WAIT = 60_000  # ms, for a busy machine
 
 pytestmark = [pytest.mark.xdist_group("preview"), pytest.mark.timeout(240)]
 
@@ -98,11 +91,8 @@ def preview(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Preview]:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    program = path_of("chromium")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=list(OPTIONS))
+    with chromium() as browser:
         yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")
@@ -126,15 +116,6 @@ def page(request: pytest.FixtureRequest, preview: Preview, browser: Browser) -> 
 
 def version(page: Page) -> int:
     return int(page.evaluate("document.documentElement.dataset.version"))
-
-
-def wait_until(page: Page, condition: Callable[[], bool]) -> None:
-    """Waits in Python, because the policy of the page lets no text become a script."""
-    for _ in range(WAIT // 100):
-        if condition():
-            return
-        page.wait_for_timeout(100)
-    raise AssertionError("the page did not change")
 
 
 def wait_for_change(page: Page, before: int) -> None:

@@ -13,14 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, Locator, Page, sync_playwright
+from playwright.sync_api import Browser, Locator, Page
 
 import thorvaldc
 from tests.accessibility import axe_script, violations
+from tests.browser import WAIT, chromium
 from tests.cli.conftest import UNPOWERED, Command
 from tests.cli.conftest import thorvaldc as thorvaldc_command
-from tests.outside_tools import path_of
-from tests.simulation.test_web_viewer import OPTIONS
 from thorvaldc.tools.study.study_report import (
     ReportContent,
     ReportRobot,
@@ -30,7 +29,6 @@ from thorvaldc.tools.study.study_report import (
 )
 from thorvaldc.tools.study.study_results import StudyTable
 
-WAIT = 30_000  # ms
 run = pytest.fixture(name="run")(thorvaldc_command.__wrapped__)  # type: ignore[attr-defined]
 
 NASTY = "</script><script>document.title = 'taken'</script><img src=x onerror=alert(1)>"
@@ -198,11 +196,8 @@ def test_a_large_front_is_thinned_evenly() -> None:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    program = path_of("chromium")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=list(OPTIONS[1:5]))
+    with chromium() as browser:
         yield browser
-        browser.close()
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,13 +10,11 @@ import typer
 
 from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+from thorvaldc.diagnostics.files import read_bounded
 
 if TYPE_CHECKING:
     from thorvaldc.commissioning.identify import Candidate, Match
-    from thorvaldc.model import Robot
 
-_ROBOT = re.compile(r"^thorvaldc:(?s:.*)^modules:|^modules:(?s:.*)^thorvaldc:", re.MULTILINE)
-_MODULE = re.compile(r"^(links|joints|ports|params|category):", re.MULTILINE)
 _LARGEST = 1_000_000
 """Size in bytes of the files in a folder that are read."""
 
@@ -108,14 +105,17 @@ def _candidates(
 ) -> list[Candidate]:
     """Returns the buses of the robot files.  Raises ``typer.BadParameter`` if there are none."""
     from thorvaldc.cli.diagnostic_output import message
+    from thorvaldc.cli.robot_file import read_robot_file
     from thorvaldc.commissioning.bus_configuration import configuration_of
     from thorvaldc.commissioning.identify import Candidate
+    from thorvaldc.model import Robot
 
     candidates: dict[str, Candidate] = {}
     for path in _robot_files(files):
-        robot = _load(path, library, trust)
-        if robot is None:
-            message(f"{path} is left out: it has errors, which `thorvaldc check` shows")
+        robot = read_robot_file(str(path), library, trust).model
+        if not isinstance(robot, Robot):
+            reason = "it is no robot" if robot else "it has errors, which `thorvaldc check` shows"
+            message(f"{path} is left out: {reason}")
             continue
         for bus in robot.buses:
             # A model.json of a build beside its robot.yaml is the same robot.
@@ -142,26 +142,6 @@ def _candidates(
     return chosen
 
 
-def _load(path: Path, library: Sequence[str], trust: bool) -> Robot | None:
-    from thorvaldc.diagnostics import DiagnosticError
-    from thorvaldc.model import Fleet, Robot
-    from thorvaldc.model.model_json import is_model_file, load_model
-
-    model: Robot | Fleet | None = None
-    if path.suffix == ".json" or is_model_file(path):
-        try:
-            model = load_model(path)
-        except DiagnosticError:
-            return None
-    else:
-        # The runtime package has no compiler.
-        from thorvaldc.compiler.pipeline import compile_file
-
-        folders = options.library_folders(library)
-        model = compile_file(path, library=folders, trust=trust).model
-    return model if isinstance(model, Robot) else None
-
-
 def _robot_files(files: Sequence[str]) -> Iterator[Path]:
     """Yields the files that the user names, and in folders the robot files before the models."""
     from thorvaldc.cli.command import is_runtime_only
@@ -171,11 +151,6 @@ def _robot_files(files: Sequence[str]) -> Iterator[Path]:
         if not path.exists():
             raise OutsideError(f"{file} does not exist")
         if not path.is_dir():
-            if is_runtime_only() and path.suffix != ".json":
-                raise OutsideError(
-                    f"{file} needs the compiler, and this installation is the runtime alone: give"
-                    " the model.json of a build"
-                )
             yield path
             continue
         names = (p for p in sorted(path.rglob("*")) if not _is_hidden(p.relative_to(path)))
@@ -190,10 +165,10 @@ def _is_hidden(path: Path) -> bool:
 
 
 def _is_robot(path: Path) -> bool:
+    from thorvaldc.compiler.validation.document_check import kind_of
+
     try:
-        if path.stat().st_size > _LARGEST:
-            return False
-        text = path.read_text(encoding="utf-8")
+        text = read_bounded(path, _LARGEST).decode()
     except (OSError, UnicodeDecodeError):
         return False
-    return _ROBOT.search(text) is not None and _MODULE.search(text) is None
+    return kind_of(text, path.name) == "robot"

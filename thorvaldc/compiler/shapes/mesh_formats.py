@@ -31,6 +31,8 @@ from thorvaldc.model.stl import Triangle, binary_stl, stl_triangles, triangle_no
 if TYPE_CHECKING:
     from thorvaldc.model import Vec3
 
+Corners = tuple[int, int, int]
+"""Indices of the three corners of a triangle, counterclockwise for a viewer outside the shape."""
 
 # The STL reader of MuJoCo accepts at most 200 000 triangles.
 MAX_TRIANGLES = 200_000
@@ -284,6 +286,36 @@ def obj_triangles(data: bytes, *, as_float32: bool = False) -> Iterator[Triangle
 def mesh_triangles(name: str, data: bytes) -> Iterator[Triangle]:
     """Yields the triangles of a mesh of a model, which is a checked STL or OBJ file."""
     return obj_triangles(data) if name.endswith(".obj") else stl_triangles(data)
+
+
+def indexed_triangles(name: str, data: bytes) -> tuple[list[Vec3], list[Corners]]:
+    """Returns the different points of a mesh of a model, in the order of the file, and its
+    triangles."""
+    numbers: dict[Vec3, int] = {}
+    number = numbers.setdefault
+    triangles = [
+        (number(a, len(numbers)), number(b, len(numbers)), number(c, len(numbers)))
+        for a, b, c in mesh_triangles(name, data)
+    ]
+    return [*numbers], triangles
+
+
+def is_closed(triangles: Iterable[Corners]) -> bool:
+    """Returns whether triangles enclose a body: each edge belongs to two triangles, which pass
+    along it in opposite directions.
+
+    Some programs fill gaps with triangles that have a corner twice.  They do not count.
+    """
+    forward: set[int] = set()
+    backward: set[int] = set()
+    count = 0
+    for i, j, k in triangles:
+        if i != j and j != k and k != i:
+            count += 3
+            forward.add(i << 32 | j) if i < j else backward.add(j << 32 | i)
+            forward.add(j << 32 | k) if j < k else backward.add(k << 32 | j)
+            forward.add(k << 32 | i) if k < i else backward.add(i << 32 | k)
+    return 0 < count == 2 * len(forward) and forward == backward
 
 
 def _check_shape(triangles: Iterable[Triangle], is_large: bool) -> None:

@@ -8,13 +8,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
-from thorvaldc.compiler.shapes.mesh_formats import mesh_triangles
+from thorvaldc.compiler.shapes.mesh_formats import indexed_triangles, is_closed
 from thorvaldc.model import Box, Cylinder, Inertial, Mesh, Pose, Shape, Sphere, Vec3
 from thorvaldc.model.spatial import combine
-from thorvaldc.model.stl import Triangle
-
-_PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Axes of the products of inertia."""
 
 
 def uniform_solid(shape: Shape, mass: float, wall: float | None = None) -> Inertial:
@@ -83,23 +79,6 @@ def solid_of_shapes(
     return combine(bodies) if bodies else None
 
 
-def _is_closed(triangles: Iterable[Triangle]) -> bool:
-    """Whether each edge belongs to two triangles that pass along it in opposite directions.
-
-    Corners with equal coordinates are the same point.
-    """
-    points: dict[Vec3, int] = {}
-    edges: set[tuple[int, int]] = set()
-    count = 0
-    for corners in triangles:
-        i, j, k = (points.setdefault(corner, len(points)) for corner in corners)
-        # Some programs fill gaps with triangles without area.
-        if i != j and j != k and k != i:
-            edges |= {(i, j), (j, k), (k, i)}
-            count += 3
-    return 0 < count == len(edges) and all((end, start) in edges for start, end in edges)
-
-
 def _closed_mesh(mesh: Mesh, scale: Vec3, density: float) -> Inertial | None:
     """Returns the mass and inertia of the body that a closed mesh encloses, or ``None``.
 
@@ -108,41 +87,39 @@ def _closed_mesh(mesh: Mesh, scale: Vec3, density: float) -> Inertial | None:
     s / 4 with s = a + b + c, and the integral of x y over it is
     V / 20 (a_x a_y + b_x b_y + c_x c_y + s_x s_y).
     """
-    x, y, z = scale
-    triangles: list[Triangle] = [
-        (
-            (a[0] * x, a[1] * y, a[2] * z),
-            (b[0] * x, b[1] * y, b[2] * z),
-            (c[0] * x, c[1] * y, c[2] * z),
-        )
-        for a, b, c in mesh_triangles(mesh.name, mesh.data)
-    ]
-    if not _is_closed(triangles):
+    points, triangles = indexed_triangles(mesh.name, mesh.data)
+    if not is_closed(triangles):
         return None
-    origin = triangles[0][0]
-    totals = [-0.0] * 10  # so that the first addition gives the first value, also -0.0
-    for corners in triangles:
-        a, b, c = ([p[i] - origin[i] for i in range(3)] for p in corners)
-        s = [a[i] + b[i] + c[i] for i in range(3)]
-        v = a[0] * (b[1] * c[2] - b[2] * c[1])
-        v += a[1] * (b[2] * c[0] - b[0] * c[2])
-        v += a[2] * (b[0] * c[1] - b[1] * c[0])
+    points = [(x * scale[0], y * scale[1], z * scale[2]) for x, y, z in points]
+    ox, oy, oz = points[triangles[0][0]]
+    points = [(x - ox, y - oy, z - oz) for x, y, z in points]
+    # The first addition to -0.0 gives the first value, also -0.0.
+    volume = x = y = z = xx = yy = zz = xy = xz = yz = -0.0
+    for i, j, k in triangles:
+        (ax, ay, az), (bx, by, bz), (cx, cy, cz) = points[i], points[j], points[k]
+        sx, sy, sz = ax + bx + cx, ay + by + cy, az + bz + cz
+        v = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
         v /= 6
-        totals[0] += v
-        for i in range(3):
-            totals[1 + i] += v * s[i] / 4
-        for number, (i, j) in enumerate(_PRODUCTS, 4):
-            totals[number] += v / 20 * (a[i] * a[j] + b[i] * b[j] + c[i] * c[j] + s[i] * s[j])
-    volume = totals[0]
+        volume += v
+        x += v * sx / 4
+        y += v * sy / 4
+        z += v * sz / 4
+        v /= 20
+        xx += v * (ax * ax + bx * bx + cx * cx + sx * sx)
+        yy += v * (ay * ay + by * by + cy * cy + sy * sy)
+        zz += v * (az * az + bz * bz + cz * cz + sz * sz)
+        xy += v * (ax * ay + bx * by + cx * cy + sx * sy)
+        xz += v * (ax * az + bx * bz + cx * cz + sx * sz)
+        yz += v * (ay * az + by * bz + cy * cz + sy * sz)
     if volume == 0.0:
         return None
-    x, y, z = (total / volume for total in totals[1:4])
+    x, y, z = x / volume, y / volume, z / volume
     # The volume is negative if the triangles face inwards or the scale mirrors the mesh.
     mass = density * abs(volume)
-    xx, yy, zz, xy, xz, yz = (total / volume * mass for total in totals[4:])
+    xx, yy, zz, xy, xz, yz = (total / volume * mass for total in (xx, yy, zz, xy, xz, yz))
     xx, yy, zz = xx - mass * x * x, yy - mass * y * y, zz - mass * z * z
     return Inertial(
         mass,
-        (x + origin[0], y + origin[1], z + origin[2]),
+        (x + ox, y + oy, z + oz),
         (yy + zz, xx + zz, xx + yy, mass * x * y - xy, mass * x * z - xz, mass * y * z - yz),
     )

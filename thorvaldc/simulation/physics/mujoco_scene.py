@@ -128,19 +128,16 @@ class MujocoScene:
     @property
     def fastest(self) -> str:
         """Description of the fastest joint, or of a joint whose speed is not finite."""
-        import numpy
-
-        speeds = numpy.abs(self.data.qvel)
-        if not len(speeds):
+        speeds = [abs(float(speed)) for speed in self.data.qvel]
+        if not speeds:
             return "no joint moves"
-        not_finite = numpy.flatnonzero(~numpy.isfinite(speeds))
-        dof = int(not_finite[0]) if len(not_finite) else int(speeds.argmax())
+        not_finite = [dof for dof, speed in enumerate(speeds) if not math.isfinite(speed)]
+        dof = not_finite[0] if not_finite else speeds.index(max(speeds))
         joint = int(self.model.dof_jntid[dof])
         name = self._mujoco.mj_id2name(self.model, self._mujoco.mjtObj.mjOBJ_JOINT, joint)
-        speed = float(speeds[dof])
-        if not math.isfinite(speed):
+        if not_finite:
             return f"the speed of the joint `{name}` is not finite"
-        return f"the joint `{name}` moves at {speed:.3g} (SI)"
+        return f"the joint `{name}` moves at {speeds[dof]:.3g} (SI)"
 
     def index(self, kind: str, name: str, robot: Robot) -> int:
         """Returns the MuJoCo index of an object of the scene.

@@ -10,11 +10,10 @@ import math
 from collections.abc import Sequence
 from functools import cache
 
-from thorvaldc.compiler.shapes.mesh_formats import mesh_triangles
+from thorvaldc.compiler.shapes.mesh_formats import Corners, indexed_triangles
+from thorvaldc.compiler.shapes.mesh_formats import is_closed as encloses_body
 from thorvaldc.model import Box, Cylinder, MeshShape, Robot, Shape, Sphere, Vec3, Zone
 
-Corners = tuple[int, int, int]
-"""Indices of the three corners of a triangle, counterclockwise for a viewer outside the shape."""
 Triangles = tuple[Sequence[Vec3], Sequence[Corners]]
 """Points (m) and triangles of a surface.  The sequences are shared: nobody changes them."""
 SIDES = 24
@@ -50,22 +49,13 @@ def shape_triangles(robot: Robot, shape: Shape) -> Triangles:
 
 
 def is_closed(points: Sequence[Vec3], triangles: Sequence[Corners]) -> bool:
-    """Returns whether triangles enclose a body: each edge has a triangle on both sides, which run
-    through the edge in opposite directions."""
-    # A corner of two triangles may be two equal points.
+    """Returns whether triangles enclose a body.  Points that are nearly equal are one corner."""
     first: dict[Vec3, int] = {}
     corners = [
         first.setdefault((x * _EQUAL + _ROUND, y * _EQUAL + _ROUND, z * _EQUAL + _ROUND), number)
         for number, (x, y, z) in enumerate(points)
     ]
-    count = len(points)
-    edges: set[int] = set()  # from the corner s to the corner e: s * count + e
-    opposite: set[int] = set()
-    for i, j, k in triangles:
-        a, b, c = corners[i], corners[j], corners[k]
-        edges.update((a * count + b, b * count + c, c * count + a))
-        opposite.update((b * count + a, c * count + b, a * count + c))
-    return len(edges) == 3 * len(triangles) and edges == opposite
+    return encloses_body((corners[i], corners[j], corners[k]) for i, j, k in triangles)
 
 
 @cache
@@ -74,27 +64,16 @@ def _mesh(name: str, data: bytes) -> Triangles:
 
     The points are in the order of the file.  A point that triangles share is returned once.
     """
-    listed = mesh_triangles(name, data)
+    listed, triangles = indexed_triangles(name, data)
+    numbers: dict[Vec3, int] = {}  # of the rounded points
     points: list[Vec3] = []
-    triangles: list[Corners] = []
-    numbers: dict[Vec3, int] = {}  # of the points in the file
-    merged: dict[Vec3, int] = {}  # of the rounded points
-
-    def number_of(point: Vec3) -> int:
-        x, y, z = point
+    corners: list[int] = []
+    for x, y, z in listed:
         key = (x * _MERGED + _ROUND, y * _MERGED + _ROUND, z * _MERGED + _ROUND)
-        number = numbers[point] = merged.setdefault(key, len(points))
-        if number == len(points):
-            points.append(point)
-        return number
-
-    for corners in listed:
-        try:
-            triangles.append((numbers[corners[0]], numbers[corners[1]], numbers[corners[2]]))
-        except KeyError:  # a new point
-            a, b, c = map(number_of, corners)
-            triangles.append((a, b, c))
-    return points, triangles
+        corners.append(numbers.setdefault(key, len(points)))
+        if len(numbers) > len(points):
+            points.append((x, y, z))
+    return points, [(corners[i], corners[j], corners[k]) for i, j, k in triangles]
 
 
 def _box(size: Vec3) -> Triangles:
