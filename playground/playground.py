@@ -38,7 +38,6 @@ from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import DiagnosticError, Report
 from thorvaldc.diagnostics.files import read_json
 from thorvaldc.model import Fleet, Robot
-from thorvaldc.schema import Kind
 from thorvaldc.tools.language_server import code_completion, open_document
 from thorvaldc.tools.language_server.module_view import ModuleView
 from thorvaldc.tools.preview.compiled_robot import CompiledRobot
@@ -186,11 +185,10 @@ class Playground:
     def _complete(self, message: Message) -> Message:
         text, offset = message["text"], message["offset"]
         path = self._path(message["file"])
-        kind = self._kind(path.name, text)
         source = open_document.SourceText(text)
         cursor = code_completion.cursor_at(text, offset)
         tree = code_completion.tree_around(source, cursor, offset, str(path))
-        view = ModuleView(kind, path, tree, ())
+        view = ModuleView(kind_of(text, path.name) or "robot", path, tree, ())
         models = {} if self._compiled.model is None else {str(path): self._compiled.model}
         return {
             "kind": "proposals",
@@ -207,10 +205,6 @@ class Playground:
                 for proposal in code_completion.proposals_at(view, cursor, models)
             ],
         }
-
-    @staticmethod
-    def _kind(name: str, text: str) -> Kind:
-        return kind_of(text, name) or "robot"
 
     # -- modules -----------------------------------------------------------------------
 

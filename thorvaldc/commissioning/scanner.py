@@ -124,9 +124,7 @@ class Scanner:
                 "--active and `can monitor` show the frames of the nodes",
             )
 
-    def again(
-        self, previous: scan_result.ScanResult, *, values: bool = True
-    ) -> scan_result.ScanResult:
+    def again(self, previous: scan_result.ScanResult) -> scan_result.ScanResult:
         """Scans again the devices in the scan result ``previous``, after a reset of the nodes."""
         findings = self._findings
         findings.evidence = dict(previous.duplicates)
@@ -150,7 +148,7 @@ class Scanner:
         for node in sorted(i for i in ids if i is not None and i != UNCONFIGURED):
             self._probe(node, self.master.timing.lss)
         self._identify(texts=False)
-        return self._evaluate(values)
+        return self._evaluate(values=True)
 
     # -- phases of a scan -------------------------------------------------------------------
 

@@ -41,7 +41,7 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.reader import MAX_BYTES, read_file
 from thorvaldc.diagnostics import Diagnostic, Report, Severity, Span
 from thorvaldc.diagnostics.files import read_bounded
-from thorvaldc.model import Fleet, Robot
+from thorvaldc.model import Fleet, Robot, robots_by_name
 from thorvaldc.tool_folders import document_compiler
 
 # The import of scenarios takes several milliseconds.
@@ -205,10 +205,9 @@ def emit_without_model(
     from thorvaldc import backends  # the command `check` needs no targets
 
     files: dict[str, bytes] = {}
-    robots = [p.robot for p in model.placements] if isinstance(model, Fleet) else [model]
     for backend in [backends.load(target) for target in dict.fromkeys(targets)]:
         if report is not None:
-            for robot in robots:
+            for robot in robots_by_name(model).values():
                 for diagnostic in backend.unsupported(robot):
                     report.put(diagnostic)
         files.update(backend.emit_fleet(model) if isinstance(model, Fleet) else backend.emit(model))

@@ -1,7 +1,7 @@
 """The intermediate model (IR) of a robot or a fleet of robots, independent of any output format."""
 
 from thorvaldc.model.bus import Bus, Channel, FrameDefinition, Node, ObjectValue, Scalar, Signal
-from thorvaldc.model.fleet import Block, Fleet, Ground, Placement, World, Zone
+from thorvaldc.model.fleet import Block, Fleet, Ground, Placement, World, Zone, robots_by_name
 from thorvaldc.model.robot import (
     Actuator,
     Battery,
@@ -80,5 +80,6 @@ __all__ = [
     "Wheel",
     "World",
     "Zone",
+    "robots_by_name",
     "wheel_joints",
 ]

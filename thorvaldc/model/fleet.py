@@ -136,3 +136,10 @@ class Fleet(Element):
     def __repr__(self) -> str:
         robots = f"{len(self.placements)} robot{'' if len(self.placements) == 1 else 's'}"
         return f"<Fleet {self.name}: {robots}>"
+
+
+def robots_by_name(model: Robot | Fleet) -> dict[str, Robot]:
+    """Return the robots of a fleet, or the robot itself, by their names in the scene."""
+    if isinstance(model, Fleet):
+        return {placement.name: placement.robot for placement in model.placements}
+    return {model.name: model}

@@ -91,15 +91,15 @@ DrivenWheels = Sequence[tuple[Wheel, Actuator]]
 """The driven wheels of a robot with their propulsion motors."""
 
 
-def stop_bounds(robot: Robot, settings: DriverSettings | None = None) -> tuple[StopBound, ...]:
+def stop_bounds(robot: Robot) -> tuple[StopBound, ...]:
     """Returns the longest time and distance of each kind of stop, in the order of ``KINDS``.
 
-    ``settings``: settings of the base driver; ``None``: the longest times and distances of the
-    robot's settings and of all its parameter sets.  The kinds ``driver_dead`` and ``drive_dead``
-    are missing for a robot without motor controllers on a bus.  The time and the distance of
-    ``driver_dead`` are infinite if a drive has no watchdog, or coasts after it.
+    They are the longest ones of the robot's settings and of all its parameter sets.  The kinds
+    ``driver_dead`` and ``drive_dead`` are missing for a robot without motor controllers on a bus.
+    The time and the distance of ``driver_dead`` are infinite if a drive has no watchdog, or coasts
+    after it.
     """
-    choices = [settings] if settings else [robot.driver, *(p.driver for p in robot.parameter_sets)]
+    choices = [robot.driver, *(p.driver for p in robot.parameter_sets)]
     driven = driven_wheels(robot.wheels, robot.actuators)
     bounds: dict[str, StopBound] = {}
     for choice in choices:

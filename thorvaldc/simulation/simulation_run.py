@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from thorvaldc.diagnostics import DiagnosticError, Report, millimetres
-from thorvaldc.model import Fleet, Robot, Wheel
+from thorvaldc.model import Fleet, Robot, Wheel, robots_by_name
 from thorvaldc.model.model_json import load_model
 from thorvaldc.model.scenario import SensorSettings
 from thorvaldc.model.statics.mobility import roll_speeds
@@ -247,14 +247,13 @@ class Simulation:
         Raises ``DiagnosticError`` if the scene cannot be read, if the scene belongs to another
         model, or if a robot does not have the parameter set ``parameters``.
         """
+        self.robots = [*robots_by_name(model).items()]
         if isinstance(model, Fleet):
-            self.robots = [(p.name, p.robot) for p in model.placements]
             self.starts = {
                 p.name: Pose2(p.pose.xyz[0], p.pose.xyz[1], p.pose.rpy()[2])
                 for p in model.placements
             }
         else:
-            self.robots = [(model.name, model)]
             self.starts = {model.name: se2.ORIGIN}
         for _, robot in self.robots:
             Parameters.from_robot(robot, parameters)

@@ -11,10 +11,13 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 from thorvaldc.diagnostics import Proposal, Report, Span
 
+KeyPath = tuple[str | int, ...]
+"""Keys of mappings and indices of lists, from the top of a document."""
 Value = None | bool | int | float | str | tuple["Node", ...] | dict[str, "Node"]
 
 
@@ -38,6 +41,22 @@ class Node(NamedTuple):
         Returns ``None`` if the YAML mapping has no such key, or if the YAML value is not a mapping.
         """
         return self.value.get(key) if isinstance(self.value, dict) else None
+
+    def children(self) -> Iterable[tuple[str | int, Node]]:
+        """Returns the entries of a YAML mapping with their keys, or the elements of a YAML list
+        with their indices from 0.  A scalar has none.
+        """
+        if isinstance(self.value, dict):
+            return self.value.items()
+        return enumerate(self.value) if isinstance(self.value, tuple) else ()
+
+    def walk(self, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Node]]:
+        """Yields this YAML value and all values below it with their paths, in the order of the
+        file.
+        """
+        yield path, self
+        for key, child in self.children():
+            yield from child.walk((*path, key))
 
     def plain(self) -> Any:
         """Returns a YAML value as plain Python dicts, lists and scalars, without source spans."""

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from thorvaldc.diagnostics.files import STAGE_PREFIX, errors_with_name
 from thorvaldc.diagnostics.installation import install_command
-from thorvaldc.model import Fleet, Robot
+from thorvaldc.model import Fleet, Robot, robots_by_name
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.pictures import PictureError
@@ -227,9 +227,8 @@ def _turn_wheels(model: Robot | Fleet, scene: MujocoScene, twist: Twist, spin: f
 
     Each wheel is turned by ``spin`` rad more than the previous wheel.
     """
-    robots = [p.robot for p in model.placements] if isinstance(model, Fleet) else [model]
     position = scene.data.qpos
-    for robot in robots:
+    for robot in robots_by_name(model).values():
         prefix = robot.prefix
         for index, wheel in enumerate(robot.wheels):
             axle = scene.index("joint", prefix + wheel.spin_joint, robot)

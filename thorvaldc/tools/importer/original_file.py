@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -175,7 +174,11 @@ class ConversionLog:
         self.report = report
         self.conversions: dict[Key, Conversion] = {}
         self._root = root
-        self._leaves: dict[Key, Node] = dict(_leaves(root, ()))
+        self._leaves: dict[Key, Node] = {
+            tuple(map(str, path)): node
+            for path, node in root.walk()
+            if not (isinstance(node.value, dict | tuple) and node.value)
+        }
         self._left_out: dict[tuple[str, str], list[tuple[Key, Node]]] = {}
 
     def add_converted(self, key: Key) -> None:
@@ -258,17 +261,6 @@ class ConversionLog:
 def _shorten(names: list[str]) -> str:
     listed = ", ".join(f"`{name}`" for name in names[:_MAX_SHOWN])
     return listed + (f" and {len(names) - _MAX_SHOWN} more" if len(names) > _MAX_SHOWN else "")
-
-
-def _leaves(node: Node, key: Key) -> Iterator[tuple[Key, Node]]:
-    if isinstance(node.value, dict) and node.value:
-        for name, child in node.value.items():
-            yield from _leaves(child, (*key, name))
-    elif isinstance(node.value, tuple) and node.value:
-        for i, child in enumerate(node.value):
-            yield from _leaves(child, (*key, str(i)))
-    else:
-        yield key, node
 
 
 # -- numbers, Booleans and texts --------------------------------------------------------

@@ -15,13 +15,13 @@ from typing import Literal
 
 from thorvaldc.compiler.catalogue import first_sentence
 from thorvaldc.compiler.scaffolding import presets, robot_text
-from thorvaldc.compiler.source.node import Node, yaml_text
+from thorvaldc.compiler.source.node import KeyPath, Node, yaml_text
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_quantity
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report
-from thorvaldc.model import Fleet, Robot
+from thorvaldc.model import Fleet, Robot, robots_by_name
 from thorvaldc.tools.language_server import hover, open_document
 from thorvaldc.tools.language_server.module_view import ModuleView, Parameter, Schemas, is_nested
 
@@ -30,7 +30,6 @@ _KEY = re.compile(
     r"""[ \t]*:(?=[ \t]|$)"""
 )
 _BLOCK_SCALAR = re.compile(r"[|>][-+0-9]*[ \t]*(?:#.*)?$")
-_LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n|\Z)")
 _CLOSING = {"{": "}", "[": "]"}
 
 
@@ -49,7 +48,7 @@ class Cursor:
     closing : brackets that close the flow mappings and lists around the cursor.
     """
 
-    path: open_document.KeyPath
+    path: KeyPath
     slot: Literal["key", "value", "either"]
     prefix: str
     start: int
@@ -83,7 +82,7 @@ class _Scanner:
     slot: Literal["key", "value", "either"] = "key"
 
     def run(self) -> Cursor:
-        for line in _LINE.finditer(self.text, 0, self.offset):
+        for line in open_document.LINE.finditer(self.text, 0, self.offset):
             if line.start() == line.end() and line.start() < self.offset:
                 continue
             self._line(line.start(), line.end())
@@ -420,7 +419,7 @@ def _parameter_values(view: ModuleView, parameter: Parameter) -> Iterator[Propos
 
 
 def _references(
-    view: ModuleView, path: open_document.KeyPath, models: Mapping[str, Robot | Fleet]
+    view: ModuleView, path: KeyPath, models: Mapping[str, Robot | Fleet]
 ) -> Iterator[Proposed]:
     """Yields the names that a value can refer to."""
     inside = path[2:] if path[:1] == ("modules",) else ()
@@ -451,11 +450,11 @@ def _references(
 
 
 def _names_of_models(
-    view: ModuleView, path: open_document.KeyPath, models: Mapping[str, Robot | Fleet]
+    view: ModuleView, path: KeyPath, models: Mapping[str, Robot | Fleet]
 ) -> Iterator[Proposed]:
     """Yields names of the open robots, for documents that no robot names."""
     key = path[-1] if path else ""
-    robots = [robot for model in models.values() for robot in _robots(model)]
+    robots = [robot for model in models.values() for robot in robots_by_name(model).values()]
     if view.kind == "scenario" and key == "robot" and len(path) > 1 and path[0] != "robots":
         yield from _words(entries(view.tree.get("robots")), "Variable", "robot")
     elif key == "wheel":
@@ -465,10 +464,6 @@ def _names_of_models(
         yield from _words(names, "Field", "device")
     elif view.kind == "calibration" and path == ("robot",):
         yield from _words((robot.name for robot in robots), "Variable", "robot")
-
-
-def _robots(model: Robot | Fleet) -> list[Robot]:
-    return [model] if isinstance(model, Robot) else [p.robot for p in model.placements]
 
 
 def _words(words: Iterable[str], kind: str, detail: str) -> Iterator[Proposed]:

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from thorvaldc.compiler.catalogue import module_facts
-from thorvaldc.compiler.source.node import yaml_text
+from thorvaldc.compiler.source.node import KeyPath, yaml_text
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.source.units import UnitError, parse_any, parse_quantity
 from thorvaldc.compiler.values.value_reader import INVALID
@@ -17,7 +17,7 @@ from thorvaldc.model.spatial import float_sum
 from thorvaldc.schema import bounds_in_words
 from thorvaldc.tools.language_server.module_references import Reference, reference_at
 from thorvaldc.tools.language_server.module_view import ModuleView, Parameter, Port, Schemas
-from thorvaldc.tools.language_server.open_document import KeyPath, Place, place_at
+from thorvaldc.tools.language_server.open_document import Place, place_at
 
 Hover = tuple[str, Span]
 """Text in Markdown, and the span that it describes."""

@@ -16,7 +16,7 @@ from typing import Literal
 
 from thorvaldc.compiler.bus.node_ids import ADDRESSES, lock_path
 from thorvaldc.compiler.modules.library import FILE, ModuleType
-from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.node import KeyPath, Node
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Span
 from thorvaldc.tools.language_server import open_document
@@ -267,17 +267,10 @@ def _fleet_names_robot(fleet: Path, robot: str) -> bool:
     return any(os.path.realpath(fleet.parent / str(file.value)) == robot for file in files if file)
 
 
-def _scalars(
-    node: Node, path: open_document.KeyPath = ()
-) -> Iterator[tuple[open_document.KeyPath, Node]]:
-    if isinstance(node.value, dict):
-        for key, child in node.value.items():
-            yield from _scalars(child, (*path, key))
-    elif isinstance(node.value, tuple):
-        for index, child in enumerate(node.value):
-            yield from _scalars(child, (*path, index))
-    else:
-        yield path, node
+def _scalars(node: Node) -> Iterator[tuple[KeyPath, Node]]:
+    for path, value in node.walk():
+        if not isinstance(value.value, dict | tuple):
+            yield path, value
 
 
 # -- definitions ------------------------------------------------------------------------

@@ -14,14 +14,14 @@ from thorvaldc.compiler.modules.module_tree import Instance, Mount, References
 from thorvaldc.compiler.modules.mounting import mount_kinds
 from thorvaldc.compiler.modules.resolve import Resolver
 from thorvaldc.compiler.pipeline import library_folders_of
-from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.node import KeyPath, Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.compiler.validation.document_check import check, without_invalid_values
 from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Pose
 from thorvaldc.schema import Kind, inlined
-from thorvaldc.tools.language_server.open_document import KeyPath, node_at
+from thorvaldc.tools.language_server.open_document import node_at
 
 CANOPEN_IDS = (1, 127)
 CANOPEN = "canopen"

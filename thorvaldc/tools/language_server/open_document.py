@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 from urllib.parse import quote, unquote, urlsplit
 
 from thorvaldc.compiler.source.input_file import read_bytes, unsaved_texts
-from thorvaldc.compiler.source.node import Node
+from thorvaldc.compiler.source.node import KeyPath, Node
 from thorvaldc.compiler.source.reader import read_text
 from thorvaldc.compiler.validation.document_check import kind_of
 from thorvaldc.diagnostics import Report, Span
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # A source span counts lines and Unicode characters from 1. The protocol counts lines from 0, and
 # columns in UTF-16 code units from 0: a character above U+FFFF has two code units.
 
-_LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n|\Z)")
+LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n|\Z)")
 
 
 class SourceText:
@@ -40,7 +40,7 @@ class SourceText:
     def __init__(self, text: str) -> None:
         self.text = text
         self.starts = [0]
-        for line in _LINE.finditer(text):
+        for line in LINE.finditer(text):
             if line[0].endswith(("\r", "\n")):
                 self.starts.append(line.end())
 
@@ -114,8 +114,6 @@ def _units(text: str) -> int:
 
 # -- the YAML tree, and the node at a position ------------------------------------------
 
-KeyPath = tuple[str | int, ...]
-"""Keys of mappings and indices of lists, from the top of a document."""
 MAX_REPAIRS = 12
 """Greatest number of lines that are left out to make a document readable."""
 MAX_REPAIRED = 200_000
@@ -184,14 +182,9 @@ def place_at(root: Node, line: int, column: int) -> Place | None:
     path: list[str | int] = []
     node = root
     while True:
-        children: list[tuple[str | int, Node]] = []
-        if isinstance(node.value, dict):
-            children = list(node.value.items())
-        elif isinstance(node.value, tuple):
-            children = list(enumerate(node.value))
-        elif path:
+        if path and not isinstance(node.value, dict | tuple):
             return Place(tuple(path), node, "value")
-        for key, child in children:
+        for key, child in node.children():
             if child.key_span is not None and _contains(child.key_span, line, column):
                 return Place((*path, key), child, "key")
             if _contains(child.span, line, column):

@@ -14,7 +14,7 @@ from thorvaldc.cli.diagnostic_output import message, print_json, report_of, show
 from thorvaldc.compiler.pipeline import emit
 from thorvaldc.compiler.result import Compilation
 from thorvaldc.diagnostics import DiagnosticError, Report, Span
-from thorvaldc.model import Fleet, Robot
+from thorvaldc.model import Fleet, Robot, robots_by_name
 from thorvaldc.model.spatial import float_sum, quat_from_rpy
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
@@ -222,7 +222,7 @@ def replay_run(
     - ``source``: path of the record.
     - ``record``: path for a copy of the record in another format, or empty for no copy.
     """
-    robots = _robots_of(model)
+    robots = [*robots_by_name(model).items()]
     runs, status = _read_record(source, robots, for_plot=bool(pictures.plot))
     if runs is None:
         return status
@@ -256,7 +256,7 @@ def arrangement(
     For a time after the end of the record, the robots move to their last recorded poses. If the
     record of the run has errors, the function prints the errors and returns ``None``.
     """
-    robots = _robots_of(model)
+    robots = [*robots_by_name(model).items()]
     runs, _ = _read_record(source, robots, for_plot=False)
     if runs is None:
         return None
@@ -267,12 +267,6 @@ def arrangement(
         replay.show(min(time, replay.end))
 
     return arrange
-
-
-def _robots_of(model: Robot | Fleet) -> run_outputs.Robots:
-    if isinstance(model, Fleet):
-        return [(placement.name, placement.robot) for placement in model.placements]
-    return [(model.name, model)]
 
 
 def _read_record(

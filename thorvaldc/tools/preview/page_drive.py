@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from thorvaldc.compiler.pipeline import emit_without_model
-from thorvaldc.model import Fleet, Robot
+from thorvaldc.model import Fleet, Robot, robots_by_name
 from thorvaldc.model.settings import AUTOMATIC
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
@@ -80,11 +80,7 @@ class PageDrive:
 
     def __init__(self, model: Robot | Fleet, name: str, send: Send) -> None:
         """Drives the robot ``name`` of the model, or its first robot without such a robot."""
-        robots = (
-            {placed.name: placed.robot for placed in model.placements}
-            if isinstance(model, Fleet)
-            else {model.name: model}
-        )
+        robots = robots_by_name(model)
         self._name = name if name in robots else next(iter(robots))
         self._model, self._robots, self._send = model, robots, send
         self._vehicle: _ShownRobot | None = None

@@ -88,12 +88,7 @@ def all_nodes(
 ) -> Iterator[SourceValue]:
     """Yields all nodes of a document, a mapping or list before its content."""
     yield SourceValue(keys, node, sections)
-    inner: Iterable[tuple[Key, Node]] = ()
-    if isinstance(node.value, dict):
-        inner = node.value.items()
-    elif isinstance(node.value, tuple):
-        inner = enumerate(node.value)
-    for key, item in inner:
+    for key, item in node.children():
         yield from all_nodes(item, (*keys, key), (node.where, *sections))
 
 

@@ -112,7 +112,6 @@ class Keyboard:
         self._motion = ZERO_TWIST
         self._key = ""
         self._until = 0.0
-        self._repeated = 0.0
         self._driving = False
         self._stopped = False
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bisect
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +17,6 @@ from thorvaldc.schema import Kind
 
 _LINE_BREAK = re.compile(r"\r\n|\r|\n")
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
-KeyPath = tuple[str | int, ...]
 
 
 @dataclass(frozen=True)
@@ -83,24 +82,3 @@ class Document:
         if root is None or report.has_errors:
             return None
         return Document(self.path, self.kind, data, root)
-
-    def entries(self) -> Iterator[tuple[KeyPath, Node]]:
-        """Yields all keys of mappings, and the elements of lists, with their paths."""
-        yield from _entries(self.root, ())
-
-
-def _entries(node: Node, path: KeyPath) -> Iterator[tuple[KeyPath, Node]]:
-    if isinstance(node.value, dict):
-        children: Iterable[tuple[str | int, Node]] = node.value.items()
-    elif isinstance(node.value, tuple):
-        children = enumerate(node.value)
-    else:
-        return
-    for key, child in children:
-        yield (*path, key), child
-        yield from _entries(child, (*path, key))
-
-
-def mapping(node: Node | None) -> dict[str, Node]:
-    """Returns the entries of a YAML mapping, and none for anything else."""
-    return node.value if node is not None and isinstance(node.value, dict) else {}

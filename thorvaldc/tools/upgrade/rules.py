@@ -18,10 +18,11 @@ from thorvaldc.compiler.modules.library import module_library
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.compiler.source.input_file import unsaved_texts
 from thorvaldc.compiler.source.node import Node, Value
+from thorvaldc.compiler.values.value_reader import entries
 from thorvaldc.diagnostics import Diagnostic, Fix, Report, Span
 from thorvaldc.schema import Kind
 from thorvaldc.schema.old_words import OldWord, old_keys, old_value
-from thorvaldc.tools.upgrade.document import Document, mapping
+from thorvaldc.tools.upgrade.document import Document
 
 
 class Decision(NamedTuple):
@@ -66,7 +67,7 @@ class Rule(NamedTuple):
 
 def find_old_words(document: Document, context: Context) -> Iterator[Fix | Decision]:
     """Yields the words that the language had: renamed ones as changes, others as decisions."""
-    for path, node in document.entries():
+    for path, node in document.root.walk():
         if node.key_span is not None:
             for word in old_keys(document.kind, path):
                 siblings = _at(document.root, path[:-1])
@@ -88,8 +89,8 @@ def _renamed(word: OldWord, span: Span, is_taken: bool) -> Fix | Decision:
 def _at(root: Node, path: Sequence[str | int]) -> dict[str, Node]:
     node: Node | None = root
     for key in path:
-        node = mapping(node).get(str(key))
-    return mapping(node)
+        node = entries(node).get(str(key))
+    return entries(node)
 
 
 def _type_of(root: Node, path: Sequence[str | int]) -> object:
@@ -162,7 +163,7 @@ def _is_same(path: Path, document: Document) -> bool:
 def _values_without_default(document: Document) -> dict[str, Node]:
     """Returns values for the parameters that have no default, so that expressions have values."""
     values: dict[str, Node] = {}
-    for name, declaration in mapping(document.root.get("params")).items():
+    for name, declaration in entries(document.root.get("params")).items():
         value = _value_for(declaration) if declaration.get("default") is None else None
         if value is not None:
             values[name] = value
@@ -204,10 +205,10 @@ class Default(NamedTuple):
     def find(self, document: Document, context: Context) -> Iterator[Decision]:
         """Yields a decision for each mapping that does not state the key."""
         for owner, span in _owners(document.root, self.path[:-1]):
-            entries = mapping(owner)
-            if self.path[-1] in entries:
+            stated = entries(owner)
+            if self.path[-1] in stated:
                 continue
-            if not self.requires or any(key in entries for key in self.requires):
+            if not self.requires or any(key in stated for key in self.requires):
                 yield Decision(span, self.message, self.hint)
 
 
@@ -217,7 +218,7 @@ def _owners(root: Node, path: Sequence[str]) -> Iterator[tuple[Node | None, Span
         start = root.get("name") or root
         node: Node | None = root
         for key in path:
-            node = mapping(node).get(key)
+            node = entries(node).get(key)
         yield node, (node or start).where if node is not root else start.where
         return
     outer = tuple(path[: path.index("*")])
@@ -230,7 +231,7 @@ def find_batteries(document: Document, context: Context) -> Iterator[Decision]:
     """Yields a decision if several batteries are connected in an unknown way."""
     batteries = [
         module
-        for module in mapping(document.root.get("modules")).values()
+        for module in entries(document.root.get("modules")).values()
         if (kind := module.get("type")) is not None
         and str(kind.value).startswith("battery/")
         and not _is_empty(module)
@@ -245,7 +246,7 @@ def find_batteries(document: Document, context: Context) -> Iterator[Decision]:
 
 
 def _is_empty(module: Node) -> bool:
-    with_battery = mapping(module.get("params")).get("with_battery")
+    with_battery = entries(module.get("params")).get("with_battery")
     return with_battery is not None and with_battery.value is False
 
 
