@@ -242,9 +242,13 @@ def test_every_example_has_the_files_of_a_native_build(visit: Visit) -> None:
         assert [path for path in native if files[path] != native[path]] == [], name
 
 
-def open_files(page: Page, files: dict[str, Any]) -> None:
+def open_files(page: Page, files: dict[str, bytes]) -> None:
     before = version(page)
-    page.evaluate("files => openFiles(files, 'robot.yaml', '')", files)
+    content = {
+        name: [base64.b64encode(data).decode()] if name.endswith(".stl") else data.decode()
+        for name, data in files.items()
+    }
+    page.evaluate("files => openFiles(files, 'robot.yaml', '')", content)
     wait_until(page, lambda: version(page) != before)
 
 
@@ -292,7 +296,8 @@ def test_a_file_that_takes_too_much_ends_and_the_page_goes_on(visit: Visit, faul
     assert page.locator("#diagnostics .error").count() == 0
     name = page.inner_text("#title")
     page.click("[role=tab]:has-text('top.xacro')")
-    write(page, files["top.xacro"].replace("${0.2 + sin(0.5)}", HUNGRY[fault]))
+    xacro, robot = (files[name].decode() for name in ("top.xacro", "robot.yaml"))
+    write(page, xacro.replace("${0.2 + sin(0.5)}", HUNGRY[fault]))
     wait_until(
         page,
         lambda: (
@@ -305,10 +310,10 @@ def test_a_file_that_takes_too_much_ends_and_the_page_goes_on(visit: Visit, faul
     assert page.inner_text("#title") == name
     assert page.evaluate("viewer.robots.length") == 1
     before = page.inner_text("#facts")
-    write(page, files["top.xacro"].replace("0.2", "0.3"))  # the text of the user is still there
+    write(page, xacro.replace("0.2", "0.3"))  # the text of the user is still there
     wait_until(page, lambda: page.evaluate("isReady && !isCompiling && !changed.size"))
     page.click("[role=tab]:has-text('robot.yaml')")
-    write(page, files["robot.yaml"].replace("1.60 m", "1.70 m"))
+    write(page, robot.replace("1.60 m", "1.70 m"))
     wait_until(page, lambda: page.inner_text("#facts") != before)
     assert page.locator("#diagnostics .error").count() == 0
     assert not page.evaluate("viewer.isGrey")
