@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from tests.cli.conftest import Command
 from thorvaldc.diagnostics.installation import install_command
@@ -124,3 +125,37 @@ def test_without_rosbags_one_line_names_the_package(
     assert result.status == 3
     assert result.out == ""
     assert install_command("record") in result.err
+
+
+def test_sim_records_the_sensors_of_a_robot(thorvaldc: Command, tmp_path: Path) -> None:
+    record = tmp_path / "run.mcap"
+    wide = str(ROOT / "examples/4wd4ws_wide/robot.yaml")
+    options = ("--twist", "0.5,0,0", "--duration", "0.5")
+    assert thorvaldc("sim", wide, *options, "--sensors", "--record", str(record)).status == 0
+    with record.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    counts = {
+        channel.topic: summary.statistics.channel_message_counts[number]
+        for number, channel in summary.channels.items()
+    }
+    assert counts["/imu/data"] == 51
+    assert counts["/lidar_front/scan"] == 13
+
+
+@pytest.mark.parametrize("record", [(), ("--record", "folder")])
+def test_sensors_without_a_record_that_holds_them_are_refused(
+    thorvaldc: Command, record: tuple[str, ...]
+) -> None:
+    result = thorvaldc("sim", str(ROBOT), "--sensors", *record)
+    assert result.status == 2
+    assert "needs a --record OUT.mcap" in result.err
+
+
+def test_a_robot_without_sensors_says_so(thorvaldc: Command, tmp_path: Path) -> None:
+    robot = str(ROOT / "examples/odrive/robot.yaml")
+    record = str(tmp_path / "run.mcap")
+    result = thorvaldc("sim", robot, "--duration", "0.2", "--sensors", "--record", record)
+    assert result.status == 0
+    assert "no robot has a sensor that is simulated" in result.err

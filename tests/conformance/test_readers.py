@@ -118,7 +118,7 @@ def expected(folder: Path) -> dict[str, Any]:
 
 
 def differences(a: Any, b: Any, tolerance: float, where: str) -> list[str]:
-    """Differences of ``b`` from ``a``; a number that is not stated (NaN) is equal to any."""
+    """Differences of ``b`` from ``a``; where ``a`` states no number (NaN), ``b`` may have any."""
     if isinstance(a, dict):
         if a.keys() != b.keys():
             return [f"{where}: {sorted(a.keys() ^ b.keys())}"]
@@ -127,7 +127,8 @@ def differences(a: Any, b: Any, tolerance: float, where: str) -> list[str]:
     one, two = np.asarray(a, float), np.asarray(b, float)
     scale = max(1.0, float(np.nanmax(np.abs(one), initial=0.0)))
     gap = np.abs(one - two)
-    return [f"{where}: {a} and {b}"] if (gap > tolerance * scale).any() else []
+    agree = (gap <= tolerance * scale) | np.isnan(one)
+    return [] if agree.all() else [f"{where}: {a} and {b}"]
 
 
 def without_lost(reader: Reader, path: Path, column: str, value: dict[str, Any]) -> dict[str, Any]:

@@ -32,9 +32,7 @@ from thorvaldc.simulation.pictures.render import (
     encoder,
 )
 from thorvaldc.simulation.records.csv_record import CsvRecorder
-from thorvaldc.simulation.records.foxglove_layout import LAYOUT_SUFFIX
 from thorvaldc.simulation.records.joint_csv import JointLogWriter
-from thorvaldc.simulation.records.mcap_writer import McapRecorder
 from thorvaldc.simulation.records.recorder import Recorder
 
 Robots = Sequence[tuple[str, Robot]]
@@ -60,6 +58,9 @@ def open_recorders(
     with write_errors(record):
         recorder: Recorder
         if path.suffix.lower() == ".mcap":
+            # A run without a record does not need the backends of the robot in it.
+            from thorvaldc.simulation.records.mcap_writer import McapRecorder
+
             recorder = McapRecorder(path, robots, groups, every)
         else:
             recorder = CsvRecorder(path, robots, groups, every)
@@ -90,6 +91,8 @@ def record_summary(record: str, robots: Robots) -> str:
     """Returns the file names of a record as one line of text."""
     path = Path(record)
     if path.suffix.lower() == ".mcap":
+        from thorvaldc.simulation.records.foxglove_layout import LAYOUT_SUFFIX
+
         return f"{record}, {path.with_suffix(LAYOUT_SUFFIX)}"
     if path.suffix.lower() == ".csv":
         return record

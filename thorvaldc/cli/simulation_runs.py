@@ -139,6 +139,8 @@ def run_drive(
             open_loop=open_loop,
             sensors=SensorSettings() if sensors else None,
         )
+        if sensors and not simulation.sensors:
+            message("no robot has a sensor that is simulated")
         if not duration:
             duration = TWIST_DURATION if twist is not None else simulation.demonstration()[1]
         with ExitStack() as stack:

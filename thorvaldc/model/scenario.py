@@ -124,7 +124,8 @@ class Scenario:
     - ``record``: names of the groups of columns in the record of the run.
     - ``every``: time between two rows of the record in s, or 0 to record every control tick.
     - ``open_loop``: ``True`` if the drive motors apply a voltage without speed control.
-    - ``sensors``: settings of the sensors of the modules, or ``None`` if they do not measure.
+    - ``sensors``: settings of the sensors of the modules, or ``None`` if they do not measure; their
+      ``noise`` is that of the scenario.
     """
 
     name: str

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -154,7 +154,10 @@ class ScenarioSimulation(Simulation):
         ``DiagnosticError`` if the scene cannot be read, or if a robot does not have the parameter
         set ``parameters``.
         """
-        super().__init__(scenario.fleet, files, parameters, sensors=scenario.sensors)
+        super().__init__(scenario.fleet, files, parameters)
+        if scenario.sensors is not None:
+            # They measure only for a record, or from the first use of ``sensors`` on.
+            self._sensor_settings = replace(scenario.sensors, noise=scenario.noise)
         self.scenario = scenario
         world = scenario.fleet.world
         self._zones = world.zones if world is not None else ()

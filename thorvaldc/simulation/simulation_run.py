@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 from thorvaldc.diagnostics import DiagnosticError, Report, millimetres
 from thorvaldc.model import Fleet, Robot, Wheel, robots_by_name
 from thorvaldc.model.model_json import load_model
-from thorvaldc.model.scenario import SensorSettings
 from thorvaldc.model.statics.mobility import roll_speeds
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import BaseHandle, JointStates
@@ -27,9 +26,10 @@ from thorvaldc.simulation.control_loop import ControlLoop, Manoeuvre, Simulation
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import CollisionCounter, MujocoScene
 from thorvaldc.simulation.physics.sim_base import GroundTruthBase, RollingBase, SimBase, WheelErrors
-from thorvaldc.simulation.records.recorder import Recorder
 
 if TYPE_CHECKING:
+    from thorvaldc.model.scenario import SensorSettings
+    from thorvaldc.simulation.records.recorder import Recorder
     from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
     from thorvaldc.simulation.vectorised.calculator_batch import OdometryBatch
 
@@ -261,7 +261,7 @@ class Simulation:
         world = model.world if isinstance(model, Fleet) else None
         self.rails = world is not None and any(block.kind == "rail" for block in world.blocks)
         self.scene = None if files is None else MujocoScene(files)
-        self._files, self._sensor_settings = files, sensors or SensorSettings()
+        self._files, self._sensor_settings = files, sensors
         self._suite: SensorSuite | None = None
         if sensors is not None:
             _ = self.sensors
@@ -293,18 +293,24 @@ class Simulation:
                     hint="leave out --ideal; in Python, give `Simulation` the files of the mjcf",
                 )
             # Runs without sensors do not import numpy for them.
+            from thorvaldc.model.scenario import SensorSettings
             from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
 
-            robots, settings = [robot for _, robot in self.robots], self._sensor_settings
+            robots = [robot for _, robot in self.robots]
+            settings = self._sensor_settings or SensorSettings()
             self._suite = SensorSuite(self.scene, self._files, robots, settings)
         return self._suite
 
     def record_sensors(self, recorders: Sequence[Recorder]) -> None:
-        """Gives the messages of the sensors to the MCAP recorders, if the sensors measure."""
-        if self._suite is not None:
-            from thorvaldc.simulation.records.mcap_writer import McapRecorder
+        """Gives the messages of the sensors to the MCAP recorders, if there are settings of sensors
+        or they measure.  Raises ``DiagnosticError`` as ``sensors`` does."""
+        if self._sensor_settings is None and self._suite is None:
+            return
+        from thorvaldc.simulation.records.mcap_writer import McapRecorder
 
-            self._suite.recorders = [r.measured for r in recorders if isinstance(r, McapRecorder)]
+        taking = [r.measured for r in recorders if isinstance(r, McapRecorder)]
+        if taking or self._suite is not None:
+            self.sensors.recorders = [*taking]
 
     def run(
         self,

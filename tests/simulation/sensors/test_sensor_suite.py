@@ -114,10 +114,10 @@ def test_a_camera_draws_images_where_opengl_is(tmp_path: Path) -> None:
     pictures = []
     for keys in ("", world):
         try:
-            run = simulation(tmp_path, keys, SENSORS + camera, sensors=sensors)
+            suite = simulation(tmp_path, keys, SENSORS + camera, sensors=sensors).sensors
         except DiagnosticError as error:
             without(error.one_line)
-        image, _ = run.sensors["rover/camera"].measure()
+        image, _ = suite["rover/camera"].measure()
         assert (image.height, image.width, image.step) == (48, 64, 192)
         pictures.append(image.data.reshape(48, 64, 3).astype(float))
     # The wall hides the sky, in the upper half of the image.
@@ -131,8 +131,21 @@ def test_images_without_opengl_are_an_error_at_the_start(
         raise PictureError("cannot draw without a display")
 
     monkeypatch.setattr("thorvaldc.simulation.sensors.camera.choose_opengl_backend", missing)
+    run = simulation(tmp_path, "", ALL_SENSORS, sensors="sensors: {images: true}\n")
     with pytest.raises(DiagnosticError, match="cannot draw without a display"):
-        simulation(tmp_path, "", ALL_SENSORS, sensors="sensors: {images: true}\n")
+        _ = run.sensors
+    recorder = McapRecorder(tmp_path / "run.mcap", run.robots, ())
+    with pytest.raises(DiagnosticError, match="cannot draw without a display"):
+        run.play(Report(), [recorder])
+    recorder.close()
+    assert run.play(Report()).hash  # nothing needs the images
+
+
+def test_a_scenario_without_a_record_measures_nothing(tmp_path: Path) -> None:
+    run = simulation(tmp_path, CURVE, duration=0.5)
+    run.play(Report())
+    assert run.scene is not None
+    assert run.scene.sensors is None
 
 
 def test_a_sensor_does_not_measure_twice_in_a_step(tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ def sim(
     ] = False,
     sensors: Annotated[
         bool,
-        typer.Option("--sensors", help="Measure with the sensors of the modules, for a .mcap."),
+        typer.Option("--sensors", help="Record the sensors of the modules as well, in a .mcap."),
     ] = False,
     record: options.Record = "",
     log: options.JointLog = "",
@@ -58,6 +58,8 @@ def sim(
     seconds = options.parse_duration(duration, "--duration") if duration else 0.0
     commanded_twist = options.parsed(twist, parse_twist, "--twist") if twist else None
     run_options = RunOptions(RunPictures(plot, video, ideal=ideal), parameters, record, log, json)
+    if sensors and not record.lower().endswith(".mcap"):
+        raise typer.BadParameter("needs a --record OUT.mcap", param_hint="'--sensors'")
     compilation = compile_and_show(file, library, trust=trust)
     if compilation.model is None:
         return INPUT

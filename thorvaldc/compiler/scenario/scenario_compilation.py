@@ -248,7 +248,7 @@ def _read(document: Section, fleet: Fleet, report: Report) -> Scenario:
     # A missing or wrong duration is an error; then no step is after the end.
     duration = document.get("duration", math.inf)
     sections = _SectionReader(fleet, duration, report)
-    record, noise = document["record"], sections.noise(document["noise"])
+    record = document["record"]
     return Scenario(
         name=name,
         description=description,
@@ -256,13 +256,13 @@ def _read(document: Section, fleet: Fleet, report: Report) -> Scenario:
         duration=duration,
         commands=sections.commands(document["script"]),
         faults=tuple(sections.wheel_faults(document["faults"])),
-        noise=noise,
+        noise=sections.noise(document["noise"]),
         expectations=tuple(sections.expectations(document["expect"])),
         span=document.node.span,
         record=tuple(group for group in GROUPS if group in (record["what"] or GROUPS)),
         every=record["every"],
         open_loop=document["open_loop"],
-        sensors=sections.sensors(document["sensors"], noise) if "sensors" in document else None,
+        sensors=sections.sensors(document["sensors"]) if "sensors" in document else None,
     )
 
 
@@ -447,7 +447,7 @@ class _SectionReader:
             noise["encoder_counts"],
         )
 
-    def sensors(self, settings: Section, noise: Noise) -> SensorSettings:
+    def sensors(self, settings: Section) -> SensorSettings:
         """Returns the settings of the sensors of the modules."""
         if not any(s.type in SIMULATED for r in self.robots.values() for s in r.sensors):
             self.report.add(
@@ -456,7 +456,7 @@ class _SectionReader:
                 settings.node.where,
                 hint=f"mount a module with one of these: {', '.join(SIMULATED)}",
             )
-        return SensorSettings(settings["errors"], settings["images"], noise=noise)
+        return SensorSettings(settings["errors"], settings["images"])
 
     def expectations(self, expected: Section) -> Iterator[Expectation]:
         """Yields the expected range of each metric in the section `expect` of a scenario."""
