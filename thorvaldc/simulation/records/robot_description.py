@@ -14,6 +14,7 @@ import math
 import re
 from collections.abc import Sequence
 from itertools import chain
+from typing import Any
 
 from thorvaldc.backends.urdf import MESHES, urdf_text
 from thorvaldc.backends.xml_writer import escape
@@ -45,13 +46,12 @@ def _glb_url(name: str, data: bytes) -> str:
     """
     import numpy as np
     from trimesh import Trimesh
-    from trimesh.exchange.gltf import export_glb
 
     points = chain.from_iterable(chain.from_iterable(mesh_triangles(name, data)))
     corners = np.fromiter(points, np.float64).reshape(-1, 3)
     corners = corners[:, (0, 2, 1)] * (1.0, 1.0, -1.0)  # from z up to y up
     mesh = Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
-    content = export_glb(mesh, include_normals=True)
+    content: Any = mesh.export(file_type="glb", include_normals=True)
     return "data:model/gltf-binary;base64," + base64.b64encode(content).decode("ascii")
 
 
