@@ -21,6 +21,7 @@ from thorvaldc.model.plugins import PluginFailure, PluginTable
 from thorvaldc.model.scenario import Quirk
 from thorvaldc.simulation.bus import simulated_motors
 from thorvaldc.simulation.bus.battery_and_io_devices import ForeignDevice
+from thorvaldc.simulation.bus.motor_wiring import WiredMotor, Wiring
 from thorvaldc.simulation.bus.simulated_device import DeviceSpecification, SimulatedDevice
 from thorvaldc.simulation.bus.timeline import Timeline
 from thorvaldc.simulation.bus.wire import CanController, Wire
@@ -193,7 +194,7 @@ class SimulatedRobot:
     * ``timeline``: virtual time of the simulation.
     * ``wires``: simulated bus lines by bus name.
     * ``devices``: simulated devices by node name.
-    * ``motors``: motor models by actuator name.
+    * ``motors``: models of the motors that turn the joints, by actuator name.
 
     The devices have no power before the call of ``power_on``.
     """
@@ -207,6 +208,7 @@ class SimulatedRobot:
         delivered: bool = False,
         nonvolatile: Mapping[str, Mapping[str, Any]] | None = None,
         quirks: Iterable[Quirk] = (),
+        wiring: Mapping[str, Wiring] | None = None,
     ) -> None:
         """Creates a simulated device for each node of the robot.
 
@@ -216,6 +218,7 @@ class SimulatedRobot:
         * ``nonvolatile``: values in the non-volatile memory by node name, for example
           ``{"fl_drive": {"node_id": 2}}``.  These values override the values from the robot model.
         * ``quirks``: quirks of all simulated CANopen devices.
+        * ``wiring``: connections that differ from the robot file, by the name of the actuator.
 
         Raises ``DiagnosticError`` (``bus-missing``) if the robot has no bus.
         """
@@ -230,6 +233,7 @@ class SimulatedRobot:
         self._driven_wheels = simulated_motors.DrivenWheels()
         self._delivered = delivered
         self._quirks = frozenset(quirks)
+        self._wiring = dict(wiring or {})
         for bus in robot.buses:
             self.wires[bus.name] = Wire(self.timeline, bus.bitrate, seed=seed)
             for node in bus.nodes:
@@ -288,15 +292,9 @@ class SimulatedRobot:
         ideal_motors: bool = False,
     ) -> SimulatedDevice:
         def motor(actuator: Actuator) -> simulated_motors.MotorModel:
-            model = None
-            if self._base_motors is not None and not ideal_motors:
-                model = self._base_motors.motor(actuator)
-            if model is None:
-                wheels = None if ideal_motors else self._driven_wheels
-                model = simulated_motors.ideal_motor(self.robot, actuator, wheels)
-            if not ideal_motors:
-                self.motors[actuator.name] = model
-            return model
+            if ideal_motors:
+                return simulated_motors.ideal_motor(self.robot, actuator)
+            return self._wired_motor(actuator)
 
         device = create_device(
             DeviceSpecification(
@@ -314,6 +312,36 @@ class SimulatedRobot:
         )
         self.devices[name] = device
         return device
+
+    def _wired_motor(self, actuator: Actuator) -> simulated_motors.MotorModel:
+        """Returns the motor on the channel of an actuator, in the frame of the channel."""
+        wiring = self._wiring.get(actuator.name)
+        if wiring is None:
+            return self._joint_motor(actuator)
+        actuators = {each.name: each for each in self.robot.actuators}
+        turned = actuators[wiring.motor or actuator.name]
+        measured = actuators[wiring.encoder or turned.name]
+        pulses = measured.encoder_ppr * measured.gear_ratio
+        return WiredMotor(
+            self._joint_motor(turned),
+            turned.max_velocity,
+            encoder_of=self._joint_motor(measured),
+            direction=wiring.direction,
+            encoder_scale=wiring.encoder_scale
+            * pulses
+            / (actuator.encoder_ppr * actuator.gear_ratio),
+            zero=wiring.zero,
+        )
+
+    def _joint_motor(self, actuator: Actuator) -> simulated_motors.MotorModel:
+        """Returns the model of the motor that turns the joint of an actuator."""
+        model = self.motors.get(actuator.name)
+        if model is None and self._base_motors is not None:
+            model = self._base_motors.motor(actuator)
+        if model is None:
+            model = simulated_motors.ideal_motor(self.robot, actuator, self._driven_wheels)
+        self.motors[actuator.name] = model
+        return model
 
 
 # -- operator --------------------------------------------------------------------------------------
