@@ -26,7 +26,8 @@ class Wiring(NamedTuple):
     """The motor and the encoder on a channel of a motor controller.
 
     - ``motor``: name of the actuator whose motor the channel turns, empty for its own.
-    - ``encoder``: name of the actuator whose encoder the channel reads, empty for that of ``motor``.
+    - ``encoder``: name of the actuator whose encoder the channel reads, empty for that of
+      ``motor``.
     - ``direction``: -1 if the motor with its encoder is mounted the other way round.
     - ``encoder_scale``: counts of the encoder per count that the robot file expects.  Below 0 the
       encoder counts against the motor.
