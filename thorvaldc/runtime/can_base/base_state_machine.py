@@ -571,13 +571,14 @@ class BaseStateMachine:
                 controller.hold()
                 if self._homed_now:
                     controller.straighten()
-        enabled = all(c.follows and c.standing for c in self.controllers)
+        powered = [c for c in self.controllers if c.powered]
+        enabled = all(c.follows and c.standing for c in powered)
         if enabled and all(c.in_position for c in self.controllers):
             self._enter(BaseState.READY, now)
         elif enabled and not self._longer_than(self.times.home, now):
             self._enabling_since = now
         elif now - self._enabling_since > self.times.enable:
-            names = ", ".join(c.node.name for c in self.controllers if not c.follows)
+            names = ", ".join(c.node.name for c in powered if not c.follows)
             reason = f"motors not enabled in time: {names}" if names else "the wheels do not stop"
             self._enter(BaseState.FAULT, now, reason)
 
@@ -585,6 +586,6 @@ class BaseStateMachine:
 def _not_following(controllers: Sequence[MotorController]) -> str:
     """Returns a message if a motor controller is not enabled and homed, else an empty text."""
     for controller in controllers:
-        if not controller.follows or not controller.homed:
+        if controller.powered and not (controller.follows and controller.homed):
             return f"{controller.node.name}: it is no longer enabled and homed"
     return ""

@@ -382,7 +382,11 @@ class BusConnection:
 
         Raises ``ValueError`` if a target speed or a target angle is not finite.
         """
-        return sorted(frame for c in self.controllers for frame in c.cyclic_frames(intent, now))
+        return sorted(
+            frame
+            for c in self.controllers
+            for frame in c.cyclic_frames(c.intent_of(intent), now)
+        )
 
     def occasional_frames(
         self, intent: motor_controller.Intent, now: float, commands: bool, driving: bool
@@ -418,7 +422,8 @@ class BusConnection:
             if room <= 0:
                 break
             controller = self.controllers[(self._next_controller + i) % count]
-            frame = controller.occasional_frame(intent, now) if commands else None
+            own_intent = controller.intent_of(intent)
+            frame = controller.occasional_frame(own_intent, now) if commands else None
             if frame is None:
                 frame = controller.query_frame(now)
             if frame is not None:

@@ -238,7 +238,8 @@ def _controller_reason(controller: MotorController, state: BaseState) -> str:
         return ""
     if not controller.homed:
         return "it is not homed"
-    return "" if controller.follows else "its motors are not enabled"
+    follows = controller.follows or not controller.powered
+    return "" if follows else "its motors are not enabled"
 
 
 def component_statuses(

@@ -34,7 +34,7 @@ controller stops the motors 0.5 s after the last motor command with a new sequen
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 from thorvaldc.can.canopen import NmtCommand
@@ -53,7 +53,7 @@ from thorvaldc.runtime.can_base.bus_services import (
     bus_services,
     component_statuses,
 )
-from thorvaldc.runtime.can_base.motor_controller import Intent
+from thorvaldc.runtime.can_base.motor_controller import Axis, Intent
 from thorvaldc.runtime.service_table import Service
 
 SEND_TIME = 0.25
@@ -124,6 +124,9 @@ class CanBase(base_interface.BaseHandle):
         self._wheels = len(robot.wheels)
         self._turning = False
         self._send_timeout = SEND_TIME * self.period
+        self.starves_drives = False
+        """``True`` while no command and no heartbeat is sent, but SYNC, so that the watchdogs of
+        the drives act and their reports go on."""
 
     @property
     def hold_reason(self) -> str:
@@ -188,6 +191,10 @@ class CanBase(base_interface.BaseHandle):
             return
         for connection in self.connections:
             connection.send_until = now + self.period
+        if self.starves_drives:
+            for connection in self.connections:
+                connection.send_sync(self._send_timeout)
+            return
         sent = {c.bus.name: self._send_on(c, intent, now) for c in self.connections}
         complete = all(sent.values())
         for connection in self.connections:
@@ -251,6 +258,26 @@ class CanBase(base_interface.BaseHandle):
 
     def cancel_homing(self, now: float) -> None:
         self.state_machine.cancel_homing(now)
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """All motors of the base."""
+        return tuple(self._axes)
+
+    def power_only(self, axes: Collection[Axis], now: float) -> str:
+        """Allows torque for these motors only, for the first motion of a new robot.
+
+        The base then homes and enables these motors, as at the start; the other motors lose their
+        torque at once.  Returns the reason if this is refused: a motor controller with several
+        motors cannot power a single one.
+        """
+        for controller in self.state_machine.controllers:
+            powered = [axis in axes for axis in controller.axes]
+            if any(powered) and not all(powered) and not controller.powers_single_motors:
+                return f"the driver of {controller.node.name} cannot power a single motor"
+        for axis in self._axes:
+            axis.powered = axis in axes
+        return self.state_machine.home(now, again=False)
 
     def safety_stop(self, engaged: bool) -> None:
         self.state_machine.safety_stop(engaged)

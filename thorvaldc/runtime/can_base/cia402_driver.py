@@ -144,6 +144,8 @@ class Cia402Controller(MotorController):
     ``<channel>_position``.
     """
 
+    powers_single_motors = True
+
     def __init__(self, robot: Robot, bus: Bus, node: Node) -> None:
         super().__init__(robot, bus, node)
         objects = {entry.name: entry.value for entry in node.objects}
@@ -206,7 +208,9 @@ class Cia402Controller(MotorController):
 
     @property
     def follows(self) -> bool:
-        return all(m.enabled and m.reported_mode in (m.mode, 0) for m in self._machines)
+        return all(
+            m.enabled and m.reported_mode in (m.mode, 0) for m in self._machines if m.axis.powered
+        )
 
     @property
     def is_off(self) -> bool:
@@ -256,8 +260,8 @@ class Cia402Controller(MotorController):
     def cyclic_frames(self, intent: Intent, now: float) -> list[CanFrame]:
         frames = []
         for codec, machine in self._commands:
-            word, mode = machine.command(intent)
             axis = machine.axis
+            word, mode = machine.command(intent if axis.powered else Intent.OFF)
             follows = intent is Intent.FOLLOW and machine.enabled
             if axis.steering and not follows and math.isfinite(axis.position):
                 # The target steering angle is the measured angle while the drive is not enabled.

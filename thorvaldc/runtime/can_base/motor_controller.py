@@ -87,7 +87,9 @@ class Axis:
     - ``target``: commanded wheel speed (rad/s) or steering angle (rad);
     - ``homed``: ``True`` if the zero position of the joint is known;
     - ``jump``: angle (rad) by which the position of a homed steering joint has jumped, faster than
-      the motor can turn; 0 if the position has not jumped.
+      the motor can turn; 0 if the position has not jumped;
+    - ``powered``: ``False`` if the motor gets no torque, whatever the base does; see
+      ``CanBase.power_only``.
     """
 
     def __init__(self, actuator: Actuator, wheel: int, channel: str) -> None:
@@ -102,6 +104,7 @@ class Axis:
         self.target = 0.0
         self.homed = not self.steering
         self.jump = 0.0
+        self.powered = True
 
     def update(self, time: float, position: float, velocity: float | None = None) -> None:
         """Stores a measured joint position (rad) and joint velocity (rad/s).
@@ -149,6 +152,10 @@ class MotorController(abc.ABC):
     follow_limits = FollowLimits()
     """Limits of the deviation of a motor from its target.  Only stricter limits than those of all
     drivers count."""
+    powers_single_motors = False
+    """``True`` if a motor gets no torque whose axis is not ``powered``, while another motor of the
+    controller follows its target.  The driver of a single motor needs nothing for it, see
+    ``intent_of``."""
     checks_watchdog = False
     """``True`` if the driver reads the watchdog of a device that is no CANopen device again and
     again, and reports a problem within 3 s after it was switched off."""
@@ -251,8 +258,17 @@ class MotorController(abc.ABC):
     # -- common ------------------------------------------------------------------------------------
 
     @property
+    def powered(self) -> bool:
+        """``False`` if no motor may have torque."""
+        return not self.axes or any(axis.powered for axis in self.axes)
+
+    def intent_of(self, intent: Intent) -> Intent:
+        """Returns the ``Intent`` for this motor controller, from that for all of them."""
+        return intent if self.powered else Intent.OFF
+
+    @property
     def homed(self) -> bool:
-        return all(axis.homed for axis in self.axes)
+        return all(axis.homed for axis in self.axes if axis.powered)
 
     @property
     def standing(self) -> bool:
@@ -276,7 +292,7 @@ class MotorController(abc.ABC):
         return all(
             abs(axis.position - axis.target) < IN_POSITION and abs(axis.velocity) < STANDING
             for axis in self.axes
-            if axis.steering
+            if axis.steering and axis.powered
         )
 
     def handle_restart(self) -> None:

@@ -42,6 +42,8 @@ FAST_CONSTANTS = 100
 class RoboteqScriptController(MotorController):
     """Driver of a Roboteq motor controller with the Thorvald script."""
 
+    powers_single_motors = True
+
     def __init__(self, robot: Robot, bus: Bus, node: Node) -> None:
         super().__init__(robot, bus, node)
         self._sequence = 0
@@ -118,7 +120,8 @@ class RoboteqScriptController(MotorController):
 
     @property
     def follows(self) -> bool:
-        return self._modes == (DRIVE, DRIVE) and not self.problem and not self.power_loss
+        drives = self._modes == self._required_modes(Intent.FOLLOW)
+        return drives and not self.problem and not self.power_loss
 
     @property
     def is_off(self) -> bool:
@@ -236,7 +239,7 @@ class RoboteqScriptController(MotorController):
             # No steering angle is commanded before the homing, because the zero of the steering
             # angle is unknown, nor before the first report of the angle: a controller that keeps
             # its home can report that first.
-            if intent is Intent.OFF or self.power_loss:
+            if intent is Intent.OFF or self.power_loss or not second.powered:
                 # A joint that was turned by hand without power does not jump when power returns.
                 second.hold()
             codec, top_speed = self.codecs["rpdo4"], second.actuator.max_velocity
@@ -288,6 +291,14 @@ class RoboteqScriptController(MotorController):
         return CanFrame(codec.cob_id, codec.encode([float(mode) for mode in used]))
 
     def _required_modes(self, intent: Intent) -> tuple[int, int]:
+        """Returns the modes of both channels; a channel without a motor has that of a powered one.
+        """
+        first, second = self._modes_of_powered(intent)
+        axes = (self._first, self._second)
+        off = [axis is not None and not axis.powered for axis in axes]
+        return DECOUPLED if off[0] else first, DECOUPLED if off[1] else second
+
+    def _modes_of_powered(self, intent: Intent) -> tuple[int, int]:
         if intent is Intent.FOLLOW:
             return DRIVE, DRIVE
         if intent is Intent.HOME:

@@ -541,7 +541,7 @@ class MotionSupervision:
         - ``homing``: ``True`` if the steering joints search their home positions.
         """
         for follower in self._followers:
-            if follows and not (homing and follower.axis.steering):
+            if follows and follower.axis.powered and not (homing and follower.axis.steering):
                 follower.update(now, 0.0 if homing else follower.axis.target)
             else:
                 follower.forget()
