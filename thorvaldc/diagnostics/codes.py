@@ -353,6 +353,7 @@ _TABLE: tuple[Code, ...] = (
     _error("TV878", "bus-start", "the robot on a bus cannot start", outside=True),
     _error("TV879", "bus-mismatch", "the devices on a bus do not match the robot file"),
     _error("TV880", "bus-stopped", "a fault stopped the robot", outside=True),
+    _error("TV881", "not-commissioned", "the first motion of a robot was not checked"),
     _error("TV890", "twist-priority-duplicate", "two twist sources have the same priority"),
     _error("TV891", "twist-priority-lock", "a lock does not stop a twist source as it should"),
     # 9xx: files and import

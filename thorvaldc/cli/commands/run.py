@@ -60,12 +60,20 @@ def run(
             show_default="the robot's; none with --twist or --duration",
         ),
     ] = "",
+    commissioned: Annotated[
+        bool,
+        typer.Option(
+            "--commissioned",
+            help="Refuse a robot whose report of `can commission` is missing, old or not passed.",
+        ),
+    ] = False,
     json: options.Json = False,
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
     from thorvaldc.can.open_interface import lock_buses, open_interfaces
     from thorvaldc.cli.robot_file import is_hardware, load_robot, warn_once
+    from thorvaldc.commissioning.commission_report import report_path, require_commissioned
     from thorvaldc.diagnostics import DiagnosticError, Report
     from thorvaldc.runtime.run_session import RunSession
     from thorvaldc.runtime.se2 import parse_twist
@@ -88,6 +96,8 @@ def run(
     with contextlib.ExitStack() as locks:
         report = Report()
         try:
+            if commissioned:
+                require_commissioned(report_path(file, loaded.robot), loaded.robot)
             if not virtual:
                 lock_buses(bus, loaded.robot, locks)
             interfaces = (

@@ -315,9 +315,10 @@ class SimulatedRobot:
 
     def _wired_motor(self, actuator: Actuator) -> simulated_motors.MotorModel:
         """Returns the motor on the channel of an actuator, in the frame of the channel."""
+        own = self._joint_motor(actuator)
         wiring = self._wiring.get(actuator.name)
         if wiring is None:
-            return self._joint_motor(actuator)
+            return own
         actuators = {each.name: each for each in self.robot.actuators}
         turned = actuators[wiring.motor or actuator.name]
         measured = actuators[wiring.encoder or turned.name]

@@ -1,0 +1,440 @@
+"""The checks of one motor after the other, as steps of a ``MotorSession``.
+
+Each motion is started by the operator and ended by silence.  Order of the checks of a wheel::
+
+    one turn         which wheel moved, how far; time to rest after silence
+    half a second    safety stop: time to rest            } once for each
+    half a second    no heartbeat and no command: time to } motor controller
+                     rest by the drive's own watchdog
+
+and of a steering joint: homing, which wheel moved, its angle at zero; a turn by ``STEERING_TRAVEL``
+and the angle after it; both limits, if the direction is right.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection
+
+from thorvaldc.model import Actuator, Robot, stopping
+from thorvaldc.runtime.can_base.base_state_machine import BaseState
+from thorvaldc.runtime.can_base.motor_controller import FRESH, STANDING, Axis, MotorController
+from thorvaldc.tools.commission.assembly_findings import has_moved_as_expected
+from thorvaldc.tools.commission.motion_watch import MotionWatch, Travel, test_speed
+from thorvaldc.tools.commission.motor_session import Interrupted, MotorSession, Steps
+from thorvaldc.tools.commission.questions import Answer, Operator, Question, joint_text
+from thorvaldc.tools.commission.results import Figure, MotorResult, Observation
+
+WHEEL_TRAVEL = math.tau
+"""Travel (rad) of a wheel: one turn, which a mark on the tyre shows."""
+STEERING_TRAVEL = math.radians(30.0)
+"""Travel (rad) of a steering joint."""
+LIMIT_MARGIN = math.radians(3.0)
+"""Distance (rad) from the limits of a steering joint up to which it is turned."""
+STEADY = 0.3
+"""Time (s) at the test speed before a stop."""
+REPORT_CYCLES = 4
+"""Control cycles in which a rest is seen: share of the twist, command, reports."""
+WATCHDOG_PATIENCE = 0.5
+"""Time (s) after the promised one in which a drive may still act, before its torque is taken."""
+WRONG_ENCODER = 4.0
+"""Factor by which a wheel is faster with the wrong encoder, at most."""
+REACTION = 0.6
+"""Time (s) in which a motor with an unstable speed loop loses its torque."""
+REPORTED_TOLERANCE = 0.1
+"""Largest deviation of the reported travel, as a share of the commanded one."""
+
+
+class MotorChecks:
+    """The checks of all motors of a robot.
+
+    - ``results``: results by the name of the motor, which ``run`` adds to;
+    - ``kept``: names of motors that are not checked, because an earlier check has passed;
+    - ``save``: called after each motor.
+    """
+
+    def __init__(
+        self,
+        session: MotorSession,
+        operator: Operator,
+        results: dict[str, MotorResult],
+        kept: Collection[str] = (),
+        save: Callable[[], object] = lambda: None,
+    ) -> None:
+        self.session = session
+        self.robot: Robot = session.driven.robot
+        self.operator = operator
+        self.results = results
+        self._save = save
+        self.interruption = ""
+        self._kept = kept
+        self._stops_tested: set[str] = set()
+        for axis in session.base.axes:
+            if axis.actuator.name in kept and not axis.steering:
+                self._stops_tested.add(self._controller(axis).node.name)
+
+    def run(self) -> Steps[None]:
+        """Checks each motor that has no result yet, wheels first.
+
+        Ends with a reason in ``interruption`` if the base fails for another reason than the motion
+        of the motor.
+        """
+        try:
+            yield from self._run()
+        except Interrupted as interruption:
+            self.interruption = str(interruption)
+
+    def _run(self) -> Steps[None]:
+        yield from self.session.wait_until_ready()
+        axes = sorted(self.session.base.axes, key=lambda axis: axis.steering)
+        for axis in axes:
+            if axis.actuator.name in self._kept:
+                continue
+            result = MotorResult(Observation(axis))
+            text = motion_text(self.robot, axis, self.session.base.axes)
+            if (yield from self._ask("start", text, axis)):
+                yield from self._check(axis, result)
+                yield from self.session.release()
+            else:
+                result.skipped = True
+            self.results[axis.actuator.name] = result
+            self._save()
+
+    def _check(self, axis: Axis, result: MotorResult) -> Steps[None]:
+        observation = result.observation
+        self.operator.note_motion(axis)
+        if axis.steering:
+            yield from self._home(axis, result)
+            if observation.homing is not None and not observation.homing.completed:
+                observation.moved = yield from self._ask_joint(axis)
+                return
+            observation.zero = yield from self._ask_angle(axis)
+        if axis.steering:
+            room = self._upper(axis) - axis.position
+            travel = min(STEERING_TRAVEL, 0.7 * room)
+            observation.travel = yield from self._move(axis, travel, result, limit=room)
+        else:
+            observation.travel = yield from self._move(axis, WHEEL_TRAVEL, result)
+        observation.moved = yield from self._ask_joint(axis)
+        if not observation.travel.completed or observation.moved is None:
+            return
+        if observation.moved.role == "steering":
+            angle = yield from self._ask_angle(axis)
+            start = 0.0 if math.isnan(observation.zero) else observation.zero
+            observation.seen = angle - start
+        else:
+            turns = yield from self._ask("turns", "How many turns did it make?", axis)
+            observation.seen = float(turns) * math.tau  # type: ignore[arg-type]
+        if not has_moved_as_expected(observation):
+            return
+        if axis.steering:
+            yield from self._turn_to_limits(axis, result)
+        yield from self._check_stops(axis, result)
+        yield from self._check_brake(axis, result)
+
+    # -- questions ---------------------------------------------------------------------------------
+
+    def _ask(self, kind: str, text: str, axis: Axis) -> Steps[Answer]:
+        """Asks the operator while the control loop goes on; all motors are off meanwhile."""
+        self.operator.ask(Question(kind, text, axis))
+        while (answer := self.operator.answer()) is None:
+            if self.session.fault:
+                raise Interrupted(self.session.fault)
+            yield
+        return answer[0]
+
+    def _ask_joint(self, axis: Axis) -> Steps[Actuator | None]:
+        yield from self.session.release()
+        answer = yield from self._ask("joint", "Which wheel moved?", axis)
+        return answer if isinstance(answer, Actuator) else None
+
+    def _ask_angle(self, axis: Axis) -> Steps[float]:
+        """Asks for the direction of the steered wheel, in rad."""
+        self.session.driven.disarm()
+        text = "Where does the wheel that was steered point?"
+        answer = yield from self._ask("degrees", text, axis)
+        return math.radians(float(answer))  # type: ignore[arg-type]
+
+    # -- motions -----------------------------------------------------------------------------------
+
+    def _home(self, axis: Axis, result: MotorResult) -> Steps[None]:
+        session = self.session
+        if stops := session.driven.multiplexer.active_stop_locks(session.now):
+            raise Interrupted(f"the stop lock `{stops[0]}` is active")
+        self._controller(axis).discard_home(session.now)
+        watch = MotionWatch(session.base, axis, math.nan)
+        since = session.now
+        yield from session.begin_power(axis)
+        while session.base.state is not BaseState.READY and not session.fault and not watch.cause:
+            watch.update(session.now)
+            yield
+        travel = self._travel_of(watch, math.nan)
+        result.observation.homing = travel
+        if travel.completed:
+            limit = session.base.state_machine.times.home
+            result.figures.append(Figure("homing", session.now - since, "s", 0.0, limit))
+
+    def _move(
+        self, axis: Axis, travel: float, result: MotorResult | None = None, limit: float = math.inf
+    ) -> Steps[Travel]:
+        """Moves a joint by about ``travel`` (rad), ends with silence and takes its torque.
+
+        ``limit``: travel (rad) at which a steering joint stops; if it is ``travel``, the silence
+        begins there.
+        """
+        session, base = self.session, self.session.base
+        velocity = math.copysign(test_speed(axis), travel)
+        watch = yield from self._begin(axis, velocity, limit)
+        bound = self._silence_bound(axis)
+        # The ramp at the end adds half of its time at the test speed.
+        timeout = session.driven.driver.settings.command_timeout
+        ramp = 0.5 * (bound + timeout) * abs(velocity)
+        goal = limit if limit == abs(travel) else max(abs(travel) - ramp, 0.2 * abs(travel))
+        until = session.now + 1.5 * abs(travel / velocity) + 3.0
+        while abs(base.travel) < goal - 1e-9 and session.now < until and self._goes_on(watch):
+            yield
+        session.commands_motion = False
+        silent_since = session.now
+        while self._goes_on(watch) and not self._rests(axis):
+            if session.now - silent_since > bound + WATCHDOG_PATIENCE:
+                break
+            yield
+        motion = self._travel_of(watch, base.travel)
+        if result is not None and motion.completed:
+            rest = session.now - silent_since
+            result.figures.append(Figure("rest after silence", rest, "s", 0.0, bound))
+            share = motion.reported / motion.commanded
+            result.figures.append(
+                Figure(
+                    "reported / commanded travel",
+                    share,
+                    "",
+                    1.0 - REPORTED_TOLERANCE,
+                    1.0 + REPORTED_TOLERANCE,
+                )
+            )
+        yield from session.release()
+        return motion
+
+    def _begin(
+        self, axis: Axis, velocity: float, limit: float = math.inf
+    ) -> Steps[MotionWatch]:
+        """Powers a motor and begins to command its motion."""
+        session = self.session
+        if not axis.powered:
+            yield from session.begin_power(axis)
+        yield from session.wait_until_ready()
+        yield from session.arm()
+        session.base.begin(axis, velocity, limit)
+        session.commands_motion = True
+        return MotionWatch(session.base, axis, velocity)
+
+    def _goes_on(self, watch: MotionWatch) -> bool:
+        """Watches a motion for one cycle, and takes the torque if it is not the commanded one."""
+        if not self.session.fault:
+            watch.update(self.session.now)
+        if watch.cause:
+            self.session.take_torque()
+        return not (watch.cause or self.session.fault)
+
+    def _travel_of(self, watch: MotionWatch, commanded: float) -> Travel:
+        """Returns the motion.  Raises ``Interrupted`` for a fault that the motor has not caused."""
+        fault = self.session.fault
+        if watch.cause:
+            self.session.take_torque()
+        elif fault and not self._has_caused(watch.axis, fault):
+            raise Interrupted(fault)
+        return Travel(commanded, watch.reported, watch.cause, fault, watch.others)
+
+    def _has_caused(self, axis: Axis, fault: str) -> bool:
+        controller = self._controller(axis)
+        own = fault.startswith(f"{controller.node.name}:")
+        homing = "did not find its home position" in fault
+        return homing or (own and bool(controller.problem or "its target" in fault))
+
+    def _rests(self, axis: Axis) -> bool:
+        return self.session.base.speed == 0.0 and abs(axis.velocity) < STANDING
+
+    def _silence_bound(self, axis: Axis) -> float:
+        """Returns the longest time (s) from the last command to rest."""
+        driver, twist = self.session.driven.driver, self.session.twist
+        settings = driver.settings
+        ramp = max(
+            twist.speed / settings.max_linear_deceleration,
+            abs(twist.wz) / settings.max_angular_deceleration,
+        )
+        times = stopping.reaction_times(self.robot, settings)
+        return times[stopping.COMMAND_TIMEOUT] + ramp + self._delay(axis)
+
+    def _delay(self, axis: Axis) -> float:
+        """Returns the time (s) of the motor behind its command, and until its report is read."""
+        return REPORT_CYCLES * self.session.driven.period + self._ramp_time(axis)
+
+    def _ramp_time(self, axis: Axis) -> float:
+        return test_speed(axis) / axis.actuator.max_acceleration
+
+    def _turn_to_limits(self, axis: Axis, result: MotorResult) -> Steps[None]:
+        """Turns a steering joint to both limits and back, slowly."""
+        joint = self.robot.joint(axis.actuator.joint)
+        if joint.lower is None or joint.upper is None:
+            return
+        upper, lower = joint.upper - LIMIT_MARGIN, joint.lower + LIMIT_MARGIN
+        for name, goal in (("upper", upper), ("lower", lower)):
+            motion = yield from self._move_to(axis, goal)
+            reached = axis.position if motion.completed else math.nan
+            error = math.degrees(abs(reached - goal))
+            result.figures.append(Figure(f"deviation at the {name} limit", error, "deg", 0.0, 6.0))
+            if not motion.completed:
+                return
+        yield from self._move_to(axis, 0.0)
+
+    def _upper(self, axis: Axis) -> float:
+        upper = self.robot.joint(axis.actuator.joint).upper
+        return math.pi if upper is None else upper - LIMIT_MARGIN
+
+    def _move_to(self, axis: Axis, angle: float) -> Steps[Travel]:
+        """Turns a steering joint to an angle (rad)."""
+        travel = angle - axis.position
+        return (yield from self._move(axis, travel, limit=abs(travel)))
+
+    # -- stops -------------------------------------------------------------------------------------
+
+    def _check_stops(self, axis: Axis, result: MotorResult) -> Steps[None]:
+        """Stops the motor by the safety stop and by the watchdog of its drive."""
+        controller = self._controller(axis)
+        if controller.node.name in self._stops_tested:
+            return
+        self._stops_tested.add(controller.node.name)
+        if not axis.steering:
+            yield from self._check_safety_stop(axis, result)
+            yield from self._check_watchdog(axis, controller, result)
+
+    def _run_steadily(self, axis: Axis) -> Steps[MotionWatch]:
+        """Begins a motion, and returns at the test speed."""
+        watch = yield from self._begin(axis, test_speed(axis))
+        since = math.nan
+        begun = self.session.now
+        while not self.session.now - since >= STEADY:
+            if not self._goes_on(watch) or self.session.now - begun > START_LIMIT:
+                break
+            if self.session.base.share >= 0.99 and math.isnan(since):
+                since = self.session.now
+            yield
+        self._travel_of(watch, math.nan)
+        return watch
+
+    def _check_safety_stop(self, axis: Axis, result: MotorResult) -> Steps[None]:
+        session = self.session
+        watch = yield from self._run_steadily(axis)
+        if watch.cause:
+            yield from session.release()
+            return
+        times = stopping.reaction_times(self.robot, session.driven.driver.settings)
+        bound = times[stopping.STOP_LOCK] + self._delay(axis)
+        session.driven.safety_stop(True)
+        session.commands_motion = False
+        rest = yield from self._time_to_rest(axis, bound + WATCHDOG_PATIENCE)
+        result.figures.append(Figure("rest after the safety stop", rest, "s", 0.0, bound))
+        session.driven.safety_stop(False)
+        yield from session.release()
+
+    def _check_watchdog(
+        self, axis: Axis, controller: MotorController, result: MotorResult
+    ) -> Steps[None]:
+        """Withholds heartbeat and commands, and measures when the drive stops by itself."""
+        session, node = self.session, controller.node
+        promise = stopping.watchdog_time(node)
+        if promise is None:
+            result.not_tested.append(f"watchdog: {node.name} has none")
+            return
+        watch = yield from self._run_steadily(axis)
+        if watch.cause:
+            yield from session.release()
+            return
+        bound = promise + self._delay(axis)
+        session.base.starves_drives = True
+        since, acts = session.now, math.inf
+        while session.now - since < bound + WATCHDOG_PATIENCE:
+            # A CANopen drive whose watchdog acts sends no reports any more, but an emergency.
+            slow = abs(axis.velocity) < (0.8 * abs(session.base.speed) or STANDING)
+            silent = session.now - axis.time > FRESH
+            if (slow or silent or session.fault) and math.isinf(acts):
+                acts = session.now - since
+            yield
+        self.operator.look()
+        session.base.starves_drives = False
+        result.figures.append(Figure("drive's watchdog acts", acts, "s", 0.0, bound))
+        yield from session.release()
+        stood = yield from self._ask("yes", "Did the wheel come to rest by itself?", axis)
+        if not node.watchdog_coasts:
+            result.figures.append(Figure("stands by its watchdog", float(bool(stood)), "", 1.0, 1.0))
+
+    def _time_to_rest(self, axis: Axis, limit: float) -> Steps[float]:
+        """Waits until a motor stands, and returns the time (s), infinite after ``limit``."""
+        since = self.session.now
+        while self.session.now - since < limit:
+            if abs(axis.velocity) < STANDING:
+                return self.session.now - since
+            yield
+        return math.inf
+
+    def _check_brake(self, axis: Axis, result: MotorResult) -> Steps[None]:
+        if axis.actuator.brake is None:
+            return
+        yield from self.session.release()
+        text = "Try to turn the wheel by hand: does its brake hold it?"
+        holds = yield from self._ask("yes", text, axis)
+        result.figures.append(Figure("brake holds (1: yes)", float(bool(holds)), "", 1.0, 1.0))
+
+    def _controller(self, axis: Axis) -> MotorController:
+        controllers = self.session.base.state_machine.controllers
+        return next(controller for controller in controllers if axis in controller.axes)
+
+
+START_LIMIT = 5.0
+"""Longest time (s) until a motor has reached its test speed."""
+
+
+# -- the stated motion -----------------------------------------------------------------------------
+
+
+class Limits:
+    """Largest motion of any joint while a motor is checked, also of a wrongly assembled robot.
+
+    - ``speed``: largest speed (rad/s).
+    """
+
+    def __init__(self, axis: Axis, axes: tuple[Axis, ...]) -> None:
+        velocity = test_speed(axis)
+        counts = axis.actuator.gear_ratio * axis.actuator.encoder_ppr
+        self.speed = 0.0
+        for other in axes:
+            motor = other.actuator
+            ratio = counts / (motor.gear_ratio * motor.encoder_ppr)
+            wrong = WRONG_ENCODER * velocity * ratio
+            unstable = motor.max_acceleration * REACTION
+            self.speed = max(self.speed, min(motor.max_velocity, max(wrong, unstable)))
+        if axis.steering:
+            self.speed = max(self.speed, axis.actuator.max_velocity)
+
+
+def motion_text(robot: Robot, axis: Axis, axes: tuple[Axis, ...]) -> str:
+    """Returns the stated motion of a motor: expected, and at most."""
+    velocity, limits = test_speed(axis), Limits(axis, axes)
+    name = joint_text(robot, axis.actuator)
+    if axis.steering:
+        expected = (
+            f"The {name} searches its home position, turns by"
+            f" {math.degrees(STEERING_TRAVEL):.0f} deg to the left, and to its limits, with"
+            f" {velocity:.1f} rad/s."
+        )
+    else:
+        expected = (
+            f"The {name} turns forwards once with {velocity:.1f} rad/s, and for 2 s in each of two"
+            " stops."
+        )
+    return (
+        f"{expected} If the robot is assembled wrongly, any wheel may turn with up to"
+        f" {limits.speed:.1f} rad/s and up to {axis.actuator.max_torque:.0f} N m."
+    )
+
