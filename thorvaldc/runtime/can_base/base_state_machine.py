@@ -141,6 +141,7 @@ class BaseStateMachine:
     - ``was_ready``: ``True`` if the base has been in READY at least once;
     - ``was_started``: ``True`` if the base has passed CONFIG at least once;
     - ``mismatch``: ``True`` if the state is FAULT because a node does not match the robot file;
+    - ``straightens``: ``True`` if the steering turns straight ahead after its homing;
     - ``changed``: callback for each change of state, called with the time (s), the new state and
       the reason.
     """
@@ -172,6 +173,7 @@ class BaseStateMachine:
         self.was_ready = False
         self.was_started = False
         self.mismatch = False
+        self.straightens = True
         self.changed: Callable[[float, BaseState, str], None] | None = None
         self._nmt_sent_at = -math.inf
         self._repeat_at = -math.inf
@@ -569,7 +571,7 @@ class BaseStateMachine:
             self._enabling_since = now
             for controller in self.controllers:
                 controller.hold()
-                if self._homed_now:
+                if self._homed_now and self.straightens:
                     controller.straighten()
         powered = [c for c in self.controllers if c.powered]
         enabled = all(c.follows and c.standing for c in powered)

@@ -108,6 +108,7 @@ class MotorChecks:
             if observation.homing is not None and not observation.homing.completed:
                 observation.moved = yield from self._ask_joint(axis)
                 return
+            yield from self._move_to(axis, 0.0)
             observation.zero = yield from self._ask_angle(axis)
         if axis.steering:
             room = self._upper(axis) - axis.position

@@ -24,7 +24,7 @@ from thorvaldc.model.settings import REQUIRED
 from thorvaldc.runtime.base_interface import CheckedJointStates, JointCommands, RequestRefused
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.can_base import CanBase
-from thorvaldc.runtime.can_base.motor_controller import Axis
+from thorvaldc.runtime.can_base.motor_controller import STANDING, Axis
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.pace import end_signals
@@ -59,6 +59,8 @@ class SingleMotorBase(CanBase):
         self, robot: Robot, interfaces: Mapping[str, CanInterface], *, threaded: bool
     ) -> None:
         super().__init__(robot, interfaces, threaded=threaded)
+        # After a homing, the session turns the steering straight itself, slowly.
+        self.state_machine.straightens = False
         n = len(robot.wheels)
         self._ideal = JointCommands([0.0] * n, [0.0] * n)
         self._driven: Axis | None = None
@@ -226,11 +228,16 @@ class MotorSession:
                     refusal = str(error)
             elif self.base.state is BaseState.STANDBY:
                 self.base.power_only((), self.now)
-            elif self.base.state is BaseState.READY:
+            elif self.base.state is BaseState.READY and self._stands:
                 break
             if self.now - since > START_TIME:
                 raise Interrupted(refusal or self.fault or f"the base is {self.base.state.value}")
         self.base.end_motion()
+
+    @property
+    def _stands(self) -> bool:
+        """``True`` if no motor reports motion; one without torque may roll on for a while."""
+        return not any(abs(axis.velocity) > STANDING for axis in self.base.axes)
 
     # -- the control loop --------------------------------------------------------------------------
 
