@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import math
 import random
-from collections.abc import Mapping
+import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from thorvaldc.model import Robot
@@ -20,7 +21,9 @@ from thorvaldc.tools.commission.results import Finding, MotorResult
 from thorvaldc.tools.commission.simulated_operator import SimulatedOperator
 
 EXCHANGED, REVERSED, ENCODER_REVERSED = "are exchanged: each", "the wrong way", "counts against"
-ENCODERS, SCALE, ZERO, WATCHDOG = "encoders of", "in place of", "off straight ahead", "watchdog"
+ENCODERS, ZERO, WATCHDOG = "encoders of", "off straight ahead", "watchdog"
+SCALE = "in place of|the homing of"
+"""A drive that homes at a limit switch does not get there with a wrong scale."""
 
 
 @dataclass
@@ -119,14 +122,14 @@ def run_checks(
     *,
     base: SimulatedJoints | None = None,
     devices: Robot | None = None,
-    operator: object = None,
-    prepare: object = None,
-    stop: object = None,
-    kept: Mapping[str, object] = {},
+    person: type[SimulatedOperator] = SimulatedOperator,
+    prepare: Callable[[SimulatedRobot], object] = lambda simulated: None,
+    stop: Callable[[SimulatedRobot, MotorSession], object] = lambda simulated, session: False,
 ) -> Outcome:
     """Runs the checks of a robot.
 
     - ``devices``: robot whose devices are on the bus, if they are not those of the file;
+    - ``person``: operator beside the robot;
     - ``prepare``: called with the simulated robot;
     - ``stop``: called in each cycle with the simulated robot, ends the checks if it returns true.
     """
@@ -136,13 +139,11 @@ def run_checks(
     simulated.run(0.5)
     for node in assembly.dead:
         simulated.devices[node].lose_watchdog()
-    if callable(prepare):
-        prepare(simulated)
+    prepare(simulated)
     interfaces = {bus.name: simulated.interface(bus.name, fifo=True) for bus in robot.buses}
     session = MotorSession(robot, interfaces, threaded=False)
     results: dict[str, MotorResult] = {}
-    person = operator or SimulatedOperator(simulated)
-    checks = MotorChecks(session, person, results, kept=kept)  # type: ignore[arg-type]
+    checks = MotorChecks(session, person(simulated), results)
     excess = -math.inf
     stated = max(Limits(axis, session.base.axes).speed for axis in session.base.axes)
 
@@ -153,13 +154,35 @@ def run_checks(
         limit = Limits(driven[0], session.base.axes).speed if driven else stated
         fastest = max(abs(motor.read(now).velocity) for motor in simulated.motors.values())
         excess = max(excess, fastest - limit)
-        return bool(callable(stop) and stop(simulated, session))
+        return bool(stop(simulated, session))
 
     session.run(checks.run(), stop=watch)
     simulated.run(2.0)
     now = simulated.timeline.seconds
     moving = [n for n, m in simulated.motors.items() if abs(m.read(now).velocity) > 0.02]
     return Outcome(session, checks, results, findings(robot, results), excess, moving)
+
+
+def problems(assembly: Assembly, outcome: Outcome) -> list[str]:
+    """Returns what the checks have not found, or have found where nothing is wrong."""
+    interruption = outcome.checks.interruption
+    # A drive that has lost its watchdog is also seen by its value.
+    named_by_value = "heartbeat_consumer_time" in interruption
+    texts = []
+    for kind, blamed in assembly.expected:
+        if not (kind == WATCHDOG and named_by_value) and not any(
+            re.search(kind, f.text) and set(f.motors) <= blamed for f in outcome.found
+        ):
+            texts.append(f"not found: {kind} {sorted(blamed)}")
+    right = {m.name for m in joints(assembly.robot)} - {
+        name for _, blamed in assembly.expected for name in blamed
+    }
+    texts += [f"blamed: {f}" for f in outcome.found if set(f.motors) & right]
+    if interruption and not named_by_value:
+        texts.append(f"interrupted: {interruption}")
+    if outcome.excess > 0.0:
+        texts.append(f"faster than stated by {outcome.excess} rad/s")
+    return [*texts, *(f"moves at the end: {name}" for name in outcome.moving)]
 
 
 def with_encoder(robot: Robot, name: str, pulses: int) -> Robot:

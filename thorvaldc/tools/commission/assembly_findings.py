@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Mapping
 
 from thorvaldc.model import Actuator, Robot
-from thorvaldc.tools.commission.motion_watch import OPPOSITE, OTHERS, SILENT, Travel
+from thorvaldc.tools.commission.motion_watch import ABORTS, OPPOSITE, OTHERS, SILENT, Travel
 from thorvaldc.tools.commission.questions import joint_text
 from thorvaldc.tools.commission.results import Finding, MotorResult, Observation
 
@@ -143,14 +143,26 @@ def _failure(observation: Observation, travel: Travel, moved: Actuator) -> Findi
             f"the encoder of {name} does not count",
             "is the plug of the encoder connected? is the encoder broken?",
         )
-    if travel.cause == OPPOSITE or (travel.cause and abs(travel.reported) > 0.0):
+    # In a homing, the direction of the command is not known.
+    unstable = observation.travel is None and bool(travel.cause)
+    if travel.cause == OPPOSITE or unstable:
         return Finding(
             (name,),
             f"the encoder of {name} counts against its motor",
             "exchange the lines A and B of the encoder (not `inverted`: that is for a motor that"
             " turns the wrong way with its encoder)",
         )
-    return Finding((name,), travel.fault, "see the fault of the drive, then repeat the check")
+    if observation.travel is None:
+        return Finding(
+            (name,),
+            f"the homing of {name} failed: {travel.fault}",
+            "is the home switch connected? are `encoder_ppr` and `gear_ratio` right?",
+        )
+    return Finding(
+        (name,),
+        f"{name} stopped: {travel.fault or ABORTS[travel.cause]}",
+        "is its joint free? see the fault of the drive, then check again",
+    )
 
 
 def _direction_and_scale(observation: Observation) -> Iterator[Finding]:

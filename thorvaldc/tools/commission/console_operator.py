@@ -19,7 +19,8 @@ from thorvaldc.tools.commission.questions import (
 )
 
 _HINTS = {
-    "start": "Enter: start, s: leave this motor out, Ctrl-C: end",
+    "start": "Enter: go on, s: leave this motor out, Ctrl-C: end",
+    "press": "Enter: start, s: leave this check out, Ctrl-C: end",
     "joint": "number of the wheel that rolled; with an s behind it, that steered; n: none",
     "turns": "turns, such as 1 or -0.5; positive: forwards",
     "degrees": "degrees off straight ahead, such as 0 or -12; positive: to the left",
@@ -82,7 +83,7 @@ class ConsoleOperator:
         return answer
 
     def _parsed(self, kind: str, line: str) -> tuple[Answer] | None:
-        if kind == "start":
+        if kind in ("start", "press"):
             return {"": (True,), "s": (False,)}.get(line)
         if kind == "yes":
             return {"y": (True,), "yes": (True,), "n": (False,), "no": (False,)}.get(line)

@@ -17,6 +17,7 @@ import math
 from collections.abc import Callable, Collection
 
 from thorvaldc.model import Actuator, Robot, stopping
+from thorvaldc.model.settings import SAFETY_STOP
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.can_base.motor_controller import FRESH, STANDING, Axis, MotorController
 from thorvaldc.tools.commission.assembly_findings import has_moved_as_expected
@@ -41,6 +42,8 @@ WRONG_ENCODER = 4.0
 """Factor by which a wheel is faster with the wrong encoder, at most."""
 REACTION = 0.6
 """Time (s) in which a motor with an unstable speed loop loses its torque."""
+PRESS_TIME = 20.0
+"""Longest time (s) in which the operator presses the emergency stop."""
 REPORTED_TOLERANCE = 0.1
 """Largest deviation of the reported travel, as a share of the commanded one."""
 
@@ -258,14 +261,14 @@ class MotorChecks:
 
     def _silence_bound(self, axis: Axis) -> float:
         """Returns the longest time (s) from the last command to rest."""
-        driver, twist = self.session.driven.driver, self.session.twist
-        settings = driver.settings
-        ramp = max(
-            twist.speed / settings.max_linear_deceleration,
-            abs(twist.wz) / settings.max_angular_deceleration,
-        )
-        times = stopping.reaction_times(self.robot, settings)
-        return times[stopping.COMMAND_TIMEOUT] + ramp + self._delay(axis)
+        times = stopping.reaction_times(self.robot, self.session.driven.driver.settings)
+        return times[stopping.COMMAND_TIMEOUT] + self._ramp() + self._delay(axis)
+
+    def _ramp(self) -> float:
+        """Returns the time (s) in which the driver ramps the twist of the session to zero."""
+        settings, twist = self.session.driven.driver.settings, self.session.twist
+        linear = twist.speed / settings.max_linear_deceleration
+        return max(linear, abs(twist.wz) / settings.max_angular_deceleration)
 
     def _delay(self, axis: Axis) -> float:
         """Returns the time (s) of the motor behind its command, and until its report is read."""
@@ -305,10 +308,15 @@ class MotorChecks:
         controller = self._controller(axis)
         if controller.node.name in self._stops_tested:
             return
+        is_first = not self._stops_tested
         self._stops_tested.add(controller.node.name)
-        if not axis.steering:
-            yield from self._check_safety_stop(axis, result)
-            yield from self._check_watchdog(axis, controller, result)
+        if axis.steering:
+            return
+        yield from self._check_stop(axis, result, "safety stop")
+        yield from self._check_watchdog(axis, controller, result)
+        if is_first:  # one of the robot, and no matter of the motor controller
+            yield from self._check_stop(axis, result, "stop lock")
+            yield from self._check_emergency_stop(axis, result)
 
     def _run_steadily(self, axis: Axis) -> Steps[MotionWatch]:
         """Begins a motion, and returns at the test speed."""
@@ -324,19 +332,27 @@ class MotorChecks:
         self._travel_of(watch, math.nan)
         return watch
 
-    def _check_safety_stop(self, axis: Axis, result: MotorResult) -> Steps[None]:
-        session = self.session
+    def _check_stop(self, axis: Axis, result: MotorResult, kind: str) -> Steps[None]:
+        """Measures the time to rest after the safety stop, or after a stop lock."""
+        session, driven = self.session, self.session.driven
         watch = yield from self._run_steadily(axis)
         if watch.cause:
             yield from session.release()
             return
-        times = stopping.reaction_times(self.robot, session.driven.driver.settings)
+        times = stopping.reaction_times(self.robot, driven.driver.settings)
         bound = times[stopping.STOP_LOCK] + self._delay(axis)
-        session.driven.safety_stop(True)
-        session.commands_motion = False
+        if kind == "safety stop":
+            driven.safety_stop(True)
+        else:
+            driven.lock(SAFETY_STOP, True)
+            bound += self._ramp()
         rest = yield from self._time_to_rest(axis, bound + WATCHDOG_PATIENCE)
-        result.figures.append(Figure("rest after the safety stop", rest, "s", 0.0, bound))
-        session.driven.safety_stop(False)
+        result.figures.append(Figure(f"rest after the {kind}", rest, "s", 0.0, bound))
+        session.commands_motion = False
+        if kind == "safety stop":
+            driven.safety_stop(False)
+        else:
+            driven.lock(SAFETY_STOP, False)
         yield from session.release()
 
     def _check_watchdog(
@@ -369,6 +385,32 @@ class MotorChecks:
         stood = yield from self._ask("yes", "Did the wheel come to rest by itself?", axis)
         if not node.watchdog_coasts:
             result.figures.append(Figure("stands by its watchdog", float(bool(stood)), "", 1.0, 1.0))
+
+    def _check_emergency_stop(self, axis: Axis, result: MotorResult) -> Steps[None]:
+        """Lets the operator press the emergency stop while the wheel turns."""
+        session = self.session
+        text = "The wheel turns again: press the emergency stop."
+        if not (yield from self._ask("press", text, axis)):
+            result.not_tested.append("emergency stop")
+            return
+        watch = yield from self._run_steadily(axis)
+        since = session.now
+        while not (session.fault or watch.cause) and session.now - since < PRESS_TIME:
+            yield
+        yield from self._time_to_rest(axis, REACTION)
+        session.take_torque()
+        self.operator.look()
+        stood = bool(session.fault) and (session.now - axis.time > FRESH or self._rests(axis))
+        yield from self._ask_without_power("Release the emergency stop.", axis)
+        yield from session.release()
+        name = "stands after the emergency stop"
+        result.figures.append(Figure(name, float(stood), "", 1.0, 1.0))
+
+    def _ask_without_power(self, text: str, axis: Axis) -> Steps[None]:
+        """Asks the operator for something while the robot is in a fault."""
+        self.operator.ask(Question("start", text, axis))
+        while self.operator.answer() is None:
+            yield
 
     def _time_to_rest(self, axis: Axis, limit: float) -> Steps[float]:
         """Waits until a motor stands, and returns the time (s), infinite after ``limit``."""

@@ -1,4 +1,4 @@
-"""Drives one motor of a robot at a time, whose wheels are off the ground.
+r"""Drives one motor of a robot at a time, whose wheels are off the ground.
 
 A ``MotorSession`` is a ``DrivenRobot`` like any other: arming, stop locks, gaps in time, faults and
 the end of the program are those of every run.  Only the meaning of the twist differs.  The driver

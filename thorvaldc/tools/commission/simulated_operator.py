@@ -44,6 +44,8 @@ class SimulatedOperator:
             moved = None if question.kind == "joint" else question.axis.actuator
         if question.kind == "joint":
             self._answer = (moved,)
+        elif question.kind == "press":  # a simulated robot has no button
+            self._answer = (False,)
         elif question.kind == "turns":
             turns = travels[moved.name] / math.tau
             self._answer = (TURNS_STEP * round(turns / TURNS_STEP),)
