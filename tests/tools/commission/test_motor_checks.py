@@ -193,12 +193,16 @@ def test_the_end_of_the_program_ends_at_rest(kind: str) -> None:
     assert not outcome.checks.interruption
 
 
+AT_ONCE = {"node": None, "time": None, "frame": None}
+SECOND_MASTER = {"cob_id": 0x77F, "data": b"\x05", "period": 0.1}
+
+
 @pytest.mark.parametrize("kind", ["2wd0ws_greenhouse", "lss"])
 @pytest.mark.parametrize(
     ("fault", "text"),
     [
-        ({"kind": "power_cut", "duration": 1.0}, "controller"),
-        ({"kind": "forged_frames", "cob_id": 0x77F, "data": b"\x05", "period": 0.1}, "master"),
+        ({**AT_ONCE, "kind": "power_cut", "duration": 1.0}, "controller"),
+        ({**AT_ONCE, "kind": "forged_frames", **SECOND_MASTER}, "master"),
     ],
 )
 def test_a_fault_of_the_bus_ends_at_rest_and_blames_no_motor(
@@ -211,7 +215,8 @@ def test_a_fault_of_the_bus_ends_at_rest_and_blames_no_motor(
         if moves(session) and not injected.done:
             injected.done = True
             injector = FaultInjector(simulated, BusFaults(()))
-            injector.inject(BusFault(bus=robot.buses[0].name, **fault))  # type: ignore[arg-type]
+            bus = robot.buses[0]
+            injector.inject(BusFault(bus=bus.name, span=bus.span, **fault))  # type: ignore[arg-type]
         return False
 
     outcome = run_checks(Assembly(robot), stop=inject)

@@ -40,7 +40,7 @@ OTHERS, OPPOSITE, TOO_FAST, SILENT = "others", "opposite", "too fast", "silent"
 ABORTS = {
     OTHERS: "another motor reported the motion",
     OPPOSITE: "it reported motion against its command",
-    TOO_FAST: "it reported a wrong speed",
+    TOO_FAST: "it was faster than commanded",
     SILENT: "it reported no motion",
 }
 
@@ -158,7 +158,8 @@ class MotionWatch:
             while self._commands[0][0] < now - DELAY:
                 self._commands.popleft()
             limit = TOLERANCE * abs(self.velocity)
-            speeds = [commanded for _, commanded in self._commands]
+            # A motor that is too slow is the matter of `_judge_silence` and of the base.
+            speeds = [0.0, *(commanded for _, commanded in self._commands)]
             deviates = not min(speeds) - limit <= speed <= max(speeds) + limit
         self._deviations = self._deviations + 1 if deviates else 0
         if self._deviations >= 2 and not self.cause:

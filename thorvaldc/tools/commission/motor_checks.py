@@ -19,7 +19,7 @@ from collections.abc import Callable, Collection
 from thorvaldc.model import Actuator, Robot, stopping
 from thorvaldc.model.settings import SAFETY_STOP
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
-from thorvaldc.runtime.can_base.motor_controller import FRESH, STANDING, Axis, MotorController
+from thorvaldc.runtime.can_base.motor_controller import FRESH, Axis, MotorController
 from thorvaldc.tools.commission.assembly_findings import has_moved_as_expected
 from thorvaldc.tools.commission.motion_watch import MotionWatch, Travel, test_speed
 from thorvaldc.tools.commission.motor_session import Interrupted, MotorSession, Steps
@@ -34,6 +34,12 @@ LIMIT_MARGIN = math.radians(3.0)
 """Distance (rad) from the limits of a steering joint up to which it is turned."""
 STEADY = 0.3
 """Time (s) at the test speed before a stop."""
+REST_SHARE = 0.05
+"""Share of the test speed below which a motor is at rest."""
+SLOWER = 0.8
+"""Share of the test speed below which a motor slows down."""
+SERVO_LAG = 0.15
+"""Time (s) in which the speed loop of a drive settles."""
 REPORT_CYCLES = 4
 """Control cycles in which a rest is seen: share of the twist, command, reports."""
 WATCHDOG_PATIENCE = 0.5
@@ -257,7 +263,7 @@ class MotorChecks:
         return homing or (own and bool(controller.problem or "its target" in fault))
 
     def _rests(self, axis: Axis) -> bool:
-        return self.session.base.speed == 0.0 and abs(axis.velocity) < STANDING
+        return self.session.base.speed == 0.0 and abs(axis.velocity) < _rest_speed(axis)
 
     def _silence_bound(self, axis: Axis) -> float:
         """Returns the longest time (s) from the last command to rest."""
@@ -272,10 +278,8 @@ class MotorChecks:
 
     def _delay(self, axis: Axis) -> float:
         """Returns the time (s) of the motor behind its command, and until its report is read."""
-        return REPORT_CYCLES * self.session.driven.period + self._ramp_time(axis)
-
-    def _ramp_time(self, axis: Axis) -> float:
-        return test_speed(axis) / axis.actuator.max_acceleration
+        ramp = test_speed(axis) / axis.actuator.max_acceleration
+        return REPORT_CYCLES * self.session.driven.period + SERVO_LAG + ramp
 
     def _turn_to_limits(self, axis: Axis, result: MotorResult) -> Steps[None]:
         """Turns a steering joint to both limits and back, slowly."""
@@ -373,7 +377,7 @@ class MotorChecks:
         since, acts = session.now, math.inf
         while session.now - since < bound + WATCHDOG_PATIENCE:
             # A CANopen drive whose watchdog acts sends no reports any more, but an emergency.
-            slow = abs(axis.velocity) < (0.8 * abs(session.base.speed) or STANDING)
+            slow = abs(axis.velocity) < SLOWER * test_speed(axis)
             silent = session.now - axis.time > FRESH
             if (slow or silent or session.fault) and math.isinf(acts):
                 acts = session.now - since
@@ -416,7 +420,7 @@ class MotorChecks:
         """Waits until a motor stands, and returns the time (s), infinite after ``limit``."""
         since = self.session.now
         while self.session.now - since < limit:
-            if abs(axis.velocity) < STANDING:
+            if abs(axis.velocity) < _rest_speed(axis):
                 return self.session.now - since
             yield
         return math.inf
@@ -432,6 +436,10 @@ class MotorChecks:
     def _controller(self, axis: Axis) -> MotorController:
         controllers = self.session.base.state_machine.controllers
         return next(controller for controller in controllers if axis in controller.axes)
+
+
+def _rest_speed(axis: Axis) -> float:
+    return REST_SHARE * test_speed(axis)
 
 
 START_LIMIT = 5.0
