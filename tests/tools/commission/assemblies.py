@@ -51,7 +51,8 @@ class Assembly:
             own = self.joints.get(joint, Wiring())
             wiring[name] = own._replace(motor=joint, encoder=self.encoders.get(name, ""))
         for channel, joint in self.channels.items():
-            assert channel in wiring and joint in {j.name for j in joints(self.robot)}
+            assert channel in wiring
+            assert joint in {j.name for j in joints(self.robot)}
         return wiring
 
 
@@ -188,7 +189,6 @@ def problems(assembly: Assembly, outcome: Outcome) -> list[str]:
 def with_encoder(robot: Robot, name: str, pulses: int) -> Robot:
     """Returns a robot whose motor ``name`` has another encoder, such as the drive of another."""
     actuators = tuple(
-        dataclasses.replace(a, encoder_ppr=pulses) if a.name == name else a
-        for a in robot.actuators
+        dataclasses.replace(a, encoder_ppr=pulses) if a.name == name else a for a in robot.actuators
     )
     return dataclasses.replace(robot, actuators=actuators)

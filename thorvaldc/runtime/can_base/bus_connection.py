@@ -383,9 +383,7 @@ class BusConnection:
         Raises ``ValueError`` if a target speed or a target angle is not finite.
         """
         return sorted(
-            frame
-            for c in self.controllers
-            for frame in c.cyclic_frames(c.intent_of(intent), now)
+            frame for c in self.controllers for frame in c.cyclic_frames(c.intent_of(intent), now)
         )
 
     def occasional_frames(

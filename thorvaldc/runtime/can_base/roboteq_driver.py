@@ -291,8 +291,7 @@ class RoboteqScriptController(MotorController):
         return CanFrame(codec.cob_id, codec.encode([float(mode) for mode in used]))
 
     def _required_modes(self, intent: Intent) -> tuple[int, int]:
-        """Returns the modes of both channels; a channel without a motor has that of a powered one.
-        """
+        """Returns the modes of both channels; a motor that is not powered is decoupled."""
         first, second = self._modes_of_powered(intent)
         axes = (self._first, self._second)
         off = [axis is not None and not axis.powered for axis in axes]

@@ -142,11 +142,9 @@ def _commission(
         message(SAFETY)
         if kept:
             message(f"passed before, not repeated: {', '.join(kept)} (--again repeats them)")
-        session = MotorSession(
-            robot, interfaces, threaded=bus != "virtual", paced=False
-        )
+        session = MotorSession(robot, interfaces, threaded=bus != "virtual")
         motor_checks = MotorChecks(session, operator, results, kept, save)
-        ended = session.run(motor_checks.run(), stop=lambda: bool(getattr(operator, "closed", 0)))
+        ended = session.run(motor_checks.run(), stop=lambda: operator.closed)
         interruption = motor_checks.interruption or ("" if ended else "ended by the operator")
         save()
     if as_json:
@@ -240,6 +238,3 @@ def _offer_calibration(path: Path, text: str, simulated: bool) -> None:
     if simulated or target.exists() or not agrees(f"Write {target}?"):
         return
     write_file(target, text)
-
-
-

@@ -226,9 +226,7 @@ class MotorChecks:
         yield from session.release()
         return motion
 
-    def _begin(
-        self, axis: Axis, velocity: float, limit: float = math.inf
-    ) -> Steps[MotionWatch]:
+    def _begin(self, axis: Axis, velocity: float, limit: float = math.inf) -> Steps[MotionWatch]:
         """Powers a motor and begins to command its motion."""
         session = self.session
         if not axis.powered:
@@ -388,7 +386,7 @@ class MotorChecks:
         yield from session.release()
         stood = yield from self._ask("yes", "Did the wheel come to rest by itself?", axis)
         if not node.watchdog_coasts:
-            result.figures.append(Figure("stands by its watchdog", float(bool(stood)), "", 1.0, 1.0))
+            result.figures.append(_yes("stands by its watchdog", stood))
 
     def _check_emergency_stop(self, axis: Axis, result: MotorResult) -> Steps[None]:
         """Lets the operator press the emergency stop while the wheel turns."""
@@ -407,8 +405,7 @@ class MotorChecks:
         stood = bool(session.fault) and (session.now - axis.time > FRESH or self._rests(axis))
         yield from self._ask_without_power("Release the emergency stop.", axis)
         yield from session.release()
-        name = "stands after the emergency stop"
-        result.figures.append(Figure(name, float(stood), "", 1.0, 1.0))
+        result.figures.append(_yes("stands after the emergency stop", stood))
 
     def _ask_without_power(self, text: str, axis: Axis) -> Steps[None]:
         """Asks the operator for something while the robot is in a fault."""
@@ -431,11 +428,16 @@ class MotorChecks:
         yield from self.session.release()
         text = "Try to turn the wheel by hand: does its brake hold it?"
         holds = yield from self._ask("yes", text, axis)
-        result.figures.append(Figure("brake holds (1: yes)", float(bool(holds)), "", 1.0, 1.0))
+        result.figures.append(_yes("brake holds", holds))
 
     def _controller(self, axis: Axis) -> MotorController:
         controllers = self.session.base.state_machine.controllers
         return next(controller for controller in controllers if axis in controller.axes)
+
+
+def _yes(name: str, answer: object) -> Figure:
+    """Returns a figure that is 1 for yes and 0 for no, and must be yes."""
+    return Figure(name, float(bool(answer)), "", 1.0, 1.0)
 
 
 def _rest_speed(axis: Axis) -> float:
@@ -488,4 +490,3 @@ def motion_text(robot: Robot, axis: Axis, axes: tuple[Axis, ...]) -> str:
         f"{expected} If the robot is assembled wrongly, any wheel may turn with up to"
         f" {limits.speed:.1f} rad/s and up to {axis.actuator.max_torque:.0f} N m."
     )
-

@@ -2,8 +2,8 @@ r"""Drives one motor of a robot at a time, whose wheels are off the ground.
 
 A ``MotorSession`` is a ``DrivenRobot`` like any other: arming, stop locks, gaps in time, faults and
 the end of the program are those of every run.  Only the meaning of the twist differs.  The driver
-commands a twist, ramps it up, and ramps it down when the session falls silent.  The reached share of
-the twist is the share of the test speed of the powered motor::
+commands a twist, ramps it up, and ramps it down when the session falls silent.  The reached share
+of the twist is the share of the test speed of the powered motor::
 
     twist    0 ___/^^^^^^^^^^^\___ 0        silence: the driver ramps to rest
     share    0 ___/     1     \___ 0

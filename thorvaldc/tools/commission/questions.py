@@ -35,7 +35,12 @@ Answer = bool | float | Actuator | None
 
 
 class Operator(Protocol):
-    """The person beside the robot.  A question is answered while the control loop goes on."""
+    """The person beside the robot.  A question is answered while the control loop goes on.
+
+    - ``closed``: ``True`` if no answer will come any more.
+    """
+
+    closed: bool
 
     def note_motion(self, axis: Axis) -> None:
         """Is called before each motion of a motor."""

@@ -68,9 +68,7 @@ def as_json(
         "passed": not found and not interruption and all(motor["passed"] for motor in motors),
         "interruption": interruption,
         "nodes": [_node(entry) for entry in entries],
-        "findings": [
-            {"motors": list(f.motors), "text": f.text, "change": f.change} for f in found
-        ],
+        "findings": [{"motors": list(f.motors), "text": f.text, "change": f.change} for f in found],
         "motors": motors,
     }
 
@@ -126,8 +124,7 @@ def summary(report: Mapping[str, Any], width: int | None) -> str:
     rows = [("motor", "controller", "state")]
     rows += [(m["name"], f"{m['node']} {m['channel']}", m["state"]) for m in report["motors"]]
     parts = [text_table(rows, width)]
-    for finding in report["findings"]:
-        parts.append(f"{finding['text']}\n    {finding['change']}")
+    parts += [f"{f['text']}\n    {f['change']}" for f in report["findings"]]
     if report["interruption"]:
         parts.append(f"interrupted: {report['interruption']}")
     return "\n".join(parts)

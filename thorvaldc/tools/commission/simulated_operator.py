@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.runtime.can_base.motor_controller import STANDING, Axis
+from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.tools.commission.questions import Answer, Question, joints
 
 SEEN_TRAVEL = 0.02
@@ -16,6 +16,8 @@ TURNS_STEP, DEGREES_STEP = 0.05, 1.0
 
 class SimulatedOperator:
     """Starts every motion, and answers as accurately as a person does."""
+
+    closed = False
 
     def __init__(self, simulated: SimulatedRobot) -> None:
         self._simulated = simulated
@@ -39,11 +41,12 @@ class SimulatedOperator:
         now = self._positions()
         travels = {name: now[name] - before for name, before in self._before.items()}
         name = max(travels, key=lambda name: abs(travels[name]))
+        is_seen = abs(travels[name]) >= SEEN_TRAVEL
         moved = next(joint for joint in self._joints if joint.name == name)
-        if abs(travels[name]) < SEEN_TRAVEL:
-            moved = None if question.kind == "joint" else question.axis.actuator
+        if not is_seen:
+            moved = question.axis.actuator
         if question.kind == "joint":
-            self._answer = (moved,)
+            self._answer = (moved if is_seen else None,)
         elif question.kind == "press":  # a simulated robot has no button
             self._answer = (False,)
         elif question.kind == "turns":
