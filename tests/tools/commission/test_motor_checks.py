@@ -177,7 +177,7 @@ class RefusingOperator(SimulatedOperator):
 
     def ask(self, question: Question) -> None:
         super().ask(question)
-        if question.kind == "start":
+        if question.kind == "motor":
             self._answer = (False,)
 
 

@@ -19,7 +19,8 @@ from thorvaldc.tools.commission.questions import (
 )
 
 _HINTS = {
-    "start": "Enter: go on, s: leave this motor out, Ctrl-C: end",
+    "motor": "Enter: start, s: leave this motor out, Ctrl-C: end",
+    "start": "Enter: go on, s: leave this check out, Ctrl-C: end",
     "press": "Enter: start, s: leave this check out, Ctrl-C: end",
     "joint": "number of the wheel that rolled; with an s behind it, that steered; n: none",
     "turns": "turns, such as 1 or -0.5; positive: forwards",
@@ -60,7 +61,7 @@ class ConsoleOperator:
         while not self._lines.empty():  # a line from before the question is no answer to it
             self._lines.get_nowait()
         self._question = question
-        if question.kind == "start":
+        if question.kind == "motor":
             wheel = self._robot.wheels[question.axis.wheel]
             message(f"\n{joint_text(self._robot, question.axis.actuator)}")
             message(plan_view(self._robot, wheel.name))
@@ -83,7 +84,7 @@ class ConsoleOperator:
         return answer
 
     def _parsed(self, kind: str, line: str) -> tuple[Answer] | None:
-        if kind in ("start", "press"):
+        if kind in ("motor", "start", "press"):
             return {"": (True,), "s": (False,)}.get(line)
         if kind == "yes":
             return {"y": (True,), "yes": (True,), "n": (False,), "no": (False,)}.get(line)

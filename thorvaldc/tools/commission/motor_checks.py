@@ -18,7 +18,7 @@ from collections.abc import Callable, Collection
 
 from thorvaldc.model import Actuator, Robot, stopping
 from thorvaldc.model.settings import SAFETY_STOP
-from thorvaldc.runtime.can_base.base_state_machine import BaseState
+from thorvaldc.runtime.can_base.base_state_machine import BaseState, Times
 from thorvaldc.runtime.can_base.motor_controller import FRESH, Axis, MotorController
 from thorvaldc.tools.commission.assembly_findings import has_moved_as_expected
 from thorvaldc.tools.commission.motion_watch import MotionWatch, Travel, test_speed
@@ -101,7 +101,7 @@ class MotorChecks:
                 continue
             result = MotorResult(Observation(axis))
             text = motion_text(self.robot, axis, self.session.base.axes)
-            if (yield from self._ask("start", text, axis)):
+            if (yield from self._ask("motor", text, axis)):
                 yield from self._check(axis, result)
                 yield from self.session.release()
             else:
@@ -120,6 +120,10 @@ class MotorChecks:
             yield from self._move_to(axis, 0.0)
             observation.zero = yield from self._ask_angle(axis)
         if axis.steering:
+            degrees = math.degrees(STEERING_TRAVEL)
+            text = f"The wheel turns by about {degrees:.0f} deg to the left."
+            if not (yield from self._may_start(axis, result, "turn", text)):
+                return
             room = self._upper(axis) - axis.position
             travel = min(STEERING_TRAVEL, 0.7 * room)
             observation.travel = yield from self._move(axis, travel, result, limit=room)
@@ -137,7 +141,8 @@ class MotorChecks:
             observation.seen = float(turns) * math.tau  # type: ignore[arg-type]
         if not has_moved_as_expected(observation):
             return
-        if axis.steering:
+        text = "The wheel turns to both limits of its steering, and back."
+        if axis.steering and (yield from self._may_start(axis, result, "limits", text)):
             yield from self._turn_to_limits(axis, result)
         yield from self._check_stops(axis, result)
         yield from self._check_brake(axis, result)
@@ -314,11 +319,31 @@ class MotorChecks:
         self._stops_tested.add(controller.node.name)
         if axis.steering:
             return
-        yield from self._check_stop(axis, result, "safety stop")
-        yield from self._check_watchdog(axis, controller, result)
+        if (
+            yield from self._may_start(
+                axis, result, "safety stop", _stop_text("by the safety stop")
+            )
+        ):
+            yield from self._check_stop(axis, result, "safety stop")
+        if stopping.watchdog_time(controller.node) is None:
+            result.not_tested.append(f"watchdog: {controller.node.name} has none")
+        elif (yield from self._may_start(axis, result, "watchdog", _stop_text("by itself"))):
+            yield from self._check_watchdog(axis, controller, result)
         if is_first:  # one of the robot, and no matter of the motor controller
-            yield from self._check_stop(axis, result, "stop lock")
+            if (
+                yield from self._may_start(axis, result, "stop lock", _stop_text("by a stop lock"))
+            ):
+                yield from self._check_stop(axis, result, "stop lock")
             yield from self._check_emergency_stop(axis, result)
+
+    def _may_start(
+        self, axis: Axis, result: MotorResult, name: str, text: str, kind: str = "start"
+    ) -> Steps[bool]:
+        """Asks whether a motion may begin; otherwise its check ``name`` is not tested."""
+        starts = bool((yield from self._ask(kind, text, axis)))
+        if not starts:
+            result.not_tested.append(name)
+        return starts
 
     def _run_steadily(self, axis: Axis) -> Steps[MotionWatch]:
         """Begins a motion, and returns at the test speed."""
@@ -362,10 +387,7 @@ class MotorChecks:
     ) -> Steps[None]:
         """Withholds heartbeat and commands, and measures when the drive stops by itself."""
         session, node = self.session, controller.node
-        promise = stopping.watchdog_time(node)
-        if promise is None:
-            result.not_tested.append(f"watchdog: {node.name} has none")
-            return
+        promise = stopping.watchdog_time(node) or 0.0
         watch = yield from self._run_steadily(axis)
         if watch.cause:
             yield from session.release()
@@ -391,9 +413,8 @@ class MotorChecks:
     def _check_emergency_stop(self, axis: Axis, result: MotorResult) -> Steps[None]:
         """Lets the operator press the emergency stop while the wheel turns."""
         session = self.session
-        text = "The wheel turns again: press the emergency stop."
-        if not (yield from self._ask("press", text, axis)):
-            result.not_tested.append("emergency stop")
+        text = "The wheel turns until you press the emergency stop."
+        if not (yield from self._may_start(axis, result, "emergency stop", text, "press")):
             return
         watch = yield from self._run_steadily(axis)
         since = session.now
@@ -433,6 +454,10 @@ class MotorChecks:
     def _controller(self, axis: Axis) -> MotorController:
         controllers = self.session.base.state_machine.controllers
         return next(controller for controller in controllers if axis in controller.axes)
+
+
+def _stop_text(how: str) -> str:
+    return f"The wheel turns for {STEADY + 1.0:.0f} s and stops {how}."
 
 
 def _yes(name: str, answer: object) -> Figure:
@@ -477,15 +502,12 @@ def motion_text(robot: Robot, axis: Axis, axes: tuple[Axis, ...]) -> str:
     name = joint_text(robot, axis.actuator)
     if axis.steering:
         expected = (
-            f"The {name} searches its home position, turns by"
-            f" {math.degrees(STEERING_TRAVEL):.0f} deg to the left, and to its limits, with"
-            f" {velocity:.1f} rad/s."
+            f"The {name} searches its home position and turns straight ahead, in at most"
+            f" {Times().home:.0f} s."
         )
     else:
-        expected = (
-            f"The {name} turns forwards once with {velocity:.1f} rad/s, and for 2 s in each of two"
-            " stops."
-        )
+        duration = WHEEL_TRAVEL / velocity
+        expected = f"The {name} turns forwards once, with {velocity:.1f} rad/s in {duration:.0f} s."
     return (
         f"{expected} If the robot is assembled wrongly, any wheel may turn with up to"
         f" {limits.speed:.1f} rad/s and up to {axis.actuator.max_torque:.0f} N m."

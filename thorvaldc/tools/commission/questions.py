@@ -12,13 +12,13 @@ from thorvaldc.runtime.can_base.motor_controller import Axis
 class Question(NamedTuple):
     """A question about the motion of a motor.
 
-    - ``kind``: ``start``, ``press``, ``joint``, ``turns``, ``degrees`` or ``yes``;
+    - ``kind``: ``motor``, ``start``, ``press``, ``joint``, ``turns``, ``degrees`` or ``yes``;
     - ``text``: the question; the operator's program adds how to answer;
     - ``axis``: the motor that is driven.
 
     Answers by kind:
 
-    - ``start``, ``press``: ``True`` to begin the motion, ``False`` to leave it out;
+    - ``motor``, ``start``, ``press``: ``True`` to begin the motion, ``False`` to leave it out;
     - ``joint``: the ``Actuator`` whose joint has moved, or ``None`` if nothing has moved;
     - ``turns``: turns of the wheel of the latest ``joint``, positive if it would drive forwards;
     - ``degrees``: direction of the wheel of the latest ``joint``, positive to the left of straight

@@ -55,7 +55,7 @@ class SimulatedOperator:
         elif question.kind == "degrees":
             self._answer = (DEGREES_STEP * round(math.degrees(now[moved.name]) / DEGREES_STEP),)
         else:
-            self._answer = (question.kind == "start" or self._stood,)
+            self._answer = (question.kind in ("motor", "start") or self._stood,)
             self._stood = True
 
     def answer(self) -> tuple[Answer] | None:
