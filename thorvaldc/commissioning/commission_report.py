@@ -7,11 +7,12 @@ and of the same model.
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.diagnostics import DiagnosticError
+from thorvaldc.diagnostics import DiagnosticError, Span
 from thorvaldc.diagnostics.files import read_bounded, read_json
 from thorvaldc.model import Robot
 from thorvaldc.model.element import Element
@@ -36,7 +37,18 @@ def report_path(file: str, robot: Robot) -> Path:
 
 def content_hash(*elements: Element) -> str:
     """Returns the hash of parts of a model, which does not depend on their lines in a file."""
-    return hashlib.sha256(repr(elements).encode()).hexdigest()[:16]
+    return hashlib.sha256(repr(_values(elements)).encode()).hexdigest()[:16]
+
+
+def _values(value: Any) -> Any:
+    """Returns the values of a part of a model, without spans and without the bytes of meshes."""
+    if isinstance(value, Span | bytes):
+        return None
+    if isinstance(value, tuple):
+        return [_values(item) for item in value]
+    if dataclasses.is_dataclass(value):
+        return [_values(getattr(value, field.name)) for field in dataclasses.fields(value)]
+    return value
 
 
 def read_report(path: Path) -> dict[str, Any]:

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from thorvaldc.can.frame import CanInterface
     from thorvaldc.cli.robot_file import LoadedRobot
     from thorvaldc.commissioning.scan_result import ScanEntry
-    from thorvaldc.commissioning.verify import Check
     from thorvaldc.model import Robot
     from thorvaldc.tools.commission.questions import Operator
 
@@ -102,6 +101,7 @@ def _commission(
     locks: contextlib.ExitStack,
 ) -> int:
     from thorvaldc.cli.diagnostic_output import message, print_json, table_width
+    from thorvaldc.commissioning.scan_result import OK
     from thorvaldc.tools.commission import report
     from thorvaldc.tools.commission.motor_checks import MotorChecks
     from thorvaldc.tools.commission.motor_session import MotorSession
@@ -111,8 +111,8 @@ def _commission(
     earlier = _earlier(path)
     kept = {} if again or earlier is None else report.kept_motors(robot, earlier)
     interfaces, operator = _open(loaded, bus, locks)
-    entries, checks = _devices(robot, interfaces)
-    differences = [check for check in checks if not check.passed]
+    entries = _devices(robot, interfaces)
+    differences = [entry for entry in entries if entry.verdict != OK]
     results: dict[str, MotorResult] = {}
     interruption = ""
     content: dict[str, Any] = {}
@@ -135,7 +135,10 @@ def _commission(
     if differences:
         for interface in interfaces.values():
             interface.close()
-        interruption = "; ".join(_difference_text(check) for check in differences)
+        interruption = "; ".join(
+            f"{entry.node or 'device'}: {entry.verdict} {entry.detail}".strip()
+            for entry in differences
+        )
         message("nothing was moved: `thorvaldc can plan` shows how to set up the devices")
         save()
     else:
@@ -191,26 +194,20 @@ def _open(
     }, SimulatedOperator(simulated)
 
 
-def _devices(
-    robot: Robot, interfaces: Mapping[str, CanInterface]
-) -> tuple[list[ScanEntry], list[Check]]:
-    """Compares the devices on all buses with the robot file, as `can verify` does."""
+def _devices(robot: Robot, interfaces: Mapping[str, CanInterface]) -> list[ScanEntry]:
+    """Returns the devices on all buses.  The base compares their values with the file later."""
     from thorvaldc.commissioning.bus_configuration import configuration_of
-    from thorvaldc.commissioning.bus_master import BusMaster
-    from thorvaldc.commissioning.verify import verify
+    from thorvaldc.commissioning.bus_master import BusMaster, other_master_error
+    from thorvaldc.commissioning.scanner import Scanner
 
     entries: list[ScanEntry] = []
-    checks: list[Check] = []
     for bus in robot.buses:
         master = BusMaster(interfaces[bus.name], bus)
-        verification = verify(master, configuration_of(robot, bus), bus)
-        entries += verification.scan.entries
-        checks += verification.checks
-    return entries, checks
-
-
-def _difference_text(check: Check) -> str:
-    return f"{check.node or 'bus'}: {check.what} is {check.actual}, not {check.expected}"
+        scan = Scanner(master, configuration_of(robot, bus)).active(values=False, texts=False)
+        if scan.masters:
+            raise other_master_error(list(scan.masters))
+        entries += scan.entries
+    return entries
 
 
 def _write(path: Path, robot: Robot, content: Mapping[str, Any]) -> None:

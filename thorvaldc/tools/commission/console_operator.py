@@ -45,8 +45,12 @@ class ConsoleOperator:
 
     def _read(self) -> None:
         for line in sys.stdin:
-            self._lines.put(line.strip())
+            self.put(line)
         self.closed = True
+
+    def put(self, line: str) -> None:
+        """Takes a line of the operator."""
+        self._lines.put(line.strip())
 
     def note_motion(self, axis: Axis) -> None:
         """Does nothing: the person watches the robot."""

@@ -153,8 +153,8 @@ class MotorChecks:
         """Asks the operator while the control loop goes on; all motors are off meanwhile."""
         self.operator.ask(Question(kind, text, axis))
         while (answer := self.operator.answer()) is None:
-            if self.session.fault:
-                raise Interrupted(self.session.fault)
+            if self.session.fault:  # such as a gap in time, which moves nothing now
+                yield from self.session.release()
             yield
         return answer[0]
 
@@ -319,20 +319,14 @@ class MotorChecks:
         self._stops_tested.add(controller.node.name)
         if axis.steering:
             return
-        if (
-            yield from self._may_start(
-                axis, result, "safety stop", _stop_text("by the safety stop")
-            )
-        ):
+        if (yield from self._may_start(axis, result, "safety stop", SAFETY_TEXT)):
             yield from self._check_stop(axis, result, "safety stop")
         if stopping.watchdog_time(controller.node) is None:
             result.not_tested.append(f"watchdog: {controller.node.name} has none")
-        elif (yield from self._may_start(axis, result, "watchdog", _stop_text("by itself"))):
+        elif (yield from self._may_start(axis, result, "watchdog", ALONE_TEXT)):
             yield from self._check_watchdog(axis, controller, result)
         if is_first:  # one of the robot, and no matter of the motor controller
-            if (
-                yield from self._may_start(axis, result, "stop lock", _stop_text("by a stop lock"))
-            ):
+            if (yield from self._may_start(axis, result, "stop lock", LOCK_TEXT)):
                 yield from self._check_stop(axis, result, "stop lock")
             yield from self._check_emergency_stop(axis, result)
 
@@ -456,10 +450,6 @@ class MotorChecks:
         return next(controller for controller in controllers if axis in controller.axes)
 
 
-def _stop_text(how: str) -> str:
-    return f"The wheel turns for {STEADY + 1.0:.0f} s and stops {how}."
-
-
 def _yes(name: str, answer: object) -> Figure:
     """Returns a figure that is 1 for yes and 0 for no, and must be yes."""
     return Figure(name, float(bool(answer)), "", 1.0, 1.0)
@@ -469,6 +459,10 @@ def _rest_speed(axis: Axis) -> float:
     return REST_SHARE * test_speed(axis)
 
 
+SAFETY_TEXT, LOCK_TEXT, ALONE_TEXT = (
+    f"The wheel turns for {STEADY + 1.0:.0f} s and stops {how}."
+    for how in ("by the safety stop", "by a stop lock", "by itself, as if this program had ended")
+)
 START_LIMIT = 5.0
 """Longest time (s) until a motor has reached its test speed."""
 

@@ -1,0 +1,207 @@
+"""`thorvaldc can commission` and the report that `run --commissioned` demands."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Command
+from thorvaldc.commissioning.commission_report import content_hash
+from thorvaldc.compiler.pipeline import compile_file
+from thorvaldc.model import Robot
+from thorvaldc.model.model_json import from_json, to_json
+from thorvaldc.runtime.can_base.motor_controller import Axis
+from thorvaldc.simulation.bus import simulated_robot
+from thorvaldc.simulation.bus.motor_wiring import Wiring
+from thorvaldc.tools.commission.console_operator import ConsoleOperator
+from thorvaldc.tools.commission.questions import Question, joints, plan_view
+
+GREENHOUSE = """
+thorvaldc: 1
+name: house
+base_calculator: differential
+modules:
+  frame: {type: frame/tube_rectangular, params: {length: 1.1 m, width: 0.9 m, cross_members: [0]}}
+  left: {type: assembly/fixed_drive, mount: frame.front_left}
+  right: {type: assembly/fixed_drive, mount: frame.front_right}
+  controller: {type: controller/propulsion_propulsion, can: 1, channels:
+    {left: left.propulsion, right: right.propulsion}}
+  caster_left: {type: caster/swivel, mount: frame.rear_left}
+  caster_right: {type: caster/swivel, mount: frame.rear_right}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "robot.yaml").write_text(GREENHOUSE, encoding="utf-8")
+    return tmp_path
+
+
+def wire(monkeypatch: pytest.MonkeyPatch, **wiring: Wiring) -> None:
+    """Lets `--bus virtual` simulate a robot that is wired like this."""
+    constructor = simulated_robot.SimulatedRobot.__init__
+
+    def wired(self: simulated_robot.SimulatedRobot, robot: Robot, **options: object) -> None:
+        constructor(self, robot, **{**options, "wiring": wiring})  # type: ignore[arg-type]
+
+    monkeypatch.setattr(simulated_robot.SimulatedRobot, "__init__", wired)
+
+
+def test_a_run_demands_a_report_of_the_same_model(thorvaldc: Command, folder: Path) -> None:
+    file = str(folder / "robot.yaml")
+    run = ("run", file, "--bus", "virtual", "--fast", "--duration", "1s", "--commissioned")
+    refused = thorvaldc(*run)
+    assert refused.status == 1
+    assert "TV881" in refused.err
+    assert "robot.commission.json: No such file" in refused.err
+
+    checked = thorvaldc("can", "commission", file, "--bus", "virtual", "--operator", "Kari")
+    assert checked.status == 0
+    assert "house: passed" in checked.out
+    assert "Lift all wheels off the ground" in checked.err
+    assert thorvaldc(*run).status == 0
+
+    report = json.loads((folder / "robot.commission.json").read_text(encoding="utf-8"))
+    assert report["operator"] == "Kari"
+    assert report["passed"] is True
+    serials = [node["serial"] for node in report["nodes"] if node["serial"] is not None]
+    assert len(serials) == 1
+    for motor in report["motors"]:
+        assert motor["state"] == "passed"
+        assert all(f["least"] <= f["value"] <= f["most"] for f in motor["figures"])
+
+    # A comment changes no hash; another encoder does.
+    text = Path(file).read_text(encoding="utf-8")
+    Path(file).write_text(f"# moved to the shed\n{text}", encoding="utf-8")
+    assert thorvaldc(*run).status == 0
+    changed = text.replace("front_left}", "front_left, params: {encoder_ppr: 2048}}")
+    Path(file).write_text(changed, encoding="utf-8")
+    other = thorvaldc(*run)
+    assert other.status == 1
+    assert "is of another model" in other.err
+
+
+def test_motors_that_have_passed_are_not_repeated(
+    thorvaldc: Command, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = str(folder / "robot.yaml")
+    command = ("can", "commission", file, "--bus", "virtual")
+    with monkeypatch.context() as patch:
+        wire(patch, left_drive_propulsion=Wiring(direction=-1))
+        failed = thorvaldc(*command, "--json")
+    assert failed.status == 1
+    report = json.loads(failed.out)
+    assert [motor["state"] for motor in report["motors"]] == ["failed", "passed"]
+    assert report["findings"][0]["motors"] == ["left_drive_propulsion"]
+    assert "inverted: true" in report["findings"][0]["change"]
+    run = thorvaldc("run", file, "--bus", "virtual", "--fast", "--duration=1s", "--commissioned")
+    assert "did not pass all checks" in run.err
+
+    repaired = thorvaldc(*command)
+    assert repaired.status == 0
+    assert "not repeated: right_drive_propulsion" in repaired.err
+    again = thorvaldc(*command, "--again")
+    assert again.status == 0
+    assert "not repeated" not in again.err
+
+
+def test_the_page_shows_what_to_change(
+    thorvaldc: Command, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wire(monkeypatch, left_drive_propulsion=Wiring(encoder_scale=-1.0))
+    report = folder / "first.json"
+    command = ("can", "commission", str(folder / "robot.yaml"), "--bus", "virtual")
+    result = thorvaldc(*command, "--report", str(report))
+    assert result.status == 1
+    assert "counts against its motor" in result.out
+    page = report.with_suffix(".html").read_text(encoding="utf-8")
+    assert "exchange the lines A and B" in page
+    assert "not passed" in page
+    assert page.count("<rect") == 4
+    assert page.count("fill='#b00020'") == 1
+
+
+def test_usage(thorvaldc: Command, folder: Path) -> None:
+    file = str(folder / "robot.yaml")
+    terminal = thorvaldc("can", "commission", file, "--bus", "socketcan:can0")
+    assert terminal.status == 2
+    assert "needs a terminal to ask at" in terminal.err
+    suffix = thorvaldc("can", "commission", file, "--bus", "virtual", "--report", "a.txt")
+    assert suffix.status == 2
+    (folder / "bad.json").write_text("[]", encoding="utf-8")
+    command = ("can", "commission", file, "--bus", "virtual", "--report")
+    bad = thorvaldc(*command, str(folder / "bad.json"))
+    assert bad.status == 1
+    assert "is no report of `can commission`" in bad.err
+    assert (folder / "bad.json").read_text(encoding="utf-8") == "[]"
+    missing = thorvaldc(*command, str(folder / "no" / "folder.json"))
+    assert missing.status == 3
+    assert "cannot write" in missing.err
+
+
+def test_the_hash_of_a_model_is_that_of_its_build(folder: Path) -> None:
+    robot = compile_file(folder / "robot.yaml").model
+    assert isinstance(robot, Robot)
+    assert content_hash(from_json(to_json(robot))) == content_hash(robot)
+
+
+# -- the terminal ----------------------------------------------------------------------------------
+
+
+class Lines:
+    """Standard input of which a test gives the lines."""
+
+    def __init__(self, *lines: str) -> None:
+        self._lines = lines
+
+    def __iter__(self) -> object:
+        return iter(self._lines)
+
+
+@pytest.mark.parametrize(
+    ("kind", "line", "expected"),
+    [
+        ("motor", "", True),
+        ("motor", "s", False),
+        ("turns", "-0.5", -0.5),
+        ("turns", "1,5", 1.5),
+        ("degrees", "12 deg", 12.0),
+        ("yes", "y", True),
+        ("yes", "no", False),
+        ("joint", "n", None),
+        ("joint", "2", "right_drive_propulsion"),
+    ],
+)
+def test_answers_at_the_terminal(
+    folder: Path,
+    kind: str,
+    line: str,
+    expected: object,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    robot = compile_file(folder / "robot.yaml").model
+    assert isinstance(robot, Robot)
+    monkeypatch.setattr("sys.stdin", Lines())
+    operator = ConsoleOperator(robot)
+    operator.ask(Question(kind, "What?", Axis(joints(robot)[0], 0, "left")))
+    assert operator.answer() is None
+    operator.put("nonsense 7s")
+    assert operator.answer() is None
+    assert "this is no answer" in capsys.readouterr().err
+    operator.put(line)
+    answer = operator.answer()
+    assert answer is not None
+    assert getattr(answer[0], "name", answer[0]) == expected
+
+
+def test_the_picture_marks_the_wheel_and_fits_in_80_columns(folder: Path) -> None:
+    robot = compile_file(folder / "robot.yaml").model
+    assert isinstance(robot, Robot)
+    picture = plan_view(robot, "right_wheel")
+    assert ">>[2]<<" in picture
+    assert max(map(len, picture.splitlines())) < 80
+    front, back = picture.index("[2]"), picture.index("[3]")
+    assert front < back
