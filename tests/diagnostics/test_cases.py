@@ -63,7 +63,7 @@ for _file in sorted(HERE.parent.glob("tools/*/diagnostic_cases.py")):
 # In a copy of the core without its tools, the cases of their commands cannot run.
 CORE_COMMANDS = {
     *("compile", "emit", "fresh", "pin", "sim", "bus", "can", "interface", "drive"),
-    *("scenario", "demo", "log"),
+    *("commissioned", "scenario", "demo", "log"),
 }
 
 
@@ -176,6 +176,8 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
             play(compilation.model, case["situation"])
         except DiagnosticError as error:
             compilation.report.put(error.diagnostic)
+    if command == "commissioned" and isinstance(compilation.model, Robot):
+        demand_report(compilation.model, compilation.report)
     if command == "interface" and isinstance(compilation.model, Robot):
         from thorvaldc.can.open_interface import open_interface
         from thorvaldc.diagnostics import DiagnosticError
@@ -189,6 +191,22 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
 
         logged(compilation.model, case, compilation.report)
     return list(compilation.report)
+
+
+def demand_report(robot: Robot, report: Report) -> None:
+    """Demands the report of `can commission` as a run does; HASH in it is that of the robot."""
+    from thorvaldc.commissioning import commission_report
+    from thorvaldc.diagnostics import DiagnosticError
+
+    path = commission_report.report_path("robot.yaml", robot)
+    if path.exists():
+        text = path.read_text(encoding="utf-8")
+        digest = commission_report.content_hash(robot)
+        path.write_text(text.replace("HASH", digest), encoding="utf-8")
+    try:
+        commission_report.require_commissioned(path, robot)
+    except DiagnosticError as error:
+        report.put(error.diagnostic)
 
 
 def run_on_a_bus(robot: Robot, report: Report) -> None:

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
 from pathlib import Path
 from typing import Any
 
+from thorvaldc.commissioning.commission_page import page_of
 from thorvaldc.diagnostics import DiagnosticError, Span
-from thorvaldc.diagnostics.files import read_bounded, read_json
+from thorvaldc.diagnostics.files import read_bounded, read_json, write_file
 from thorvaldc.model import Robot
 from thorvaldc.model.element import Element
 from thorvaldc.model.model_json import is_model_file
@@ -66,6 +68,12 @@ def read_report(path: Path) -> dict[str, Any]:
     if report.get("version") != VERSION:
         raise _not_commissioned(f"{path} has the version {report.get('version')}, not {VERSION}")
     return report
+
+
+def write_report(path: Path, robot: Robot, report: dict[str, Any]) -> None:
+    """Writes a report, and its HTML page beside it.  Raises ``OSError``."""
+    write_file(path, json.dumps(report, indent=1, ensure_ascii=False) + "\n")
+    write_file(path.with_suffix(".html"), page_of(robot, report))
 
 
 def require_commissioned(path: Path, robot: Robot) -> None:

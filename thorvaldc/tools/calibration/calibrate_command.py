@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from thorvaldc.cli import options
 from thorvaldc.cli.exits import DONE, INPUT, OutsideError
+
+if TYPE_CHECKING:
+    from thorvaldc.model import Robot
 
 
 def calibrate(
@@ -31,6 +34,9 @@ def calibrate(
             " Determines the common scale of the radii.",
         ),
     ] = "",
+    report: Annotated[
+        bool, typer.Option("--report", help="Add the result to the report of `can commission`.")
+    ] = False,
     parameters: options.Parameters = "",
     json: options.Json = False,
     library: options.Library = [],  # noqa: B006
@@ -59,18 +65,20 @@ def calibrate(
     from thorvaldc.tools.calibration import calibration_file
     from thorvaldc.tools.calibration.self_calibration import calibrate as estimate
 
-    report = Report()
-    joint_log = read_log(Path(log), log, model, report)
+    findings = Report()
+    joint_log = read_log(Path(log), log, model, findings)
     result = None
     if joint_log is not None:
-        result = estimate(model, joint_log, report, metres, log, parameters or None)
-    status = diagnostic_output.show_report(report, compilation.sources | {log: Path(log)})
+        result = estimate(model, joint_log, findings, metres, log, parameters or None)
+    status = diagnostic_output.show_report(findings, compilation.sources | {log: Path(log)})
     if result is None:
         return status
     if json:
         diagnostic_output.print_json(calibration_file.as_json(result))
     else:
         print(calibration_file.table(result, diagnostic_output.table_width()))
+    if report and status == DONE:
+        _add_to_report(robot, model, calibration_file.as_json(result))
     if output and status == DONE:
         if not result.determines_anything:
             diagnostic_output.message(f"{output} is not written: the log determines nothing")
@@ -85,6 +93,23 @@ def calibrate(
             f"{output}: include it in {robot} by `calibration: {Path(output).name}`"
         )
     return status
+
+
+def _add_to_report(file: str, robot: Robot, calibration: dict[str, Any]) -> None:
+    """Adds a calibration to the report of the robot's first motion."""
+    from thorvaldc.cli.diagnostic_output import message
+    from thorvaldc.commissioning import commission_report
+    from thorvaldc.diagnostics import DiagnosticError
+
+    path = commission_report.report_path(file, robot)
+    try:
+        content = commission_report.read_report(path)
+        commission_report.write_report(path, robot, {**content, "calibration": calibration})
+    except DiagnosticError as error:
+        raise typer.BadParameter(error.diagnostic.message, param_hint="'--report'") from None
+    except OSError as error:
+        raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None
+    message(f"added to {path}")
 
 
 def _parse_distance(text: str) -> float:

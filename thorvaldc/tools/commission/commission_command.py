@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import datetime
 import getpass
-import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -210,13 +209,11 @@ def _devices(robot: Robot, interfaces: Mapping[str, CanInterface]) -> list[ScanE
     return entries
 
 
-def _write(path: Path, robot: Robot, content: Mapping[str, Any]) -> None:
-    from thorvaldc.diagnostics.files import write_file
-    from thorvaldc.tools.commission.report import as_html
+def _write(path: Path, robot: Robot, content: dict[str, Any]) -> None:
+    from thorvaldc.commissioning.commission_report import write_report
 
     try:
-        write_file(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
-        write_file(path.with_suffix(".html"), as_html(robot, content))
+        write_report(path, robot, content)
     except OSError as error:
         raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None
 

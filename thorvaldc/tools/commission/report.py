@@ -1,10 +1,9 @@
-"""The report of the checks as JSON, as an HTML page and as text."""
+"""The report of the checks as JSON and as text."""
 
 from __future__ import annotations
 
-import html
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from thorvaldc.commissioning.commission_report import FORMAT, VERSION, content_hash
@@ -14,7 +13,7 @@ from thorvaldc.diagnostics.installation import program_version
 from thorvaldc.diagnostics.text_layout import text_table
 from thorvaldc.model import Actuator, Robot
 from thorvaldc.tools.commission.assembly_findings import findings
-from thorvaldc.tools.commission.questions import joints, wheel_numbers
+from thorvaldc.tools.commission.questions import joints
 from thorvaldc.tools.commission.results import MotorResult
 
 
@@ -144,95 +143,3 @@ def calibration_text(robot: Robot, results: Mapping[str, MotorResult]) -> str:
                 offset = math.degrees(moved.encoder_offset + observation.zero)
                 lines.append(f"  {wheel.name}: {{steering_offset: {offset:.1f} deg}}")
     return "\n".join(["thorvaldc: 1", f"robot: {robot.name}", "wheels:", *lines, ""]) * bool(lines)
-
-
-# -- HTML ------------------------------------------------------------------------------------------
-
-_STYLE = """body{font:15px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}
-table{border-collapse:collapse;width:100%}td,th{text-align:left;padding:.2em .6em;
-border-bottom:1px solid #ccc}.no{color:#b00020;font-weight:bold}.yes{color:#1b6e2e}
-svg{background:#f4f4f4}h2{margin-top:1.5em}"""
-
-
-def as_html(robot: Robot, report: Mapping[str, Any]) -> str:
-    """Returns the report as an HTML page without scripts and external files."""
-    verdict = _verdict(report["passed"], "passed", "not passed")
-    facts = {
-        "robot": report["robot"],
-        "result": report["interruption"] or "",
-        "date": report["date"],
-        "operator": report["operator"],
-        "program": f"thorvaldc {report['program']}",
-        "model": report["model"],
-    }
-    rows = "".join(
-        f"<tr><th>{html.escape(name)}</th><td>{html.escape(str(value))}</td></tr>"
-        for name, value in facts.items()
-        if value
-    )
-    found = "".join(
-        f"<li>{html.escape(f['text'])}<br>{html.escape(f['change'])}</li>"
-        for f in report["findings"]
-    )
-    return (
-        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>First motion of"
-        f" {html.escape(robot.name)}</title><style>{_STYLE}</style>"
-        f"<h1>First motion of {html.escape(robot.name)}: {verdict}</h1><table>{rows}</table>"
-        + (f"<h2>What to change</h2><ul>{found}</ul>" if found else "")
-        + f"<h2>Wheels</h2>{_picture(robot, report)}<h2>Motors</h2>{''.join(_motors(report))}"
-        + f"<h2>Devices</h2>{_nodes(report)}</html>\n"
-    )
-
-
-def _verdict(passed: bool, yes: str, no: str) -> str:
-    return f"<span class='{'yes' if passed else 'no'}'>{yes if passed else no}</span>"
-
-
-def _motors(report: Mapping[str, Any]) -> Iterator[str]:
-    for motor in report["motors"]:
-        state = _verdict(motor["passed"], motor["state"], motor["state"])
-        yield f"<h3>{html.escape(motor['name'])}: {state}</h3><table>"
-        for figure in motor.get("figures", ()):
-            value = "not reached" if figure["value"] is None else f"{figure['value']:.2f}"
-            verdict = _verdict(figure["passed"], "ok", "not in bounds")
-            yield (
-                f"<tr><td>{html.escape(figure['name'])}</td><td>{value} {figure['unit']}</td>"
-                f"<td>{figure['least']:.2f} to {figure['most']:.2f}</td><td>{verdict}</td></tr>"
-            )
-        for text in motor.get("not_tested", ()):
-            yield f"<tr><td>{html.escape(text)}</td><td>not tested</td><td></td><td></td></tr>"
-        yield "</table>"
-
-
-def _nodes(report: Mapping[str, Any]) -> str:
-    rows = "".join(
-        f"<tr><td>{html.escape(str(node['name']))}</td><td>{html.escape(_identity(node))}</td></tr>"
-        for node in report["nodes"]
-    )
-    return f"<table>{rows}</table>"
-
-
-def _identity(node: Mapping[str, Any]) -> str:
-    return ", ".join(f"{k} {v}" for k, v in node.items() if k != "name" and v not in (None, []))
-
-
-def _picture(robot: Robot, report: Mapping[str, Any]) -> str:
-    """Returns the wheels seen from above, the front up; those with a finding are red."""
-    found = {name for finding in report["findings"] for name in finding["motors"]}
-    by_joint = {motor.joint: motor.name for motor in joints(robot)}
-    scale = 200.0
-    xs, ys = [w.x for w in robot.wheels], [w.y for w in robot.wheels]
-    width = (max(ys) - min(ys)) * scale + 160
-    height = (max(xs) - min(xs)) * scale + 120
-    parts = [f"<svg width='{width:.0f}' height='{height:.0f}' role='img'>"]
-    for wheel, number in zip(robot.wheels, wheel_numbers(robot).values(), strict=True):
-        x = (max(ys) - wheel.y) * scale + 80
-        y = (max(xs) - wheel.x) * scale + 60
-        motors = {by_joint.get(wheel.spin_joint), by_joint.get(wheel.steering_joint or "")}
-        colour = "#b00020" if motors & found else "#333"
-        parts.append(
-            f"<rect x='{x - 15:.0f}' y='{y - 35:.0f}' width='30' height='70' rx='6'"
-            f" fill='{colour}'/><text x='{x:.0f}' y='{y + 52:.0f}' text-anchor='middle'>"
-            f"{number} {html.escape(wheel.name)}</text>"
-        )
-    return "".join([*parts, "</svg>"])
