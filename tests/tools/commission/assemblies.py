@@ -21,9 +21,10 @@ from thorvaldc.tools.commission.results import Finding, MotorResult
 from thorvaldc.tools.commission.simulated_operator import SimulatedOperator
 
 EXCHANGED, REVERSED, ENCODER_REVERSED = "are exchanged: each", "the wrong way", "counts against"
-ENCODERS, ZERO, WATCHDOG = "encoders of", "off straight ahead", "watchdog"
-SCALE = "in place of|the homing of"
-"""A drive that homes at a limit switch does not get there with a wrong scale."""
+ENCODERS, WATCHDOG = "encoders of", "watchdog"
+SCALE, ZERO = "in place of|the homing of", "off straight ahead|the homing of"
+"""A drive that homes at a limit switch does not get there with a wrong scale, or if the switch is
+beyond the mechanical stop."""
 
 
 @dataclass
@@ -164,11 +165,15 @@ def run_checks(
     return Outcome(session, checks, results, findings(robot, results), excess, moving)
 
 
+def has_lost_watchdog(outcome: Outcome) -> bool:
+    """Checks whether the base has named a drive without watchdog by its value (object 0x1016)."""
+    return "heartbeat_consumer_time" in outcome.checks.interruption
+
+
 def problems(assembly: Assembly, outcome: Outcome) -> list[str]:
     """Returns what the checks have not found, or have found where nothing is wrong."""
     interruption = outcome.checks.interruption
-    # A drive that has lost its watchdog is also seen by its value.
-    named_by_value = "heartbeat_consumer_time" in interruption
+    named_by_value = has_lost_watchdog(outcome)
     texts = []
     for kind, blamed in assembly.expected:
         if not (kind == WATCHDOG and named_by_value) and not any(

@@ -156,7 +156,7 @@ def _failure(observation: Observation, travel: Travel, moved: Actuator) -> Findi
         return Finding(
             (name,),
             f"the homing of {name} failed: {travel.fault}",
-            "is the home switch connected? are `encoder_ppr` and `gear_ratio` right?",
+            "is the home switch connected, in its place? are `encoder_ppr`, `gear_ratio` right?",
         )
     return Finding(
         (name,),
@@ -178,7 +178,9 @@ def _direction_and_scale(observation: Observation) -> Iterator[Finding]:
             f"write `inverted: true` for {moved.name}, or exchange two lines of the motor and the"
             " lines A and B of the encoder",
         )
-    if abs(abs(ratio) - 1.0) > SCALE_TOLERANCE:
+    # The small motion of a steering channel is too short for a wheel, and the reverse too long.
+    same_kind = moved.role == observation.axis.actuator.role
+    if same_kind and abs(abs(ratio) - 1.0) > SCALE_TOLERANCE:
         pulses = moved.encoder_ppr / abs(ratio) if ratio else math.inf
         yield Finding(
             (moved.name,),

@@ -210,6 +210,7 @@ class MotorSession:
     def take_torque(self) -> None:
         """Takes the torque of all motors at once, and ends the motion."""
         self.commands_motion = False
+        self.base.cancel_homing(self.now)
         for axis in self.base.axes:
             axis.powered = False
         self.driven.disarm()
