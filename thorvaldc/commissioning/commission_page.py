@@ -31,7 +31,7 @@ def page_of(robot: Robot, report: Mapping[str, Any]) -> str:
         for name, value in facts.items()
         if value
     )
-    found = "".join(
+    changes = "".join(
         f"<li>{html.escape(f['text'])}<br>{html.escape(f['change'])}</li>"
         for f in report["findings"]
     )
@@ -39,7 +39,7 @@ def page_of(robot: Robot, report: Mapping[str, Any]) -> str:
         f"<!doctype html><html lang='en'><meta charset='utf-8'><title>First motion of"
         f" {html.escape(robot.name)}</title><style>{_STYLE}</style>"
         f"<h1>First motion of {html.escape(robot.name)}: {verdict}</h1><table>{rows}</table>"
-        + (f"<h2>What to change</h2><ul>{found}</ul>" if found else "")
+        + (f"<h2>What to change</h2><ul>{changes}</ul>" if changes else "")
         + f"<h2>Wheels</h2>{_picture(robot, report)}<h2>Motors</h2>{''.join(_motors(report))}"
         + f"<h2>Devices</h2>{_nodes(report)}"
         + f"{_calibration(report)}</html>\n"
@@ -80,7 +80,7 @@ def _identity(node: Mapping[str, Any]) -> str:
 
 def _picture(robot: Robot, report: Mapping[str, Any]) -> str:
     """Returns the wheels seen from above, the front up; those with a finding are red."""
-    found = {name for finding in report["findings"] for name in finding["motors"]}
+    marked = {name for finding in report["findings"] for name in finding["motors"]}
     by_joint = {motor.joint: motor.name for motor in robot.actuators}
     scale = 200.0
     xs, ys = [w.x for w in robot.wheels], [w.y for w in robot.wheels]
@@ -91,7 +91,7 @@ def _picture(robot: Robot, report: Mapping[str, Any]) -> str:
         x = (max(ys) - wheel.y) * scale + 80
         y = (max(xs) - wheel.x) * scale + 60
         motors = {by_joint.get(wheel.spin_joint), by_joint.get(wheel.steering_joint or "")}
-        colour = "#b00020" if motors & found else "#333"
+        colour = "#b00020" if motors & marked else "#333"
         parts.append(
             f"<rect x='{x - 15:.0f}' y='{y - 35:.0f}' width='30' height='70' rx='6'"
             f" fill='{colour}'/><text x='{x:.0f}' y='{y + 52:.0f}' text-anchor='middle'>"

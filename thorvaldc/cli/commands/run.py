@@ -22,6 +22,15 @@ if TYPE_CHECKING:
     from thorvaldc.runtime.run_session import RunSession
 
 
+Commissioned = Annotated[
+    bool,
+    typer.Option(
+        "--commissioned",
+        help="Refuse a robot whose report of `can commission` is missing, old or not passed.",
+    ),
+]
+
+
 def run(
     file: options.RobotFile,
     bus: Annotated[
@@ -60,13 +69,7 @@ def run(
             show_default="the robot's; none with --twist or --duration",
         ),
     ] = "",
-    commissioned: Annotated[
-        bool,
-        typer.Option(
-            "--commissioned",
-            help="Refuse a robot whose report of `can commission` is missing, old or not passed.",
-        ),
-    ] = False,
+    commissioned: Commissioned = False,
     json: options.Json = False,
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,

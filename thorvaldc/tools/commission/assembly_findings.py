@@ -48,15 +48,15 @@ def findings(robot: Robot, results: Mapping[str, MotorResult]) -> list[Finding]:
     """Returns what is wrong in the assembly of the robot."""
     tested = [result for result in results.values() if not result.skipped]
     observations = [result.observation for result in tested]
-    found = [
+    named = [
         *_exchanges(robot, observations),
         *(f for each in observations for f in _faults_of(each)),
     ]
-    blamed = {name for finding in found for name in finding.motors}
+    blamed = {name for finding in named for name in finding.motors}
     for result in tested:
         if result.observation.axis.actuator.name not in blamed:
-            found += _figures_out_of_bounds(result)
-    return list(dict.fromkeys(found))
+            named += _figures_out_of_bounds(result)
+    return list(dict.fromkeys(named))
 
 
 def _figures_out_of_bounds(result: MotorResult) -> Iterator[Finding]:

@@ -101,14 +101,14 @@ def _commission(
 ) -> int:
     from thorvaldc.cli.diagnostic_output import message, print_json, table_width
     from thorvaldc.commissioning.scan_result import OK
-    from thorvaldc.tools.commission import report
+    from thorvaldc.tools.commission import report_content
     from thorvaldc.tools.commission.motor_checks import MotorChecks
     from thorvaldc.tools.commission.motor_session import MotorSession
     from thorvaldc.tools.commission.results import MotorResult
 
     robot = loaded.robot
     earlier = _earlier(path)
-    kept = {} if again or earlier is None else report.kept_motors(robot, earlier)
+    kept = {} if again or earlier is None else report_content.kept_motors(robot, earlier)
     interfaces, operator = _open(loaded, bus, locks)
     entries = _devices(robot, interfaces)
     differences = [entry for entry in entries if entry.verdict != OK]
@@ -119,7 +119,7 @@ def _commission(
     def save() -> None:
         content.clear()
         content.update(
-            report.as_json(
+            report_content.as_json(
                 robot,
                 results,
                 kept,
@@ -152,9 +152,9 @@ def _commission(
     if as_json:
         print_json(content)
     else:
-        print(report.summary(content, table_width()))
+        print(report_content.summary(content, table_width()))
         print(f"{robot.name}: {'passed' if content['passed'] else 'not passed'}, see {path}")
-    _offer_calibration(path, report.calibration_text(robot, results), bus == "virtual")
+    _offer_calibration(path, report_content.calibration_text(robot, results), bus == "virtual")
     return DONE if content["passed"] else INPUT
 
 

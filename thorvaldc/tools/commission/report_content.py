@@ -49,9 +49,9 @@ def as_json(
     - ``results``: new results by motor; ``kept``: motors of an earlier report;
     - ``entries``: the devices on the buses.
     """
-    found = findings(robot, results)
+    named = findings(robot, results)
     for name, result in results.items():
-        result.findings = [finding for finding in found if name in finding.motors]
+        result.findings = [finding for finding in named if name in finding.motors]
     motors = [
         kept[motor.name] if motor.name in kept else _motor(robot, motor, results, date, operator)
         for motor in joints(robot)
@@ -64,10 +64,10 @@ def as_json(
         "program": program_version(),
         "date": date,
         "operator": operator,
-        "passed": not found and not interruption and all(motor["passed"] for motor in motors),
+        "passed": not named and not interruption and all(motor["passed"] for motor in motors),
         "interruption": interruption,
         "nodes": [_node(entry) for entry in entries],
-        "findings": [{"motors": list(f.motors), "text": f.text, "change": f.change} for f in found],
+        "findings": [{"motors": list(f.motors), "text": f.text, "change": f.change} for f in named],
         "motors": motors,
     }
 
