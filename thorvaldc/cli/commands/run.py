@@ -86,9 +86,7 @@ def run(
     options.check_physics(physics)
     virtual = bus == "virtual"
     if not virtual:
-        simulated = {"--faults": faults, "--seed": seed, "--fast": fast}
-        simulated["--physics"] = physics != "ideal"
-        options.refuse_options(simulated, "is for a simulated robot, --bus virtual")
+        _refuse_simulation(faults, seed, physics, fast)
     if fast and not duration:
         raise typer.BadParameter("needs a --duration", param_hint="'--fast'")
     if fast:
@@ -133,6 +131,12 @@ def run(
             warn_once()
         loaded.show(report)
         return _drive(session, loaded, json)
+
+
+def _refuse_simulation(faults: str, seed: str, physics: str, fast: bool) -> None:
+    simulated = {"--faults": faults, "--seed": seed, "--fast": fast}
+    simulated["--physics"] = physics != "ideal"
+    options.refuse_options(simulated, "is for a simulated robot, --bus virtual")
 
 
 def _drive(session: RunSession, loaded: LoadedRobot, json: bool) -> int:
