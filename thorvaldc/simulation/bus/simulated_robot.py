@@ -316,17 +316,20 @@ class SimulatedRobot:
     def _wired_motor(self, actuator: Actuator) -> simulated_motors.MotorModel:
         """Returns the motor on the channel of an actuator, in the frame of the channel."""
         wiring = self._wiring.get(actuator.name)
-        if wiring is None:
+        if wiring is None and not actuator.inverted:
             return self._joint_motor(actuator)
+        wiring = wiring or Wiring()
         actuators = {each.name: each for each in self.robot.actuators}
         turned = actuators[wiring.motor or actuator.name]
         measured = actuators[wiring.encoder or turned.name]
         pulses = measured.encoder_ppr * measured.gear_ratio
+        if measured.inverted is not turned.inverted:
+            pulses = -pulses
         return WiredMotor(
             self._joint_motor(turned),
             turned.max_velocity,
             encoder_of=self._joint_motor(measured),
-            direction=wiring.direction,
+            direction=-wiring.direction if turned.inverted else wiring.direction,
             encoder_scale=wiring.encoder_scale
             * pulses
             / (actuator.encoder_ppr * actuator.gear_ratio),
