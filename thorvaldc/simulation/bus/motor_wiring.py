@@ -67,7 +67,7 @@ class WiredMotor(MotorModel):
         self._is_stable = encoder_scale > 0.0 and self._encoder_of is motor
 
     @property
-    def blocked(self) -> bool:  # type: ignore[override]
+    def blocked(self) -> bool:
         return self.motor.blocked
 
     @blocked.setter
