@@ -233,7 +233,8 @@ class SimulatedRobot:
         self._driven_wheels = simulated_motors.DrivenWheels()
         self._delivered = delivered
         self._quirks = frozenset(quirks)
-        self._wiring = dict(wiring or {})
+        self._wiring = {a.name: Wiring() for a in robot.actuators if a.inverted}
+        self._wiring.update(wiring or {})
         for bus in robot.buses:
             self.wires[bus.name] = Wire(self.timeline, bus.bitrate, seed=seed)
             for node in bus.nodes:
@@ -316,9 +317,8 @@ class SimulatedRobot:
     def _wired_motor(self, actuator: Actuator) -> simulated_motors.MotorModel:
         """Returns the motor on the channel of an actuator, in the frame of the channel."""
         wiring = self._wiring.get(actuator.name)
-        if wiring is None and not actuator.inverted:
+        if wiring is None:
             return self._joint_motor(actuator)
-        wiring = wiring or Wiring()
         actuators = {each.name: each for each in self.robot.actuators}
         turned = actuators[wiring.motor or actuator.name]
         measured = actuators[wiring.encoder or turned.name]
