@@ -14,6 +14,7 @@ import pytest
 from tests.backend_files import dbc_of, files_of
 from tests.buses import GEAR, LIMIT, MAX_SPEED, PPR, STEERING_GEAR, robot_with_bus
 from tests.robots import FOUR_STEERED, SPAN, make_robot
+from tests.simulation.bus.robots import CIA402, compiled
 from thorvaldc.backends.can import Can
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Bus, FrameDefinition, Node, Robot, Signal
@@ -138,6 +139,32 @@ def test_cantools_decodes_and_encodes_the_published_scalings(database: Any) -> N
     assert struct.unpack("<ii", database.encode_message(0x503, {"position": LIMIT}))[1] == 1000
     battery = database.decode_message(0x3C1, struct.pack("<xxHxxbx", 4825, 12))
     assert battery == {"voltage": pytest.approx(48.25), "temperature": -28}
+
+
+def test_the_scale_of_an_inverted_motor_is_negative() -> None:
+    """The CAN map and the DBC have the same sign as the driver, the DCF is as before."""
+    usual, inverted = (
+        files_of(Can, compiled(CIA402.replace("_steering}", f"_steering{more}}}")))
+        for more in ("", ", inverted: true, steering_inverted: true")
+    )
+    data = struct.pack("<Hbi", 0, 3, 1000)
+    for cob_id, name in ((0x181, "propulsion_velocity"), (0x281, "steering_position")):
+        value, other = (
+            read_dbc(each["can/robot.dbc"]).decode_message(cob_id, data)[name]
+            for each in (usual, inverted)
+        )
+        assert 0.0 < value == -other
+    signals = [
+        signal
+        for node in json.loads(inverted["can/canmap.json"])["buses"][0]["nodes"]
+        for channel in node["channels"]
+        for signal in channel["signals"]
+    ]
+    assert len(signals) == 16
+    assert all(signal["scale"] < 0.0 for signal in signals)
+    assert b"scale_pos_from_dev: -" in inverted["can/bus.yml"]
+    dcfs = [path for path in usual if path.endswith("_controller.dcf")]
+    assert [inverted[path] for path in dcfs] == [usual[path] for path in dcfs]
 
 
 @pytest.mark.parametrize(

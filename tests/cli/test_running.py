@@ -77,6 +77,22 @@ def test_a_robot_with_physics_drives_as_far(thorvaldc: Command) -> None:
     assert "  1.3 " in out or "  1.4 " in out
 
 
+def test_inverted_motors_drive_the_same_path(thorvaldc: Command) -> None:
+    turned = ", params: {inverted: true, steering_inverted: true}, can: 1}"
+    Path("inverted.yaml").write_text(GOOD.replace(", can: 1}", turned, 1))
+    run = ("--bus", "virtual", "--fast", "--duration", "3 s", "--twist", "0.4,0.1,0.2", "--json")
+    poses = []
+    for file in ("good.yaml", "inverted.yaml"):
+        status, out, err = thorvaldc("run", file, *run)
+        assert (status, err) == (0, "")
+        poses.append(json.loads(out)["pose"])
+    assert poses[1] == pytest.approx(poses[0], abs=1e-3)
+    assert poses[0]["yaw"] > 0.3
+    # The installer of the motors needs to see it.
+    assert " inverted" in thorvaldc("info", "inverted.yaml").out
+    assert " inverted" not in thorvaldc("info", "good.yaml").out
+
+
 def test_changes_of_state_go_to_stderr(thorvaldc: Command) -> None:
     status, out, err = thorvaldc(*VIRTUAL, "--fast", "--duration", "1 s")
     assert status == 0

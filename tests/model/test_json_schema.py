@@ -27,6 +27,7 @@ FINGERPRINTS = {
     8: "3b49848e2c94a3b5",
     9: "cae85acd79a59b5c",
     10: "eeb8ff37e77e8014",
+    11: "12f0de925b7a4a74",
 }
 
 SCHEMA = model_schema()

@@ -43,7 +43,7 @@ from thorvaldc.model.quantities import field_types, quantity_at
 from thorvaldc.model.settings import DISTROS, DRIVER, EKF
 
 FORMAT = "thorvaldc-model"
-VERSION = 10
+VERSION = 11
 """Version of the JSON format, increased with every change of the model's fields.
 
 The page ``docs/model.md`` lists all versions of the JSON format.

@@ -392,6 +392,8 @@ class Actuator(Element):
     - ``back_driving_torque``: torque at the joint in N m below which the joint does not turn while
       the motor has no power, from the friction of motor and gear.
     - ``brake``: brake of the motor, or ``None`` for a motor without a brake.
+    - ``inverted``: true if the joint turns in its negative direction when the motor controller
+      counts positive. The scales of the CAN signals contain this sign.
     """
 
     name: str
@@ -411,6 +413,7 @@ class Actuator(Element):
     encoder_offset: si.Radians = 0.0
     back_driving_torque: si.NewtonMetres = 0.0
     brake: Brake | None = None
+    inverted: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -40,8 +40,7 @@ NODE_ID, ENABLE_WATCHDOG, WATCHDOG_TIMEOUT = "node_id", "enable_watchdog", "watc
 class Odrive(SimulatedDevice):
     """A simulated ODrive.
 
-    - ``radians``: angle (rad) of the joint for a revolution of the motor shaft, negative for a
-      motor that turns against the joint.
+    - ``radians``: angle (rad) of the joint for a revolution of the motor shaft.
     - ``periods``: period (s) of each cyclic message.
     - ``active_errors``, ``disarm_reason``: errors, see ``Error``.
     """
@@ -79,14 +78,13 @@ class Odrive(SimulatedDevice):
         node = specification.node
         actuator = specification.actuator(node.channels[0].name)
         gear_ratio = 1.0 if actuator is None else actuator.gear_ratio
-        sign = -1.0 if specification.property("reversed") else 1.0
         major, minor, revision = str(specification.property("firmware")).split(".")
         return cls(
             specification.name,
             specification.wire,
             specification.bus.bitrate,
             motor=specification.motor_of(actuator),
-            radians=sign * math.tau / gear_ratio,
+            radians=math.tau / gear_ratio,
             periods={
                 command: specification.period(command.identifier(node.id), 0.0)
                 for command in Command

@@ -164,6 +164,8 @@ def test_overlap_is_found_among_signals_of_unwired_channels(bench: Bench) -> Non
         ("length: 16, signed: true, scale: 0.001, maximum: 7.4", False),
         ("length: 16, signed: true, scale: 0.001, maximum: 7.48", True),
         ("length: 16, signed: true, scale: 0.001, minimum: -7.4", False),
+        ("length: 16, signed: true, scale: 0.001, minimum: 0", True),  # a limit of the speed
+        ("length: 16, signed: true, scale: 0.0001, minimum: 0", False),
     ],
 )
 def test_full_speed_must_fit(bench: Bench, field: str, fits: bool) -> None:

@@ -310,6 +310,26 @@ def test_pulses_of_an_encoder_are_a_whole_number(workshop: Workshop, stated: str
     assert workshop.part_codes(two_links("type: continuous", motor)) == ["wrong-type"]
 
 
+@pytest.mark.parametrize(
+    ("stated", "inverted"),
+    [
+        ("", False),
+        ("inverted: true", True),
+        ("inverted: false", False),
+        ("inverted: '${2 > 1}'", True),
+    ],
+)
+def test_a_motor_may_be_inverted(workshop: Workshop, stated: str, inverted: bool) -> None:
+    robot = workshop.part(two_links("type: continuous", MOTOR % (30, stated)))
+    assert [a.inverted for a in robot.actuators if a.module == "part"] == [inverted]
+
+
+@pytest.mark.parametrize("stated", ["1", "sideways", "'${3}'", "[]"])
+def test_inverted_is_true_or_false(workshop: Workshop, stated: str) -> None:
+    motor = MOTOR % (30, f"inverted: {stated}")
+    assert workshop.part_codes(two_links("type: continuous", motor)) == ["wrong-type"]
+
+
 @pytest.mark.parametrize(("effort", "at_the_joint"), [("", 30.0), (", effort: 20", 20.0)])
 def test_effort_is_the_lower_of_motor_and_joint(
     workshop: Workshop, effort: str, at_the_joint: float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Robot
@@ -13,6 +13,7 @@ from thorvaldc.runtime.can_base.can_base import CanBase
 from thorvaldc.runtime.driven_robot import DrivenRobot
 from thorvaldc.runtime.driver import BaseDriver
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
+from thorvaldc.simulation.bus.motor_wiring import Wiring
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 
 FORWARD = Twist(0.5, 0.0, 0.0)
@@ -34,10 +35,13 @@ class Rig:
         power: bool = True,
         drives: Robot | None = None,
         quirks: Iterable[Quirk] = (),
+        wiring: Mapping[str, Wiring] | None = None,
     ) -> None:
         """``drives``: robot whose devices are on the bus; ``None``: those of ``robot``."""
         self.robot = robot
-        self.simulated = SimulatedRobot(drives or robot, seed=seed, base=base, quirks=quirks)
+        self.simulated = SimulatedRobot(
+            drives or robot, seed=seed, base=base, quirks=quirks, wiring=wiring
+        )
         if power:
             self.simulated.power_on()
         self.interfaces = {

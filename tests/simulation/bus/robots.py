@@ -147,6 +147,11 @@ def cia402() -> Robot:
     """A robot with CiA 402 drives that home ten times faster than usual, to save time."""
     controller = "controller/cia402_propulsion_steering"
     robot = compiled(TWO_DRIVES.format(controller=f", params: {{controller: {controller}}}"))
+    return quick_to_home(robot)
+
+
+def quick_to_home(robot: Robot) -> Robot:
+    """Returns a robot whose CiA 402 drives home ten times faster."""
     nodes = tuple(
         replace(node, objects=tuple(_quicker(entry) for entry in node.objects))
         for node in robot.buses[0].nodes

@@ -14,11 +14,16 @@ from typing import Any
 
 from thorvaldc.can.canopen import EMCY, HEARTBEAT, SDO_REQUEST, SDO_RESPONSE, NmtState
 from thorvaldc.compiler.bus.device_sections import Device, Wire, integer, listed
-from thorvaldc.compiler.bus.frame_checks import check_channels, check_layout, check_scales
+from thorvaldc.compiler.bus.frame_checks import (
+    check_channels,
+    check_layout,
+    check_scales,
+    physical_range,
+)
 from thorvaldc.compiler.modules.module_parameters import Scope
 from thorvaldc.compiler.source import dimensions
 from thorvaldc.compiler.source.node import Node, insertion
-from thorvaldc.compiler.source.unit_table import Dimension
+from thorvaldc.compiler.source.unit_table import QUANTITIES, Dimension
 from thorvaldc.compiler.source.units import UnitError, parse_unit
 from thorvaldc.compiler.values.value_reader import entries, items
 from thorvaldc.diagnostics import Label, Proposal, Report, Span, did_you_mean
@@ -27,26 +32,34 @@ from thorvaldc.model.bus import MASTER, OBJECT_TYPES
 
 HEARTBEAT_PERIOD = 0.1  # default heartbeat period of a device in s
 LAST_PDO = 512
+_DIRECTED = tuple(
+    QUANTITIES[kind].dimensions[0]
+    for kind in ("angle", "angular_velocity", "angular_acceleration", "torque")
+)
 NMT_STATES = tuple((state.value, state.text.replace("-", "_")) for state in NmtState)
 
 
 def channel_names(device: Device) -> dict[str, dict[str, float | int]]:
     """Returns the motor parameters for expressions in the section `can`, by channel.
 
-    Motor speeds are in rad/s, motor accelerations in rad/s^2 and joint limits in rad.
+    Motor speeds are in rad/s, motor accelerations in rad/s^2 and joint limits in rad.  The limits
+    are those that the motor controller compares with its own positions, see ``_inverted``.
     """
-    return {
-        wire.channel: {
+    names: dict[str, dict[str, float | int]] = {}
+    for wire in device.wires:
+        lower = -math.pi if wire.lower is None else wire.lower
+        upper = math.pi if wire.upper is None else wire.upper
+        inverted = wire.actuator.inverted
+        names[wire.channel] = {
             "gear_ratio": wire.actuator.gear_ratio,
             "encoder_ppr": wire.actuator.encoder_ppr,
             "motor_max_speed": wire.actuator.motor_max_speed,
             "max_velocity": wire.actuator.max_velocity,
             "max_acceleration": wire.actuator.max_acceleration,
-            "lower": -math.pi if wire.lower is None else wire.lower,
-            "upper": math.pi if wire.upper is None else wire.upper,
+            "lower": 0.0 - upper if inverted else lower,
+            "upper": 0.0 - lower if inverted else upper,
         }
-        for wire in device.wires
-    }
+    return names
 
 
 CHANNEL_DIMENSIONS = {
@@ -275,6 +288,8 @@ def _signals(device: Device, frame: Node) -> Iterator[tuple[Signal, str | None]]
             scope.text(get("description")),
             scope.boolean(get("floating_point"), False),
         )
+        if wire is not None and wire.actuator.inverted and _has_direction(signal):
+            signal = _inverted(signal)
         if wire is not None and wire.actuator.encoder_offset and signal.unit == "rad":
             signal = _calibrated(signal, wire, commands)
         yield signal, channel
@@ -303,6 +318,38 @@ def _si_dimension(unit_name: str) -> tuple[Dimension, ...]:
         return ()
     is_si = unit.numerator == unit.denominator and not unit.pi_power and not unit.offset
     return (dimensions.without_angle(unit.dimension),) if is_si else ()
+
+
+def _has_direction(signal: Signal) -> bool:
+    """Returns whether the sign of a CAN signal of a motor depends on the direction of the motor.
+
+    This is so for positions, speeds, accelerations and torques (``%``: a share of the largest one)
+    which can be negative.  A speed limit has no direction, and neither has a current or a power,
+    whose sign says whether the motor takes or returns energy.
+    """
+    if physical_range(signal)[0] >= 0.0:
+        return False
+    try:
+        return signal.unit == "%" or parse_unit(signal.unit).dimension in _DIRECTED
+    except UnitError:
+        return False
+
+
+def _inverted(signal: Signal) -> Signal:
+    """Returns a CAN signal of a motor that is mounted the other way round.
+
+    The module document describes the signal as the motor controller counts.  The value of the CAN
+    signal is that in the direction of the joint.  The sign is changed only in this function and for
+    the limits in ``channel_names``; nothing is written to the motor controller.
+    """
+    low, high = signal.minimum, signal.maximum
+    return replace(
+        signal,
+        scale=-signal.scale,
+        offset=0.0 - signal.offset,  # not -0.0
+        minimum=None if high is None else 0.0 - high,
+        maximum=None if low is None else 0.0 - low,
+    )
 
 
 def _calibrated(signal: Signal, wire: Wire, commands: bool) -> Signal:

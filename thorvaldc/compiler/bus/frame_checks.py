@@ -231,10 +231,10 @@ def check_scales(
             continue
         if channel is None:
             continue
-        joint_range = _joint_range(wires[channel], signal.unit)
+        joint_range = _joint_range(wires[channel], signal)
         if joint_range is None:
             continue
-        low, high = _physical_range(signal)
+        low, high = physical_range(signal)
         slack = ROUNDING * max(abs(joint_range[0]), abs(joint_range[1]))
         if low <= joint_range[0] + slack and joint_range[1] - slack <= high:
             continue
@@ -255,10 +255,12 @@ def check_scales(
         )
 
 
-def _joint_range(wire: Wire, unit: str) -> tuple[float, float] | None:
-    if unit == "rad/s":
-        return -wire.actuator.max_velocity, wire.actuator.max_velocity
-    if unit == "rad" and wire.lower is not None and wire.upper is not None:
+def _joint_range(wire: Wire, signal: Signal) -> tuple[float, float] | None:
+    if signal.unit == "rad/s":
+        # A signal whose minimum is stated as 0 is a limit of the speed in both directions.
+        is_limit = signal.minimum is not None and signal.minimum >= 0.0
+        return 0.0 if is_limit else -wire.actuator.max_velocity, wire.actuator.max_velocity
+    if signal.unit == "rad" and wire.lower is not None and wire.upper is not None:
         # The calibration shifts the range of the steering signal by the offset of the steering
         # encoder.
         offset = wire.actuator.encoder_offset
@@ -266,7 +268,8 @@ def _joint_range(wire: Wire, unit: str) -> tuple[float, float] | None:
     return None
 
 
-def _physical_range(signal: Signal) -> tuple[float, float]:
+def physical_range(signal: Signal) -> tuple[float, float]:
+    """Returns the lowest and the highest value of a CAN signal."""
     ends = sorted(raw * signal.scale + signal.offset for raw in signal.raw_range)
     low = ends[0] if signal.minimum is None else max(ends[0], signal.minimum)
     high = ends[1] if signal.maximum is None else min(ends[1], signal.maximum)

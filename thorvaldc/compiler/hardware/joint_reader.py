@@ -242,6 +242,7 @@ def _read_motor(values: ModuleValues, name: str, node: Node, joints: tuple[Joint
         span=node.where,
         back_driving_torque=clean(section["back_driving_torque"]),
         brake=_read_brake(values, section, gear_ratio),
+        inverted=scope.boolean(node.get("inverted"), False),
     )
 
 

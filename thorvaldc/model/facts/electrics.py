@@ -58,8 +58,8 @@ class BusFacts:
 class Wire:
     """A motor with its encoder, and the channel of the motor controller that it is wired to.
 
-    - ``motor``, ``role``, ``joint``, ``gear_ratio``, ``encoder_ppr``, ``max_torque``: as in
-      ``Actuator``; empty and 0 for a channel without a motor.
+    - ``motor``, ``role``, ``joint``, ``gear_ratio``, ``encoder_ppr``, ``max_torque`` and
+      ``inverted``: as in ``Actuator``; empty, 0 and false for a channel without a motor.
     - ``bus``, ``node``, ``id``, ``channel``: the channel; empty and 0 for a motor without a motor
       controller on a bus.
     """
@@ -75,6 +75,7 @@ class Wire:
     node: str
     id: int
     channel: str
+    inverted: bool = False
 
 
 def buses_of(robot: Robot) -> tuple[BusFacts, ...]:
@@ -146,6 +147,7 @@ def _wire(
         node=node.name if node else "",
         id=node.id if node else 0,
         channel=channel.name if channel else "",
+        inverted=actuator.inverted if actuator else False,
     )
 
 

@@ -396,6 +396,7 @@ def _addresses(buses: tuple[electrics.BusFacts, ...]) -> FactTable:
 
 
 def _wiring(wiring: tuple[electrics.Wire, ...], has_battery: bool) -> FactTable:
+    inverted = any(wire.inverted for wire in wiring)
     columns = (
         _Column("bus", lambda wire: wire.bus or "-", shown=len({w.bus for w in wiring}) != 1),
         _Column("controller", lambda wire: wire.node or "not wired"),
@@ -405,6 +406,7 @@ def _wiring(wiring: tuple[electrics.Wire, ...], has_battery: bool) -> FactTable:
         _Column("gear", lambda w: f"{w.gear_ratio:g}:1" if w.motor else "", numeric=True),
         _Column("ppr", lambda wire: f"{wire.encoder_ppr}" if wire.motor else "", numeric=True),
         _Column("N m", lambda wire: f"{wire.max_torque:g}" if wire.motor else "", numeric=True),
+        _Column("inverted", lambda wire: "yes" if wire.inverted else "", shown=inverted),
     )
     note = (
         "An encoder (ppr: pulses per revolution of the motor) is wired to the channel of its motor."

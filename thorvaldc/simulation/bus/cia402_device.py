@@ -61,7 +61,7 @@ class AxisSettings:
 
     * ``lower``, ``upper``: angles (rad) of the limit switches and default software limits, or
       ``None`` for a joint without limits.
-    * ``zero``: true joint angle (rad) at which the encoder reads 0 after homing.  The angle is not
+    * ``zero``: true angle (rad) at which the encoder reads 0 after homing.  The angle is not
       0 if a limit switch or the encoder is mounted at a wrong angle.
     """
 
@@ -488,7 +488,7 @@ class Cia402Drive(CanopenDevice):
         node, drive = specification.node, super().from_specification(specification)
         drive.equip(
             [
-                (_axis_settings(specification, actuator), motor)
+                (_axis_settings(specification, actuator, motor.direction), motor)
                 for _, actuator, motor in specification.channels()
             ],
             [Pdo.of_frame(f, node.id) for f in specification.received if f.pdo is not None],
@@ -569,19 +569,24 @@ class Cia402Drive(CanopenDevice):
             self.emergency(0)
 
 
-def _axis_settings(specification: DeviceSpecification, actuator: Actuator | None) -> AxisSettings:
+def _axis_settings(
+    specification: DeviceSpecification, actuator: Actuator | None, direction: int
+) -> AxisSettings:
+    """``direction``: -1 if the drive counts against the joint."""
     if actuator is None:
         return AxisSettings(1.0, 1024, 1.0, 1.0, 0.0)
     joint = specification.robot.joint(actuator.joint)
-    steering = actuator.role == "steering"
+    lower, upper = (joint.lower, joint.upper) if actuator.role == "steering" else (None, None)
+    if direction < 0:
+        lower, upper = (None if end is None else -end for end in (upper, lower))
     return AxisSettings(
         actuator.gear_ratio,
         actuator.encoder_ppr,
         actuator.max_velocity,
         actuator.max_acceleration,
         actuator.max_torque,
-        joint.lower if steering else None,
-        joint.upper if steering else None,
+        lower,
+        upper,
         brake=actuator.brake is not None,
-        zero=actuator.encoder_offset,
+        zero=direction * actuator.encoder_offset,
     )

@@ -140,13 +140,14 @@ class FaultInjector:
     def _start_channel_fault(self, fault: BusFault, device: SimulatedDevice) -> Removal:
         encoder, motor = device.channel_motor(self._channel_index(device.name, fault.channel))
         if encoder is not None and fault.kind == "encoder_jump":
-            encoder.jump(fault.angle)
+            encoder.jump(fault.angle if motor is None else motor.direction * fault.angle)
         elif encoder is not None and fault.kind == "frozen_encoder":
             return _set(encoder, "frozen")
         elif motor is not None and fault.kind == "blocked_motor":
             return _set(motor, "blocked")
         elif motor is not None and fault.kind in _DISTURBANCES:
-            motor.disturb(device.now, **{_DISTURBANCES[fault.kind]: fault.speed})
+            speed = motor.direction * fault.speed  # of the joint
+            motor.disturb(device.now, **{_DISTURBANCES[fault.kind]: speed})
             return lambda: motor.disturb(device.now)
         return _nothing
 

@@ -28,7 +28,7 @@ class Wiring(NamedTuple):
     - ``motor``: name of the actuator whose motor the channel turns, empty for its own.
     - ``encoder``: name of the actuator whose encoder the channel reads, empty for that of
       ``motor``.
-    - ``direction``: -1 if the motor with its encoder is mounted the other way round.
+    - ``direction``: -1 if the motor with its encoder is mounted otherwise than the file says.
     - ``encoder_scale``: counts of the encoder per count that the robot file expects.  Below 0 the
       encoder counts against the motor.
     - ``zero``: displacement (rad) of the home position of the joint.
@@ -61,7 +61,7 @@ class WiredMotor(MotorModel):
         self.motor = motor
         self._max_velocity = max_velocity
         self._encoder_of = encoder_of or motor
-        self._direction = direction
+        self.direction = direction
         self._gain = direction * encoder_scale
         self._zero = zero
         self._is_stable = encoder_scale > 0.0 and self._encoder_of is motor
@@ -75,14 +75,14 @@ class WiredMotor(MotorModel):
         self.motor.blocked = blocked
 
     def disturb(self, now: float, *, push: float = 0.0, runaway: float | None = None) -> None:
-        turned = None if runaway is None else self._direction * runaway
-        self.motor.disturb(now, push=self._direction * push, runaway=turned)
+        turned = None if runaway is None else self.direction * runaway
+        self.motor.disturb(now, push=self.direction * push, runaway=turned)
 
     def read(self, now: float) -> MotorState:
         state, gain = self._encoder_of.read(now), self._gain
         torque = self.motor.read(now).torque if self._encoder_of is not self.motor else state.torque
         return MotorState(
-            gain * (state.position - self._zero), gain * state.velocity, self._direction * torque
+            gain * (state.position - self._zero), gain * state.velocity, self.direction * torque
         )
 
     def turn(self, velocity: float, now: float) -> None:
@@ -102,4 +102,4 @@ class WiredMotor(MotorModel):
 
     def _apply_voltage(self, error: float, now: float) -> None:
         voltage = math.copysign(1.0, error) if abs(error) > _CLOSED else 0.0
-        self.motor.turn(self._direction * voltage * self._max_velocity, now)
+        self.motor.turn(self.direction * voltage * self._max_velocity, now)

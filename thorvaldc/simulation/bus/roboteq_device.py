@@ -233,7 +233,7 @@ class RoboteqController(CanopenDevice):
         home_angle = 0.0
         for channel, actuator, motor in specification.channels()[:2]:
             if actuator is not None and actuator.encoder_offset:
-                home_angle = actuator.encoder_offset
+                home_angle = motor.direction * actuator.encoder_offset
             if actuator is None:
                 settings = ChannelSettings(1.0, 1024, 3000.0, steering=channel.role == "steering")
             else:

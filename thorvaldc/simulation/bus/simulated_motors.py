@@ -39,11 +39,14 @@ class MotorModel(abc.ABC):
     Times are in s and never decrease.  A motor command applies until the next motor command.  If
     ``blocked`` is true, the joint of the motor cannot move.
 
+    - ``direction``: -1 if positions and speeds count against the joint, as seen by a motor
+      controller.
     - ``push``: speed (rad/s) that something else adds to the joint, such as a slope.
     - ``runaway``: speed (rad/s) with which the motor turns whatever is commanded, or ``None``.
     """
 
     blocked = False
+    direction = 1
     push = 0.0
     runaway: float | None = None
 

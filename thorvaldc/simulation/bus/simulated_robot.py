@@ -233,7 +233,8 @@ class SimulatedRobot:
         self._driven_wheels = simulated_motors.DrivenWheels()
         self._delivered = delivered
         self._quirks = frozenset(quirks)
-        self._wiring = dict(wiring or {})
+        self._wiring = {a.name: Wiring() for a in robot.actuators if a.inverted}
+        self._wiring.update(wiring or {})
         for bus in robot.buses:
             self.wires[bus.name] = Wire(self.timeline, bus.bitrate, seed=seed)
             for node in bus.nodes:
@@ -323,11 +324,13 @@ class SimulatedRobot:
         turned = actuators[wiring.motor or actuator.name]
         measured = actuators[wiring.encoder or turned.name]
         pulses = measured.encoder_ppr * measured.gear_ratio
+        if measured.inverted is not turned.inverted:
+            pulses = -pulses
         return WiredMotor(
             self._joint_motor(turned),
             turned.max_velocity,
             encoder_of=self._joint_motor(measured),
-            direction=wiring.direction,
+            direction=-wiring.direction if turned.inverted else wiring.direction,
             encoder_scale=wiring.encoder_scale
             * pulses
             / (actuator.encoder_ppr * actuator.gear_ratio),
