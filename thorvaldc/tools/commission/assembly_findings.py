@@ -175,8 +175,8 @@ def _direction_and_scale(observation: Observation) -> Iterator[Finding]:
         yield Finding(
             (moved.name,),
             f"{moved.name} turns the wrong way, with its encoder",
-            f"write `inverted: true` for {moved.name}, or exchange two lines of the motor and the"
-            " lines A and B of the encoder",
+            f"write `{_inverted_parameter(moved)}` for its module, or exchange two lines of the"
+            " motor and the lines A and B of the encoder",
         )
     # The small motion of a steering channel is too short for a wheel, and the reverse too long.
     same_kind = moved.role == observation.axis.actuator.role
@@ -207,3 +207,9 @@ def _zero(observation: Observation, moved: Actuator) -> Iterator[Finding]:
         f"at zero, the wheel of {moved.name} points {degrees:+.1f} deg off straight ahead",
         change,
     )
+
+
+def _inverted_parameter(motor: Actuator) -> str:
+    """Returns the parameter of the modules of the library that turns a motor round."""
+    name = "steering_inverted" if motor.role == "steering" else "inverted"
+    return f"params: {{{name}: {str(not motor.inverted).lower()}}}"
