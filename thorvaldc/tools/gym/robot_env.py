@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 
 Array = NDArray[np.float64]
+Step = tuple[Array, float, bool, bool, dict[str, Any]]
+"""Observation, reward, terminated, truncated, info."""
 
 _STOPPING_TIME = 0.15
 """Time constant (s) with which a commanded steering angle approaches its target."""
@@ -273,6 +275,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         parameters: str | None = None,
         render_mode: str | None = None,
         size: tuple[int, int] = (640, 360),
+        scene: MujocoScene | None = None,
     ) -> None:
         """Loads the MuJoCo scene of the environment.
 
@@ -290,6 +293,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         * ``parameters``: name of the parameter set of the driver.
         * ``render_mode``: ``rgb_array``, or ``None`` for an environment without pictures.
         * ``size``: width and height of a picture in pixels.
+        * ``scene``: scene of ``files`` that was loaded before.  By default, it is loaded.
 
         Raises ``DiagnosticError`` if the scene does not belong to the model.  Raises
         ``PictureError`` if a render mode is set and MuJoCo cannot draw.  Raises ``ValueError`` if
@@ -317,7 +321,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self.robot = self.robots[self.name]
         self.parameters = parameters
         settings = Parameters.from_robot(self.robot, parameters).settings
-        self.scene = MujocoScene(files)
+        self.scene = MujocoScene(files) if scene is None else scene
         self.reward = reward
         self.spread = tuple(spread)
         ticks = max(1, round(self.robot.driver.rate / rate))
@@ -343,6 +347,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self._bases: list[ScenarioBase] = []
         self._loops: list[ControlLoop] = []
         self._steps = 0
+        self._start: tuple[Array, Sample, int] | None = None
         self._files, self._size = files, size
         self._drawing: _Drawing | None = None
 
@@ -370,10 +375,21 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
                 loop.start = loop.pose_true = base.true_pose()
         self._collisions = CollisionCounter(self.scene, self.robots)
         self._steps = 0
-        self._advance(0.0)
+        self._advance()
         return self._observation(), self._info("")
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.float32]) -> Step:
+        self.start_step(action)
+        self._advance()
+        return self.finish_step()
+
+    def start_step(self, action: NDArray[np.float32]) -> None:
+        """Commands an action, and starts the time of its step.
+
+        A step is ``start_step``, then ``tick`` for each loop of ``next_loop``, then
+        ``finish_step``.  Between these calls, the scenes of several environments can advance
+        together.
+        """
         loop = self._controlled
         values = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
         if values.shape != self.action_space.shape or not np.isfinite(values).all():
@@ -383,9 +399,25 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             loop.manoeuvre = (Segment(-math.inf, Twist(vx, vy, wz)),)
         else:
             self._joints.set(values)
-        before, collisions = loop.sample(), self._collisions.collisions[self.name]
+        self._start = values, loop.sample(), self._collisions.collisions[self.name]
         self._steps += 1
-        self._advance(self._steps * self.period)
+
+    def next_loop(self) -> ControlLoop | None:
+        """Returns the control loop that ticks next in this step, or ``None`` at its end."""
+        loop = min(self._loops, key=lambda m: m.next_time)
+        over = self.scene.diverged or loop.next_time > self._steps * self.period + 1e-9
+        return None if over else loop
+
+    def tick(self, loop: ControlLoop) -> None:
+        """Runs the scene until the next tick of a control loop, and runs this tick."""
+        loop.tick()
+        self._collisions.update()
+
+    def finish_step(self) -> Step:
+        """Returns the observation, the reward and the rest of the result of a step."""
+        if self._start is None:
+            raise DiagnosticError("simulation-scene", "the environment was not stepped")
+        loop, (values, before, collisions) = self._controlled, self._start
         cause = "diverged" if self.scene.diverged else "tipped" if loop.tipped else ""
         terminated = bool(cause)
         truncated = not terminated and self._steps * self.period > self.duration - 1e-9
@@ -452,14 +484,10 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             loop.driver = BaseDriver(robot, base, direct, parameters=self.parameters)
         return loop
 
-    def _advance(self, end: float) -> None:
-        """Runs the control loops of all robots until the time ``end`` (s)."""
-        while not self.scene.diverged:
-            loop = min(self._loops, key=lambda m: m.next_time)
-            if loop.next_time > end + 1e-9:
-                return
-            loop.tick()
-            self._collisions.update()
+    def _advance(self) -> None:
+        """Runs the control loops of all robots until the end of the step."""
+        while (loop := self.next_loop()) is not None:
+            self.tick(loop)
 
     def _release(self) -> None:
         """Restores the values of the MuJoCo model that injected faults changed."""

@@ -1,0 +1,139 @@
+"""Many environments of one robot, whose physics advances in one batch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import SyncVectorEnv
+from gymnasium.vector.utils import iterate
+from numpy.typing import NDArray
+
+from thorvaldc.model import Fleet, Robot
+from thorvaldc.model.scenario import Scenario
+from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
+from thorvaldc.tools.gym.batch_physics import (
+    BatchPhysics,
+    MujocoPhysics,
+    WarpPhysics,
+    World,
+    advance_all,
+)
+from thorvaldc.tools.gym.robot_env import Array, RobotEnv, Step
+
+PHYSICS = ("mujoco", "warp")
+
+
+class _Environment(RobotEnv):
+    """An environment whose steps ``RobotVectorEnv`` has run before ``step``.
+
+    ``is_over``: the episode has ended, or has not begun.
+    """
+
+    scene: World
+
+    is_over = True
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
+        result = super().reset(seed=seed, options=options)
+        self.is_over = False
+        return result
+
+    def step(self, action: NDArray[np.float32]) -> Step:
+        result = self.finish_step()
+        self.is_over = result[2] or result[3]
+        return result
+
+
+class RobotVectorEnv(SyncVectorEnv):
+    """Environments ``RobotEnv`` that step together; the physics of all is one batch.
+
+    It is Gymnasium's ``SyncVectorEnv`` in everything but the physics: spaces, seeds, autoreset,
+    ``info``, ``call`` and ``get_attr``.  The driver of each robot runs in Python, one after the
+    other.
+    """
+
+    def __init__(
+        self,
+        model: Robot | Fleet | Scenario,
+        files: Path | str | Mapping[str, bytes],
+        num_envs: int = 1,
+        *,
+        physics: str = "mujoco",
+        threads: int = 0,
+        device: str | None = None,
+        vector: Mapping[str, Any] | None = None,
+        **options: Any,
+    ) -> None:
+        """Loads the MuJoCo scene once, and creates the environments.
+
+        * ``num_envs``: number of environments.
+        * ``physics``: ``mujoco`` for ``mujoco.batch`` on the CPU, ``warp`` for MuJoCo Warp.
+        * ``threads``: number of threads of ``mujoco``; 0 for one on each processor.
+        * ``device``: device of ``warp``, such as ``cuda:0`` or ``cpu``; by default the one that
+          Warp prefers.
+        * ``vector``: keyword arguments of ``SyncVectorEnv``, such as ``autoreset_mode``.
+        * ``options``: keyword arguments of ``RobotEnv``.
+
+        Raises ``ImportError`` if MuJoCo is older than 4.0, or MuJoCo Warp is not installed.  Raises
+        ``ValueError`` if an argument is invalid, or the physics cannot simulate the scenario.
+        """
+        if physics not in PHYSICS:
+            raise ValueError(f"the physics is {physics!r}; it must be {' or '.join(PHYSICS)}")
+        if num_envs < 1 or threads < 0:
+            raise ValueError("num_envs must be positive, and threads must not be negative")
+        start = MujocoScene(files)
+        self._physics: BatchPhysics
+        if physics == "warp":
+            _check_for_warp(model, start)
+            self._physics = WarpPhysics(start, num_envs, device)
+        else:
+            own_models = isinstance(model, Scenario)
+            self._physics = MujocoPhysics(start, num_envs, own_models, threads)
+
+        def environment(number: int) -> _Environment:
+            return _Environment(model, files, scene=World(self._physics, number), **options)
+
+        super().__init__(
+            [lambda number=number: environment(number) for number in range(num_envs)],  # type: ignore[misc]
+            **(vector or {}),
+        )
+
+    def step(
+        self, actions: NDArray[np.float32]
+    ) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        environments = []
+        for env, action in zip(self.envs, iterate(self.action_space, actions), strict=True):
+            if not env.is_over:
+                env.start_step(action)
+                environments.append(env)
+        while ticks := [(env, loop) for env in environments if (loop := env.next_loop())]:
+            advance_all(self._physics, {env.scene: loop.next_time for env, loop in ticks})
+            for env, loop in ticks:
+                env.tick(loop)
+        return super().step(actions)
+
+
+def _check_for_warp(model: Robot | Fleet | Scenario, scene: MujocoScene) -> None:
+    """Raises ``ValueError`` if worlds would need models or numbers of steps of their own."""
+    if isinstance(model, Scenario):
+        world = model.fleet.world
+        if model.faults or model.open_loop or (world is not None and world.zones):
+            raise ValueError(
+                "the physics `warp` has one model for all environments: a scenario must have no"
+                " faults, no zones and no open loop"
+            )
+    fleet = model.fleet if isinstance(model, Scenario) else model
+    robots = [p.robot for p in fleet.placements] if isinstance(fleet, Fleet) else [fleet]
+    rates = {robot.driver.rate for robot in robots}
+    steps = 1.0 / (min(rates) * scene.timestep)
+    if len(rates) > 1 or not math.isclose(steps, round(steps)):
+        raise ValueError(
+            "the physics `warp` needs one rate for all drivers, with a whole number of simulation"
+            f" steps of {scene.timestep:g} s in a period"
+        )
