@@ -51,8 +51,9 @@ class World(MujocoScene):
         self._physics.forward(self._number)
 
     def step_to(self, now: float) -> None:
-        """Does nothing where ``advance_all`` has run the world until ``now`` (s) before."""
-        advance_all(self._physics, {self: now})
+        """Does nothing: ``advance_all`` has run the world until ``now`` (s) before."""
+        if not self.diverged and round(now / self.timestep) > self.steps:
+            raise RuntimeError("a world of a batch advances only in `advance_all`")
 
     @property
     def number(self) -> int:
@@ -175,22 +176,27 @@ class WarpPhysics(BatchPhysics):
     """
 
     def __init__(self, start: MujocoScene, count: int, device: str | None) -> None:
+        import mujoco
+
         try:
             import mujoco_warp
             import warp
         except ImportError:
-            raise ImportError(
-                f"MuJoCo Warp is not installed: {install_command('warp')}"
-            ) from None
+            raise ImportError(f"MuJoCo Warp is not installed: {install_command('warp')}") from None
         self._warp, self._mujoco_warp = warp, mujoco_warp
         self._device, self._start = device, start
         self.models = [start.model] * count
+        # Warp never resets a diverged world, and refuses the flag that forbids it.
+        model = copy.copy(start.model)
+        model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         with warp.ScopedDevice(device):
-            self._model = mujoco_warp.put_model(start.model)
+            try:
+                self._model = mujoco_warp.put_model(model)
+            except NotImplementedError as error:
+                raise ValueError(f"MuJoCo Warp cannot simulate the scene: {error}") from error
             self._data = mujoco_warp.put_data(start.model, start.data, nworld=count)
         self._arrays = {
-            name: np.repeat(getattr(start.data, name)[None], count, axis=0)
-            for name in DEVICE_STATE
+            name: np.repeat(getattr(start.data, name)[None], count, axis=0) for name in DEVICE_STATE
         }
         self._times = np.zeros(count)
         self._resets = np.zeros(count, dtype=bool)

@@ -301,12 +301,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         """
         _check(action, rate, duration, spread, render_mode)
         self.render_mode = render_mode
-        if render_mode is not None:
-            # The OpenGL backend must be chosen before MuJoCo is imported, because MuJoCo reads the
-            # name of the backend only during the import.
-            from thorvaldc.simulation.pictures.render import choose_opengl_backend
-
-            choose_opengl_backend()
+        prepare_drawing(render_mode)
         self.scenario = model if isinstance(model, Scenario) else None
         fleet = model.fleet if isinstance(model, Scenario) else model
         self.robots = (
@@ -386,9 +381,9 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     def start_step(self, action: NDArray[np.float32]) -> None:
         """Commands an action, and starts the time of its step.
 
-        A step is ``start_step``, then ``tick`` for each loop of ``next_loop``, then
-        ``finish_step``.  Between these calls, the scenes of several environments can advance
-        together.
+        A step is ``start_step``, then ``finish_tick`` for each loop of ``start_tick``, then
+        ``finish_step``.  Between start and finish of a tick, the scenes of several environments can
+        advance together.
         """
         loop = self._controlled
         values = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
@@ -402,13 +397,19 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self._start = values, loop.sample(), self._collisions.collisions[self.name]
         self._steps += 1
 
-    def next_loop(self) -> ControlLoop | None:
-        """Returns the control loop that ticks next in this step, or ``None`` at its end."""
-        loop = min(self._loops, key=lambda m: m.next_time)
-        over = self.scene.diverged or loop.next_time > self._steps * self.period + 1e-9
-        return None if over else loop
+    def start_tick(self) -> ControlLoop | None:
+        """Returns the control loop that ticks next, or ``None`` at the end of the step.
 
-    def tick(self, loop: ControlLoop) -> None:
+        The scene is then ready to advance until this tick.
+        """
+        loop = min(self._loops, key=lambda m: m.next_time)
+        if self.scene.diverged or loop.next_time > self._steps * self.period + 1e-9:
+            return None
+        if isinstance(loop.base, MujocoBase):
+            loop.base.change_scene(loop.next_time)
+        return loop
+
+    def finish_tick(self, loop: ControlLoop) -> None:
         """Runs the scene until the next tick of a control loop, and runs this tick."""
         loop.tick()
         self._collisions.update()
@@ -486,8 +487,8 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
 
     def _advance(self) -> None:
         """Runs the control loops of all robots until the end of the step."""
-        while (loop := self.next_loop()) is not None:
-            self.tick(loop)
+        while (loop := self.start_tick()) is not None:
+            self.finish_tick(loop)
 
     def _release(self) -> None:
         """Restores the values of the MuJoCo model that injected faults changed."""
@@ -531,6 +532,14 @@ def _check(
         raise ValueError("the spread must be three values (x, y, yaw) that are not negative")
     if render_mode not in (None, "rgb_array"):
         raise ValueError(f"the render mode is {render_mode!r}; it must be rgb_array or None")
+
+
+def prepare_drawing(render_mode: str | None) -> None:
+    """Chooses the OpenGL backend, before MuJoCo reads its name during the import."""
+    if render_mode is not None:
+        from thorvaldc.simulation.pictures.render import choose_opengl_backend
+
+        choose_opengl_backend()
 
 
 def _names(robot: Robot, action: str) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from thorvaldc.tools.gym.batch_physics import (
     World,
     advance_all,
 )
-from thorvaldc.tools.gym.robot_env import Array, RobotEnv, Step
+from thorvaldc.tools.gym.robot_env import Array, RobotEnv, Step, prepare_drawing
 
 PHYSICS = ("mujoco", "warp")
 
@@ -67,7 +68,7 @@ class RobotVectorEnv(SyncVectorEnv):
         physics: str = "mujoco",
         threads: int = 0,
         device: str | None = None,
-        vector: Mapping[str, Any] | None = None,
+        autoreset_mode: Any = None,
         **options: Any,
     ) -> None:
         """Loads the MuJoCo scene once, and creates the environments.
@@ -77,7 +78,7 @@ class RobotVectorEnv(SyncVectorEnv):
         * ``threads``: number of threads of ``mujoco``; 0 for one on each processor.
         * ``device``: device of ``warp``, such as ``cuda:0`` or ``cpu``; by default the one that
           Warp prefers.
-        * ``vector``: keyword arguments of ``SyncVectorEnv``, such as ``autoreset_mode``.
+        * ``autoreset_mode``: an ``AutoresetMode`` of Gymnasium, by default ``NEXT_STEP``.
         * ``options``: keyword arguments of ``RobotEnv``.
 
         Raises ``ImportError`` if MuJoCo is older than 4.0, or MuJoCo Warp is not installed.  Raises
@@ -87,6 +88,7 @@ class RobotVectorEnv(SyncVectorEnv):
             raise ValueError(f"the physics is {physics!r}; it must be {' or '.join(PHYSICS)}")
         if num_envs < 1 or threads < 0:
             raise ValueError("num_envs must be positive, and threads must not be negative")
+        prepare_drawing(options.get("render_mode"))
         start = MujocoScene(files)
         self._physics: BatchPhysics
         if physics == "warp":
@@ -100,22 +102,23 @@ class RobotVectorEnv(SyncVectorEnv):
             return _Environment(model, files, scene=World(self._physics, number), **options)
 
         super().__init__(
-            [lambda number=number: environment(number) for number in range(num_envs)],  # type: ignore[misc]
-            **(vector or {}),
+            [partial(environment, number) for number in range(num_envs)],
+            **({} if autoreset_mode is None else {"autoreset_mode": autoreset_mode}),
         )
 
     def step(
         self, actions: NDArray[np.float32]
     ) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        environments = []
-        for env, action in zip(self.envs, iterate(self.action_space, actions), strict=True):
+        environments = [env for env in self.envs if isinstance(env, _Environment)]
+        commanded = []
+        for env, action in zip(environments, iterate(self.action_space, actions), strict=True):
             if not env.is_over:
                 env.start_step(action)
-                environments.append(env)
-        while ticks := [(env, loop) for env in environments if (loop := env.next_loop())]:
+                commanded.append(env)
+        while ticks := [(env, loop) for env in commanded if (loop := env.start_tick())]:
             advance_all(self._physics, {env.scene: loop.next_time for env, loop in ticks})
             for env, loop in ticks:
-                env.tick(loop)
+                env.finish_tick(loop)
         return super().step(actions)
 
 
