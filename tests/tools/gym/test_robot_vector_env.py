@@ -86,9 +86,7 @@ def equal(batched: Any, single: Any, where: str) -> None:
         assert batched.keys() == single.keys(), where
         for key in single:
             equal(batched[key], single[key], f"{where}, {key}")
-    elif isinstance(single, tuple) or (
-        isinstance(single, np.ndarray) and single.dtype == object
-    ):
+    elif isinstance(single, tuple) or (isinstance(single, np.ndarray) and single.dtype == object):
         for i, (a, b) in enumerate(zip(batched, single, strict=True)):
             equal(a, b, f"{where}[{i}]")
     else:

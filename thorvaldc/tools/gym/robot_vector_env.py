@@ -90,16 +90,16 @@ class RobotVectorEnv(SyncVectorEnv):
             raise ValueError("num_envs must be positive, and threads must not be negative")
         prepare_drawing(options.get("render_mode"))
         start = MujocoScene(files)
-        self._physics: BatchPhysics
+        self.physics: BatchPhysics
         if physics == "warp":
             _check_for_warp(model, start)
-            self._physics = WarpPhysics(start, num_envs, device)
+            self.physics = WarpPhysics(start, num_envs, device)
         else:
             own_models = isinstance(model, Scenario)
-            self._physics = MujocoPhysics(start, num_envs, own_models, threads)
+            self.physics = MujocoPhysics(start, num_envs, own_models, threads)
 
         def environment(number: int) -> _Environment:
-            return _Environment(model, files, scene=World(self._physics, number), **options)
+            return _Environment(model, files, scene=World(self.physics, number), **options)
 
         super().__init__(
             [partial(environment, number) for number in range(num_envs)],
@@ -116,7 +116,7 @@ class RobotVectorEnv(SyncVectorEnv):
                 env.start_step(action)
                 commanded.append(env)
         while ticks := [(env, loop) for env in commanded if (loop := env.start_tick())]:
-            advance_all(self._physics, {env.scene: loop.next_time for env, loop in ticks})
+            advance_all(self.physics, {env.scene: loop.next_time for env, loop in ticks})
             for env, loop in ticks:
                 env.finish_tick(loop)
         return super().step(actions)
