@@ -17,7 +17,7 @@ from tests.cli.conftest import Command, needs_tools
 from thorvaldc.diagnostics.installation import install_command
 
 ROOT = Path(__file__).parents[2]
-# usd needs an older MuJoCo; batch and warp need MuJoCo 4.0, which is newer than the oldest one here.
+# usd needs an older MuJoCo, batch and warp a newer one than the oldest that is supported.
 NOT_IN_ALL = {"dev", "bench", "docs", "all", "usd", "batch", "warp"}
 # A package, a command that needs it, and the extra that installs it.
 HINTS = [

@@ -7,7 +7,7 @@ worlds.  One control cycle of all environments::
     advance     one call of MuJoCo: all worlds, up to the tick of the driver
     tick        for each world: the driver reads its row, and writes its commands into the row
 
-- ``MujocoPhysics`` needs MuJoCo 4.0.  A world moves as its ``MujocoScene`` would, to the last bit.
+- ``MujocoPhysics`` needs MuJoCo 3.17.  A world moves as its ``MujocoScene`` would, to the last bit.
 - ``WarpPhysics`` needs MuJoCo Warp.  It computes in single precision, on a GPU or on the CPU.  The
   rows are copied from and to the device in every control cycle.
 """
@@ -115,7 +115,7 @@ class MujocoPhysics(BatchPhysics):
     - ``own_models``: whether faults and zones of a scenario change the model of each world.
     - ``threads``: number of threads, or 0 for one on each processor.
 
-    Raises ``ImportError`` if MuJoCo is older than 4.0.
+    Raises ``ImportError`` if MuJoCo is older than 3.17.
     """
 
     def __init__(self, start: MujocoScene, count: int, own_models: bool, threads: int) -> None:
@@ -125,7 +125,7 @@ class MujocoPhysics(BatchPhysics):
             from mujoco.batch import Batch
         except ImportError:
             raise ImportError(
-                f"the batch needs MuJoCo 4.0 or newer, and MuJoCo {mujoco.__version__} is"
+                f"the batch needs MuJoCo 3.17 or newer, and MuJoCo {mujoco.__version__} is"
                 f" installed: {install_command('batch')}; environments without a batch work with"
                 " it, with vectorization_mode `sync` or `async`"
             ) from None

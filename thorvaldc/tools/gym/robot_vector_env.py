@@ -81,7 +81,7 @@ class RobotVectorEnv(SyncVectorEnv):
         * ``autoreset_mode``: an ``AutoresetMode`` of Gymnasium, by default ``NEXT_STEP``.
         * ``options``: keyword arguments of ``RobotEnv``.
 
-        Raises ``ImportError`` if MuJoCo is older than 4.0, or MuJoCo Warp is not installed.  Raises
+        Raises ``ImportError`` if MuJoCo is older than 3.17, or MuJoCo Warp is not installed.  Raises
         ``ValueError`` if an argument is invalid, or the physics cannot simulate the scenario.
         """
         if physics not in PHYSICS:
