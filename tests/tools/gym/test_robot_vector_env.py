@@ -197,6 +197,17 @@ def test_the_number_of_threads_does_not_change_the_results(gymnasium: Any) -> No
     play(envs, 3)
 
 
+def test_wrong_actions_change_nothing(gymnasium: Any) -> None:
+    envs = list(both(gymnasium, SLIM))
+    for env in envs:
+        env.reset(seed=1)
+    actions = np.full((NUMBER, 3), 0.4, dtype=np.float32)
+    for wrong in (actions[:, :2], actions * [[1.0], [1.0], [np.nan]]):
+        with pytest.raises(ValueError, match="finite numbers"):
+            envs[0].step(wrong)
+    equal(*[env.step(actions) for env in envs], where="step")
+
+
 def test_worlds_advance_only_together() -> None:
     model = compile_file(SLIM).model
     assert model is not None

@@ -81,8 +81,9 @@ class RobotVectorEnv(SyncVectorEnv):
         * ``autoreset_mode``: an ``AutoresetMode`` of Gymnasium, by default ``NEXT_STEP``.
         * ``options``: keyword arguments of ``RobotEnv``.
 
-        Raises ``ImportError`` if MuJoCo is older than 3.17, or MuJoCo Warp is not installed.  Raises
-        ``ValueError`` if an argument is invalid, or the physics cannot simulate the scenario.
+        Raises ``ImportError`` if MuJoCo is older than 3.17, or if MuJoCo Warp is not installed.
+        Raises ``ValueError`` if an argument is invalid, or if the physics cannot simulate the
+        scenario.
         """
         if physics not in PHYSICS:
             raise ValueError(f"the physics is {physics!r}; it must be {' or '.join(PHYSICS)}")
@@ -109,6 +110,8 @@ class RobotVectorEnv(SyncVectorEnv):
     def step(
         self, actions: NDArray[np.float32]
     ) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        if np.shape(actions) != self.action_space.shape or not np.isfinite(actions).all():
+            raise ValueError(f"the actions must be {self.action_space.shape} finite numbers")
         environments = [env for env in self.envs if isinstance(env, _Environment)]
         commanded = []
         for env, action in zip(environments, iterate(self.action_space, actions), strict=True):
