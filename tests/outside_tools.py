@@ -75,6 +75,8 @@ USD_PYTHON = ENVIRONMENTS / "usd/bin/python"
 """The Python of an environment with the converter to OpenUSD; made by ``.ci/run``."""
 USD_CORE_PYTHON = ENVIRONMENTS / "usdcore/bin/python"
 """The Python of an environment with OpenUSD alone; made by ``.ci/run``."""
+WARP_PYTHON = ENVIRONMENTS / "warp/bin/python"
+"""The Python of an environment with MuJoCo Warp and Newton; made by ``.ci/run``."""
 ALWAYS_HERE = frozenset(["sh", "bash"])  # programs of every system
 
 
@@ -120,6 +122,13 @@ def path_of_usd_python(*, converter: bool) -> str:
     if not python.exists():
         without("OpenUSD is not installed (.ci/run shows how)")
     return str(python)
+
+
+def path_of_warp_python() -> str:
+    """Returns the path of a Python with MuJoCo Warp and Newton, as ``path_of``."""
+    if not WARP_PYTHON.exists():
+        without("MuJoCo Warp is not installed (.ci/run shows how)")
+    return str(WARP_PYTHON)
 
 
 def without(reason: str) -> None:

@@ -17,7 +17,8 @@ from tests.cli.conftest import Command, needs_tools
 from thorvaldc.diagnostics.installation import install_command
 
 ROOT = Path(__file__).parents[2]
-NOT_IN_ALL = {"dev", "bench", "docs", "all", "usd"}  # usd needs an older MuJoCo
+# usd needs an older MuJoCo, batch and warp a newer one than the oldest that is supported.
+NOT_IN_ALL = {"dev", "bench", "docs", "all", "usd", "batch", "warp"}
 # A package, a command that needs it, and the extra that installs it.
 HINTS = [
     ("matplotlib", ("sim", "good.yaml", "--ideal", "--duration", "0.1", "--plot", "o.png"), "plot"),
@@ -42,7 +43,7 @@ HINTS = [
 # python-can also keep functions of each other.
 INTERFACES = "can.interfaces."
 # Hints of which other tests show that they appear.
-SHOWN_ELSEWHERE = {"gym"}
+SHOWN_ELSEWHERE = {"gym", "batch", "warp"}
 
 
 def extras(file: str) -> dict[str, list[Requirement]]:

@@ -130,7 +130,14 @@ class MujocoBase(GroundTruthBase):
             robot,
         )
 
+    def change_scene(self, now: float) -> None:
+        """Makes the changes of the scene that hold until it has advanced to the time ``now`` (s).
+
+        ``read`` calls it; a batch does so before, to advance many scenes at once.
+        """
+
     def read(self, now: float) -> JointStates:
+        self.change_scene(now)
         self._without_power.advance(now)
         self.servos.limit()
         ratios, offsets = self._ratios, self._offsets

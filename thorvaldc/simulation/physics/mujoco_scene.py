@@ -27,6 +27,22 @@ def _ignore(message: str) -> None:
     """Discards a warning message of MuJoCo."""
 
 
+def call_without_warnings(function: Callable[..., None], *arguments: Any) -> None:
+    """Calls a function of MuJoCo that steps; its warnings are neither printed nor logged.
+
+    MuJoCo prints warnings about a divergence and writes a log file.  ``MujocoScene.diverged``
+    replaces them.
+    """
+    import mujoco
+
+    user_warning = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(_ignore)
+    try:
+        function(*arguments)
+    finally:
+        mujoco.set_mju_user_warning(user_warning)
+
+
 class MujocoScene:
     """A MuJoCo scene with one or more robots, and the simulated time of the scene.
 
@@ -110,20 +126,16 @@ class MujocoScene:
         """Runs the simulation as ``advance``, without measurements of the sensors."""
         steps = round(now / self.timestep) - self.steps
         if steps > 0 and not self.diverged:
-            # MuJoCo prints warnings about a divergence and writes a log file.  The attribute
-            # `diverged` replaces the warnings of MuJoCo.
-            mujoco = self._mujoco
-            user_warning = mujoco.get_mju_user_warning()
-            mujoco.set_mju_user_warning(_ignore)
-            try:
-                mujoco.mj_step(self.model, self.data, steps)
-            finally:
-                mujoco.set_mju_user_warning(user_warning)
-            self.steps += steps
-            speeds = self.data.qvel
-            # A joint speed that becomes nan stays nan, so that a test after the last simulation
-            # step is enough.  A comparison with nan is false, so that `not <` also detects nan.
-            self.diverged = not speeds.dot(speeds) < _DIVERGED_SPEED**2
+            call_without_warnings(self._mujoco.mj_step, self.model, self.data, steps)
+            self.note_steps(steps)
+
+    def note_steps(self, steps: int) -> None:
+        """Counts simulation steps that were run, and notes whether the simulation diverged."""
+        self.steps += steps
+        speeds = self.data.qvel
+        # A joint speed that becomes nan stays nan, so that a test after the last simulation step is
+        # enough.  A comparison with nan is false, so that `not <` also detects nan.
+        self.diverged = not speeds.dot(speeds) < _DIVERGED_SPEED**2
 
     @property
     def fastest(self) -> str:

@@ -190,11 +190,17 @@ class ScenarioBase(MujocoBase):
         self._saved: dict[int, list[tuple[Any, Any, Any]]] = {}
         self._frozen: dict[int, float] = {}
         self._no_errors = (self._ratios, self._offsets)
+        self._changed_for = -math.inf
 
-    def read(self, now: float) -> JointStates:
+    def change_scene(self, now: float) -> None:
+        if now == self._changed_for:
+            return  # the wheels may have moved since
+        self._changed_for = now
         for number, fault in enumerate(self._faults):
             self._switch(number, fault, fault.start <= now < fault.end)
         self._ground.update(now)
+
+    def read(self, now: float) -> JointStates:
         self._ratios, self._offsets = self._no_errors
         joints = super().read(now)
         errors = self._active_wheel_errors(now)

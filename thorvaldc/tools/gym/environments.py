@@ -4,6 +4,7 @@ The environment simulates the robots of a robot, fleet or scenario file.  The im
 registers the environment with Gymnasium.  Example::
 
     gymnasium.make("thorvaldc.tools.gym.environments:thorvaldc/Robot-v0", file="robot.yaml")
+    gymnasium.make_vec("thorvaldc.tools.gym.environments:thorvaldc/Robot-v0", 8, file="robot.yaml")
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from typing import TYPE_CHECKING, Any
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import Report
 from thorvaldc.diagnostics.installation import install_command
+from thorvaldc.model import Fleet, Robot
+from thorvaldc.model.scenario import Scenario
 
 try:
     from gymnasium.envs import registration
@@ -25,6 +28,7 @@ except ImportError:
 
 if TYPE_CHECKING:
     from thorvaldc.tools.gym.robot_env import RobotEnv
+    from thorvaldc.tools.gym.robot_vector_env import RobotVectorEnv
 
 NAME = "thorvaldc/Robot-v0"
 
@@ -52,6 +56,32 @@ def make(
     """
     from thorvaldc.tools.gym.robot_env import RobotEnv
 
+    return RobotEnv(*_compiled(file, scenario, library, trust), **options)
+
+
+def make_batch(
+    file: str | Path,
+    num_envs: int = 1,
+    *,
+    scenario: str | Path | None = None,
+    library: Sequence[str | Path] = (),
+    trust: bool = False,
+    **options: Any,
+) -> RobotVectorEnv:
+    """Creates ``num_envs`` environments of a file, whose physics is one batch.
+
+    ``gymnasium.make_vec`` calls it, unless its ``vectorization_mode`` is ``sync`` or ``async``.
+    The parameters are those of ``make``; ``options`` are keyword arguments of ``RobotVectorEnv``.
+    """
+    from thorvaldc.tools.gym.robot_vector_env import RobotVectorEnv
+
+    return RobotVectorEnv(*_compiled(file, scenario, library, trust), num_envs, **options)
+
+
+def _compiled(
+    file: str | Path, scenario: str | Path | None, library: Sequence[str | Path], trust: bool
+) -> tuple[Robot | Fleet | Scenario, dict[str, bytes]]:
+    """Returns the model of a file and its MJCF files."""
     folders = [Path(folder) for folder in library]
     compilation = compile_file(
         scenario or file, library=folders, robot=file if scenario else None, trust=trust
@@ -65,8 +95,12 @@ def make(
     if scenario and compilation.scenario is None:
         raise ValueError(f"{scenario} is not a scenario")
     files = emit(compilation.model, ["mjcf"], Report())
-    return RobotEnv(compilation.scenario or compilation.model, files, **options)
+    return compilation.scenario or compilation.model, files
 
 
 if NAME not in registration.registry:
-    registration.register(NAME, entry_point="thorvaldc.tools.gym.environments:make")
+    registration.register(
+        NAME,
+        entry_point="thorvaldc.tools.gym.environments:make",
+        vector_entry_point="thorvaldc.tools.gym.environments:make_batch",
+    )

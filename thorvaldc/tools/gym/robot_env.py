@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 
 Array = NDArray[np.float64]
+Step = tuple[Array, float, bool, bool, dict[str, Any]]
+"""Observation, reward, terminated, truncated, info."""
 
 _STOPPING_TIME = 0.15
 """Time constant (s) with which a commanded steering angle approaches its target."""
@@ -273,6 +275,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         parameters: str | None = None,
         render_mode: str | None = None,
         size: tuple[int, int] = (640, 360),
+        scene: MujocoScene | None = None,
     ) -> None:
         """Loads the MuJoCo scene of the environment.
 
@@ -290,6 +293,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         * ``parameters``: name of the parameter set of the driver.
         * ``render_mode``: ``rgb_array``, or ``None`` for an environment without pictures.
         * ``size``: width and height of a picture in pixels.
+        * ``scene``: scene of ``files`` that was loaded before.  By default, it is loaded.
 
         Raises ``DiagnosticError`` if the scene does not belong to the model.  Raises
         ``PictureError`` if a render mode is set and MuJoCo cannot draw.  Raises ``ValueError`` if
@@ -297,12 +301,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         """
         _check(action, rate, duration, spread, render_mode)
         self.render_mode = render_mode
-        if render_mode is not None:
-            # The OpenGL backend must be chosen before MuJoCo is imported, because MuJoCo reads the
-            # name of the backend only during the import.
-            from thorvaldc.simulation.pictures.render import choose_opengl_backend
-
-            choose_opengl_backend()
+        prepare_drawing(render_mode)
         self.scenario = model if isinstance(model, Scenario) else None
         fleet = model.fleet if isinstance(model, Scenario) else model
         self.robots = (
@@ -317,7 +316,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self.robot = self.robots[self.name]
         self.parameters = parameters
         settings = Parameters.from_robot(self.robot, parameters).settings
-        self.scene = MujocoScene(files)
+        self.scene = MujocoScene(files) if scene is None else scene
         self.reward = reward
         self.spread = tuple(spread)
         ticks = max(1, round(self.robot.driver.rate / rate))
@@ -343,6 +342,7 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self._bases: list[ScenarioBase] = []
         self._loops: list[ControlLoop] = []
         self._steps = 0
+        self._start: tuple[Array, Sample, int] | None = None
         self._files, self._size = files, size
         self._drawing: _Drawing | None = None
 
@@ -370,10 +370,21 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
                 loop.start = loop.pose_true = base.true_pose()
         self._collisions = CollisionCounter(self.scene, self.robots)
         self._steps = 0
-        self._advance(0.0)
+        self._advance()
         return self._observation(), self._info("")
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.float32]) -> Step:
+        self.start_step(action)
+        self._advance()
+        return self.finish_step()
+
+    def start_step(self, action: NDArray[np.float32]) -> None:
+        """Commands an action, and starts the time of its step.
+
+        A step is ``start_step``, then ``finish_tick`` for each loop of ``start_tick``, then
+        ``finish_step``.  Between start and finish of a tick, the scenes of several environments can
+        advance together.
+        """
         loop = self._controlled
         values = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
         if values.shape != self.action_space.shape or not np.isfinite(values).all():
@@ -383,9 +394,31 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             loop.manoeuvre = (Segment(-math.inf, Twist(vx, vy, wz)),)
         else:
             self._joints.set(values)
-        before, collisions = loop.sample(), self._collisions.collisions[self.name]
+        self._start = values, loop.sample(), self._collisions.collisions[self.name]
         self._steps += 1
-        self._advance(self._steps * self.period)
+
+    def start_tick(self) -> ControlLoop | None:
+        """Returns the control loop that ticks next, or ``None`` at the end of the step.
+
+        The scene is then ready to advance until this tick.
+        """
+        loop = min(self._loops, key=lambda m: m.next_time)
+        if self.scene.diverged or loop.next_time > self._steps * self.period + 1e-9:
+            return None
+        if isinstance(loop.base, MujocoBase):
+            loop.base.change_scene(loop.next_time)
+        return loop
+
+    def finish_tick(self, loop: ControlLoop) -> None:
+        """Runs the scene until the next tick of a control loop, and runs this tick."""
+        loop.tick()
+        self._collisions.update()
+
+    def finish_step(self) -> Step:
+        """Returns the observation, the reward and the rest of the result of a step."""
+        if self._start is None:
+            raise DiagnosticError("simulation-scene", "the environment was not stepped")
+        loop, (values, before, collisions) = self._controlled, self._start
         cause = "diverged" if self.scene.diverged else "tipped" if loop.tipped else ""
         terminated = bool(cause)
         truncated = not terminated and self._steps * self.period > self.duration - 1e-9
@@ -452,14 +485,10 @@ class RobotEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             loop.driver = BaseDriver(robot, base, direct, parameters=self.parameters)
         return loop
 
-    def _advance(self, end: float) -> None:
-        """Runs the control loops of all robots until the time ``end`` (s)."""
-        while not self.scene.diverged:
-            loop = min(self._loops, key=lambda m: m.next_time)
-            if loop.next_time > end + 1e-9:
-                return
-            loop.tick()
-            self._collisions.update()
+    def _advance(self) -> None:
+        """Runs the control loops of all robots until the end of the step."""
+        while (loop := self.start_tick()) is not None:
+            self.finish_tick(loop)
 
     def _release(self) -> None:
         """Restores the values of the MuJoCo model that injected faults changed."""
@@ -503,6 +532,14 @@ def _check(
         raise ValueError("the spread must be three values (x, y, yaw) that are not negative")
     if render_mode not in (None, "rgb_array"):
         raise ValueError(f"the render mode is {render_mode!r}; it must be rgb_array or None")
+
+
+def prepare_drawing(render_mode: str | None) -> None:
+    """Chooses the OpenGL backend, before MuJoCo reads its name during the import."""
+    if render_mode is not None:
+        from thorvaldc.simulation.pictures.render import choose_opengl_backend
+
+        choose_opengl_backend()
 
 
 def _names(robot: Robot, action: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
