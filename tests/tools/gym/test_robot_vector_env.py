@@ -221,6 +221,9 @@ def test_wrong_arguments_are_errors(scenario: Path) -> None:
     for options in ({"physics": "bullet"}, {"num_envs": 0}, {"threads": -1}, {"rate": 0.0}):
         with pytest.raises(ValueError, match="must"):
             environments.make_batch(SLIM, **options)
+    for options in ({"device": "cpu"}, {"physics": "warp", "threads": 2}):
+        with pytest.raises(ValueError, match="`threads` is for"):
+            environments.make_batch(SLIM, **options)
     with pytest.raises(ValueError, match=r"no\s+faults"):
         environments.make_batch(scenario, 2, physics="warp")
     with pytest.raises(ValueError, match="one rate for all drivers"):

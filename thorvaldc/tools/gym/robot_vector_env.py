@@ -82,13 +82,15 @@ class RobotVectorEnv(SyncVectorEnv):
         * ``options``: keyword arguments of ``RobotEnv``.
 
         Raises ``ImportError`` if MuJoCo is older than 3.17, or if MuJoCo Warp is not installed.
-        Raises ``ValueError`` if an argument is invalid, or if the physics cannot simulate the
+        Raises ``ValueError`` if an argument is invalid or is for the other physics, or if the physics cannot simulate the
         scenario.
         """
         if physics not in PHYSICS:
             raise ValueError(f"the physics is {physics!r}; it must be {' or '.join(PHYSICS)}")
         if num_envs < 1 or threads < 0:
             raise ValueError("num_envs must be positive, and threads must not be negative")
+        if (physics == "mujoco" and device is not None) or (physics == "warp" and threads):
+            raise ValueError("`threads` is for the physics `mujoco`, and `device` for `warp`")
         prepare_drawing(options.get("render_mode"))
         start = MujocoScene(files)
         self.physics: BatchPhysics
