@@ -9,6 +9,8 @@ from typing import Any
 
 from thorvaldc.model import Robot
 
+YES = "yes"
+"""Unit of a figure that is 1 for yes and 0 for no, and must be 1."""
 _STYLE = """body{font:15px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}
 table{border-collapse:collapse;width:100%}td,th{text-align:left;padding:.2em .6em;
 border-bottom:1px solid #ccc}.no{color:#b00020;font-weight:bold}.yes{color:#1b6e2e}
@@ -55,15 +57,27 @@ def _motors(report: Mapping[str, Any]) -> Iterator[str]:
         state = _verdict(motor["passed"], motor["state"], motor["state"])
         yield f"<h3>{html.escape(motor['name'])}: {state}</h3><table>"
         for figure in motor.get("figures", ()):
-            value = "not reached" if figure["value"] is None else f"{figure['value']:.2f}"
             verdict = _verdict(figure["passed"], "ok", "not in bounds")
             yield (
-                f"<tr><td>{html.escape(figure['name'])}</td><td>{value} {figure['unit']}</td>"
-                f"<td>{figure['least']:.2f} to {figure['most']:.2f}</td><td>{verdict}</td></tr>"
+                f"<tr><td>{html.escape(figure['name'])}</td><td>{_value(figure)}</td>"
+                f"<td>{_bounds(figure)}</td><td>{verdict}</td></tr>"
             )
         for text in motor.get("not_tested", ()):
             yield f"<tr><td>{html.escape(text)}</td><td>not tested</td><td></td><td></td></tr>"
         yield "</table>"
+
+
+def _value(figure: Mapping[str, Any]) -> str:
+    if figure["unit"] == YES:
+        return "yes" if figure["value"] else "no"
+    value = "not reached" if figure["value"] is None else f"{figure['value']:.2f}"
+    return f"{value} {figure['unit']}"
+
+
+def _bounds(figure: Mapping[str, Any]) -> str:
+    if figure["unit"] == YES:
+        return "yes"
+    return f"{figure['least']:.2f} to {figure['most']:.2f}"
 
 
 def _nodes(report: Mapping[str, Any]) -> str:
@@ -86,7 +100,10 @@ def _picture(robot: Robot, report: Mapping[str, Any]) -> str:
     xs, ys = [w.x for w in robot.wheels], [w.y for w in robot.wheels]
     width = (max(ys) - min(ys)) * scale + 160
     height = (max(xs) - min(xs)) * scale + 120
-    parts = [f"<svg width='{width:.0f}' height='{height:.0f}' role='img'>"]
+    parts = [
+        f"<svg width='{width:.0f}' height='{height:.0f}' role='img'>"
+        f"<text x='{width / 2.0:.0f}' y='20' text-anchor='middle'>front</text>"
+    ]
     for number, wheel in enumerate(robot.wheels, 1):
         x = (max(ys) - wheel.y) * scale + 80
         y = (max(xs) - wheel.x) * scale + 60

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection
 
+from thorvaldc.commissioning.commission_page import YES
 from thorvaldc.model import Actuator, Robot, stopping
 from thorvaldc.model.settings import SAFETY_STOP
 from thorvaldc.runtime.can_base.base_state_machine import BaseState, Times
@@ -452,7 +453,7 @@ class MotorChecks:
 
 def _yes(name: str, answer: object) -> Figure:
     """Returns a figure that is 1 for yes and 0 for no, and must be yes."""
-    return Figure(name, float(bool(answer)), "", 1.0, 1.0)
+    return Figure(name, float(bool(answer)), YES, 1.0, 1.0)
 
 
 def _rest_speed(axis: Axis) -> float:

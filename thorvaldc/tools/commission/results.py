@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from thorvaldc.commissioning.commission_page import YES
 from thorvaldc.model import Actuator
 from thorvaldc.runtime.can_base.motor_controller import Axis
 from thorvaldc.tools.commission.motion_watch import Travel
@@ -32,6 +33,8 @@ class Figure(NamedTuple):
     @property
     def text(self) -> str:
         """The figure with its bounds on one line."""
+        if self.unit == YES:
+            return f"{self.name}: {'yes' if self.value else 'no'}"
         unit = f" {self.unit}" if self.unit else ""
         value = f"{self.value:.2f}{unit}" if math.isfinite(self.value) else "not reached"
         return f"{self.name} {value}, must be {self.least:.2f} to {self.most:.2f}{unit}"
