@@ -82,8 +82,8 @@ class RobotVectorEnv(SyncVectorEnv):
         * ``options``: keyword arguments of ``RobotEnv``.
 
         Raises ``ImportError`` if MuJoCo is older than 3.17, or if MuJoCo Warp is not installed.
-        Raises ``ValueError`` if an argument is invalid or is for the other physics, or if the physics cannot simulate the
-        scenario.
+        Raises ``ValueError`` if an argument is invalid or is for the other physics, or if the
+        physics cannot simulate the scenario.
         """
         if physics not in PHYSICS:
             raise ValueError(f"the physics is {physics!r}; it must be {' or '.join(PHYSICS)}")
