@@ -58,6 +58,17 @@ def test_run_on_a_virtual_bus(tmp_path: Path, odrive_package: list[str]) -> None
     assert 1.2 < json.loads(out)["pose"]["x"] < 1.6
 
 
+def test_the_first_motion_is_checked(tmp_path: Path, odrive_package: list[str]) -> None:
+    """The driver of a single motor needs nothing for it."""
+    command = ("can", "commission", ROBOT, "--bus", "virtual", "--report", "first.json")
+    status, out, err = thorvaldc(tmp_path, odrive_package, *command, "--json")
+    assert status == 0, err
+    motors = json.loads(out)["motors"]
+    assert [motor["state"] for motor in motors] == ["passed", "passed"]
+    names = {figure["name"] for motor in motors for figure in motor["figures"]}
+    assert "drive's watchdog acts" in names
+
+
 @pytest.mark.slow
 def test_the_faults_of_the_fault_table(tmp_path: Path, odrive_package: list[str]) -> None:
     only = ("--only", "a drive", "--jobs", "2")

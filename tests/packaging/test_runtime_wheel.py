@@ -16,6 +16,7 @@ from tests.child_process import ChildProcess
 from tests.cli.conftest import GOOD, SLOW
 from tests.cli.test_bus import running
 from tests.packaging import runtime_environment
+from tests.tools.commission.terminal_operator import answer_questions
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Robot
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
@@ -187,6 +188,36 @@ def test_scan_verify_and_identify(runtime: Path, build: Path) -> None:
     assert "model.json" in identify.stdout
     assert refused.returncode == 3, refused.stderr
     assert "good.yaml needs the compiler" in refused.stderr
+
+
+@pytest.mark.slow
+def test_commission_drives_one_motor_at_a_terminal(runtime: Path, build: Path) -> None:
+    with running(build, "good.yaml") as (_, bus):
+        channel = f"sim:{bus['channel']}"
+        refused = call(runtime, build, "can", "commission", "model.json", "--bus", channel)
+        status, shown = answer_questions(
+            [str(runtime / "thorvaldc"), "can", "commission", "model.json", "--bus", channel],
+            {
+                "turns forwards once": "",
+                "Which wheel moved?": "1",
+                "How many turns": "1",
+                "by the safety stop": "",
+                "by itself": "",
+                "come to rest by itself?": "y",
+                "by a stop lock": "s",
+                "press the emergency stop": "\x03",
+            },
+            build,
+            environment_of(build),
+        )
+    assert refused.returncode == 2, refused.stderr
+    assert status == 1, shown
+    report = json.loads((build / "good.commission.json").read_text(encoding="utf-8"))
+    assert report["interruption"] == "ended by the operator"
+    assert {motor["state"] for motor in report["motors"]} == {"not tested"}
+    assert max(map(len, shown.splitlines())) <= 80
+    for text in (">>[1]<<", "Look now", "wheel fl_wheel"):
+        assert text in shown
 
 
 @pytest.mark.slow

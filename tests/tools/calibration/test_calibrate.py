@@ -179,3 +179,25 @@ def test_missing_files_and_robots_with_errors(thorvaldc: Command) -> None:
     assert thorvaldc("calibrate", "none.csv", "good.yaml").status == 1
     assert thorvaldc("calibrate", "none.csv", "bad.yaml").status == 1
     assert thorvaldc("sim", "good.yaml", "--ideal", "--log", "none/joints.csv").status == 3
+
+
+def test_a_calibration_joins_the_report_of_the_first_motion(
+    thorvaldc: Command, calibrated: str
+) -> None:
+    pytest.importorskip("mujoco")
+    assert thorvaldc("sim", calibrated, "--open-loop", "--log", "joints.csv").status == 0
+    refused = thorvaldc("calibrate", "joints.csv", "good.yaml", "--report")
+    assert refused.status == 2
+    assert "good.commission.json" in refused.err
+    content = {"format": "thorvaldc-commission", "version": 1, "robot": "good", "model": "0"}
+    content |= {"program": "1", "date": "today", "operator": "Kari", "interruption": ""}
+    content |= {"passed": True, "nodes": [], "findings": [], "motors": []}
+    Path("good.commission.json").write_text(json.dumps(content), encoding="utf-8")
+    result = thorvaldc("calibrate", "joints.csv", "good.yaml", "--report")
+    assert result.status == 0, result.err
+    report = json.loads(Path("good.commission.json").read_text(encoding="utf-8"))
+    assert report["operator"] == "Kari"
+    assert report["calibration"]["remaining_errors"]
+    page = Path("good.commission.html").read_text(encoding="utf-8")
+    assert "<h2>Calibration</h2>" in page
+    assert "fl_wheel" in page

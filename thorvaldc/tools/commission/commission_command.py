@@ -202,7 +202,10 @@ def _devices(robot: Robot, interfaces: Mapping[str, CanInterface]) -> list[ScanE
     entries: list[ScanEntry] = []
     for bus in robot.buses:
         master = BusMaster(interfaces[bus.name], bus)
-        scan = Scanner(master, configuration_of(robot, bus)).active(values=False, texts=False)
+        scanner = Scanner(master, configuration_of(robot, bus))
+        # A request to a CANopen node can be a command for a drive with another protocol.
+        asks = all(node.is_canopen for node in bus.nodes if node.channels)
+        scan = scanner.active(values=False, texts=False) if asks else scanner.passive()
         if scan.masters:
             raise other_master_error(list(scan.masters))
         entries += scan.entries

@@ -229,7 +229,7 @@ class MotorSession:
                     refusal = str(error)
             elif self.base.state is BaseState.STANDBY:
                 self.base.power_only((), self.now)
-            elif self.base.state is BaseState.READY and self._stands:
+            elif self.base.state is BaseState.READY and self._stands and self._is_off:
                 break
             if self.now - since > START_TIME:
                 raise Interrupted(refusal or self.fault or f"the base is {self.base.state.value}")
@@ -239,6 +239,11 @@ class MotorSession:
     def _stands(self) -> bool:
         """``True`` if no motor reports motion; one without torque may roll on for a while."""
         return not any(abs(axis.velocity) > STANDING for axis in self.base.axes)
+
+    @property
+    def _is_off(self) -> bool:
+        """``True`` if no motor has torque, as far as the motor controllers report it."""
+        return all(controller.is_off for controller in self.base.state_machine.controllers)
 
     # -- the control loop --------------------------------------------------------------------------
 
