@@ -202,7 +202,7 @@ def test_commission_drives_one_motor_at_a_terminal(runtime: Path, build: Path) -
                 "Which wheel moved?": "1",
                 "How many turns": "1",
                 "by the safety stop": "",
-                "by itself": "",
+                "as if this program": "",
                 "come to rest by itself?": "y",
                 "by a stop lock": "s",
                 "press the emergency stop": "\x03",

@@ -147,13 +147,14 @@ def run_checks(
     results: dict[str, MotorResult] = {}
     checks = MotorChecks(session, person(simulated), results)
     excess = -math.inf
-    stated = max(Limits(axis, session.base.axes).speed for axis in session.base.axes)
+    period = session.base.period
+    stated = max(Limits(axis, session.base.axes, period).speed for axis in session.base.axes)
 
     def watch() -> bool:
         nonlocal excess
         now = simulated.timeline.seconds
         driven = [axis for axis in session.base.axes if axis.powered]
-        limit = Limits(driven[0], session.base.axes).speed if driven else stated
+        limit = Limits(driven[0], session.base.axes, period).speed if driven else stated
         fastest = max(abs(motor.read(now).velocity) for motor in simulated.motors.values())
         excess = max(excess, fastest - limit)
         return bool(stop(simulated, session))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pty
 import select
+import termios
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -25,6 +26,7 @@ def answer_questions(
     Ctrl-C is the answer ``"\\x03"``.  Returns the exit status and the text of the terminal.
     """
     ours, theirs = pty.openpty()
+    termios.tcsetwinsize(theirs, (24, 80))
     process = ChildProcess(
         command, cwd=folder, env=dict(environment), stdin=theirs, stdout=theirs, stderr=theirs,
         preexec_fn=lambda: os.login_tty(theirs), start_new_session=False,
@@ -46,6 +48,7 @@ def answer_questions(
                     answered = shown.find(") ", at) + 2
                     os.write(ours, line.encode() if line == "\x03" else f"{line}\n".encode())
                     break
+        assert process.poll() is not None or time.monotonic() < until, shown
         return process.wait(timeout=20), shown
     finally:
         process.end()

@@ -148,6 +148,8 @@ def _commission(
         motor_checks = MotorChecks(session, operator, results, kept, save)
         ended = session.run(motor_checks.run(), stop=lambda: operator.closed)
         interruption = motor_checks.interruption or ("" if ended else "ended by the operator")
+        if not ended:
+            message("")  # ends the line of the open question
         save()
     if as_json:
         print_json(content)

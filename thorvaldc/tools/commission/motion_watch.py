@@ -21,9 +21,11 @@ SPEED_SHARE = 0.25
 TOLERANCE = 0.4
 """Largest deviation of a reported speed from the commanded one, as a share of the test speed."""
 DELAY = 0.2
-"""Time (s) in which a motor may follow its command."""
+"""Time (s) in which a motor may follow its command, and at least ``CYCLES`` control cycles."""
 QUIET = 0.25
-"""Time (s) of commanded motion after which the motor must have reported motion."""
+"""Time (s) of commanded motion after which the motor must have reported motion, and at least
+``CYCLES`` control cycles."""
+CYCLES = 5
 QUIET_TRAVEL = 0.01
 """Reported travel (rad) that is no motion."""
 OTHER_TRAVEL = 0.04
@@ -125,6 +127,9 @@ class MotionWatch:
             each: _Reports(each, by_speed=not each.steering or (is_homing and each is axis))
             for each in base.axes
         }
+        self._delay = max(DELAY, CYCLES * base.period)
+        quiet = max(QUIET, CYCLES * base.period)
+        self._quiet = HOMING_QUIET + quiet if is_homing else quiet
         self._moves_for = 0.0
         self._deviations = 0
         self._commands: deque[tuple[float, float]] = deque()
@@ -155,7 +160,7 @@ class MotionWatch:
             deviates = abs(speed) > HOMING_SHARE * self.axis.actuator.max_velocity
         else:
             self._commands.append((now, self.base.speed))
-            while self._commands[0][0] < now - DELAY:
+            while self._commands[0][0] < now - self._delay:
                 self._commands.popleft()
             limit = TOLERANCE * abs(self.velocity)
             # A motor that is too slow is the matter of `_judge_silence` and of the base.
@@ -175,5 +180,5 @@ class MotionWatch:
             return
         if self.others:
             self.cause = OTHERS
-        elif self._moves_for > (HOMING_QUIET if is_homing else QUIET):
+        elif self._moves_for > self._quiet:
             self.cause = SILENT

@@ -22,8 +22,13 @@ from thorvaldc.model.settings import SAFETY_STOP
 from thorvaldc.runtime.can_base.base_state_machine import BaseState, Times
 from thorvaldc.runtime.can_base.motor_controller import FRESH, Axis, MotorController
 from thorvaldc.tools.commission.assembly_findings import has_moved_as_expected
-from thorvaldc.tools.commission.motion_watch import MotionWatch, Travel, test_speed
-from thorvaldc.tools.commission.motor_session import Interrupted, MotorSession, Steps
+from thorvaldc.tools.commission.motion_watch import CYCLES, MotionWatch, Travel, test_speed
+from thorvaldc.tools.commission.motor_session import (
+    Interrupted,
+    MotorSession,
+    SingleMotorBase,
+    Steps,
+)
 from thorvaldc.tools.commission.questions import Answer, Operator, Question, joint_text
 from thorvaldc.tools.commission.results import Figure, MotorResult, Observation
 
@@ -101,7 +106,7 @@ class MotorChecks:
             if axis.actuator.name in self._kept:
                 continue
             result = MotorResult(Observation(axis))
-            text = motion_text(self.robot, axis, self.session.base.axes)
+            text = motion_text(self.robot, axis, self.session.base)
             if (yield from self._ask("motor", text, axis)):
                 yield from self._check(axis, result)
                 yield from self.session.release()
@@ -266,6 +271,11 @@ class MotorChecks:
         homing = "did not find its home position" in fault
         return homing or (own and bool(controller.problem or "its target" in fault))
 
+    @property
+    def _fresh(self) -> float:
+        """Age (s) of a report above which a drive is silent."""
+        return max(FRESH, REPORT_CYCLES * self.session.base.period)
+
     def _rests(self, axis: Axis) -> bool:
         return self.session.base.speed == 0.0 and abs(axis.velocity) < _rest_speed(axis)
 
@@ -393,7 +403,7 @@ class MotorChecks:
         while session.now - since < bound + WATCHDOG_PATIENCE:
             # A CANopen drive whose watchdog acts sends no reports any more, but an emergency.
             slow = abs(axis.velocity) < SLOWER * test_speed(axis)
-            silent = session.now - axis.time > FRESH
+            silent = session.now - axis.time > self._fresh
             if (slow or silent or session.fault) and math.isinf(acts):
                 acts = session.now - since
             yield
@@ -418,7 +428,7 @@ class MotorChecks:
         yield from self._time_to_rest(axis, REACTION)
         session.take_torque()
         self.operator.look()
-        stood = bool(session.fault) and (session.now - axis.time > FRESH or self._rests(axis))
+        stood = bool(session.fault) and (session.now - axis.time > self._fresh or self._rests(axis))
         yield from self._ask_without_power("Release the emergency stop.", axis)
         yield from session.release()
         result.figures.append(_yes("stands after the emergency stop", stood))
@@ -477,7 +487,8 @@ class Limits:
     - ``speed``: largest speed (rad/s).
     """
 
-    def __init__(self, axis: Axis, axes: tuple[Axis, ...]) -> None:
+    def __init__(self, axis: Axis, axes: tuple[Axis, ...], period: float) -> None:
+        """``period``: control cycle in s."""
         velocity = test_speed(axis)
         counts = axis.actuator.gear_ratio * axis.actuator.encoder_ppr
         self.speed = 0.0
@@ -485,15 +496,15 @@ class Limits:
             motor = other.actuator
             ratio = counts / (motor.gear_ratio * motor.encoder_ppr)
             wrong = WRONG_ENCODER * velocity * ratio
-            unstable = motor.max_acceleration * REACTION
+            unstable = motor.max_acceleration * (REACTION + CYCLES * period)
             self.speed = max(self.speed, min(motor.max_velocity, max(wrong, unstable)))
         if axis.steering:
             self.speed = max(self.speed, axis.actuator.max_velocity)
 
 
-def motion_text(robot: Robot, axis: Axis, axes: tuple[Axis, ...]) -> str:
+def motion_text(robot: Robot, axis: Axis, base: SingleMotorBase) -> str:
     """Returns the stated motion of a motor: expected, and at most."""
-    velocity, limits = test_speed(axis), Limits(axis, axes)
+    velocity, limits = test_speed(axis), Limits(axis, base.axes, base.period)
     name = joint_text(robot, axis.actuator)
     if axis.steering:
         expected = (
