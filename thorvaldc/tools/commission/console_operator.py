@@ -22,7 +22,7 @@ _HINTS = {
     "motor": "Enter: start, s: leave this motor out, Ctrl-C: end",
     "start": "Enter: go on, s: leave this check out, Ctrl-C: end",
     "press": "Enter: start, s: leave this check out, Ctrl-C: end",
-    "joint": "number of the wheel that rolled; with an s behind it, that steered; n: none",
+    "joint": "number of the wheel that rolled, with s of one that steered; n: none",
     "turns": "turns, such as 1 or -0.5; positive: forwards",
     "degrees": "degrees off straight ahead, such as 0 or -12; positive: to the left",
     "yes": "y or n",

@@ -207,9 +207,9 @@ class MotorChecks:
         velocity = math.copysign(test_speed(axis), travel)
         watch = yield from self._begin(axis, velocity, limit)
         bound = self._silence_bound(axis)
-        # The ramp at the end adds half of its time at the test speed.
+        # After the silence, the twist lasts for its time-out and then ramps down.
         timeout = session.driven.driver.settings.command_timeout
-        ramp = 0.5 * (bound + timeout) * abs(velocity)
+        ramp = (timeout + 0.5 * self._ramp() + session.driven.period) * abs(velocity)
         goal = limit if limit == abs(travel) else max(abs(travel) - ramp, 0.2 * abs(travel))
         until = session.now + 1.5 * abs(travel / velocity) + 3.0
         while abs(base.travel) < goal - 1e-9 and session.now < until and self._goes_on(watch):
