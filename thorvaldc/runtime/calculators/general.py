@@ -35,6 +35,7 @@ from thorvaldc.runtime.calculators.reachable_twists import ReachableTwists, Skid
 from thorvaldc.runtime.calculators.steering_branch import DriveMotors, SteeringJoint
 from thorvaldc.runtime.calculators.twist_estimator import EstimatorOptions, TwistEstimator
 from thorvaldc.runtime.calculators.twist_fit import least_squares3, solve3
+from thorvaldc.runtime.interpreted_subclasses import mypyc_attr
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 _FOLLOW_WEIGHT = 0.01
@@ -62,6 +63,7 @@ _ALIGNED = math.radians(1.0)
 """Largest steering error (rad) of an aligned wheel: smaller ones do not change the wheel speeds."""
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 @dataclass(frozen=True, slots=True)
 class SteeringOptions:
     """Options of calculators that steer wheels.
@@ -79,6 +81,7 @@ class SteeringOptions:
             raise ValueError(f"hysteresis is {self.hysteresis:g} s; it must be 0 to 10 s")
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 @dataclass(frozen=True, slots=True)
 class GeneralOptions(SteeringOptions):
     """Options of the calculator ``general``, in addition to the steering options.
@@ -100,6 +103,7 @@ class GeneralOptions(SteeringOptions):
             raise ValueError(f"polish is {self.polish}; it must be 0 to 10")
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class General(BaseCalculator):
     """Base calculator for any arrangement of driven, steered, fixed and swivelling wheels.
 

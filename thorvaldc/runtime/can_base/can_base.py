@@ -91,8 +91,7 @@ class CanBase(base_interface.BaseHandle):
         robot.require_bus()
         _require_connected_motors(robot)
         self.robot = robot
-        self.period: float = min(bus.sync_period for bus in robot.buses)
-        """Duration (s) of a control cycle."""
+        self._period = min(bus.sync_period for bus in robot.buses)
         self.connections: list[BusConnection] = []
         try:
             for bus in robot.buses:
@@ -123,7 +122,12 @@ class CanBase(base_interface.BaseHandle):
         self._axes = [axis for c in self.state_machine.controllers for axis in c.axes]
         self._wheels = len(robot.wheels)
         self._turning = False
-        self._send_timeout = SEND_TIME * self.period
+        self._send_timeout = SEND_TIME * self._period
+
+    @property
+    def period(self) -> float:
+        """Duration (s) of a control cycle."""
+        return self._period
 
     @property
     def hold_reason(self) -> str:
@@ -162,7 +166,7 @@ class CanBase(base_interface.BaseHandle):
         self.state_machine.update(now)
         n = self._wheels
         speeds, angles, rates = [0.0] * n, [0.0] * n, [0.0] * n
-        oldest = now - REPORT_TIMEOUT * self.period
+        oldest = now - REPORT_TIMEOUT * self._period
         total = 0.0
         for axis in self._axes:
             valid = axis.time >= oldest
@@ -187,7 +191,7 @@ class CanBase(base_interface.BaseHandle):
         if not state_machine.may_send:
             return
         for connection in self.connections:
-            connection.send_until = now + self.period
+            connection.send_until = now + self._period
         sent = {c.bus.name: self._send_on(c, intent, now) for c in self.connections}
         complete = all(sent.values())
         for connection in self.connections:
@@ -240,7 +244,7 @@ class CanBase(base_interface.BaseHandle):
         return (state_machine.state.drives or self.is_homing) and not state_machine.ending
 
     @property
-    def longest_stop(self) -> float:  # type: ignore[override]
+    def longest_stop(self) -> float:
         return self.state_machine.times.stop
 
     def arming_reasons(self, now: float) -> Iterator[str]:
@@ -275,7 +279,7 @@ class CanBase(base_interface.BaseHandle):
             connection.outbox.clear()
             connection.queue_nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
             while connection.outbox:
-                connection.send(connection.outbox.popleft(), self.period)
+                connection.send(connection.outbox.popleft(), self._period)
 
     def batteries(self) -> dict[str, battery_and_io_drivers.BatteryState]:
         return {b.node.name: b.state for c in self.connections for b in c.batteries}

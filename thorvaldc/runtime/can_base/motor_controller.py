@@ -15,6 +15,7 @@ from thorvaldc.model.bus import MASTER
 from thorvaldc.model.bus_timing import required_objects
 from thorvaldc.model.plugins import PluginFailure, PluginTable
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
+from thorvaldc.runtime.interpreted_subclasses import mypyc_attr
 
 T = TypeVar("T")
 STANDING = 0.02
@@ -133,6 +134,7 @@ class Axis:
         self.target = 0.0
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class MotorController(abc.ABC):
     """Base class of the driver of a motor controller on the CAN bus.
 

@@ -26,6 +26,7 @@ from collections.abc import Iterator, Mapping
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Bus, Node, ObjectValue, Robot
 from thorvaldc.runtime.can_base.motor_controller import Axis, Intent, MotorController
+from thorvaldc.runtime.interpreted_subclasses import mypyc_attr
 
 # Operating modes of a channel of the Roboteq motor controller.
 DRIVE, HOME, DECOUPLED = 0, 1, 2
@@ -39,6 +40,7 @@ FAST_CONSTANTS = 100
 """Period (ms) of TPDO 4 while the motors are off or homing; the normal period is seconds."""
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class RoboteqScriptController(MotorController):
     """Driver of a Roboteq motor controller with the Thorvald script."""
 
