@@ -1,12 +1,9 @@
-"""Compiles the modules of a control cycle with mypyc: for wheels, and for the tests of a copy.
+"""The hook of hatchling that compiles the modules of a control cycle with mypyc into a wheel.
 
-The binaries come from the same source as the interpreted modules, and lie beside them.  Python
-prefers a binary.  ADR 31 has the reasons and the costs.
+The binaries come from the same source as the interpreted modules, and lie beside them in the wheel.
+Python prefers a binary.  ADR 31 has the reasons and the costs.
 
-    python workshop/compiled_runtime.py FOLDER    compiles the package in a copy of the checkout
-    THORVALDC_COMPILE=1 python -m build --wheel   a wheel for this platform
-
-Values of ``THORVALDC_COMPILE`` for wheels: ``1`` compiles or fails, ``0`` does not compile.
+Values of ``THORVALDC_COMPILE`` for the build of a wheel: ``1`` compiles or fails, ``0`` does not compile.
 Without the variable, a source distribution is compiled if there is a compiler, and a checkout is
 not.
 """
@@ -19,6 +16,7 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +82,7 @@ def compile_modules(package: Path, out: Path) -> list[Path]:
         for room in ROOMS:
             shutil.copytree(package / room, folder / "thorvaldc" / room)
         (folder / "thorvaldc/__init__.py").touch()
-        command = [sys.executable, str(Path(__file__).resolve()), "--build", str(out.resolve())]
+        command = [sys.executable, str(Path(__file__).resolve()), str(out.resolve())]
         run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         if run.returncode != 0:
             lines = (run.stdout + run.stderr).splitlines()
@@ -99,8 +97,27 @@ def compile_modules(package: Path, out: Path) -> list[Path]:
 def _build(out: str) -> None:
     """Compiles the modules below the present folder; a process of its own, as mypyc expects it."""
     from mypyc.build import mypycify
-    from setuptools import Distribution
+    from setuptools import Distribution, Extension
     from setuptools.command.build_ext import build_ext
+
+    class _ParallelBuild(build_ext):
+        """Runs a C compiler for each processor; setuptools alone runs one after the other."""
+
+        def build_extension(self, ext: Extension) -> None:
+            def objects_of(source: str) -> list[str]:
+                objects: list[str] = self.compiler.compile(
+                    [source],
+                    output_dir=self.build_temp,
+                    include_dirs=ext.include_dirs,
+                    extra_postargs=ext.extra_compile_args,
+                )
+                return objects
+
+            with ThreadPoolExecutor(os.cpu_count()) as pool:
+                for objects in pool.map(objects_of, ext.sources):
+                    ext.extra_objects += objects
+            ext.sources = []
+            super().build_extension(ext)
 
     extensions = mypycify(
         [
@@ -115,7 +132,7 @@ def _build(out: str) -> None:
     )
     for extension in extensions:
         extension.extra_compile_args += FLAGS
-    command = build_ext(Distribution({"ext_modules": extensions}))
+    command = _ParallelBuild(Distribution({"ext_modules": extensions}))
     command.build_lib, command.build_temp = out, "objects"
     command.ensure_finalized()
     command.run()
@@ -163,15 +180,5 @@ class CustomBuildHook(BuildHookInterface[Any]):
             self._folder.cleanup()
 
 
-def main(arguments: list[str]) -> None:
-    if arguments[0] == "--build":
-        _build(arguments[1])
-        return
-    root = Path(arguments[0])
-    with tempfile.TemporaryDirectory() as name:
-        for path in compile_modules(root / "thorvaldc", Path(name)):
-            shutil.copy(Path(name) / path, root / path)
-
-
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    _build(sys.argv[1])
