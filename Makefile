@@ -27,7 +27,7 @@ help:
 	@echo "make test-slow   the tests that only CI needs; make test-all: both"
 	@echo "make test-core   the core in a copy without tools: lint, types and tests"
 	@echo "make test-matrix  golden files with the oldest and newest Python and dependencies"
-	@echo "make compiled  build the compiled wheel of the runtime and test it (needs a C compiler)"
+	@echo "make compiled  build the compiled wheel and test its runtime (needs a C compiler)"
 	@echo "make lock      write the newest versions that pyproject.toml allows to locks/"
 	@echo "make chaos     random missions with faults: make chaos SEEDS=0:1000 JOBS=2 (docs/chaos.md)"
 	@echo "make fuzz      broken and hostile files of every kind: make fuzz SEEDS=0:10000 JOBS=2"
@@ -130,13 +130,13 @@ test-matrix: $(READY)
 	@$(BIN)/python -c 'import uv' 2>/dev/null || $(call PIP_INSTALL,$(BIN)) uv
 	JOBS=$(JOBS) $(BIN)/python workshop/test_matrix.py
 
-# The compiled wheel of the runtime, and its tests in a copy with the binaries of this wheel.
+# The compiled wheel, and the tests of the runtime in a copy with the binaries of this wheel.
 COMPILED = build/compiled
 TICK_TESTS = tests/runtime tests/can tests/conformance
 compiled: $(READY)
 	rm -rf $(COMPILED) && mkdir -p $(COMPILED)
 	git ls-files -z | tar --null --files-from - --create | tar --extract --directory $(COMPILED)
-	THORVALDC_COMPILE=1 $(BIN)/python -m build --no-isolation --wheel --outdir $(COMPILED)/dist thorvaldc/runtime
+	THORVALDC_COMPILE=1 $(BIN)/python -m build --no-isolation --wheel --outdir $(COMPILED)/dist .
 	$(BIN)/python -m zipfile --extract $(COMPILED)/dist/*.whl $(COMPILED)
 	cd $(COMPILED) && export PYTHONPATH="$(abspath $(COMPILED))" PATH="$(abspath $(BIN)):$$PATH" && \
 	  python -m pytest --dist loadgroup -n $(JOBS) -m "not slow" tests/compiled_runtime.py $(or $(TESTS),$(TICK_TESTS))

@@ -3,9 +3,9 @@
 The binaries come from the same source as the interpreted modules, and lie beside them in the wheel.
 Python prefers a binary.  ADR 31 has the reasons and the costs.
 
-Values of ``THORVALDC_COMPILE`` for the build of a wheel: ``1`` compiles or fails, ``0`` does not compile.
-Without the variable, a source distribution is compiled if there is a compiler, and a checkout is
-not.
+Values of ``THORVALDC_COMPILE`` for the build of a wheel: ``1`` compiles or fails, ``0`` does not
+compile.  Without the variable, a source distribution is compiled if there is a compiler, and a
+checkout is not.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -26,11 +27,12 @@ ROOT = Path(__file__).resolve().parents[1]
 VARIABLE = "THORVALDC_COMPILE"
 TOOLS = ["mypy>=2.1", "setuptools>=68"]
 """mypy contains mypyc; setuptools runs the C compiler."""
-ROOMS = ("runtime", "can", "model", "diagnostics")
+ROOMS = ("runtime", "can", "model", "diagnostics", "simulation", "schema", "compiler")
 """Rooms whose types the compiled modules use."""
 GROUP = "thorvaldc_tick"
 """Prefix of the library that contains the machine code of all modules."""
-MODULES = (
+RUNTIME_MODULES = (
+    "model/spatial",
     "runtime/se2",
     "runtime/base_interface",
     "runtime/calculators/base_geometry",
@@ -59,6 +61,12 @@ MODULES = (
     "runtime/can_base/base_state_machine",
     "runtime/can_base/can_base",
 )
+SIMULATION_MODULES = (
+    "simulation/physics/drive_servos",
+    "simulation/physics/mujoco_scene",
+    "simulation/control_loop",
+)
+MODULES = RUNTIME_MODULES + SIMULATION_MODULES
 """Modules that a control cycle runs, without the folder of the package and the suffix."""
 
 # A fused multiply-add rounds once, where Python rounds twice: the numbers would depend on the
@@ -70,8 +78,8 @@ class CompilationError(Exception):
     """The modules were not compiled; the text says why."""
 
 
-def compile_modules(package: Path, out: Path) -> list[Path]:
-    """Compiles the modules of a package folder; returns the binaries, relative to ``out``.
+def compile_modules(package: Path, modules: Sequence[str], out: Path) -> list[Path]:
+    """Compiles modules of a package folder; returns the binaries, relative to ``out``.
 
     Raises ``CompilationError``.
     """
@@ -82,19 +90,19 @@ def compile_modules(package: Path, out: Path) -> list[Path]:
         for room in ROOMS:
             shutil.copytree(package / room, folder / "thorvaldc" / room)
         (folder / "thorvaldc/__init__.py").touch()
-        command = [sys.executable, str(Path(__file__).resolve()), str(out.resolve())]
+        command = [sys.executable, str(Path(__file__).resolve()), str(out.resolve()), *modules]
         run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         if run.returncode != 0:
             lines = (run.stdout + run.stderr).splitlines()
             errors = [line for line in lines if " error: " in line or "error:" in line.lower()]
             raise CompilationError("\n".join(errors or lines[-20:]))
     binaries = sorted(path.relative_to(out) for path in out.rglob("*") if path.is_file())
-    if len(binaries) != len(MODULES) + 1:
-        raise CompilationError(f"{len(binaries)} binaries of {len(MODULES)} modules")
+    if len(binaries) != len(modules) + 1:  # and the library with the code of all
+        raise CompilationError(f"{len(binaries)} binaries of {len(modules)} modules")
     return binaries
 
 
-def _build(out: str) -> None:
+def _build(out: str, modules: Sequence[str]) -> None:
     """Compiles the modules below the present folder; a process of its own, as mypyc expects it."""
     from mypyc.build import mypycify
     from setuptools import Distribution, Extension
@@ -122,7 +130,7 @@ def _build(out: str) -> None:
     extensions = mypycify(
         [
             *("--ignore-missing-imports", "--no-site-packages", "--cache-dir", os.devnull),
-            *(f"thorvaldc/{module}.py" for module in MODULES),
+            *(f"thorvaldc/{module}.py" for module in modules),
         ],
         opt_level="2",
         debug_level="0",
@@ -165,8 +173,11 @@ class CustomBuildHook(BuildHookInterface[Any]):
         self._folder = tempfile.TemporaryDirectory()
         out = Path(self._folder.name)
         try:
-            binaries = compile_modules(ROOT / "thorvaldc", out)
+            is_whole = (Path(self.root) / "thorvaldc").is_dir()
+            modules = MODULES if is_whole else RUNTIME_MODULES
+            binaries = compile_modules(ROOT / "thorvaldc", modules, out)
         except CompilationError as error:
+            self._folder.cleanup()
             if os.environ.get(VARIABLE) == "1":
                 raise
             self.app.display_warning(f"The runtime is not compiled:\n{error}")
@@ -181,4 +192,4 @@ class CustomBuildHook(BuildHookInterface[Any]):
 
 
 if __name__ == "__main__":
-    _build(sys.argv[1])
+    _build(sys.argv[1], sys.argv[2:])

@@ -6,7 +6,7 @@ import abc
 import enum
 import math
 from collections.abc import Callable, Iterator, Mapping
-from typing import NamedTuple, TypeVar
+from typing import ClassVar, NamedTuple, TypeVar
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.diagnostics import DiagnosticError
@@ -148,10 +148,10 @@ class MotorController(abc.ABC):
     motor controller node.
     """
 
-    follow_limits = FollowLimits()
+    follow_limits: ClassVar[FollowLimits] = FollowLimits()
     """Limits of the deviation of a motor from its target.  Only stricter limits than those of all
     drivers count."""
-    checks_watchdog = False
+    checks_watchdog: ClassVar[bool] = False
     """``True`` if the driver reads the watchdog of a device that is no CANopen device again and
     again, and reports a problem within 3 s after it was switched off."""
 
