@@ -44,7 +44,6 @@ RUNTIME_MODULES = (
     "runtime/calculators/reachable_twists",
     "runtime/calculators/general",
     "runtime/calculators/differential",
-    "runtime/run_time_parameters",
     "runtime/twist_ramp",
     "runtime/odometry",
     "runtime/multiplexer",

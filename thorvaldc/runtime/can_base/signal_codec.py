@@ -134,9 +134,7 @@ class FrameCodec:
         ``ValueError`` if a signal value is NaN or infinite, because no limit is a safe replacement.
         """
         # Integers must stay integers for `struct`; a variable of the type float would convert them.
-        raw: list[Any] = []
-        lowest: Any
-        highest: Any
+        raw: list[int | float] = []
         for value, signal, (lowest, highest), (minimum, maximum) in zip(
             values, self._signals, self._raw_ranges, self._bounds, strict=True
         ):
@@ -147,12 +145,17 @@ class FrameCodec:
             if maximum is not None and value > maximum:
                 value = maximum
             number = (value - signal.offset) / signal.scale
-            rounded: Any = number if signal.floating_point else round(number)
-            # Conditional expressions are used because min() and max() would be slower.
-            raw.append(lowest if rounded < lowest else highest if rounded > highest else rounded)
+            rounded: int | float = number
+            if not signal.floating_point:
+                rounded = round(number)
+            if rounded < lowest:
+                rounded = lowest
+            elif rounded > highest:
+                rounded = highest
+            raw.append(rounded)
         if self._struct is not None:
             if self._order is not None:
-                sorted_raw: list[Any] = [0] * len(raw)
+                sorted_raw: list[int | float] = [0] * len(raw)
                 for raw_value, position in zip(raw, self._order, strict=True):
                     sorted_raw[position] = raw_value
                 raw = sorted_raw
