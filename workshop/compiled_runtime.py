@@ -25,7 +25,7 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 ROOT = Path(__file__).resolve().parents[1]
 VARIABLE = "THORVALDC_COMPILE"
-TOOLS = ["mypy>=2.1", "setuptools>=68"]
+TOOLS = ["mypy>=2.4", "setuptools>=75"]
 """mypy contains mypyc; setuptools runs the C compiler."""
 ROOMS = ("runtime", "can", "model", "diagnostics", "simulation", "schema", "compiler")
 """Rooms whose types the compiled modules use."""
