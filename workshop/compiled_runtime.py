@@ -32,7 +32,6 @@ ROOMS = ("runtime", "can", "model", "diagnostics", "simulation", "schema", "comp
 GROUP = "thorvaldc_tick"
 """Prefix of the library that contains the machine code of all modules."""
 RUNTIME_MODULES = (
-    "model/spatial",
     "runtime/se2",
     "runtime/base_interface",
     "runtime/calculators/base_geometry",
