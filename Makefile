@@ -132,7 +132,8 @@ test-matrix: $(READY)
 
 # The compiled wheel, and the tests of the runtime in a copy with the binaries of this wheel.
 COMPILED = build/compiled
-TICK_TESTS = tests/runtime tests/can tests/conformance
+TICK_TESTS = tests/runtime tests/can tests/conformance tests/odrive tests/jk_bms \
+	$(wildcard tests/simulation/test_*.py)
 compiled: $(READY)
 	rm -rf $(COMPILED) && mkdir -p $(COMPILED)
 	git ls-files -z | tar --null --files-from - --create | tar --extract --directory $(COMPILED)
