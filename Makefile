@@ -19,7 +19,7 @@ PIP_INSTALL = PIP_CONSTRAINT=locks/dev.txt PIP_BUILD_CONSTRAINT=locks/dev.txt \
 unexport PYTHONDONTWRITEBYTECODE
 
 .DELETE_ON_ERROR:
-.PHONY: help setup lock demo test test-slow test-all test-core test-matrix lint types chaos fuzz mutants bench golden pictures dist docs docs-serve playground clean distclean
+.PHONY: help setup lock demo test test-slow test-all test-core test-matrix compiled lint types chaos fuzz mutants bench golden pictures dist docs docs-serve playground clean distclean
 
 help:
 	@echo "make demo      compile every example and drive it in simulation"
@@ -27,6 +27,7 @@ help:
 	@echo "make test-slow   the tests that only CI needs; make test-all: both"
 	@echo "make test-core   the core in a copy without tools: lint, types and tests"
 	@echo "make test-matrix  golden files with the oldest and newest Python and dependencies"
+	@echo "make compiled  build the compiled wheel and test its runtime (needs a C compiler)"
 	@echo "make lock      write the newest versions that pyproject.toml allows to locks/"
 	@echo "make chaos     random missions with faults: make chaos SEEDS=0:1000 JOBS=2 (docs/chaos.md)"
 	@echo "make fuzz      broken and hostile files of every kind: make fuzz SEEDS=0:10000 JOBS=2"
@@ -129,6 +130,18 @@ test-matrix: $(READY)
 	@$(BIN)/python -c 'import uv' 2>/dev/null || $(call PIP_INSTALL,$(BIN)) uv
 	JOBS=$(JOBS) $(BIN)/python workshop/test_matrix.py
 
+# The compiled wheel, and the tests of the runtime in a copy with the binaries of this wheel.
+COMPILED = build/compiled
+TICK_TESTS = tests/runtime tests/can tests/conformance tests/odrive tests/jk_bms \
+	$(wildcard tests/simulation/test_*.py)
+compiled: $(READY)
+	rm -rf $(COMPILED) && mkdir -p $(COMPILED)
+	git ls-files -z | tar --null --files-from - --create | tar --extract --directory $(COMPILED)
+	THORVALDC_COMPILE=1 $(BIN)/python -m build --no-isolation --wheel --outdir $(COMPILED)/dist .
+	$(BIN)/python -m zipfile --extract $(COMPILED)/dist/*.whl $(COMPILED)
+	cd $(COMPILED) && export PYTHONPATH="$(abspath $(COMPILED))" PATH="$(abspath $(BIN)):$$PATH" && \
+	  python -m pytest --dist loadgroup -n $(JOBS) -m "not slow" tests/compiled_runtime.py $(or $(TESTS),$(TICK_TESTS))
+
 SEEDS ?= 0:200
 chaos: $(READY)
 	$(BIN)/python -m tests.chaos --seeds $(SEEDS) --jobs $(JOBS:auto=1) $(CHAOS)
@@ -158,11 +171,12 @@ pictures: $(READY)
 	PYTHONPATH=. $(BIN)/python workshop/render_modules.py
 	PYTHONPATH=. $(BIN)/python workshop/render_drives.py
 
-# Wheels of the whole package and of the runtime alone, and the source distribution.
+# Wheels of the whole package and of the runtime alone for every computer, and the source
+# distribution.  The release workflow builds compiled wheels beside them.
 dist: $(READY)
 	rm -rf dist
-	$(BIN)/python -m build --no-isolation --outdir dist .
-	$(BIN)/python -m build --no-isolation --wheel --outdir dist thorvaldc/runtime
+	THORVALDC_COMPILE=0 $(BIN)/python -m build --no-isolation --outdir dist .
+	THORVALDC_COMPILE=0 $(BIN)/python -m build --no-isolation --wheel --outdir dist thorvaldc/runtime
 	$(BIN)/python -m twine check --strict dist/*
 
 # The variable silences the advertisement of another program.

@@ -19,7 +19,7 @@ import numpy as np
 
 from bench.figure import Figure
 from bench.odometry import DT, paper_drive
-from bench.wheel_noise import ROBOTS, Array, geometry_of, velocity
+from bench.wheel_noise import ROBOTS, Array, estimate_all, geometry_of, velocity
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry, Noise
@@ -27,7 +27,6 @@ from thorvaldc.runtime.calculators.base_geometry import FixedWheels, WheelGeomet
 from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.odometry import Odometry
 from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
-from thorvaldc.simulation.vectorised.calculator_batch import CalculatorBatch, OdometryBatch
 
 RUNS = 200
 STRIDE = 2
@@ -100,17 +99,12 @@ def study(robot: str, kind: str, settings: list[Noise], seconds: float) -> list[
     still = [0.0] * len(geometry.wheels)
     calculators = [[General(geometry, None, noise) for _ in ends] for noise in settings]
     odometries = [[Odometry(c, (1.5, 1.0)) for c in group] for group in calculators]
-    batches = [
-        OdometryBatch(group[0], odometry)
-        for group, odometry in zip(calculators, odometries, strict=True)
-    ]
     for k, states in enumerate(zip(speeds, angles, positions, strict=True)):
         joints = [
             JointStates(k * dt, speed, angle, still, position)
             for speed, angle, position in zip(*(s.T.tolist() for s in states), strict=True)
         ]
-        for batch, group in zip(batches, odometries, strict=True):
-            batch.update(joints, k * dt)
+        for group in odometries:
             for odometry, joint_states in zip(group, joints, strict=True):
                 odometry.update(joint_states, k * dt)
     results = []
@@ -228,12 +222,10 @@ def _twist_nees(
     """Returns the mean of NEES/3 of the twists of each run."""
     n, _, runs = true.shape
     columns = [a.swapaxes(0, 1).reshape(a.shape[1], n * runs) for a in (true, speeds, angles)]
-    twists, upper = np.empty((3, n * runs)), np.empty((6, n * runs))
-    CalculatorBatch(General(geometry, None, noise)).estimate(*columns[1:], twists, upper)
+    twists, covariances, _ = estimate_all(General(geometry, None, noise), *columns[1:])
     moving = np.hypot(*columns[0][:2]) > MOVING
-    covariances = upper[[0, 1, 2, 1, 3, 4, 2, 4, 5]].T.reshape(-1, 3, 3)[moving]
     errors = (columns[0] - twists).T[moving]
-    solved = np.linalg.solve(covariances, errors[:, :, np.newaxis])[:, :, 0]
+    solved = np.linalg.solve(covariances[moving], errors[:, :, np.newaxis])[:, :, 0]
     nees = np.einsum("ni,ni->n", errors, solved) / 3.0
     run = np.tile(np.arange(runs), n)[moving]
     means: Array = np.bincount(run, nees, runs) / np.bincount(run, minlength=runs)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import importlib.util
 import os
 import statistics
 import subprocess
@@ -98,3 +99,9 @@ def median_time(function: Callable[[], object], rounds: int) -> float:
         function()
         times.append(time.process_time() - start)
     return statistics.median(times)
+
+
+def is_compiled() -> bool:
+    """Returns whether the control cycle is machine code; run the bench in build/compiled then."""
+    driver = importlib.util.find_spec("thorvaldc.runtime.driver")
+    return driver is not None and not str(driver.origin).endswith(".py")

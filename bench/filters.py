@@ -18,7 +18,7 @@ import numpy as np
 
 from bench.consistency import BIASED, KINDS, LASTING, NOISE, SHARES, noisy_runs
 from bench.figure import ROOT, Figure
-from bench.wheel_noise import ROBOTS, Array
+from bench.wheel_noise import ROBOTS, Array, estimate_all
 from thorvaldc.backends.ros2_parameters import process_noise
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
@@ -29,7 +29,6 @@ from thorvaldc.runtime.calculators import BaseGeometry, Noise
 from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.odometry import filter_covariance
 from thorvaldc.runtime.se2 import ORIGIN, Twist
-from thorvaldc.simulation.vectorised.calculator_batch import CalculatorBatch
 
 SECONDS, RUNS = 60.0, 200
 SPEED = 0.4
@@ -211,8 +210,7 @@ def _estimates(calculator: General, speeds: Array, angles: Array) -> Array:
     """Returns the estimated twists (n, runs, 3) of joint states (n, wheels, runs)."""
     n, wheels, runs = speeds.shape
     columns = [a.swapaxes(0, 1).reshape(wheels, n * runs) for a in (speeds, angles)]
-    twists = np.empty((3, n * runs))
-    CalculatorBatch(calculator).estimate(*columns, twists, np.empty((6, n * runs)))
+    twists, _, _ = estimate_all(calculator, *columns)
     return twists.T.reshape(n, runs, 3)
 
 

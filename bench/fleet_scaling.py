@@ -15,7 +15,6 @@ from thorvaldc.backends import DEFAULT_TARGETS
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.model import Fleet
 from thorvaldc.runtime.se2 import Twist
-from thorvaldc.simulation import simulation_run
 from thorvaldc.simulation.control_loop import ControlLoop, Segment
 from thorvaldc.simulation.simulation_run import Simulation
 
@@ -39,7 +38,7 @@ def figures() -> Iterator[Figure]:
         )
         loops = [_Loops(path) for path in paths.values()]
     works = [work for loop in loops for work in (loop.whole, loop.bare)]
-    *times, alone = least_times([*works, loops[-1].one_by_one], ROUNDS)
+    times = least_times(works, ROUNDS)
     whole = {n: t / loops[0].ticks for n, t in zip(GRIDS, times[::2], strict=True)}
     bare = {n: t / loops[0].ticks for n, t in zip(GRIDS, times[1::2], strict=True)}
     steps = loops[0].steps
@@ -56,8 +55,7 @@ def figures() -> Iterator[Figure]:
         1e6,
         "us",
         f"{steps} steps of physics, and the driver and odometry of each robot, 50 Hz;"
-        f" {100 * bare[100] / whole[100]:.0f} % of it is mj_step; with separate odometry of"
-        f" each robot it takes {alone / loops[0].ticks / whole[100]:.2f} times as long",
+        f" {100 * bare[100] / whole[100]:.0f} % of it is mj_step",
     )
 
 
@@ -107,16 +105,6 @@ class _Loops:
 
     def whole(self) -> None:
         self.simulation.run(SECONDS, PLAN)
-
-    def one_by_one(self) -> None:
-        least, simulation_run.MIN_GROUP_SIZE = (
-            simulation_run.MIN_GROUP_SIZE,
-            1 + len(self.simulation.robots),
-        )
-        try:
-            self.whole()
-        finally:
-            simulation_run.MIN_GROUP_SIZE = least
 
     def bare(self) -> None:
         self.scene.reset()

@@ -7,19 +7,26 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bench.figure import Figure, least_times
+from bench.figure import Figure
 from bench.random_pairs.random_pairs_calculator import RandomPairs, RandomPairsOptions
-from bench.wheel_noise import ROBOTS, Array, Drive, drive, geometry_of, random_twists
+from bench.wheel_noise import (
+    ROBOTS,
+    Array,
+    Drive,
+    drive,
+    estimate_all,
+    geometry_of,
+    random_twists,
+)
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry, Noise
 from thorvaldc.runtime.calculators.general import General, GeneralOptions
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, Cov3, Pose2, Twist
-from thorvaldc.simulation.vectorised.calculator_batch import CalculatorBatch
 
 STATES = 4000
 PAIRED = 500
-"""Number of states for random_pairs, which has no batch."""
+"""Number of states for random_pairs, which takes much longer."""
 FAULTS = 1000
 DEAD = 500
 LEVELS = {
@@ -44,7 +51,6 @@ def figures() -> Iterator[Figure]:
             yield from _faults(name, geometry)
     yield from _dead_encoders(robots["4WD4WS"])
     yield from _run(robots["6WD6WS asymmetric"])
-    yield from _batch(robots["4WD4WS"])
 
 
 # -- twists ---------------------------------------------------------------------------
@@ -78,14 +84,9 @@ def _none() -> tuple[Array, Array]:
     return np.empty((0, 0)), np.empty((0, 0))
 
 
-def _batch_of(geometry: BaseGeometry, noise: Noise, polish: int = 0) -> CalculatorBatch:
-    return CalculatorBatch(General(geometry, GeneralOptions(polish=polish), noise))
-
-
 def _estimates(geometry: BaseGeometry, noise: Noise, driven: Drive, polish: int = 0) -> Array:
-    twists = np.empty_like(driven.twists)
-    _batch_of(geometry, noise, polish).estimate(driven.speeds, driven.angles, twists)
-    return twists
+    calculator = General(geometry, GeneralOptions(polish=polish), noise)
+    return estimate_all(calculator, driven.speeds, driven.angles)[0]
 
 
 def _least_squares(geometry: BaseGeometry, driven: Drive) -> Array:
@@ -110,7 +111,7 @@ def _false_rejections(robots: dict[str, BaseGeometry]) -> Iterator[Figure]:
         rng = np.random.default_rng(2)
         twists = random_twists(geometry, 5 * STATES, rng)
         driven = drive(geometry, twists, Noise(), rng)
-        dropped = _batch_of(geometry, Noise()).estimate(driven.speeds, driven.angles, twists)
+        _, _, dropped = estimate_all(General(geometry), driven.speeds, driven.angles)
         yield Figure(
             f"false drops, {name}",
             100.0 * len(dropped) / twists.shape[1],
@@ -132,8 +133,7 @@ def _faults(name: str, geometry: BaseGeometry) -> Iterator[Figure]:
         twists = random_twists(geometry, FAULTS, rng)
         driven = drive(geometry, twists, noise, rng)
         faulty = _apply_fault(geometry, driven, fault, rng)
-        estimates = np.empty_like(twists)
-        dropped = _batch_of(geometry, noise).estimate(driven.speeds, driven.angles, estimates)
+        estimates, _, dropped = estimate_all(General(geometry), driven.speeds, driven.angles)
         yield Figure(
             f"one wheel {fault}, {name}",
             driven.efficiency(estimates),
@@ -315,14 +315,11 @@ def _end(twists: Array) -> Pose2:
 
 def _estimated(geometry: BaseGeometry, driven: Drive, true: Pose2) -> tuple[Pose2, float]:
     """Returns the end pose of the odometry, and its NEES."""
-    twists, covariances = np.empty_like(driven.twists), np.empty((6, TICKS))
-    _batch_of(geometry, Noise()).estimate(driven.speeds, driven.angles, twists, covariances)
+    twists, covariances, _ = estimate_all(General(geometry), driven.speeds, driven.angles)
     pose, covariance = ORIGIN, ZERO_COV
-    for (vx, vy, wz), (a, b, c, d, e, f) in zip(
-        twists.T.tolist(), covariances.T.tolist(), strict=True
-    ):
+    for (vx, vy, wz), (a, b, c) in zip(twists.T.tolist(), covariances.tolist(), strict=True):
         twist = Twist(vx, vy, wz)
-        q: Cov3 = ((a, b, c), (b, d, e), (c, e, f))
+        q: Cov3 = (tuple(a), tuple(b), tuple(c))
         covariance = se2.propagate(covariance, twist, q, DT)
         pose = pose.moved(se2.exp(twist, DT))
     error = np.array(true.relative_to(pose))
@@ -331,33 +328,3 @@ def _estimated(geometry: BaseGeometry, driven: Drive, true: Pose2) -> tuple[Pose
 
 def _distance(a: Pose2, b: Pose2) -> float:
     return math.hypot(a.x - b.x, a.y - b.y)
-
-
-# -- arrays ---------------------------------------------------------------------------
-
-
-def _batch(geometry: BaseGeometry) -> Iterator[Figure]:
-    n = 100_000
-    rng = np.random.default_rng(6)
-    batch = CalculatorBatch(General(geometry, GeneralOptions(faulty_wheels=0)))
-    twists = rng.uniform(-1.0, 1.0, (3, n))
-    driven = drive(geometry, twists, Noise(), rng)
-    speeds, angles = driven.speeds, driven.angles
-    covariances, copies = np.empty((6, n)), [np.empty_like(a) for a in (twists, speeds, angles)]
-
-    def copy() -> None:
-        for a, b in zip((twists, speeds, angles), copies, strict=True):
-            np.copyto(b, a)
-
-    copied, weighted = least_times(
-        (copy, lambda: batch.estimate(speeds, angles, twists, covariances)), 15
-    )
-    yield Figure(
-        "batch weighted with covariance, N=4",
-        weighted / copied,
-        "x copy",
-        None,
-        "lower",
-        f"{weighted / n * 1e9:.0f} ns a state over {n} states; "
-        f"a copy of the same arrays: {copied / n * 1e9:.1f} ns",
-    )

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from bench.figure import ROOT
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
-from thorvaldc.runtime.calculators import BaseGeometry, Noise
+from thorvaldc.runtime.base_interface import JointStates
+from thorvaldc.runtime.calculators import BaseCalculator, BaseGeometry, Noise
 from thorvaldc.runtime.calculators.base_geometry import FixedWheels
 from thorvaldc.runtime.se2 import Twist
 
@@ -53,6 +54,27 @@ class Drive:
         errors = (estimates - self.twists).T
         nees = np.einsum("ni,nij,nj->n", errors, self.information, errors)
         return math.sqrt(float(nees.mean()) / 3.0)
+
+
+def estimate_all(
+    calculator: BaseCalculator, speeds: Array, angles: Array
+) -> tuple[Array, Array, dict[int, tuple[int, ...]]]:
+    """Estimates the twists of joint states (wheels, n) in rad/s and rad.
+
+    Returns the twists (3, n), their covariances (n, 3, 3), and the indices of the wheels that were
+    left out, for each state with such wheels.
+    """
+    n = speeds.shape[1]
+    still = [0.0] * len(speeds)
+    twists, covariances = np.empty((n, 3)), np.empty((n, 3, 3))
+    dropped: dict[int, tuple[int, ...]] = {}
+    joints = zip(speeds.T.tolist(), angles.T.tolist(), strict=True)
+    for k, (speed, angle) in enumerate(joints):
+        estimate = calculator.odometry(JointStates(0.0, speed, angle, still))
+        twists[k], covariances[k] = estimate.twist, estimate.covariance
+        if estimate.dropped:
+            dropped[k] = estimate.dropped
+    return twists.T, covariances, dropped
 
 
 def random_twists(geometry: BaseGeometry, n: int, rng: np.random.Generator) -> Array:

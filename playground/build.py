@@ -51,7 +51,7 @@ PACKAGES = (
 UNUSED = re.compile(
     r"thorvaldc/(__main__|cli|ros|commissioning|can/(backends|socket)"
     r"|compiler/recordings"
-    r"|simulation/(bus|vectorised|records)"
+    r"|simulation/(bus|records)"
     r"|runtime/can_base"
     r"|tools/(?!__init__|preview/(__init__|compiled_robot|page_drive)"
     r"|language_server/(__init__|code_completion|hover|module_references|module_view|open_document))"

@@ -39,7 +39,7 @@ def test_help_names_every_command(thorvaldc: Command) -> None:
 
 
 def test_version(thorvaldc: Command) -> None:
-    assert re.fullmatch(r"thorvaldc \d+\.\d+\.\d+\n", thorvaldc("--version").out)
+    assert re.fullmatch(r"thorvaldc \d+\.\d+\.\d+( \(compiled\))?\n", thorvaldc("--version").out)
 
 
 @pytest.mark.parametrize(

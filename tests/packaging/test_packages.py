@@ -25,8 +25,11 @@ ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.xdist_group("packaging")
 
 
-def run(*command: str | Path, cwd: Path, check: bool = True) -> subprocess.CompletedProcess[str]:
+def run(
+    *command: str | Path, cwd: Path, check: bool = True, **variables: str
+) -> subprocess.CompletedProcess[str]:
     environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    environment |= variables
     process = subprocess.run(
         [str(part) for part in command],
         cwd=cwd,
@@ -43,7 +46,8 @@ def run(*command: str | Path, cwd: Path, check: bool = True) -> subprocess.Compl
 def packages(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Builds the sdist, and the wheel from the sdist."""
     out = tmp_path_factory.mktemp("dist")
-    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", out, ROOT, cwd=out)
+    command = (sys.executable, "-m", "build", "--no-isolation", "--outdir", out, ROOT)
+    run(*command, cwd=out, THORVALDC_COMPILE="0")
     (sdist,) = out.glob("*.tar.gz")
     (wheel,) = out.glob("*.whl")
     return sdist, wheel

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import importlib.util
 import sys
 from typing import Annotated
 
@@ -28,8 +29,14 @@ app = typer.Typer(
 
 def _show_version(value: bool) -> None:
     if value:
-        typer.echo(f"thorvaldc {__version__}")
+        typer.echo(f"thorvaldc {__version__}{' (compiled)' if _is_compiled() else ''}")
         raise typer.Exit
+
+
+def _is_compiled() -> bool:
+    """Returns whether the modules of a control cycle are machine code."""
+    driver = importlib.util.find_spec("thorvaldc.runtime.driver")
+    return driver is not None and not str(driver.origin).endswith(".py")
 
 
 @app.callback()

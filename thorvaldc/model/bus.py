@@ -64,7 +64,7 @@ class Signal(Element):
     floating_point: bool = False
 
     @property
-    def raw_range(self) -> tuple[float, float]:
+    def raw_range(self) -> tuple[int | float, int | float]:
         """The lowest and the highest finite raw value, integers unless ``floating_point``."""
         if self.floating_point:
             greatest = FLOAT32_MAX if self.length == 32 else sys.float_info.max

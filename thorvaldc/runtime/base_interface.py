@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from thorvaldc.can.frame import CanFrame
+from thorvaldc.runtime.interpreted_subclasses import mypyc_attr
 from thorvaldc.runtime.service_table import Service
 
 
@@ -70,6 +71,7 @@ class JointCommands:
     angles: Sequence[float]
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class BaseHandle(abc.ABC):
     """The joints of one robot, with the same interface for simulated and real robots.
 
@@ -104,10 +106,15 @@ class BaseHandle(abc.ABC):
         """Reason why the robot must come to rest and be disarmed, or an empty text."""
         return ""
 
-    period: float | None = None
-    """Period (s) of the control cycle, or ``None`` for the period of the driver's settings."""
-    longest_stop = 10.0
-    """Longest time (s) after ``end`` in which the base comes to rest."""
+    @property
+    def period(self) -> float | None:
+        """Period (s) of the control cycle, or ``None`` for the period of the driver's settings."""
+        return None
+
+    @property
+    def longest_stop(self) -> float:
+        """Longest time (s) after ``end`` in which the base comes to rest."""
+        return 10.0
 
     @property
     def is_homed(self) -> bool:

@@ -81,8 +81,6 @@ class Odometry:
             estimate = self.calculator.odometry(joints)
             self.store(joints, now, estimate, self.pose, self.covariance_at_joints)
             return
-        if joints is previous and now == self._time:
-            return  # an OdometryBatch has already integrated these joint states
         elapsed = joints.time - previous.time
         if elapsed == 0.0:
             self.calculator.estimator.check(joints)

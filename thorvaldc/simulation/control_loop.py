@@ -7,7 +7,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from thorvaldc.diagnostics.text_layout import text_table
 from thorvaldc.model import DriverSettings, Robot
@@ -20,10 +20,6 @@ from thorvaldc.runtime.twist_ramp import is_axle_swing
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.physics.sim_base import GroundTruthBase
-
-if TYPE_CHECKING:
-    from thorvaldc.simulation.vectorised.calculator_batch import DeferredOdometry
-
 
 # -- results ---------------------------------------------------------------------------------------
 
@@ -361,8 +357,8 @@ class ControlLoop:
     """Runs the driver of one robot along a manoeuvre and measures how the robot moves.
 
     ``path_commanded``, ``path_true`` and ``path_estimated`` are the path lengths (m) since the
-    start of the run.  Without samples, ``path_estimated`` is known only after ``result``.
-    ``yaw_true`` is the true yaw angle (rad) since the start of the run and is not wrapped.
+    start of the run.  ``yaw_true`` is the true yaw angle (rad) since the start of the run and is
+    not wrapped.
     ``uprightness`` is the smallest cosine of the tilt angle since the start of the run.
     """
 
@@ -373,21 +369,14 @@ class ControlLoop:
         base: BaseHandle,
         manoeuvre: Manoeuvre,
         parameters: str | None = None,
-        *,
-        sampled: bool = True,
     ) -> None:
-        """Creates the driver of a robot at the start of a run.
-
-        If nobody calls ``sample``, ``sampled`` may be false: the odometry is then computed in
-        ``result``, which takes less time and gives the same result.
-        """
+        """Creates the driver of a robot at the start of a run."""
         self.name = name
         self.robot = robot
         self.driver = BaseDriver(robot, base, parameters=parameters)
         self.base = base
         self.manoeuvre = manoeuvre
         self.ticks = 0
-        self._deferred = None if sampled else self._deferred_odometry()
         self._truth = base if isinstance(base, GroundTruthBase) else None
         self.start = se2.ORIGIN if self._truth is None else self._truth.true_pose()
         self.pose_true = self.start
@@ -416,20 +405,16 @@ class ControlLoop:
         """Time (s) of the next tick of the driver."""
         return self.ticks / self.robot.driver.rate
 
-    def tick(self, joints: JointStates | None = None) -> None:
-        """Runs one tick of the base driver.
-
-        ``joints`` are joint states that were already read, as for ``BaseDriver.tick``.
-        """
+    def tick(self) -> None:
+        """Runs one tick of the base driver."""
         now = self.next_time
         previous = self.driver.state
         self.driver.command(twist_at(self.manoeuvre, now), now)
-        state = self.driver.tick(now, joints)
+        state = self.driver.tick(now)
         if self.ticks:
             dt = now - previous.time
             self.path_commanded += _twist_in_force(previous).speed * dt
-            if self._deferred is None:
-                self.path_estimated += state.odometry.twist.speed * dt
+            self.path_estimated += state.odometry.twist.speed * dt
             self._measure_truth()
         self.ticks += 1
         command = state.command
@@ -452,18 +437,6 @@ class ControlLoop:
                 if i not in self.unreachable:
                     self.unreachable += (i,)
                     self.unreachable_twist = state.commanded_twist
-
-    def _deferred_odometry(self) -> DeferredOdometry | None:
-        """Replaces the odometry of the driver, or returns ``None`` if it cannot be deferred."""
-        if not isinstance(self.base, MujocoBase) or self.base.is_noisy:
-            return None
-        from thorvaldc.simulation.vectorised.calculator_batch import DeferredOdometry
-
-        driver, timestep = self.driver, self.base.scene.timestep
-        if not DeferredOdometry.suits(driver.calculator, 1.0 / self.robot.driver.rate, timestep):
-            return None
-        driver.odometry = odometry = DeferredOdometry(driver.odometry)
-        return odometry
 
     def _note_limit(self, commanded: Twist) -> None:
         if largest_component(commanded) <= largest_component(self.limited_twist):
@@ -521,9 +494,6 @@ class ControlLoop:
     def result(self) -> RobotResult:
         """Returns the result of the robot from the start of the run to the last tick."""
         robot = self.robot
-        if self._deferred is not None:
-            self._deferred.finish()
-            self.path_estimated = self._deferred.path
         odometry = self.driver.odometry.pose
         true, path = odometry, self.path_estimated
         if self._truth is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,6 @@ from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, WheelGeome
 from thorvaldc.simulation.control_loop import ControlLoop, RobotResult
 from thorvaldc.simulation.physics.mujoco_scene import RollingRadii
 from thorvaldc.simulation.physics.scenario_base import ScenarioBase
-from thorvaldc.simulation.vectorised.fit_batch import exact
 
 Array = NDArray[np.float64]
 
@@ -111,6 +110,16 @@ class _WheelArrays:
         self.radius = np.array([w.radius for w in wheels])
         self.trail = np.array([w.trail for w in wheels])
         self.lateral = np.array([w.lateral for w in wheels])
+
+
+def exact(function: Callable[[float], float], values: Array) -> Array:
+    """Returns ``function`` of each value, with the shape of ``values``.
+
+    ``function`` is a function of the module ``math``.  The functions of numpy differ from it in the
+    last bit, depending on the processor and on the version of numpy.
+    """
+    flat = values.ravel().tolist()
+    return np.fromiter(map(function, flat), np.float64, len(flat)).reshape(values.shape)
 
 
 def _total(start: float, values: Array) -> float:

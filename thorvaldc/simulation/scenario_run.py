@@ -220,8 +220,7 @@ class ScenarioSimulation(Simulation):
         }
         self._bases: list[ScenarioBase] = []
         try:
-            sampled = bool(all_recorders) or on_tick is not None
-            run = self.run(self.scenario.duration, manoeuvres, report, measure, sampled=sampled)
+            run = self.run(self.scenario.duration, manoeuvres, report, measure)
         finally:
             for base in self._bases:
                 base.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import math
 import time
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,9 +15,7 @@ from thorvaldc.model import Fleet, Robot, Wheel, robots_by_name
 from thorvaldc.model.model_json import load_model
 from thorvaldc.model.statics.mobility import roll_speeds
 from thorvaldc.runtime import se2
-from thorvaldc.runtime.base_interface import BaseHandle, JointStates
-from thorvaldc.runtime.calculators import BaseCalculator
-from thorvaldc.runtime.driver import BaseDriver
+from thorvaldc.runtime.base_interface import BaseHandle
 from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.runtime.se2 import Pose2, Twist, twist_text
 from thorvaldc.runtime.twist_ramp import is_axle_swing
@@ -31,7 +29,6 @@ if TYPE_CHECKING:
     from thorvaldc.model.scenario import SensorSettings
     from thorvaldc.simulation.records.recorder import Recorder
     from thorvaldc.simulation.sensors.sensor_suite import SensorSuite
-    from thorvaldc.simulation.vectorised.calculator_batch import OdometryBatch
 
 
 # -- diagnostics of a run --------------------------------------------------------------------------
@@ -138,74 +135,6 @@ def _turned_wheel(robot: Robot, twist: Twist) -> Wheel | None:
 def _direction(loop: ControlLoop) -> str:
     direction = loop.base.leaning() if isinstance(loop.base, GroundTruthBase) else ""
     return f" {direction}" if direction else ""
-
-
-# -- groups of identical robots --------------------------------------------------------------------
-
-MIN_GROUP_SIZE = 32
-"""Smallest group of robots for which array operations are faster than a loop over the robots."""
-
-
-class RobotGroups:
-    """Groups of identical robots, whose odometry is updated with array operations.
-
-    Each robot keeps its own driver.  The odometry of a robot is updated before the tick of its
-    driver.  The attribute ``groups`` contains, for each group, the indices of the robots and their
-    ``OdometryBatch``.
-    """
-
-    def __init__(self, drivers: Sequence[BaseDriver]) -> None:
-        robots_by_key: dict[Hashable, list[int]] = {}
-        for index, driver in enumerate(drivers):
-            key = _group_key(driver.calculator)
-            if key is not None:
-                robots_by_key.setdefault(key, []).append(index)
-        self._drivers = drivers
-        self._calculators = [driver.calculator for driver in drivers]
-        self.groups: list[tuple[list[int], OdometryBatch]] = []
-        for indices in robots_by_key.values():
-            if len(indices) >= MIN_GROUP_SIZE:
-                # The module odometry_batch imports numpy, which a scene with few robots does not
-                # need.
-                from thorvaldc.simulation.vectorised.calculator_batch import OdometryBatch
-
-                odometries = [drivers[i].odometry for i in indices]
-                batch = OdometryBatch(self._calculators[indices[0]], odometries)
-                self.groups.append((indices, batch))
-
-    def update_odometry(self, now: float, due: Sequence[int]) -> dict[int, JointStates]:
-        """Reads the joints of the robots in each group and updates their odometry.
-
-        ``due`` contains the indices of the robots whose drivers run a tick at ``now`` (s).  A group
-        is left out if a robot of the group is not in ``due``.  Returns the joint states by the
-        index of the robot, for the ticks of the drivers.  The batch leaves out robots with unusual
-        joint states, and the drivers of these robots update the odometry.
-        """
-        joints_by_robot: dict[int, JointStates] = {}
-        for indices, batch in self.groups:
-            # A parameter change replaces the base calculator of a robot, so the robots of a group
-            # may no longer be identical.
-            if not set(indices) <= set(due) or any(
-                self._drivers[i].calculator is not self._calculators[i] for i in indices
-            ):
-                continue
-            joints = [self._drivers[i].base.read(now) for i in indices]
-            batch.update(joints, now)
-            joints_by_robot.update(zip(indices, joints, strict=True))
-        return joints_by_robot
-
-
-def _group_key(calculator: BaseCalculator) -> Hashable | None:
-    """Returns a key that is equal for robots of the same group, or ``None`` without a batch.
-
-    A batch of robots is possible only if the calculator uses the method ``BaseCalculator.odometry``
-    without changes, and if the wheels determine the whole twist at any steering angles.
-    """
-    estimator = calculator.estimator
-    overrides_odometry = type(calculator).odometry is not BaseCalculator.odometry
-    if overrides_odometry or estimator.inverse is None or estimator.inverse[1] < 3:
-        return None
-    return calculator.geometry, estimator.noise, estimator.options
 
 
 class Simulation:
@@ -318,8 +247,6 @@ class Simulation:
         motion: Twist | Manoeuvre | Mapping[str, Manoeuvre],
         report: Report | None = None,
         on_tick: TickCallback | None = None,
-        *,
-        sampled: bool = True,
     ) -> SimulationResult:
         """Simulates a run of ``duration`` s from rest and returns the result of the run.
 
@@ -328,9 +255,7 @@ class Simulation:
         a divergence and a commanded twist that a robot cannot drive are added to ``report``.
 
         After each tick of a robot, ``on_tick`` is called with the control loop of the robot.
-        ``ControlLoop.sample`` then returns the measurements of the tick.  If ``on_tick`` reads
-        neither samples nor the odometry of the driver, ``sampled`` may be false: the result is the
-        same, and the run takes less time.
+        ``ControlLoop.sample`` then returns the measurements of the tick.
 
         Raises ``DiagnosticError`` if the run cannot start.
         """
@@ -338,16 +263,9 @@ class Simulation:
             raise DiagnosticError("twist-invalid", f"a run of {duration:g} s; it must be positive")
         if self.scene is not None:
             self.scene.reset()
-        # The odometry of a large group of robots is computed as a batch in each tick.
-        sampled = (sampled and on_tick is not None) or len(self.robots) >= MIN_GROUP_SIZE
         loops = [
             ControlLoop(
-                name,
-                robot,
-                self._base(name, robot),
-                _manoeuvre(motion, name),
-                self.parameters,
-                sampled=sampled,
+                name, robot, self._base(name, robot), _manoeuvre(motion, name), self.parameters
             )
             for name, robot in self.robots
         ]
@@ -358,8 +276,6 @@ class Simulation:
         collisions = None
         if self.scene is not None:
             collisions = CollisionCounter(self.scene, dict(self.robots))
-        groups = RobotGroups([loop.driver for loop in loops])
-        joints: dict[int, JointStates] = {}
         started = time.perf_counter()
         simulated = 0.0
         stopped = False
@@ -367,11 +283,9 @@ class Simulation:
             now, number = schedule[0]
             if now > duration + 1e-9:
                 break
-            if groups.groups and now > simulated:
-                joints = groups.update_odometry(now, [i for start, i in schedule if start == now])
             simulated = now
             loop = loops[number]
-            loop.tick(joints.get(number))
+            loop.tick()
             heapq.heapreplace(schedule, (loop.next_time, number))
             if collisions is not None:
                 collisions.update()

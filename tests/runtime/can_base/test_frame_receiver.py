@@ -67,8 +67,8 @@ def test_a_lost_interface_is_reported(threaded: bool) -> None:
     fed.broken = True
     if threaded:
         frame_receiver.start()
-        assert frame_receiver._thread is not None
-        frame_receiver._thread.join(2.0)
+        assert frame_receiver._receiving is not None
+        frame_receiver._receiving.join(2.0)
     frame_receiver.drain()
     assert frame_receiver.lost == "unplugged"
     frame_receiver.stop()

@@ -10,13 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
-from thorvaldc.diagnostics import DiagnosticError, Proposal, did_you_mean
+from thorvaldc.diagnostics import DiagnosticError, Proposal, Span, did_you_mean
 from thorvaldc.model import Robot
 from thorvaldc.model.plugins import PluginFailure, PluginTable
 from thorvaldc.runtime.base_interface import JointCommands, JointStates, NotFiniteError
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 from thorvaldc.runtime.calculators.twist_estimator import TwistEstimate, TwistEstimator
 from thorvaldc.runtime.calculators.twist_fit import Noise
+from thorvaldc.runtime.interpreted_subclasses import mypyc_attr
 from thorvaldc.runtime.se2 import Twist
 
 _MAX_TWIST_SQUARED = 1e18
@@ -67,6 +68,7 @@ class NoOptions:
     """Empty options class for base calculators that have no options."""
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class BaseCalculator(abc.ABC):
     """Abstract base calculator: computes the joint commands and the odometry of one robot.
 
@@ -199,7 +201,11 @@ class CalculatorError(DiagnosticError):
     is invalid.
     """
 
-    option: str | None = None
+    def __init__(
+        self, code: str, message: str, span: Span | None = None, *, hint: str | None = None
+    ) -> None:
+        super().__init__(code, message, span, hint=hint)
+        self.option: str | None = None
 
 
 def calculator_names() -> list[str]:

@@ -7,7 +7,8 @@ import math
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.calculators.base_calculator import BaseCommand, NoOptions
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
-from thorvaldc.runtime.calculators.general import General, GeneralOptions, SteeringOptions
+from thorvaldc.runtime.calculators.calculator_options import GeneralOptions, SteeringOptions
+from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.calculators.twist_estimator import Noise
 from thorvaldc.runtime.se2 import Twist
 
@@ -26,7 +27,7 @@ class Differential(General):
     Options = NoOptions
 
     def __init__(
-        self, geometry: BaseGeometry, options: NoOptions | None = None, noise: Noise | None = None
+        self, geometry: BaseGeometry, options: object = None, noise: Noise | None = None
     ) -> None:
         super().__init__(geometry, GeneralOptions(), noise)
 

@@ -531,7 +531,8 @@ def _master_frames(bus: Bus) -> dict[int, str]:
 
 def _sdo_frames(bus: Bus, node: str) -> list[FrameDefinition]:
     """Returns the frame definitions of the SDO requests and the SDO responses of a node."""
-    frames = [f for f in bus.frames if f.kind == "sdo" and node in (f.producer, *f.consumers)]
+    sdo_frames = [f for f in bus.frames if f.kind == "sdo"]
+    frames = [f for f in sdo_frames if node == f.producer or node in f.consumers]
     return sorted(frames, key=lambda f: f.producer != MASTER)
 
 

@@ -54,12 +54,14 @@ from thorvaldc.runtime.can_base.bus_services import (
     component_statuses,
 )
 from thorvaldc.runtime.can_base.motor_controller import Axis, Intent
+from thorvaldc.runtime.interpreted_subclasses import mypyc_attr
 from thorvaldc.runtime.service_table import Service
 
 SEND_TIME = 0.25
 """Longest waiting time of one frame for room in the send queue, as a share of the cycle."""
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class CanBase(base_interface.BaseHandle):
     """A robot base whose joints are measured and commanded over CAN.
 
@@ -91,8 +93,7 @@ class CanBase(base_interface.BaseHandle):
         robot.require_bus()
         _require_connected_motors(robot)
         self.robot = robot
-        self.period: float = min(bus.sync_period for bus in robot.buses)
-        """Duration (s) of a control cycle."""
+        self._period = min(bus.sync_period for bus in robot.buses)
         self.connections: list[BusConnection] = []
         try:
             for bus in robot.buses:
@@ -123,10 +124,15 @@ class CanBase(base_interface.BaseHandle):
         self._axes = [axis for c in self.state_machine.controllers for axis in c.axes]
         self._wheels = len(robot.wheels)
         self._turning = False
-        self._send_timeout = SEND_TIME * self.period
+        self._send_timeout = SEND_TIME * self._period
         self.starves_drives = False
         """``True`` while no command and no heartbeat is sent, but SYNC, so that the watchdogs of
         the drives act and their reports go on."""
+
+    @property
+    def period(self) -> float:
+        """Duration (s) of a control cycle."""
+        return self._period
 
     @property
     def hold_reason(self) -> str:
@@ -165,7 +171,7 @@ class CanBase(base_interface.BaseHandle):
         self.state_machine.update(now)
         n = self._wheels
         speeds, angles, rates = [0.0] * n, [0.0] * n, [0.0] * n
-        oldest = now - REPORT_TIMEOUT * self.period
+        oldest = now - REPORT_TIMEOUT * self._period
         total = 0.0
         for axis in self._axes:
             valid = axis.time >= oldest
@@ -190,7 +196,7 @@ class CanBase(base_interface.BaseHandle):
         if not state_machine.may_send:
             return
         for connection in self.connections:
-            connection.send_until = now + self.period
+            connection.send_until = now + self._period
         if self.starves_drives:
             for connection in self.connections:
                 connection.send_sync(self._send_timeout)
@@ -247,7 +253,7 @@ class CanBase(base_interface.BaseHandle):
         return (state_machine.state.drives or self.is_homing) and not state_machine.ending
 
     @property
-    def longest_stop(self) -> float:  # type: ignore[override]
+    def longest_stop(self) -> float:
         return self.state_machine.times.stop
 
     def arming_reasons(self, now: float) -> Iterator[str]:
@@ -302,7 +308,7 @@ class CanBase(base_interface.BaseHandle):
             connection.outbox.clear()
             connection.queue_nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
             while connection.outbox:
-                connection.send(connection.outbox.popleft(), self.period)
+                connection.send(connection.outbox.popleft(), self._period)
 
     def batteries(self) -> dict[str, battery_and_io_drivers.BatteryState]:
         return {b.node.name: b.state for c in self.connections for b in c.batteries}

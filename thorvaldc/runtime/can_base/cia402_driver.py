@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 from thorvaldc.can import canopen
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Bus, Node, Robot
 from thorvaldc.runtime.can_base.motor_controller import Axis, Intent, MotorController
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
+from thorvaldc.runtime.interpreted_subclasses import mypyc_attr
 
 HOMING_SETTLED = 3
 """Number of cycles after the start of a homing in which the homing result is ignored.
@@ -133,6 +135,7 @@ class _AxisStateMachine:
         return canopen.ControlWord.DISABLE_VOLTAGE
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class Cia402Controller(MotorController):
     """Driver of a CiA 402 motor controller with one or more channels.
 
@@ -144,7 +147,7 @@ class Cia402Controller(MotorController):
     ``<channel>_position``.
     """
 
-    powers_single_motors = True
+    powers_single_motors: ClassVar[bool] = True
 
     def __init__(self, robot: Robot, bus: Bus, node: Node) -> None:
         super().__init__(robot, bus, node)

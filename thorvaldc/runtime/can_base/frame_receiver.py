@@ -70,20 +70,20 @@ class FrameReceiver:
         self._events: deque[Event] = deque()
         self._limit = limit
         self._lock = threading.Lock()
-        self._thread: threading.Thread | None = None
+        self._receiving: threading.Thread | None = None
         self._stopping = threading.Event()
         self._read_until = -math.inf
 
     def start(self) -> None:
         """Starts the thread that receives CAN frames."""
-        self._thread = threading.Thread(target=self._run, name="CAN receiver", daemon=True)
-        self._thread.start()
+        self._receiving = threading.Thread(target=self._run, name="CAN receiver", daemon=True)
+        self._receiving.start()
 
     def stop(self) -> None:
         self._stopping.set()
-        if self._thread is not None:
-            self._thread.join(2.0)
-            self._thread = None
+        if self._receiving is not None:
+            self._receiving.join(2.0)
+            self._receiving = None
 
     def drain(self) -> list[Event]:
         """Returns the CAN frames of the event queue since the last call of ``drain``, the oldest
@@ -92,7 +92,7 @@ class FrameReceiver:
         If the receiving thread was not started, ``drain`` first reads all CAN frames from the CAN
         interface.
         """
-        if self._thread is None and not self.lost:
+        if self._receiving is None and not self.lost:
             self._read_until = self.interface.received_until
             try:
                 while (received := self.interface.receive(0.0)) is not None:

@@ -6,7 +6,7 @@ import abc
 import enum
 import math
 from collections.abc import Callable, Iterator, Mapping
-from typing import NamedTuple, TypeVar
+from typing import ClassVar, NamedTuple, TypeVar
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.diagnostics import DiagnosticError
@@ -15,6 +15,7 @@ from thorvaldc.model.bus import MASTER
 from thorvaldc.model.bus_timing import required_objects
 from thorvaldc.model.plugins import PluginFailure, PluginTable
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
+from thorvaldc.runtime.interpreted_subclasses import mypyc_attr
 
 T = TypeVar("T")
 STANDING = 0.02
@@ -136,6 +137,7 @@ class Axis:
         self.target = 0.0
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class MotorController(abc.ABC):
     """Base class of the driver of a motor controller on the CAN bus.
 
@@ -149,14 +151,14 @@ class MotorController(abc.ABC):
     motor controller node.
     """
 
-    follow_limits = FollowLimits()
+    follow_limits: ClassVar[FollowLimits] = FollowLimits()
     """Limits of the deviation of a motor from its target.  Only stricter limits than those of all
     drivers count."""
-    powers_single_motors = False
+    powers_single_motors: ClassVar[bool] = False
     """``True`` if a motor gets no torque whose axis is not ``powered``, while another motor of the
     controller follows its target.  The driver of a single motor needs nothing for it, see
     ``intent_of``."""
-    checks_watchdog = False
+    checks_watchdog: ClassVar[bool] = False
     """``True`` if the driver reads the watchdog of a device that is no CANopen device again and
     again, and reports a problem within 3 s after it was switched off."""
 

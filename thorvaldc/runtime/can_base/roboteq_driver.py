@@ -22,10 +22,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from typing import ClassVar
 
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model import Bus, Node, ObjectValue, Robot
 from thorvaldc.runtime.can_base.motor_controller import Axis, Intent, MotorController
+from thorvaldc.runtime.interpreted_subclasses import mypyc_attr
 
 # Operating modes of a channel of the Roboteq motor controller.
 DRIVE, HOME, DECOUPLED = 0, 1, 2
@@ -39,10 +41,11 @@ FAST_CONSTANTS = 100
 """Period (ms) of TPDO 4 while the motors are off or homing; the normal period is seconds."""
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class RoboteqScriptController(MotorController):
     """Driver of a Roboteq motor controller with the Thorvald script."""
 
-    powers_single_motors = True
+    powers_single_motors: ClassVar[bool] = True
 
     def __init__(self, robot: Robot, bus: Bus, node: Node) -> None:
         super().__init__(robot, bus, node)

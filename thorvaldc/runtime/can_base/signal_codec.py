@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from thorvaldc.model import FrameDefinition
 
@@ -72,7 +73,7 @@ class FrameCodec:
         """
         if len(data) < self.length:
             raise ValueError(f"{self.frame.name} has {len(data)} bytes, not {self.length}")
-        values: list[float]
+        values: list[Any]
         if self._struct is not None:
             raw = self._struct.unpack_from(data)
             values = list(raw) if self._order is None else [raw[i] for i in self._order]
@@ -132,7 +133,8 @@ class FrameCodec:
         outside the limits of the CAN signal is replaced by the nearest limit.  Raises
         ``ValueError`` if a signal value is NaN or infinite, because no limit is a safe replacement.
         """
-        raw: list[float] = []
+        # Integers must stay integers for `struct`; a variable of the type float would convert them.
+        raw: list[int | float] = []
         for value, signal, (lowest, highest), (minimum, maximum) in zip(
             values, self._signals, self._raw_ranges, self._bounds, strict=True
         ):
@@ -143,21 +145,26 @@ class FrameCodec:
             if maximum is not None and value > maximum:
                 value = maximum
             number = (value - signal.offset) / signal.scale
-            rounded = number if signal.floating_point else round(number)
-            # Conditional expressions are used because min() and max() would be slower.
-            raw.append(lowest if rounded < lowest else highest if rounded > highest else rounded)
+            rounded: int | float = number
+            if not signal.floating_point:
+                rounded = round(number)
+            if rounded < lowest:
+                rounded = lowest
+            elif rounded > highest:
+                rounded = highest
+            raw.append(rounded)
         if self._struct is not None:
             if self._order is not None:
-                sorted_raw: list[float] = [0] * len(raw)
-                for number, position in zip(raw, self._order, strict=True):
-                    sorted_raw[position] = number
+                sorted_raw: list[int | float] = [0] * len(raw)
+                for raw_value, position in zip(raw, self._order, strict=True):
+                    sorted_raw[position] = raw_value
                 raw = sorted_raw
             return self._struct.pack(*raw)
         bits = 0
         for i, integer, float_format in self._floats:
             (raw[i],) = struct.unpack(integer, struct.pack(float_format, raw[i]))
-        for number, (start, mask, _) in zip(raw, self._fields, strict=True):
-            bits |= (int(number) & mask) << start
+        for raw_value, (start, mask, _) in zip(raw, self._fields, strict=True):
+            bits |= (int(raw_value) & mask) << start
         return bits.to_bytes(self.length, "little")
 
     def encode_named(self, values: Mapping[str, float]) -> bytes:
