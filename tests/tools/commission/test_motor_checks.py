@@ -103,10 +103,13 @@ def test_wrong_assemblies_are_named(seed: int, kind: str) -> None:
     assert not problems(assembly, outcome), assembly.wiring
 
 
-@pytest.mark.parametrize("seed", mostly_slow(range(6), quick=2))
-def test_wrong_assemblies_with_the_motors_of_mujoco(seed: int) -> None:
+MUJOCO_CASES = [(seed, (*EXAMPLES[:3], "cia402_steered")[seed % 4]) for seed in range(12)]
+
+
+@pytest.mark.parametrize("case", mostly_slow(MUJOCO_CASES, quick=2))
+def test_wrong_assemblies_with_the_motors_of_mujoco(case: tuple[int, str]) -> None:
     """The robot floats without gravity and contacts, as one whose wheels are off the ground."""
-    robot = example(("2wd0ws_greenhouse", "1wd1ws_front")[seed % 2])
+    seed, robot = case[0], robot_of(case[1])
     base = MujocoBase(robot, MujocoScene(emit(robot, ["mjcf"])))
     base.scene.model.opt.gravity[:] = 0.0
     base.scene.model.geom_contype[:] = 0
