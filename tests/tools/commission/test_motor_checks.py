@@ -187,15 +187,28 @@ def test_nothing_has_torque_before_the_operator_starts_it() -> None:
 class RefusingOperator(SimulatedOperator):
     """Leaves all motors out."""
 
+    kind = "motor"
+
     def ask(self, question: Question) -> None:
         super().ask(question)
-        if question.kind == "motor":
+        if question.kind == self.kind:
             self._answer = (False,)
 
 
-def test_a_motor_that_is_left_out_has_not_passed() -> None:
-    outcome = run_checks(Assembly(example("2wd0ws_greenhouse")), person=RefusingOperator)
-    assert all(r.skipped and not r.passed for r in outcome.results.values())
+class HastyOperator(RefusingOperator):
+    """Leaves the checks out that follow the first motion of a motor."""
+
+    kind = "start"
+
+
+@pytest.mark.parametrize("person", [RefusingOperator, HastyOperator])
+def test_what_is_left_out_has_not_passed(person: type[RefusingOperator]) -> None:
+    outcome = run_checks(Assembly(example("2wd0ws_greenhouse")), person=person)
+    left, right = outcome.results.values()
+    assert left.skipped
+    assert not left.passed
+    # The stops of a controller are checked with its first wheel.
+    assert right.passed is (person is HastyOperator)
     assert not outcome.found
 
 

@@ -46,14 +46,13 @@ def has_moved_as_expected(observation: Observation) -> bool:
 
 def findings(robot: Robot, results: Mapping[str, MotorResult]) -> list[Finding]:
     """Returns what is wrong in the assembly of the robot."""
-    tested = [result for result in results.values() if not result.skipped]
-    observations = [result.observation for result in tested]
+    observations = [result.observation for result in results.values()]
     named = [
         *_exchanges(robot, observations),
         *(f for each in observations for f in _faults_of(each)),
     ]
     blamed = {name for finding in named for name in finding.motors}
-    for result in tested:
+    for result in results.values():
         if result.observation.axis.actuator.name not in blamed:
             named += _figures_out_of_bounds(result)
     return list(dict.fromkeys(named))

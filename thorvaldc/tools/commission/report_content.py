@@ -89,12 +89,12 @@ def _motor(
         "passed": False,
         "state": "not tested",
     }
-    if result is None or result.skipped:
-        return content | ({} if result is None else {"state": "left out"})
+    if result is None:
+        return content
     observation = result.observation
     return content | {
         "passed": result.passed,
-        "state": "passed" if result.passed else "failed",
+        "state": "left out" if result.skipped else "passed" if result.passed else "failed",
         "date": date,
         "operator": operator,
         "moved": observation.moved.name if observation.moved is not None else None,

@@ -75,7 +75,7 @@ class Finding(NamedTuple):
 class MotorResult:
     """Result of the checks of one motor.
 
-    - ``skipped``: the operator has left the motor out;
+    - ``skipped``: the operator has left the motor or one of its checks out;
     - ``not_tested``: checks that were left out, with the reason.
     """
 
