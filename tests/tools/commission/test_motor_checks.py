@@ -212,6 +212,42 @@ def test_what_is_left_out_has_not_passed(person: type[RefusingOperator]) -> None
     assert not outcome.found
 
 
+class PressingOperator(SimulatedOperator):
+    """Presses the emergency stop when asked for it, and releases it when asked again."""
+
+    def ask(self, question: Question) -> None:
+        super().ask(question)
+        drives = self._simulated.devices.values()
+        if question.kind == "press":
+            self._answer = (True,)
+            for drive in drives:
+                drive.after(
+                    self.delay, lambda drive=drive: setattr(drive, "power_stage_error", True)
+                )
+        elif "Release" in question.text:
+            for drive in drives:
+                drive.power_stage_error = False
+
+
+class EarlyPress(PressingOperator):
+    delay = 0.4
+
+
+class LatePress(PressingOperator):
+    delay = 3.0
+
+
+@pytest.mark.parametrize("person", [EarlyPress, LatePress])
+def test_the_emergency_stop_is_pressed_while_a_wheel_turns(person: type[SimulatedOperator]) -> None:
+    assembly = Assembly(example("2wd0ws_greenhouse"))
+    outcome = run_checks(assembly, person=person)
+    assert not problems(assembly, outcome)
+    left, right = outcome.results.values()
+    assert "stands after the emergency stop" in {figure.name for figure in left.figures}
+    assert left.passed
+    assert right.passed
+
+
 def moves(session: MotorSession) -> bool:
     return session.base.share > 0.9 and session.base.state is BaseState.ACTIVE
 

@@ -352,8 +352,8 @@ class MotorChecks:
             result.skipped |= kind != "press"
         return starts
 
-    def _run_steadily(self, axis: Axis) -> Steps[MotionWatch]:
-        """Begins a motion, and returns at the test speed."""
+    def _run_steadily(self, axis: Axis, *, expects_fault: bool = False) -> Steps[MotionWatch]:
+        """Begins a motion, and returns at the test speed, or before it if a fault is expected."""
         watch = yield from self._begin(axis, test_speed(axis))
         since = math.nan
         begun = self.session.now
@@ -363,7 +363,8 @@ class MotorChecks:
             if self.session.base.share >= 0.99 and math.isnan(since):
                 since = self.session.now
             yield
-        self._travel_of(watch, math.nan)
+        if not expects_fault:
+            self._travel_of(watch, math.nan)
         return watch
 
     def _check_stop(self, axis: Axis, result: MotorResult, kind: str) -> Steps[None]:
@@ -423,7 +424,7 @@ class MotorChecks:
         text = "The wheel turns until you press the emergency stop."
         if not (yield from self._may_start(axis, result, "emergency stop", text, "press")):
             return
-        watch = yield from self._run_steadily(axis)
+        watch = yield from self._run_steadily(axis, expects_fault=True)
         since = session.now
         while not (session.fault or watch.cause) and session.now - since < PRESS_TIME:
             yield
