@@ -6,6 +6,6 @@ COMMANDS = (
     CommandEntry(
         "can commission",
         "commission_command:commission",
-        "Check the first motion of each motor, with the wheels off the ground.",
+        "Check the first motion of each motor, wheels off the ground.",
     ),
 )
