@@ -194,15 +194,16 @@ def run_case(case: dict[str, Any], entry: str) -> list[Diagnostic]:
 
 
 def demand_report(robot: Robot, report: Report) -> None:
-    """Demands the report of `can commission` as a run does; HASH in it is that of the robot."""
+    """Demands the report of `can commission` as a run does; KEY in it is that of its motor."""
     from thorvaldc.commissioning import commission_report
     from thorvaldc.diagnostics import DiagnosticError
 
-    path = commission_report.report_path("robot.yaml", robot)
+    path = Path(f"robot{commission_report.SUFFIX}")
     if path.exists():
         text = path.read_text(encoding="utf-8")
-        digest = commission_report.content_hash(robot)
-        path.write_text(text.replace("HASH", digest), encoding="utf-8")
+        for motor in commission_report.driven_joints(robot):
+            text = text.replace("KEY", commission_report.motor_key(robot, motor), 1)
+        path.write_text(text, encoding="utf-8")
     try:
         commission_report.require_commissioned(path, robot)
     except DiagnosticError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,7 +15,7 @@ from thorvaldc.model.facts.fact_tables import fact_tables
 from thorvaldc.model.facts.robot_facts import RobotFacts, robot_facts
 from thorvaldc.model.facts.size import Size
 from thorvaldc.model.facts.stability import DIRECTIONS, Stability
-from thorvaldc.model.model_json import to_json
+from thorvaldc.model.model_json import model_hash
 from thorvaldc.model.spatial import Quat, cross, dot, float_sum, rotate
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.tip_over import Point, convex_hull
@@ -64,7 +63,7 @@ class Datasheet(Backend):
             sides=side_pictures(facts, projector),
             tip_over=tip_over_drawing(facts.stability),
             labels=[address for address in addresses if address.id_space],
-            model=hashlib.sha256(to_json(robot).encode()).hexdigest()[:12],
+            model=model_hash(robot)[:12],
         )
         return {"datasheet/datasheet.html": page.encode()}
 

@@ -60,6 +60,18 @@ def load_robot(file: str, library: Sequence[str], trust: bool) -> LoadedRobot | 
     return LoadedRobot(loaded.model, loaded.sources, loaded.locate)
 
 
+def path_beside(file: str, robot: Robot, suffix: str) -> Path:
+    """Returns the path of a file of a robot that a command writes, such as a report.
+
+    It lies in the folder of a robot.yaml, and in the current folder for the model.json of a build,
+    because the next build replaces the files of its folder.
+    """
+    path = Path(file)
+    if is_model_file(path):
+        return Path(f"{robot.name}{suffix}")
+    return path.with_name(f"{path.stem}{suffix}")
+
+
 class RobotFile(NamedTuple):
     """The model in a file, or ``None`` if the file has errors, with the diagnostics of the file."""
 

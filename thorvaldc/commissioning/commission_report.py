@@ -1,8 +1,8 @@
 """The report of the first motion of a robot, which ``thorvaldc can commission`` writes.
 
-The report is a JSON file beside the robot file.  docs/commissioning.md describes its fields.  A run
-can demand it (``thorvaldc run --commissioned``): the report must be complete, without a finding,
-and of the same model.
+The report is a JSON file beside the robot file, with an HTML page.  docs/commissioning.md describes
+it.  A run can demand it (``thorvaldc run --commissioned``): each motor has passed, and neither the
+motor nor its controller has changed in the robot file since then.
 """
 
 from __future__ import annotations
@@ -10,41 +10,176 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from thorvaldc.commissioning.commission_page import page_of
 from thorvaldc.diagnostics import DiagnosticError, Span
-from thorvaldc.diagnostics.files import read_bounded, read_json, write_file
-from thorvaldc.model import Robot
-from thorvaldc.model.element import Element
-from thorvaldc.model.model_json import is_model_file
+from thorvaldc.diagnostics.files import read_bounded, read_json
+from thorvaldc.model import Actuator, Robot
+from thorvaldc.model.model_json import ModelFormatError, typed_value
 
 FORMAT, VERSION = "thorvaldc-commission", 1
 MAX_BYTES = 4_000_000
 SUFFIX = ".commission.json"
+PASSED, FAILED, LEFT_OUT, NOT_TESTED = "passed", "failed", "left out", "not tested"
+"""States of a motor in the report."""
+YES = "yes"
+"""Unit of a figure that is 1 for yes and 0 for no."""
 
 
-def report_path(file: str, robot: Robot) -> Path:
-    """Returns the path of the report of a robot.
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A measured value with its bounds.
 
-    It is in the folder of a robot.yaml, and in the current folder for the model.json of a build,
-    because the next build replaces the files of its folder.
+    - ``name``: what was measured;
+    - ``value``: the value, or ``None`` if it was not reached.
     """
-    path = Path(file)
-    if is_model_file(path):
-        return Path(f"{robot.name}{SUFFIX}")
-    return path.with_name(f"{path.stem}{SUFFIX}")
+
+    name: str
+    value: float | None
+    unit: str
+    least: float
+    most: float
+
+    @property
+    def passed(self) -> bool:
+        return self.value is not None and self.least <= self.value <= self.most
+
+    @property
+    def value_text(self) -> str:
+        if self.unit == YES:
+            return "yes" if self.value else "no"
+        return "not reached" if self.value is None else f"{self.value:.2f} {self.unit}".strip()
+
+    @property
+    def bounds_text(self) -> str:
+        return "yes" if self.unit == YES else f"{self.least:.2f} to {self.most:.2f}"
 
 
-def content_hash(*elements: Element) -> str:
-    """Returns the hash of parts of a model, which does not depend on their lines in a file."""
-    return hashlib.sha256(repr(_values(elements)).encode()).hexdigest()[:16]
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What is wrong in the assembly.
+
+    - ``motors``: names of the motors that it concerns;
+    - ``text``: what is wrong;
+    - ``change``: what to change, in the file or on the robot.
+    """
+
+    motors: tuple[str, ...]
+    text: str
+    change: str
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedMotor:
+    """Result of the checks of one motor.
+
+    - ``key``: hash of the motor and its controller, see ``motor_key``;
+    - ``state``: ``PASSED``, ``FAILED``, ``LEFT_OUT`` or ``NOT_TESTED``;
+    - ``moved``: motor of the joint that has moved;
+    - ``seen``: travel (rad) that the operator has seen;
+    - ``zero``: angle (rad) of the wheel at the zero of its drive;
+    - ``not_tested``: checks that were left out.
+    """
+
+    name: str
+    node: str | None
+    channel: str | None
+    key: str
+    state: str = NOT_TESTED
+    date: str = ""
+    operator: str = ""
+    moved: str | None = None
+    seen: float | None = None
+    zero: float | None = None
+    figures: tuple[Figure, ...] = ()
+    not_tested: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class FoundNode:
+    """A device on a bus, with the numbers of its identity as far as they are known."""
+
+    name: str
+    state: str
+    id: int | None
+    vendor: int | None = None
+    product: int | None = None
+    revision: int | None = None
+    serial: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CalibratedWheel:
+    """Result of ``calibrate`` for a wheel, with standard errors; ``None``: not determined.
+
+    - ``steering_offset``: in rad;
+    - ``radius_ratio``: measured radius over the radius of the robot file.
+    """
+
+    name: str
+    steering_offset: float | None
+    steering_offset_error: float | None
+    radius_ratio: float | None
+    radius_ratio_error: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class LastingError:
+    """An error in SI units that remains after a calibration."""
+
+    name: str
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationResult:
+    wheels: tuple[CalibratedWheel, ...]
+    remaining_errors: tuple[LastingError, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CommissionReport:
+    """The report.
+
+    - ``model``: hash of the model, see ``model_hash``;
+    - ``program``: version of thorvaldc;
+    - ``interruption``: reason why the checks ended before their end, or an empty text;
+    - ``calibration``: result of a later ``calibrate``.
+    """
+
+    robot: str
+    model: str
+    program: str
+    date: str
+    operator: str
+    interruption: str
+    nodes: tuple[FoundNode, ...]
+    findings: tuple[Finding, ...]
+    motors: tuple[CheckedMotor, ...]
+    calibration: CalibrationResult | None = None
+
+    @property
+    def passed(self) -> bool:
+        complete = all(motor.state == PASSED for motor in self.motors)
+        return complete and not self.findings and not self.interruption
+
+    def as_json(self) -> dict[str, Any]:
+        head = {"format": FORMAT, "version": VERSION, "passed": self.passed}
+        return head | dataclasses.asdict(self)
+
+
+def motor_key(robot: Robot, motor: Actuator) -> str:
+    """Returns the hash of a motor and its controller, which does not depend on lines in a file."""
+    nodes = [n for bus in robot.buses for n in bus.nodes if n.name == motor.node]
+    return hashlib.sha256(repr(_values((motor, *nodes))).encode()).hexdigest()[:16]
 
 
 def _values(value: Any) -> Any:
-    """Returns the values of a part of a model, without spans and without the bytes of meshes."""
-    if isinstance(value, Span | bytes):
+    """Returns the values of a part of a model, without spans."""
+    if isinstance(value, Span):
         return None
     if isinstance(value, tuple):
         return [_values(item) for item in value]
@@ -53,40 +188,64 @@ def _values(value: Any) -> Any:
     return value
 
 
-def read_report(path: Path) -> dict[str, Any]:
-    """Returns the content of a report.
+def driven_joints(robot: Robot) -> list[Actuator]:
+    """Returns the motors of wheels and steering joints, in the order of the wheels."""
+    by_joint = {actuator.joint: actuator for actuator in robot.actuators}
+    names = [name for w in robot.wheels for name in (w.spin_joint, w.steering_joint) if name]
+    return [by_joint[name] for name in names if name in by_joint]
+
+
+def passed_motors(robot: Robot, report: CommissionReport) -> dict[str, CheckedMotor]:
+    """Returns the motors of a robot that have passed and have not changed since then, by name."""
+    motors = {motor.name: motor for motor in report.motors if motor.state == PASSED}
+    keys = {motor.name: motor_key(robot, motor) for motor in driven_joints(robot)}
+    return {name: motor for name, motor in motors.items() if keys.get(name) == motor.key}
+
+
+def read_report(path: Path) -> CommissionReport:
+    """Returns the report in a file.
 
     Raises ``DiagnosticError`` (``not-commissioned``) if the file is missing or is no report.
     """
     try:
-        report = read_json(read_bounded(path, MAX_BYTES))
+        content = read_json(read_bounded(path, MAX_BYTES))
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise _not_commissioned(f"cannot read {path}: {reason}") from None
-    if not isinstance(report, dict) or report.get("format") != FORMAT:
+    if not isinstance(content, dict) or content.pop("format", None) != FORMAT:
         raise _not_commissioned(f"{path} is no report of `can commission`")
-    if report.get("version") != VERSION:
-        raise _not_commissioned(f"{path} has the version {report.get('version')}, not {VERSION}")
+    if (version := content.pop("version", None)) != VERSION:
+        raise _not_commissioned(f"{path} has the version {version}, not {VERSION}")
+    content.pop("passed", None)
+    try:
+        report: CommissionReport = typed_value(CommissionReport, content, "report")
+    except ModelFormatError as error:
+        raise _not_commissioned(f"{path}: {error}") from None
     return report
 
 
-def write_report(path: Path, robot: Robot, report: dict[str, Any]) -> None:
-    """Writes a report, and its HTML page beside it.  Raises ``OSError``."""
-    write_file(path, json.dumps(report, indent=1, ensure_ascii=False) + "\n")
-    write_file(path.with_suffix(".html"), page_of(robot, report))
-
-
 def require_commissioned(path: Path, robot: Robot) -> None:
-    """Raises ``DiagnosticError`` (``not-commissioned``) unless the report says that the robot of
-    this model passed all checks."""
-    report = read_report(path)
-    if report.get("model") != content_hash(robot):
-        raise _not_commissioned(f"{path} is of another model: the file has changed since then")
-    if report.get("passed") is not True:
-        raise _not_commissioned(f"{path}: the robot did not pass all checks")
+    """Raises ``DiagnosticError`` (``not-commissioned``) unless all motors of the robot have passed,
+    as they are in the robot file now."""
+    reasons = list(_missing(robot, read_report(path)))
+    if reasons:
+        raise _not_commissioned(f"{path}: {', '.join(reasons)}")
+
+
+def _missing(robot: Robot, report: CommissionReport) -> Iterator[str]:
+    passed = passed_motors(robot, report)
+    states = {motor.name: motor.state for motor in report.motors}
+    for motor in driven_joints(robot):
+        if motor.name not in passed:
+            state = states.get(motor.name, NOT_TESTED)
+            yield f"{motor.name} {'has changed since' if state == PASSED else f'is {state}'}"
 
 
 def _not_commissioned(reason: str) -> DiagnosticError:
     return DiagnosticError(
         "not-commissioned", reason, hint="check the first motion: thorvaldc can commission FILE"
     )
+
+
+def report_text(report: CommissionReport) -> str:
+    return json.dumps(report.as_json(), indent=1, ensure_ascii=False) + "\n"

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import hashlib
 import inspect
 import json
 import math
@@ -137,6 +138,11 @@ def to_json(model: Robot | Fleet) -> str:
     kind = type(model).__name__
     head = {"format": FORMAT, "version": VERSION, "kind": kind, "model": model}
     return _ENCODER.encode(head) + "\n"
+
+
+def model_hash(model: Robot | Fleet) -> str:
+    """Return the SHA-256 of the ``model.json`` of a model, which also its build contains."""
+    return hashlib.sha256(to_json(model).encode()).hexdigest()
 
 
 # -- reading ------------------------------------------------------------------------------

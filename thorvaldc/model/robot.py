@@ -370,6 +370,13 @@ class Brake(Element):
     closing_time: si.Seconds
 
 
+MAX_STEERING_OFFSET = math.radians(45.0)
+"""Largest plausible ``Actuator.encoder_offset`` (rad).
+
+A larger steering offset is an error of the homing, which a calibration cannot correct.
+"""
+
+
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Actuator(Element):
     """A motor with its gear on a joint.
@@ -414,6 +421,11 @@ class Actuator(Element):
     back_driving_torque: si.NewtonMetres = 0.0
     brake: Brake | None = None
     inverted: bool = False
+
+    @property
+    def pulses_per_joint_turn(self) -> float:
+        """Number of encoder pulses per turn of the joint."""
+        return self.encoder_ppr * self.gear_ratio
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

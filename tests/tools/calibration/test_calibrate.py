@@ -191,7 +191,7 @@ def test_a_calibration_joins_the_report_of_the_first_motion(
     assert "good.commission.json" in refused.err
     content = {"format": "thorvaldc-commission", "version": 1, "robot": "good", "model": "0"}
     content |= {"program": "1", "date": "today", "operator": "Kari", "interruption": ""}
-    content |= {"passed": True, "nodes": [], "findings": [], "motors": []}
+    content |= {"passed": True, "nodes": [], "findings": [], "motors": [], "calibration": None}
     Path("good.commission.json").write_text(json.dumps(content), encoding="utf-8")
     result = thorvaldc("calibrate", "joints.csv", "good.yaml", "--report")
     assert result.status == 0, result.err

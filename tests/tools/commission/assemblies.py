@@ -9,15 +9,16 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from thorvaldc.commissioning.commission_report import Finding
+from thorvaldc.commissioning.commission_report import driven_joints as joints
 from thorvaldc.model import Robot
 from thorvaldc.simulation.bus.motor_wiring import Wiring
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.physics.sim_base import SimulatedJoints
 from thorvaldc.tools.commission.assembly_findings import findings
-from thorvaldc.tools.commission.motor_checks import Limits, MotorChecks
+from thorvaldc.tools.commission.motor_checks import MotorChecks, largest_speed
 from thorvaldc.tools.commission.motor_session import MotorSession
-from thorvaldc.tools.commission.questions import joints
-from thorvaldc.tools.commission.results import Finding, MotorResult
+from thorvaldc.tools.commission.results import MotorResult
 from thorvaldc.tools.commission.simulated_operator import SimulatedOperator
 
 EXCHANGED, REVERSED, ENCODER_REVERSED = "are exchanged: each", "the wrong way", "counts against"
@@ -118,6 +119,13 @@ class Outcome:
     excess: float
     moving: list[str]
 
+    def passed(self, name: str) -> bool:
+        """Checks whether a motor has passed."""
+        result = self.results[name]
+        blamed = any(name in finding.motors for finding in self.found)
+        figures = all(figure.passed for figure in result.figures)
+        return figures and not blamed and not result.skipped
+
 
 def run_checks(
     assembly: Assembly,
@@ -147,14 +155,13 @@ def run_checks(
     results: dict[str, MotorResult] = {}
     checks = MotorChecks(session, person(simulated), results)
     excess = -math.inf
-    period = session.base.period
-    stated = max(Limits(axis, session.base.axes, period).speed for axis in session.base.axes)
+    stated = max(largest_speed(axis, session.base) for axis in session.base.axes)
 
     def watch() -> bool:
         nonlocal excess
         now = simulated.timeline.seconds
         driven = [axis for axis in session.base.axes if axis.powered]
-        limit = Limits(driven[0], session.base.axes, period).speed if driven else stated
+        limit = largest_speed(driven[0], session.base) if driven else stated
         fastest = max(abs(motor.read(now).velocity) for motor in simulated.motors.values())
         excess = max(excess, fastest - limit)
         return bool(stop(simulated, session))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import Command
-from thorvaldc.commissioning.commission_report import content_hash
+from thorvaldc.commissioning.commission_report import driven_joints, motor_key
 from thorvaldc.compiler.pipeline import compile_file
 from thorvaldc.model import Robot
 from thorvaldc.model.model_json import from_json, to_json
@@ -16,7 +16,7 @@ from thorvaldc.runtime.can_base.motor_controller import Axis
 from thorvaldc.simulation.bus import simulated_robot
 from thorvaldc.simulation.bus.motor_wiring import Wiring
 from thorvaldc.tools.commission.console_operator import ConsoleOperator
-from thorvaldc.tools.commission.questions import Question, joints, plan_view
+from thorvaldc.tools.commission.questions import Question, plan_view
 
 GREENHOUSE = """
 thorvaldc: 1
@@ -80,7 +80,8 @@ def test_a_run_demands_a_report_of_the_same_model(thorvaldc: Command, folder: Pa
     Path(file).write_text(changed, encoding="utf-8")
     other = thorvaldc(*run)
     assert other.status == 1
-    assert "is of another model" in other.err
+    assert "left_drive_propulsion has changed since" in other.err
+    assert "right_drive_propulsion" not in other.err
 
 
 def test_motors_that_have_passed_are_not_repeated(
@@ -97,7 +98,7 @@ def test_motors_that_have_passed_are_not_repeated(
     assert report["findings"][0]["motors"] == ["left_drive_propulsion"]
     assert "inverted: true" in report["findings"][0]["change"]
     run = thorvaldc("run", file, "--bus", "virtual", "--fast", "--duration=1s", "--commissioned")
-    assert "did not pass all checks" in run.err
+    assert "left_drive_propulsion is failed" in run.err
 
     # What the finding proposes makes the file right.
     text = Path(file).read_text(encoding="utf-8")
@@ -145,10 +146,51 @@ def test_usage(thorvaldc: Command, folder: Path) -> None:
     assert "cannot write" in missing.err
 
 
-def test_the_hash_of_a_model_is_that_of_its_build(folder: Path) -> None:
+def test_a_motor_is_the_same_in_the_build(folder: Path) -> None:
     robot = compile_file(folder / "robot.yaml").model
     assert isinstance(robot, Robot)
-    assert content_hash(from_json(to_json(robot))) == content_hash(robot)
+    built = from_json(to_json(robot))
+    assert isinstance(built, Robot)
+    for motor, of_build in zip(driven_joints(robot), driven_joints(built), strict=True):
+        assert motor_key(robot, motor) == motor_key(built, of_build)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"motors": 7}, "report.motors: expected a list"),
+        ({"motors": [{"name": "left_drive_propulsion", "state": "passed"}]}, "is missing"),
+        ({"findings": [{"motors": ["a"], "text": 1, "change": ""}]}, "expected text"),
+        ({"version": 99}, "has the version 99"),
+        ({"date": None}, "report.date: expected text"),
+        ({"extra": 1}, "there is no field `extra`"),
+    ],
+)
+def test_a_damaged_report_is_an_error(
+    thorvaldc: Command, folder: Path, change: dict[str, object], text: str
+) -> None:
+    command = ("can", "commission", str(folder / "robot.yaml"), "--bus", "virtual")
+    assert thorvaldc(*command).status == 0
+    path = folder / "robot.commission.json"
+    content = json.loads(path.read_text(encoding="utf-8")) | change
+    path.write_text(json.dumps(content), encoding="utf-8")
+    damaged = thorvaldc(*command)
+    assert damaged.status == 1
+    assert "TV881" in damaged.err
+    assert text in damaged.err
+
+
+def test_a_page_contains_no_markup_of_a_report(thorvaldc: Command, folder: Path) -> None:
+    path = folder / "robot.commission.json"
+    command = ("can", "commission", str(folder / "robot.yaml"), "--bus", "virtual")
+    assert thorvaldc(*command, "--operator", "<script>").status == 0
+    content = json.loads(path.read_text(encoding="utf-8"))
+    content["motors"][0]["figures"][0] |= {"name": "<img>", "unit": "<b>"}
+    path.write_text(json.dumps(content), encoding="utf-8")
+    assert thorvaldc(*command, "--operator", "<script>").status == 0
+    page = path.with_suffix(".html").read_text(encoding="utf-8")
+    assert not any(tag in page for tag in ("<script", "<img", "<b>"))
+    assert "&lt;img&gt;" in page
 
 
 # -- the terminal ----------------------------------------------------------------------------------
@@ -190,7 +232,7 @@ def test_answers_at_the_terminal(
     assert isinstance(robot, Robot)
     monkeypatch.setattr("sys.stdin", Lines())
     operator = ConsoleOperator(robot)
-    operator.ask(Question(kind, "What?", Axis(joints(robot)[0], 0, "left")))
+    operator.ask(Question(kind, "What?", Axis(driven_joints(robot)[0], 0, "left")))
     assert operator.answer() is None
     operator.put("nonsense 7s")
     assert operator.answer() is None

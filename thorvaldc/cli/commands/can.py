@@ -143,6 +143,7 @@ def flash(
 ) -> int:
     from thorvaldc.cli.bus_access import with_bus
     from thorvaldc.cli.diagnostic_output import message
+    from thorvaldc.cli.robot_file import path_beside
 
     modes = {"--apply": apply, "--resume": resume, "--rollback": rollback}
     selected = [option for option, is_set in modes.items() if is_set]
@@ -162,27 +163,12 @@ def flash(
             if not json:
                 message("dry run: nothing was written; --apply writes")
             return status
-        path = Path(journal or _default_journal(file, access))
+        bus_name = f".{access.bus.name}" if len(access.robot.buses) > 1 else ""
+        default = path_beside(file, access.robot, f"{bus_name}.flash.jsonl")
+        path = Path(journal) if journal else default
         return _write(access, selected[0], path, plan, yes, json)
 
     return with_bus(file, bus, store, library, trust, work)
-
-
-def _default_journal(file: str, access: BusAccess) -> str:
-    """Returns the default path of the flash journal, the log of the steps of ``can flash`` on a
-    bus.
-
-    The default journal of a robot.yaml is in the folder of the robot.yaml. The default journal of a
-    model.json is in the current folder, because the next build replaces the files in the build
-    folder.
-    """
-    from thorvaldc.model.model_json import is_model_file
-
-    path = Path(file)
-    bus = f".{access.bus.name}" if len(access.robot.buses) > 1 else ""
-    if is_model_file(path):
-        return f"{access.robot.name}{bus}.flash.jsonl"
-    return str(path.with_name(f"{path.stem}{bus}.flash.jsonl"))
 
 
 def _write(

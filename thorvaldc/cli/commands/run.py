@@ -75,8 +75,8 @@ def run(
     trust: options.Trust = False,
 ) -> int:
     from thorvaldc.can.open_interface import lock_buses, open_interfaces
-    from thorvaldc.cli.robot_file import is_hardware, load_robot, warn_once
-    from thorvaldc.commissioning.commission_report import report_path, require_commissioned
+    from thorvaldc.cli.robot_file import is_hardware, load_robot, path_beside, warn_once
+    from thorvaldc.commissioning.commission_report import SUFFIX, require_commissioned
     from thorvaldc.diagnostics import DiagnosticError, Report
     from thorvaldc.runtime.run_session import RunSession
     from thorvaldc.runtime.se2 import parse_twist
@@ -98,7 +98,7 @@ def run(
         report = Report()
         try:
             if commissioned:
-                require_commissioned(report_path(file, loaded.robot), loaded.robot)
+                require_commissioned(path_beside(file, loaded.robot, SUFFIX), loaded.robot)
             if not virtual:
                 lock_buses(bus, loaded.robot, locks)
             interfaces = (

@@ -17,17 +17,13 @@ from thorvaldc.compiler.values.document_section import Section, read_document
 from thorvaldc.compiler.values.value_reader import ValueReader
 from thorvaldc.diagnostics import Label, Proposal, Report, Span, did_you_mean, millimetres
 from thorvaldc.model import Actuator, Wheel
+from thorvaldc.model.robot import MAX_STEERING_OFFSET
 from thorvaldc.model.spatial import clean
 
 MAX_RADIUS_CHANGE = 0.2
 """Fraction by which a measured radius may differ from the radius in the module document.
 
 A measured radius with a larger difference is probably the radius of another wheel.
-"""
-MAX_STEERING_OFFSET = math.radians(45.0)
-"""Largest plausible steering offset (rad).
-
-A larger steering offset is an error of the homing, which a calibration cannot correct.
 """
 
 

@@ -106,6 +106,8 @@ class StateChange(NamedTuple):
     reason: str
 
 
+HOME_NOT_FOUND = "the steering did not find its home position"
+"""Begin of the reason of a fault."""
 READING_SHARE = 2.0
 """Longest time of the reading of all objects, as a multiple of the time without a lost frame."""
 
@@ -564,7 +566,7 @@ class BaseStateMachine:
         if unhomed:
             self._homed_now = True
             if self._longer_than(self.times.home, now):
-                reason = f"the steering did not find its home position: {', '.join(unhomed)}"
+                reason = f"{HOME_NOT_FOUND}: {', '.join(unhomed)}"
                 self._enter(BaseState.FAULT, now, reason)
             return
         if self._enabling_since is None:

@@ -323,7 +323,7 @@ class SimulatedRobot:
         actuators = {each.name: each for each in self.robot.actuators}
         turned = actuators[wiring.motor or actuator.name]
         measured = actuators[wiring.encoder or turned.name]
-        pulses = measured.encoder_ppr * measured.gear_ratio
+        pulses = measured.pulses_per_joint_turn
         if measured.inverted is not turned.inverted:
             pulses = -pulses
         return WiredMotor(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,6 +13,7 @@ from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
+    from thorvaldc.tools.calibration.self_calibration import CalibrationResult
 
 
 def calibrate(
@@ -78,7 +80,7 @@ def calibrate(
     else:
         print(calibration_file.table(result, diagnostic_output.table_width()))
     if report and status == DONE:
-        _add_to_report(robot, model, calibration_file.as_json(result))
+        _add_to_report(robot, model, result)
     if output and status == DONE:
         if not result.determines_anything:
             diagnostic_output.message(f"{output} is not written: the log determines nothing")
@@ -95,16 +97,19 @@ def calibrate(
     return status
 
 
-def _add_to_report(file: str, robot: Robot, calibration: dict[str, Any]) -> None:
+def _add_to_report(file: str, robot: Robot, result: CalibrationResult) -> None:
     """Adds a calibration to the report of the robot's first motion."""
     from thorvaldc.cli.diagnostic_output import message
-    from thorvaldc.commissioning import commission_report
+    from thorvaldc.cli.robot_file import path_beside
+    from thorvaldc.commissioning import commission_page, commission_report
     from thorvaldc.diagnostics import DiagnosticError
+    from thorvaldc.tools.calibration.calibration_file import as_report
 
-    path = commission_report.report_path(file, robot)
+    path = path_beside(file, robot, commission_report.SUFFIX)
     try:
-        content = commission_report.read_report(path)
-        commission_report.write_report(path, robot, {**content, "calibration": calibration})
+        report = commission_report.read_report(path)
+        report = dataclasses.replace(report, calibration=as_report(result))
+        commission_page.write_report(path, robot, report)
     except DiagnosticError as error:
         raise typer.BadParameter(error.diagnostic.message, param_hint="'--report'") from None
     except OSError as error:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from thorvaldc.commissioning import commission_report
 from thorvaldc.compiler.robot_settings.wheel_calibration import Calibration, load_calibration
 from thorvaldc.compiler.source.reader import read_file
 from thorvaldc.diagnostics import Report
@@ -60,6 +61,26 @@ def as_json(result: calibration.CalibrationResult) -> dict[str, Any]:
             for wheel in result.wheels
         ],
     }
+
+
+def as_report(result: calibration.CalibrationResult) -> commission_report.CalibrationResult:
+    """Returns the calibration result for the report of the robot's first motion."""
+
+    def measured(estimate: calibration.Estimate | None) -> tuple[float | None, float | None]:
+        if estimate is None or not estimate.determined:
+            return None, None
+        return estimate.value, estimate.error
+
+    return commission_report.CalibrationResult(
+        tuple(
+            commission_report.CalibratedWheel(w.name, *measured(w.offset), *measured(w.ratio))
+            for w in result.wheels
+        ),
+        tuple(
+            commission_report.LastingError(name, value)
+            for name, value in result.remaining_errors.items()
+        ),
+    )
 
 
 def table(result: calibration.CalibrationResult, width: int | None = None) -> str:

@@ -9,17 +9,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 
+from thorvaldc.commissioning.commission_report import Finding
 from thorvaldc.model import Actuator, Robot
+from thorvaldc.model.robot import MAX_STEERING_OFFSET
 from thorvaldc.tools.commission.motion_watch import ABORTS, OPPOSITE, OTHERS, SILENT, Travel
 from thorvaldc.tools.commission.questions import joint_text
-from thorvaldc.tools.commission.results import Finding, MotorResult, Observation
+from thorvaldc.tools.commission.results import STANDS, WATCHDOG, MotorResult, Observation
 
 SCALE_TOLERANCE = 0.12
 """Largest deviation of the travel that the operator sees, as a share of the expected one."""
 ZERO_TOLERANCE = math.radians(2.0)
 """Largest angle (rad) between straight ahead and the zero of a steering joint."""
-LARGEST_OFFSET = math.radians(45.0)
-"""Largest steering offset (rad) that a calibration file can contain."""
 
 
 def expected_travel(observation: Observation) -> float:
@@ -29,12 +29,7 @@ def expected_travel(observation: Observation) -> float:
     """
     assert observation.travel is not None
     own, moved = observation.axis.actuator, observation.moved or observation.axis.actuator
-    return observation.travel.commanded * counts(own) / counts(moved)
-
-
-def counts(actuator: Actuator) -> float:
-    """Returns the encoder pulses of a motor per turn of its joint."""
-    return actuator.gear_ratio * actuator.encoder_ppr
+    return observation.travel.commanded * own.pulses_per_joint_turn / moved.pulses_per_joint_turn
 
 
 def has_moved_as_expected(observation: Observation) -> bool:
@@ -47,15 +42,15 @@ def has_moved_as_expected(observation: Observation) -> bool:
 def findings(robot: Robot, results: Mapping[str, MotorResult]) -> list[Finding]:
     """Returns what is wrong in the assembly of the robot."""
     observations = [result.observation for result in results.values()]
-    named = [
+    assembly = [
         *_exchanges(robot, observations),
         *(f for each in observations for f in _faults_of(each)),
     ]
-    blamed = {name for finding in named for name in finding.motors}
+    blamed = {name for finding in assembly for name in finding.motors}
     for result in results.values():
         if result.observation.axis.actuator.name not in blamed:
-            named += _figures_out_of_bounds(result)
-    return list(dict.fromkeys(named))
+            assembly += _figures_out_of_bounds(result)
+    return list(dict.fromkeys(assembly))
 
 
 def _figures_out_of_bounds(result: MotorResult) -> Iterator[Finding]:
@@ -64,12 +59,13 @@ def _figures_out_of_bounds(result: MotorResult) -> Iterator[Finding]:
         if figure.passed:
             continue
         change = "measure again; is the drive set up as in the robot file (`can verify`)?"
-        if "watchdog" in figure.name:
+        if figure.name in (WATCHDOG, STANDS):
             change = (
                 f"set up the watchdog of {motor.node} (heartbeat consumer, object 0x1016, and its"
                 " reaction): without it nothing stops the wheel if the computer fails"
             )
-        yield Finding((motor.name,), f"{motor.name}: {figure.text}", change)
+        text = f"{motor.name}: {figure.name}: {figure.value_text}, must be {figure.bounds_text}"
+        yield Finding((motor.name,), text, change)
 
 
 def _exchanges(robot: Robot, observations: list[Observation]) -> Iterator[Finding]:
@@ -196,16 +192,26 @@ def _zero(observation: Observation, moved: Actuator) -> Iterator[Finding]:
     zero = observation.zero
     if math.isnan(zero) or abs(zero) <= ZERO_TOLERANCE or moved.role != "steering":
         return
+    offset = measured_offset(observation)
+    change = "mount the home switch or the encoder in its right place"
+    if offset is not None:
+        change = f"`steering_offset: {math.degrees(offset):.1f} deg` in the calibration file"
     degrees = math.degrees(zero)
-    offset = moved.encoder_offset + zero
-    change = f"`steering_offset: {math.degrees(offset):.1f} deg` in the calibration file"
-    if abs(offset) > LARGEST_OFFSET:
-        change = "mount the home switch or the encoder in its right place"
     yield Finding(
         (moved.name,),
         f"at zero, the wheel of {moved.name} points {degrees:+.1f} deg off straight ahead",
         change,
     )
+
+
+def measured_offset(observation: Observation) -> float | None:
+    """Returns the steering offset (rad) for a calibration file, or ``None`` if none is needed, or
+    if it is more than a calibration can correct."""
+    moved, zero = observation.moved, observation.zero
+    if moved is None or moved.role != "steering" or not abs(zero) > ZERO_TOLERANCE:
+        return None
+    offset = moved.encoder_offset + zero
+    return offset if abs(offset) <= MAX_STEERING_OFFSET else None
 
 
 def _inverted_parameter(motor: Actuator) -> str:

@@ -6,9 +6,9 @@ import contextlib
 import datetime
 import getpass
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,9 +19,11 @@ from thorvaldc.cli.exits import DONE, INPUT, OutsideError
 if TYPE_CHECKING:
     from thorvaldc.can.frame import CanInterface
     from thorvaldc.cli.robot_file import LoadedRobot
+    from thorvaldc.commissioning.commission_report import CommissionReport
     from thorvaldc.commissioning.scan_result import ScanEntry
     from thorvaldc.model import Robot
     from thorvaldc.tools.commission.questions import Operator
+    from thorvaldc.tools.commission.results import MotorResult
 
 SAFETY = (
     "Lift all wheels off the ground, keep people away from them, and keep the emergency stop in"
@@ -62,8 +64,8 @@ def commission(
     library: options.Library = [],  # noqa: B006
     trust: options.Trust = False,
 ) -> int:
-    from thorvaldc.cli.robot_file import load_robot
-    from thorvaldc.commissioning.commission_report import report_path
+    from thorvaldc.cli.robot_file import load_robot, path_beside
+    from thorvaldc.commissioning.commission_report import SUFFIX
     from thorvaldc.diagnostics import DiagnosticError, Report
 
     if bus != "virtual" and not sys.stdin.isatty():
@@ -71,13 +73,14 @@ def commission(
     loaded = load_robot(file, library, trust)
     if loaded is None:
         return INPUT
-    path = Path(report) if report else report_path(file, loaded.robot)
+    path = Path(report) if report else path_beside(file, loaded.robot, SUFFIX)
     if path.suffix != ".json":
         raise typer.BadParameter(f"{path} must end in .json", param_hint="'--report'")
     errors = Report()
     try:
         with contextlib.ExitStack() as locks:
-            return _commission(loaded, bus, path, operator or _user(), again, json, locks)
+            file_of_report = _ReportFile(path, loaded.robot, operator or _user(), again)
+            return _commission(file_of_report, loaded, bus, json, locks)
     except DiagnosticError as error:
         errors.put(error.diagnostic)
     return loaded.show(errors)
@@ -90,80 +93,102 @@ def _user() -> str:
         return ""
 
 
-def _commission(
-    loaded: LoadedRobot,
-    bus: str,
-    path: Path,
-    operator_name: str,
-    again: bool,
-    as_json: bool,
-    locks: contextlib.ExitStack,
-) -> int:
-    from thorvaldc.cli.diagnostic_output import message, print_json, table_width
-    from thorvaldc.commissioning.scan_result import OK
-    from thorvaldc.tools.commission import report_content
-    from thorvaldc.tools.commission.motor_checks import MotorChecks
-    from thorvaldc.tools.commission.motor_session import MotorSession
-    from thorvaldc.tools.commission.results import MotorResult
+class _ReportFile:
+    """The report that is written after each motor.
 
-    robot = loaded.robot
-    earlier = _earlier(path)
-    kept = {} if again or earlier is None else report_content.kept_motors(robot, earlier)
-    interfaces, operator = _open(loaded, bus, locks)
-    entries = _devices(robot, interfaces)
-    differences = [entry for entry in entries if entry.verdict != OK]
-    results: dict[str, MotorResult] = {}
-    interruption = ""
-    content: dict[str, Any] = {}
+    - ``kept``: motors of an earlier report that are not checked again;
+    - ``results``: new results by the name of the motor;
+    - ``entries``: the devices on the buses.
+    """
 
-    def save() -> None:
-        content.clear()
-        content.update(
-            report_content.as_json(
-                robot,
-                results,
-                kept,
-                entries,
-                operator=operator_name,
-                date=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-                interruption=interruption,
-            )
+    def __init__(self, path: Path, robot: Robot, operator: str, again: bool) -> None:
+        """Reads the earlier report, and writes the new one once, before anything moves."""
+        from thorvaldc.commissioning.commission_report import passed_motors, read_report
+
+        self.path, self.robot, self._operator = path, robot, operator
+        self.kept = passed_motors(robot, read_report(path)) if path.exists() and not again else {}
+        self.results: dict[str, MotorResult] = {}
+        self.entries: list[ScanEntry] = []
+        self.report = self.write()
+
+    def write(self, interruption: str = "") -> CommissionReport:
+        from thorvaldc.commissioning.commission_page import write_report
+        from thorvaldc.tools.commission.report_content import report_of
+
+        now = datetime.datetime.now(datetime.UTC)
+        self.report = report_of(
+            self.robot,
+            self.results,
+            self.kept,
+            self.entries,
+            operator=self._operator,
+            date=now.isoformat(timespec="seconds"),
+            interruption=interruption,
         )
-        _write(path, robot, content)
+        try:
+            write_report(self.path, self.robot, self.report)
+        except OSError as error:
+            reason = error.strerror or error
+            raise OutsideError(f"cannot write {self.path}: {reason}") from None
+        return self.report
 
-    if differences:
+
+def _commission(
+    file: _ReportFile, loaded: LoadedRobot, bus: str, as_json: bool, locks: contextlib.ExitStack
+) -> int:
+    """Checks all motors, prints the report and returns the exit status."""
+    from thorvaldc.cli.diagnostic_output import message, print_json, table_width
+    from thorvaldc.tools.commission.report_content import calibration_text, summary
+
+    interfaces, operator = _open(loaded, bus, locks)
+    file.entries = _devices(file.robot, interfaces)
+    interruption = _differences(file.entries)
+    if interruption:
         for interface in interfaces.values():
             interface.close()
-        interruption = "; ".join(
-            f"{entry.node or 'device'}: {entry.verdict} {entry.detail}".strip()
-            for entry in differences
-        )
         message("nothing was moved: `thorvaldc can plan` shows how to set up the devices")
-        save()
     else:
-        message(SAFETY)
-        if kept:
-            message(f"passed before, not repeated: {', '.join(kept)} (--again repeats them)")
-        session = MotorSession(robot, interfaces, threaded=bus != "virtual")
-        motor_checks = MotorChecks(session, operator, results, kept, save)
-        ended = session.run(motor_checks.run(), stop=lambda: operator.closed)
-        interruption = motor_checks.interruption or ("" if ended else "ended by the operator")
-        if not ended:
-            message("")  # ends the line of the open question
-        save()
+        interruption = _check_motors(file, interfaces, operator, threaded=bus != "virtual")
+    report = file.write(interruption)
     if as_json:
-        print_json(content)
+        print_json(report.as_json())
     else:
-        print(report_content.summary(content, table_width()))
-        print(f"{robot.name}: {'passed' if content['passed'] else 'not passed'}, see {path}")
-    _offer_calibration(path, report_content.calibration_text(robot, results), bus == "virtual")
-    return DONE if content["passed"] else INPUT
+        print(summary(report, table_width()))
+        print(f"{report.robot}: {'passed' if report.passed else 'not passed'}, see {file.path}")
+    text = calibration_text(file.robot, file.results)
+    if text:
+        _offer_calibration(file.path, text, asks=bus != "virtual")
+    return DONE if report.passed else INPUT
 
 
-def _earlier(path: Path) -> Mapping[str, Any] | None:
-    from thorvaldc.commissioning.commission_report import read_report
+def _check_motors(
+    file: _ReportFile, interfaces: Mapping[str, CanInterface], operator: Operator, *, threaded: bool
+) -> str:
+    """Checks the motors; returns the reason why the checks ended before their end, or nothing."""
+    from thorvaldc.cli.diagnostic_output import message
+    from thorvaldc.tools.commission.motor_checks import MotorChecks
+    from thorvaldc.tools.commission.motor_session import MotorSession
 
-    return read_report(path) if path.exists() else None
+    message(SAFETY)
+    if file.kept:
+        message(f"passed before, not repeated: {', '.join(file.kept)} (--again repeats them)")
+    session = MotorSession(file.robot, interfaces, threaded=threaded)
+    checks = MotorChecks(session, operator, file.results, file.kept, file.write)
+    if session.run(checks.run(), stop=lambda: operator.closed):
+        return checks.interruption
+    message("")  # ends the line of the open question
+    return "ended by the operator"
+
+
+def _differences(entries: Sequence[ScanEntry]) -> str:
+    """Returns what differs between the devices and the robot file, or an empty text."""
+    from thorvaldc.commissioning.scan_result import OK
+
+    return "; ".join(
+        f"{entry.node or 'device'}: {entry.verdict} {entry.detail}".strip()
+        for entry in entries
+        if entry.verdict != OK
+    )
 
 
 def _open(
@@ -214,26 +239,18 @@ def _devices(robot: Robot, interfaces: Mapping[str, CanInterface]) -> list[ScanE
     return entries
 
 
-def _write(path: Path, robot: Robot, content: dict[str, Any]) -> None:
-    from thorvaldc.commissioning.commission_report import write_report
-
-    try:
-        write_report(path, robot, content)
-    except OSError as error:
-        raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None
-
-
-def _offer_calibration(path: Path, text: str, simulated: bool) -> None:
-    """Writes the measured zeros as a calibration file, if the operator agrees."""
+def _offer_calibration(path: Path, text: str, *, asks: bool) -> None:
+    """Shows the measured zeros, and writes a calibration file if the operator agrees."""
     from thorvaldc.cli.bus_access import agrees
     from thorvaldc.cli.diagnostic_output import message
+    from thorvaldc.commissioning.commission_report import SUFFIX
     from thorvaldc.diagnostics.files import write_file
 
-    if not text:
-        return
-    target = path.with_name(path.name.removesuffix(".json").removesuffix(".commission"))
-    target = target.with_name(f"{target.name}.calibration.yaml")
+    target = path.with_name(f"{path.name.removesuffix(SUFFIX)}.calibration.yaml")
     message(f"measured zeros, for a calibration file (`calibration: {target.name}`):\n{text}")
-    if simulated or target.exists() or not agrees(f"Write {target}?"):
+    if not asks or target.exists() or not agrees(f"Write {target}?"):
         return
-    write_file(target, text)
+    try:
+        write_file(target, text)
+    except OSError as error:
+        raise OutsideError(f"cannot write {target}: {error.strerror or error}") from None

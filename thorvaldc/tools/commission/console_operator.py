@@ -7,13 +7,13 @@ import sys
 import threading
 
 from thorvaldc.cli.diagnostic_output import message
+from thorvaldc.commissioning.commission_report import driven_joints
 from thorvaldc.model import Actuator, Robot
 from thorvaldc.runtime.can_base.motor_controller import Axis
 from thorvaldc.tools.commission.questions import (
     Answer,
     Question,
     joint_text,
-    joints,
     plan_view,
     wheel_numbers,
 )
@@ -57,9 +57,6 @@ class ConsoleOperator:
 
     def look(self) -> None:
         message("Look now: does the wheel stand?")
-
-    def tell(self, text: str) -> None:
-        message(text)
 
     def ask(self, question: Question) -> None:
         while not self._lines.empty():  # a line from before the question is no answer to it
@@ -106,7 +103,7 @@ class ConsoleOperator:
         for wheel in self._robot.wheels:
             if wheel.name == name:
                 joint = wheel.steering_joint if steers else wheel.spin_joint
-                by_joint = {motor.joint: motor for motor in joints(self._robot)}
+                by_joint = {motor.joint: motor for motor in driven_joints(self._robot)}
                 motor = by_joint.get(joint or "")
                 return None if motor is None else (motor,)
         return None

@@ -16,10 +16,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection
 
-from thorvaldc.commissioning.commission_page import YES
+from thorvaldc.commissioning.commission_report import YES
 from thorvaldc.model import Actuator, Robot, stopping
 from thorvaldc.model.settings import SAFETY_STOP
-from thorvaldc.runtime.can_base.base_state_machine import BaseState, Times
+from thorvaldc.runtime.can_base.base_state_machine import HOME_NOT_FOUND, BaseState, Times
 from thorvaldc.runtime.can_base.motor_controller import FRESH, Axis, MotorController
 from thorvaldc.tools.commission.assembly_findings import has_moved_as_expected
 from thorvaldc.tools.commission.motion_watch import CYCLES, MotionWatch, Travel, test_speed
@@ -30,7 +30,7 @@ from thorvaldc.tools.commission.motor_session import (
     Steps,
 )
 from thorvaldc.tools.commission.questions import Answer, Operator, Question, joint_text
-from thorvaldc.tools.commission.results import Figure, MotorResult, Observation
+from thorvaldc.tools.commission.results import STANDS, WATCHDOG, MotorResult, Observation
 
 WHEEL_TRAVEL = math.tau
 """Travel (rad) of a wheel: one turn, which a mark on the tyre shows."""
@@ -193,7 +193,7 @@ class MotorChecks:
         result.observation.homing = travel
         if travel.completed:
             limit = session.base.state_machine.times.home
-            result.figures.append(Figure("homing", session.now - since, "s", 0.0, limit))
+            result.add("homing", session.now - since, "s", 0.0, limit)
 
     def _move(
         self, axis: Axis, travel: float, result: MotorResult | None = None, limit: float = math.inf
@@ -221,18 +221,19 @@ class MotorChecks:
                 break
             yield
         motion = self._travel_of(watch, base.travel)
+        if motion.completed and abs(travel) > 0.01 and not base.travel:
+            state = session.driven.driver.state
+            raise Interrupted(state.hold_reason or state.fault or "the driver commands no motion")
         if result is not None and motion.completed:
             rest = session.now - silent_since
-            result.figures.append(Figure("rest after silence", rest, "s", 0.0, bound))
+            result.add("rest after silence", rest, "s", 0.0, bound)
             share = motion.reported / motion.commanded
-            result.figures.append(
-                Figure(
-                    "reported / commanded travel",
-                    share,
-                    "",
-                    1.0 - REPORTED_TOLERANCE,
-                    1.0 + REPORTED_TOLERANCE,
-                )
+            result.add(
+                "reported / commanded travel",
+                share,
+                "",
+                1.0 - REPORTED_TOLERANCE,
+                1.0 + REPORTED_TOLERANCE,
             )
         yield from session.release()
         return motion
@@ -268,8 +269,8 @@ class MotorChecks:
     def _has_caused(self, axis: Axis, fault: str) -> bool:
         controller = self._controller(axis)
         own = fault.startswith(f"{controller.node.name}:")
-        homing = "did not find its home position" in fault
-        return homing or (own and bool(controller.problem or "its target" in fault))
+        motion = controller.problem or self.session.base.state_machine.ladder.problem()
+        return fault.startswith(HOME_NOT_FOUND) or (own and bool(motion))
 
     @property
     def _fresh(self) -> float:
@@ -305,7 +306,7 @@ class MotorChecks:
             motion = yield from self._move_to(axis, goal)
             reached = axis.position if motion.completed else math.nan
             error = math.degrees(abs(reached - goal))
-            result.figures.append(Figure(f"deviation at the {name} limit", error, "deg", 0.0, 6.0))
+            result.add(f"deviation at the {name} limit", error, "deg", 0.0, 6.0)
             if not motion.completed:
                 return
         yield from self._move_to(axis, 0.0)
@@ -382,7 +383,7 @@ class MotorChecks:
             driven.lock(SAFETY_STOP, True)
             bound += self._ramp()
         rest = yield from self._time_to_rest(axis, bound + WATCHDOG_PATIENCE)
-        result.figures.append(Figure(f"rest after the {kind}", rest, "s", 0.0, bound))
+        result.add(f"rest after the {kind}", rest, "s", 0.0, bound)
         session.commands_motion = False
         if kind == "safety stop":
             driven.safety_stop(False)
@@ -412,11 +413,11 @@ class MotorChecks:
             yield
         self.operator.look()
         session.base.starves_drives = False
-        result.figures.append(Figure("drive's watchdog acts", acts, "s", 0.0, bound))
+        result.add(WATCHDOG, acts, "s", 0.0, bound)
         yield from session.release()
         stood = yield from self._ask("yes", "Did the wheel come to rest by itself?", axis)
         if not node.watchdog_coasts:
-            result.figures.append(_yes("stands by its watchdog", stood))
+            result.add(STANDS, float(bool(stood)), YES, 1.0, 1.0)
 
     def _check_emergency_stop(self, axis: Axis, result: MotorResult) -> Steps[None]:
         """Lets the operator press the emergency stop while the wheel turns."""
@@ -434,7 +435,7 @@ class MotorChecks:
         stood = bool(session.fault) and (session.now - axis.time > self._fresh or self._rests(axis))
         yield from self._ask_without_power("Release the emergency stop.", axis)
         yield from session.release()
-        result.figures.append(_yes("stands after the emergency stop", stood))
+        result.add("stands after the emergency stop", float(stood), YES, 1.0, 1.0)
 
     def _ask_without_power(self, text: str, axis: Axis) -> Steps[None]:
         """Asks the operator for something while the robot is in a fault."""
@@ -457,16 +458,11 @@ class MotorChecks:
         yield from self.session.release()
         text = "Try to turn the wheel by hand: does its brake hold it?"
         holds = yield from self._ask("yes", text, axis)
-        result.figures.append(_yes("brake holds", holds))
+        result.add("brake holds", float(bool(holds)), YES, 1.0, 1.0)
 
     def _controller(self, axis: Axis) -> MotorController:
         controllers = self.session.base.state_machine.controllers
         return next(controller for controller in controllers if axis in controller.axes)
-
-
-def _yes(name: str, answer: object) -> Figure:
-    """Returns a figure that is 1 for yes and 0 for no, and must be yes."""
-    return Figure(name, float(bool(answer)), YES, 1.0, 1.0)
 
 
 def _rest_speed(axis: Axis) -> float:
@@ -484,30 +480,21 @@ START_LIMIT = 5.0
 # -- the stated motion -----------------------------------------------------------------------------
 
 
-class Limits:
-    """Largest motion of any joint while a motor is checked, also of a wrongly assembled robot.
-
-    - ``speed``: largest speed (rad/s).
-    """
-
-    def __init__(self, axis: Axis, axes: tuple[Axis, ...], period: float) -> None:
-        """``period``: control cycle in s."""
-        velocity = test_speed(axis)
-        counts = axis.actuator.gear_ratio * axis.actuator.encoder_ppr
-        self.speed = 0.0
-        for other in axes:
-            motor = other.actuator
-            ratio = counts / (motor.gear_ratio * motor.encoder_ppr)
-            wrong = WRONG_ENCODER * velocity * ratio
-            unstable = motor.max_acceleration * (REACTION + CYCLES * period)
-            self.speed = max(self.speed, min(motor.max_velocity, max(wrong, unstable)))
-        if axis.steering:
-            self.speed = max(self.speed, axis.actuator.max_velocity)
+def largest_speed(axis: Axis, base: SingleMotorBase) -> float:
+    """Returns the largest speed (rad/s) of any joint while a motor is checked, also of a wrongly
+    assembled robot."""
+    velocity, pulses = test_speed(axis), axis.actuator.pulses_per_joint_turn
+    speeds = [axis.actuator.max_velocity] if axis.steering else []
+    for motor in (other.actuator for other in base.axes):
+        wrong = WRONG_ENCODER * velocity * pulses / motor.pulses_per_joint_turn
+        unstable = motor.max_acceleration * (REACTION + CYCLES * base.period)
+        speeds.append(min(motor.max_velocity, max(wrong, unstable)))
+    return max(speeds)
 
 
 def motion_text(robot: Robot, axis: Axis, base: SingleMotorBase) -> str:
     """Returns the stated motion of a motor: expected, and at most."""
-    velocity, limits = test_speed(axis), Limits(axis, base.axes, base.period)
+    velocity, largest = test_speed(axis), largest_speed(axis, base)
     name = joint_text(robot, axis.actuator)
     if axis.steering:
         expected = (
@@ -519,5 +506,5 @@ def motion_text(robot: Robot, axis: Axis, base: SingleMotorBase) -> str:
         expected = f"The {name} turns forwards once, with {velocity:.1f} rad/s in {duration:.0f} s."
     return (
         f"{expected} If the robot is assembled wrongly, any wheel may turn with up to"
-        f" {limits.speed:.1f} rad/s and up to {axis.actuator.max_torque:.0f} N m."
+        f" {largest:.1f} rad/s and up to {axis.actuator.max_torque:.0f} N m."
     )

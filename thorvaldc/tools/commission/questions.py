@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple, Protocol
 
 from thorvaldc.model import Actuator, Robot
@@ -54,16 +53,6 @@ class Operator(Protocol):
     def answer(self) -> tuple[Answer] | None:
         """Returns the answer in a tuple, or ``None`` as long as there is none."""
 
-    def tell(self, text: str) -> None:
-        """Shows a line to the operator."""
-
-
-def joints(robot: Robot) -> list[Actuator]:
-    """Returns the motors of wheels and steering joints, in the order of the wheels."""
-    by_joint = {actuator.joint: actuator for actuator in robot.actuators}
-    names = [name for w in robot.wheels for name in (w.spin_joint, w.steering_joint) if name]
-    return [by_joint[name] for name in names if name in by_joint]
-
 
 # -- a picture of the robot in a terminal ----------------------------------------------------------
 
@@ -107,7 +96,3 @@ def joint_text(robot: Robot, actuator: Actuator) -> str:
         if wheel.steering_joint == actuator.joint:
             return f"steering of wheel {wheel.name}"
     return actuator.name
-
-
-def turns(angle: float) -> float:
-    return angle / math.tau

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
+from thorvaldc.commissioning.commission_report import driven_joints
 from thorvaldc.runtime.can_base.motor_controller import STANDING, Axis
 from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
-from thorvaldc.tools.commission.questions import Answer, Question, joints
+from thorvaldc.tools.commission.questions import Answer, Question
 
 SEEN_TRAVEL = 0.02
 """Smallest travel (rad) of a joint that the operator sees."""
@@ -21,7 +22,7 @@ class SimulatedOperator:
 
     def __init__(self, simulated: SimulatedRobot) -> None:
         self._simulated = simulated
-        self._joints = joints(simulated.robot)
+        self._joints = driven_joints(simulated.robot)
         self._before = self._positions()
         self._answer: tuple[Answer] | None = None
         self._stood = True
@@ -61,6 +62,3 @@ class SimulatedOperator:
     def answer(self) -> tuple[Answer] | None:
         answer, self._answer = self._answer, None
         return answer
-
-    def tell(self, text: str) -> None:
-        """Ignores the line."""

@@ -13,7 +13,6 @@ all faults.
 from __future__ import annotations
 
 import gc
-import hashlib
 import math
 import multiprocessing
 import os
@@ -29,7 +28,7 @@ from typing import Any, TypeVar
 from thorvaldc import __version__
 from thorvaldc.diagnostics.text_layout import markdown_table, text_table
 from thorvaldc.model import Robot, stopping
-from thorvaldc.model.model_json import to_json
+from thorvaldc.model.model_json import model_hash
 from thorvaldc.model.statics.slope import roll_out
 from thorvaldc.runtime.se2 import Twist
 from thorvaldc.simulation.worker_processes import become_worker
@@ -292,11 +291,6 @@ SIMULATED = (
     " replace tests on the hardware, and a stop in software is not a safety function."
 )
 HEADINGS = ("fault", "drives", *fault_cases.PHASES, "at rest", "promised", "unasked motion")
-
-
-def model_hash(robot: Robot) -> str:
-    """Returns the SHA-256 of the ``model.json`` of the robot, which also its build contains."""
-    return hashlib.sha256(to_json(robot).encode()).hexdigest()
 
 
 def matrix_json(matrix: FaultMatrix, rows: Sequence[FaultRow], file: str) -> dict[str, Any]:
