@@ -5,25 +5,17 @@ from thorvaldc.model.fleet import Block, Fleet, Ground, Placement, World, Zone, 
 from thorvaldc.model.robot import (
     Actuator,
     Battery,
-    Box,
     Brake,
-    Collision,
-    Cylinder,
     Joint,
     JointServo,
     Link,
-    Mesh,
-    MeshShape,
     Mimic,
     Module,
     Purchase,
     Robot,
     Sensor,
-    Shape,
     SourcedMass,
-    Sphere,
     Tread,
-    Visual,
     Wheel,
     wheel_joints,
 )
@@ -33,6 +25,16 @@ from thorvaldc.model.settings import (
     ParameterSet,
     RosSettings,
     TwistInput,
+)
+from thorvaldc.model.shapes import (
+    Box,
+    Collision,
+    Cylinder,
+    Mesh,
+    MeshShape,
+    Shape,
+    Sphere,
+    Visual,
 )
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 from thorvaldc.model import quantities as si
 from thorvaldc.model.element import Element
-from thorvaldc.model.robot import Robot, Shape
+from thorvaldc.model.robot import Robot
+from thorvaldc.model.shapes import Shape
 from thorvaldc.model.spatial import Pose
 
 

@@ -9,7 +9,7 @@ of the robot model.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from thorvaldc.diagnostics import DiagnosticError, Span
 from thorvaldc.model import quantities as si
@@ -23,6 +23,7 @@ from thorvaldc.model.settings import (
     RosSettings,
     TwistInput,
 )
+from thorvaldc.model.shapes import Collision, Mesh, Visual
 from thorvaldc.model.spatial import Inertial, Pose, Vec3
 
 # -- modules: the types of the module library that the robot consists of ----------------
@@ -81,86 +82,6 @@ class Module(Element):
     masses: tuple[SourcedMass, ...]
     span: Span
     purchase: Purchase = NOT_STATED
-
-
-# -- geometry -----------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Box(Element):
-    """A box, centred on the origin of its frame. ``size`` has the full edge lengths of the box
-    along x, y and z in m."""
-
-    size: si.Position
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Cylinder(Element):
-    """A cylinder along the z axis, centred on the origin of its frame, with radius and full length
-    in m."""
-
-    radius: si.Metres
-    length: si.Metres
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Sphere(Element):
-    """A sphere, centred on the origin of its frame, with the radius in m."""
-
-    radius: si.Metres
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class MeshShape(Element):
-    """A collision or visual shape from a mesh file of the robot.
-
-    - ``mesh``: name of a mesh in ``Robot.meshes``.
-    - ``scale``: scale factors along x, y and z.
-    """
-
-    mesh: str
-    scale: Vec3 = (1.0, 1.0, 1.0)
-
-
-Shape = Box | Cylinder | Sphere | MeshShape
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Mesh(Element):
-    """A mesh file of a build, in the format STL or OBJ.
-
-    URDF readers and MuJoCo both read STL and OBJ files. The compiler converts mesh files in other
-    formats to STL or OBJ.
-
-    - ``name``: name of the mesh file in the build folder.
-    - ``data``: bytes of the mesh file. The JSON text of the model omits ``data``.
-    - ``sha256``: hash of the bytes (hexadecimal).
-    """
-
-    name: str
-    sha256: str
-    data: bytes = field(default=b"", compare=False, repr=False)
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Visual(Element):
-    """A visual shape of a link.
-
-    - ``pose``: pose of the shape in the link frame.
-    - ``color``: red, green, blue and opacity, each 0 to 1.
-    """
-
-    shape: Shape
-    pose: Pose
-    color: tuple[float, float, float, float]
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Collision(Element):
-    """A collision shape of a link. ``pose`` is the pose of the shape in the link frame."""
-
-    shape: Shape
-    pose: Pose
 
 
 # -- links and joints -------------------------------------------------------------------
