@@ -69,7 +69,7 @@ READERS = (
         "drake",
         "drake_mjcf_reader.py",
         (EXACT, EXACT, EXACT, EXACT, EXACT, EXACT, NONE, EXACT),
-        notes="refuses STL meshes: read without the shapes that are meshes; has no `intvelocity`",
+        notes="reads OBJ meshes only: read with OBJ files in place of STL; has no `intvelocity`",
     ),
     Reader(
         "Pinocchio 4.1",

@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import trimesh
 
 from tests.backend_files import files_of
 from tests.backends.conftest import write
@@ -78,22 +79,19 @@ def read(reader: Reader, folder: Path) -> dict[str, Any]:
     for name, robot in robots().items():
         path = folder / name / reader.file
         if reader.program == "drake_mjcf_reader.py":
-            path = without_meshes(path)
+            path = with_obj_meshes(path)
         at = states(robot)[: 1 if reader.program == "usd_reader.py" else None]
         jobs.append({"path": str(path), "states": at})
     return dict(zip(robots(), run(reader.python, reader.program, jobs), strict=True))
 
 
-def without_meshes(path: Path) -> Path:
-    """A copy without meshes, and without the inertia that links without mass have for a mesh."""
-    tree = ElementTree.parse(path)
-    for parent in list(tree.iter()):
-        for child in list(parent):
-            mesh = child.tag == "mesh" or child.get("mesh") is not None
-            if mesh or (child.tag == "inertial" and child.get("mass") == "0"):
-                parent.remove(child)
-    copy = path.with_name("without_meshes.xml")
-    tree.write(copy)
+def with_obj_meshes(path: Path) -> Path:
+    """A copy with OBJ files in place of STL files, which Drake does not read."""
+    text = path.read_text(encoding="utf-8")
+    for stl in sorted((path.parents[1] / "meshes").glob("*.stl")):
+        trimesh.load(stl).export(stl.with_suffix(".obj"))
+    copy = path.with_name("robot_obj.xml")
+    copy.write_text(text.replace('.stl"', '.obj"'), encoding="utf-8")
     return copy
 
 
@@ -137,13 +135,10 @@ def without_lost(reader: Reader, path: Path, column: str, value: dict[str, Any])
     if column == "contacts":
         if reader.file == URDF:
             return Counter(geometry[0].tag for geometry in root.iterfind("link/collision/geometry"))
-        lost = {"usd_reader.py": "ellipsoid", "drake_mjcf_reader.py": "mesh"}.get(reader.program)
+        lost = "ellipsoid" if reader.program == "usd_reader.py" else None
         return {kind: number for kind, number in value.items() if kind != lost}
     if reader.program == "drake_mjcf_reader.py" and column == "actuators":
         return {str(e.get("joint")): value[str(e.get("joint"))] for e in root.iter("position")}
-    if reader.program == "drake_mjcf_reader.py" and column == "friction":
-        meshes = {geom.get("name") for geom in root.iter("geom") if geom.get("mesh")}
-        return {name: mu for name, mu in value.items() if name not in meshes}
     return value
 
 
@@ -190,7 +185,7 @@ def test_reader(reader: Reader, folder: Path, expected: dict[str, Any]) -> None:
 
 @pytest.mark.slow
 def test_drake_refuses_stl_meshes(folder: Path) -> None:
-    """The reason why the table reads a copy without meshes."""
+    """The reason why Drake reads a copy with OBJ files."""
     (reader,) = (reader for reader in READERS if reader.program == "drake_mjcf_reader.py")
     if not reader.python.exists():
         without("Drake is not installed (.ci/run shows how)")

@@ -9,8 +9,12 @@ from collections.abc import Iterator, Sequence
 
 from thorvaldc.backends.xml_writer import parse
 from thorvaldc.diagnostics import CODES, Diagnostic
-from thorvaldc.model import Ground, Robot, Vec3
+from thorvaldc.model import Ground, Inertial, Robot, Vec3
 from thorvaldc.model.spatial import GRAVITY, clean
+
+NEGLIGIBLE = Inertial(1e-10, (0.0, 0.0, 0.0), (1e-12, 1e-12, 1e-12, 0.0, 0.0, 0.0))
+"""Inertia of a link without mass for readers that refuse the mass 0, or take 1 kg for no mass: DART
+for each link in URDF, Pinocchio for each mesh in MJCF."""
 
 Color = tuple[float, float, float, float]
 BLOCK_COLORS: dict[str, Color] = {

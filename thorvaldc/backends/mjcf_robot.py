@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from typing import TypeGuard
 
 from thorvaldc import model
-from thorvaldc.backends.description_parts import Palette
+from thorvaldc.backends.description_parts import NEGLIGIBLE, Palette
 from thorvaldc.backends.xml_writer import Element
 from thorvaldc.model.spatial import clean, quat_from_z_to
 from thorvaldc.model.statics.joint_tree import tree_of
@@ -294,17 +294,11 @@ class RobotWriter:
             )
 
     def _add_link(self, body: Element, link: model.Link) -> None:
-        if link.inertial is not None:
-            body.add(
-                "inertial",
-                pos=link.inertial.com,
-                mass=link.inertial.mass,
-                fullinertia=link.inertial.inertia,
-            )
-        elif any(isinstance(part.shape, model.MeshShape) for part in link.collisions):
-            # Without it, Pinocchio takes 1 kg for the mesh. Other links without mass have none, as
-            # Drake refuses an inertia without mass.
-            body.add("inertial", pos=(0, 0, 0), mass=0, diaginertia=(0, 0, 0))
+        inertial = link.inertial
+        if inertial is None and any(isinstance(c.shape, model.MeshShape) for c in link.collisions):
+            inertial = NEGLIGIBLE
+        if inertial is not None:
+            body.add("inertial", pos=inertial.com, mass=inertial.mass, fullinertia=inertial.inertia)
         for visual in link.visuals if self.visuals else ():
             geom = body.add("geom", class_="visual")
             self._shape(geom, visual.shape, visual.pose)

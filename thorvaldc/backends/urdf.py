@@ -6,7 +6,7 @@ MuJoCo's importer also reads the URDF files without loss.
 from __future__ import annotations
 
 from thorvaldc.backends import Backend, xml_writer
-from thorvaldc.backends.description_parts import Palette, mesh_files
+from thorvaldc.backends.description_parts import NEGLIGIBLE, Palette, mesh_files
 from thorvaldc.backends.ros2_control import kept_extensions, ros2_control_elements
 from thorvaldc.model import Box, Cylinder, Inertial, Joint, Link, MeshShape, Pose, Robot, Shape
 from thorvaldc.model.element import once_per_model
@@ -14,9 +14,6 @@ from thorvaldc.model.spatial import clean
 
 # URDF requires limits for revolute and prismatic joints. The joint limit 1e9 means "no limit".
 UNLIMITED = 1e9
-# DART gives a link without inertia 1 kg, and warns of a mass of 0. The root has no inertia, because
-# robot_state_publisher (kdl_parser) warns of one there.
-NEGLIGIBLE = Inertial(1e-10, (0.0, 0.0, 0.0), (1e-12, 1e-12, 1e-12, 0.0, 0.0, 0.0))
 MESHES = "../meshes"
 """Folder of the mesh files in a build, relative to the URDF file."""
 
@@ -78,6 +75,7 @@ def _own_text(robot: Robot) -> str:
         root.add("material", name=name).add("color", rgba=color)
     for link in robot.links:
         inertial = link.inertial
+        # The root has no inertia, because robot_state_publisher (kdl_parser) warns of one there.
         if inertial is None and link is not robot.links[0]:
             inertial = NEGLIGIBLE
         _add_link(root, link, inertial, prefix, palette)
