@@ -53,10 +53,10 @@ The share is that of a slope of 17 degrees.
 
 
 class _Servo(NamedTuple):
-    """The MuJoCo indices and gains of one drive servo.
+    """The indices and gains of one drive servo.
 
-    - ``actuator``, ``activation``, ``position``, ``speed``: indices in ``ctrl``, ``act``, ``qpos``
-      and ``qvel``.
+    - ``actuator``, ``activation``, ``position``, ``speed``: indices in the views of ``ctrl``,
+      ``act``, ``qpos`` and ``qvel``.
     - ``stiffness``: kp in N m/rad.
     - ``damping``: kv in N m s/rad.
     - ``torque``: largest torque in N m.
@@ -96,29 +96,32 @@ class DriveServos:
             for i in actuators
             if model.actuator_actadr[i] >= 0 and model.actuator_biasprm[i, 1] < 0.0
         ]
-        bodies = [int(model.jnt_bodyid[model.actuator_trnid[i, 0]]) for i in indices]
+        joints = [int(model.actuator_trnid[i, 0]) for i in indices]
+        bodies = [int(model.jnt_bodyid[joint]) for joint in joints]
         roots = [int(model.body_rootid[body]) for body in bodies]
-        self._servos = []
+        # Views of the MuJoCo arrays.  Creating a view takes several times as long as reading it.
+        self._ctrl, actuators = _part(data.ctrl, indices)
+        self._act, activations = _part(data.act, [int(model.actuator_actadr[i]) for i in indices])
+        self._qpos, positions = _part(data.qpos, [int(model.jnt_qposadr[j]) for j in joints])
+        self._qvel, speeds = _part(data.qvel, [int(model.jnt_dofadr[j]) for j in joints])
         # Indices of the drives of the same robot, for each drive.
         self._robots = [[k for k, other in enumerate(roots) if other == root] for root in roots]
-        for i, body, root in zip(indices, bodies, roots, strict=True):
-            joint = int(model.actuator_trnid[i, 0])
+        self._servos = []
+        for k, (i, body, root) in enumerate(zip(indices, bodies, roots, strict=True)):
             _, stiffness, damping = (-v for v in model.actuator_biasprm[i, :3].tolist())
             weight = float(model.body_subtreemass[root]) * GRAVITY
             self._servos.append(
                 _Servo(
-                    i,
-                    int(model.actuator_actadr[i]),
-                    int(model.jnt_qposadr[joint]),
-                    int(model.jnt_dofadr[joint]),
+                    actuators[k],
+                    activations[k],
+                    positions[k],
+                    speeds[k],
                     stiffness,
                     damping,
                     float(model.actuator_forcerange[i, 1]),
                     RELEASE_LOAD * weight * _radius(model, body) / roots.count(root),
                 )
             )
-        # Views of the MuJoCo arrays.  Creating a view takes several times as long as reading it.
-        self._act, self._ctrl, self._qpos, self._qvel = data.act, data.ctrl, data.qpos, data.qvel
         self._reset(float(data.time))
 
     def _reset(self, time: float) -> None:
@@ -166,6 +169,16 @@ class DriveServos:
             changed = True
         if changed:
             self._act[:] = act
+
+
+def _part(array: Any, indices: Sequence[int]) -> tuple[Any, list[int]]:
+    """Returns the view of an array from the first to the last index, and the indices in the view.
+
+    The arrays of a scene grow with its robots: to read them whole for each robot takes a time that
+    grows with the square of the number of robots.
+    """
+    first, end = min(indices, default=0), max(indices, default=-1) + 1
+    return array[first:end], [index - first for index in indices]
 
 
 def _turns_wheel(model: Any, actuator: int) -> bool:
