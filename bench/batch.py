@@ -100,4 +100,5 @@ def _processes(path: Path) -> Iterator[Figure]:
         "lower",
         f"of those {RUNS} runs over {processors()} processes, over that in one, which took"
         f" {work[0]:.3g} s: what it costs to begin them",
+        timed=True,
     )

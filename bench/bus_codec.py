@@ -60,4 +60,5 @@ def figures() -> Iterator[Figure]:
         1.0,
         "lower",
         "ratio of the two times above",
+        timed=True,
     )

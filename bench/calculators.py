@@ -86,4 +86,5 @@ def _simulation() -> Iterator[Figure]:
         10,
         "higher",
         "its default manoeuvre through the base driver at 50 Hz in MuJoCo, median of 5",
+        timed=True,
     )

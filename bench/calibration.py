@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING
 
 from bench.figure import ROOT, Figure
 
+GROUP = "accuracy"
+
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
     from thorvaldc.runtime.se2 import Pose2
@@ -106,7 +108,9 @@ def _rolling(robot: Robot) -> Iterator[Figure]:
     yield Figure(
         "end error after", after, "m", 1.0, "lower", "odometry with the calibration; the same runs"
     )
-    yield Figure("calibration, time", taken, "s", 5.0, "lower", "of a log of 77 s at 50 Hz")
+    yield Figure(
+        "calibration, time", taken, "s", 5.0, "lower", "of a log of 77 s at 50 Hz", timed=True
+    )
 
 
 def _physics(robot: Robot, files: Mapping[str, bytes]) -> Iterator[Figure]:

@@ -81,6 +81,7 @@ def figures() -> Iterator[Figure]:
         "lower",
         f"median from its start until all frames are sent, 99 % below"
         f" {1e3 * work[int(0.99 * len(work))]:.2f} ms, longest {1e3 * work[-1]:.2f} ms",
+        timed=True,
     )
 
 

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 
 from bench.figure import Figure
 
+GROUP = "accuracy"
+
 SEEDS = range(80)
 
 

@@ -22,4 +22,5 @@ def figures() -> Iterator[Figure]:
         "lower",
         f"build of 4WD4WS to all four targets {build_time * 1e3:.0f} ms,"
         f" `{BARE}` {bare * 1e3:.0f} ms; whole processes in turns, medians of 21",
+        timed=True,
     )

@@ -28,6 +28,8 @@ from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.odometry import Odometry
 from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
 
+GROUP = "accuracy"
+
 RUNS = 200
 STRIDE = 2
 """The study uses every second tick of the drive: 25 joint states per second."""

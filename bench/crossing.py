@@ -21,6 +21,8 @@ from bench.figure import Figure
 from bench.following import Conduct, follow, row
 from bench.random_robots import FAMILIES, random_robot
 
+GROUP = "accuracy"
+
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
     from thorvaldc.runtime.se2 import Twist

@@ -27,6 +27,8 @@ from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry, Noise, WheelGeometry
 from thorvaldc.runtime.calculators.twist_estimator import TwistEstimator
 
+GROUP = "accuracy"
+
 SAMPLES = 1000
 FAULTS = ("dead", "reversed", "stuck")
 WRONG_RADIUS = 1.05

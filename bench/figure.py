@@ -21,7 +21,8 @@ EXAMPLE = ROOT / "examples" / "4wd4ws_wide" / "robot.yaml"
 class Figure:
     """A measured value with its bound; ``how`` describes the measurement.
 
-    A figure without a bound is printed but not judged.
+    A figure without a bound is information: it is printed but not judged.  A figure is ``timed`` if
+    it depends on the speed of the machine, and thus on other programs that run.
     """
 
     name: str
@@ -30,13 +31,16 @@ class Figure:
     bound: float | None
     better: str  # "lower" or "higher"
     how: str
+    timed: bool = False
 
-    @property
-    def holds(self) -> bool:
-        """Whether the value satisfies the bound, if there is one."""
+    def verdict(self, is_busy: bool) -> str:
+        """Returns ``info``, ``holds`` or ``FAILS``, or ``busy`` where a time cannot be judged."""
         if self.bound is None:
-            return True
-        return self.value <= self.bound if self.better == "lower" else self.value >= self.bound
+            return "info"
+        if self.timed and is_busy:
+            return "busy"
+        holds = self.value <= self.bound if self.better == "lower" else self.value >= self.bound
+        return "holds" if holds else "FAILS"
 
 
 def python(*arguments: str) -> list[str]:

@@ -30,6 +30,8 @@ from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.odometry import filter_covariance
 from thorvaldc.runtime.se2 import ORIGIN, Twist
 
+GROUP = "accuracy"
+
 SECONDS, RUNS = 60.0, 200
 SPEED = 0.4
 """Speed (m/s) of the drives.

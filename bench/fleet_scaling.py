@@ -124,4 +124,5 @@ def _growth(name: str, times: dict[int, float], scale: float, unit: str, what: s
         "lower",
         f"relative to ten times that of 10; {what}; {unit} per robot in scenes of {each};"
         " least of several",
+        timed=True,
     )

@@ -26,6 +26,8 @@ from typing import TYPE_CHECKING
 from bench.figure import Figure
 from bench.random_robots import FAMILIES, random_robot
 
+GROUP = "accuracy"
+
 if TYPE_CHECKING:
     from thorvaldc.model import Robot
     from thorvaldc.runtime.calculators import BaseCommand, BaseGeometry

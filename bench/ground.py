@@ -14,6 +14,8 @@ from thorvaldc.model import Robot
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.scenario_run import ScenarioResult, ScenarioSimulation
 
+GROUP = "accuracy"
+
 SLIM = ROOT / "examples" / "4wd4ws_slim" / "robot.yaml"
 CART = ROOT / "examples" / "2wd0ws_greenhouse" / "robot.yaml"
 ANGLE, MU, SECONDS = math.radians(8.0), 0.06, 2.0

@@ -59,4 +59,5 @@ def figures() -> Iterator[Figure]:
         "compile and emit in process, least processor time of 15:"
         f" {small_time * 1e3:.1f} ms for 9 steered drives, {large_time * 1e3:.0f} ms for 90;"
         " the ratio is the second over ten times the first",
+        timed=True,
     )

@@ -38,4 +38,5 @@ def figures() -> Iterator[Figure]:
         f"{thorvaldc_time * 1e3:.0f} ms, a typer program of one command {bare * 1e3:.0f} ms"
         f" (without the help of rich {without_rich * 1e3:.0f} ms); whole processes in turns,"
         " medians of 21",
+        timed=True,
     )

@@ -11,6 +11,8 @@ from tests.examples import ROBOTS
 from tests.ros.engines.test_gazebo import COUPLED, build, mission
 from tests.ros.environments import DISTROS, ENVIRONMENTS
 
+GROUP = "accuracy"
+
 SECONDS = 77.0
 BOUND = 0.3
 """Largest error of the odometry in % of the path."""

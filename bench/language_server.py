@@ -70,6 +70,7 @@ def figures() -> Iterator[Figure]:
         "lower",
         f"9WD9WS, from the change to its diagnostics {edit * 1e3:.0f} ms (with the delay of 20 ms),"
         f" cold `check` {check * 1e3:.0f} ms; in turns, medians of {ROUNDS}",
+        timed=True,
     )
 
 

@@ -75,6 +75,7 @@ def figures() -> Iterator[Figure]:
         f" {ROUNDS}; {100 * bare / whole:.0f} % of it is mj_step, which alone runs at"
         f" {duration / bare:.0f}x ({1e6 * bare / len(controls) / steps:.1f} us per step);"
         f" the rest takes {1e6 * (whole - bare) / len(controls):.0f} us per tick",
+        timed=True,
     )
     yield Figure(
         "the mission beside bare physics",

@@ -24,6 +24,8 @@ from bench.figure import Figure
 from bench.following import random_twists
 from bench.random_robots import FAMILIES, random_robot
 
+GROUP = "accuracy"
+
 if TYPE_CHECKING:
     from thorvaldc.runtime.calculators import BaseGeometry
     from thorvaldc.runtime.calculators.base_geometry import FixedWheels

@@ -24,6 +24,8 @@ from thorvaldc.runtime.calculators import BaseGeometry, Noise
 from thorvaldc.runtime.calculators.general import General, GeneralOptions
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, Cov3, Pose2, Twist
 
+GROUP = "accuracy"
+
 STATES = 4000
 PAIRED = 500
 """Number of states for random_pairs, which takes much longer."""

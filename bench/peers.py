@@ -75,7 +75,9 @@ def _compare(n: int) -> Iterator[Figure]:
 
     def figure(name: str, k: int, bound: float | None, how: str) -> Figure:
         method = how.format(f"{ns[k]:.0f} ns", f"{ns[k + 1]:.0f} ns")
-        return Figure(f"{name}, N={n}", ns[k] / ns[k + 1], "x wpimath", bound, "lower", method)
+        return Figure(
+            f"{name}, N={n}", ns[k] / ns[k + 1], "x wpimath", bound, "lower", method, timed=True
+        )
 
     yield figure(
         "tick", 0, 1.5,

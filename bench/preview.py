@@ -71,6 +71,7 @@ def figures() -> Iterator[Figure]:
         f"4WD4WS, window of 1280 x 800, medians of {ROUNDS} in ms: {stages};"
         f" one picture in software OpenGL {opengl:.0f};"
         f" load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
+        timed=True,
     )
 
 

@@ -52,4 +52,5 @@ def figures() -> Iterator[Figure]:
         f" {as_mcap:.2f} s, {1e6 * (as_mcap - plain) / ticks:.0f} us per tick,"
         f" {sizes[0]:.0f} kB/s; CSV {as_csv / plain:.2f}, {1e6 * (as_csv - plain) / ticks:.0f}"
         f" us per tick, {sizes[1]:.0f} kB/s",
+        timed=True,
     )

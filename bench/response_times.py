@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from bench.bus_traffic import random_bus, reached
 from bench.figure import Figure
 
+GROUP = "accuracy"
+
 BUSES, SEEDS = 30, 30
 
 

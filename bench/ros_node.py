@@ -43,4 +43,5 @@ def figures() -> Iterator[Figure]:
             "lower",
             f"of the period of {period:.0f} ms: cycle and messages {result['cycle']:.2f} ms of CPU,"
             f" without ROS {result['bare']:.2f} ms; paths {result['distance'] * 1e3:.3g} mm apart",
+            timed=True,
         )

@@ -41,6 +41,8 @@ from thorvaldc.simulation.sensors.lidar import Lidar
 from thorvaldc.simulation.sensors.simulated_sensor import Message, SimulatedSensor
 from thorvaldc.simulation.simulation_run import Simulation
 
+GROUP = "accuracy"
+
 RUNS, SECONDS = 16, 40.0
 SETTLED = 10.0
 """Time (s) from which NEES counts, once a second."""
@@ -321,6 +323,7 @@ def costs() -> Iterator[Figure]:
         "lower",
         f"4WD4WS with a 2D lidar (541 rays, 25 Hz), IMU (100 Hz) and two GNSS receivers (10 Hz):"
         f" {measured:.2f} s for {seconds:g} s, without sensors {without:.2f} s",
+        timed=True,
     )
     rows = [(s.sensor.type, s) for s in with_sensors.sensors.values()]
     tower = replace(

@@ -25,6 +25,8 @@ from thorvaldc.model.facts.stability import load_ranges
 from thorvaldc.model.statics.standing import Standing, standing_of
 from thorvaldc.model.statics.tip_over import support_of
 
+GROUP = "accuracy"
+
 NUMBER = 80
 DURATION = 10.0  # s
 PUSH = 0.02  # rad/s

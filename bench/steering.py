@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 from bench.figure import Figure
 from bench.robots import wheel
 
+GROUP = "accuracy"
+
 if TYPE_CHECKING:
     from thorvaldc.runtime.calculators import WheelGeometry
     from thorvaldc.runtime.se2 import Twist

@@ -23,6 +23,8 @@ from thorvaldc.model.stopping import STOP_LOCK
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
 
+GROUP = "accuracy"
+
 ROVER = """
 thorvaldc: 1
 name: rover

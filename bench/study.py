@@ -64,6 +64,7 @@ def figures() -> Iterator[Figure]:
         f" {simulated / parallel.wall:.0f}, loop {simulated / plain.wall:.0f},"
         f" study on one process {simulated / whole.wall:.0f};"
         f" {len(results)} designs of {SECONDS:g} s, with the start of the processes",
+        timed=True,
     )
     yield Figure(
         "a study per processor",

@@ -45,6 +45,7 @@ def figures() -> Iterator[Figure]:
                 f"relative to one worker; {DESIGNS} designs of {SECONDS:g} s: wall time"
                 f" {wall:.1f} s and {wall_2:.1f} s, processor time"
                 f" {processor:.1f} s and {processor_2:.1f} s",
+                timed=True,
             )
 
 

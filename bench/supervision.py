@@ -32,6 +32,8 @@ from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
+GROUP = "accuracy"
+
 EXAMPLES = sorted(path.parent.name for path in (ROOT / "examples").glob("[0-9]*/robot.yaml"))
 CIA402 = "4wd4ws_slim"
 """Example that also runs with CiA 402 drives."""

@@ -35,4 +35,5 @@ def figures() -> Iterator[Figure]:
         "4WD4WS from robot.yaml to the files of all four targets in memory, in process,"
         " median processor time of 51; xacro expands a four-wheel robot to URDF alone in"
         f" {expansion * 1e3:.1f} ms",
+        timed=True,
     )
