@@ -14,6 +14,7 @@ from typing import Any
 
 from thorvaldc.diagnostics import DiagnosticError
 from thorvaldc.model import Robot
+from thorvaldc.simulation.physics import fleet_reader
 
 SCENE = "mjcf/scene.xml"
 HOME = "home"
@@ -27,8 +28,8 @@ def _ignore(message: str) -> None:
     """Discards a warning message of MuJoCo."""
 
 
-def call_without_warnings(function: Callable[..., None], *arguments: Any) -> None:
-    """Calls a function of MuJoCo that steps; its warnings are neither printed nor logged.
+def call_without_warnings(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Calls a function of MuJoCo; its warnings are neither printed nor logged.
 
     MuJoCo prints warnings about a divergence and writes a log file.  ``MujocoScene.diverged``
     replaces them.
@@ -38,7 +39,7 @@ def call_without_warnings(function: Callable[..., None], *arguments: Any) -> Non
     user_warning = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(_ignore)
     try:
-        function(*arguments)
+        return function(*arguments)
     finally:
         mujoco.set_mju_user_warning(user_warning)
 
@@ -71,9 +72,12 @@ class MujocoScene:
         Raises ``DiagnosticError`` (``simulation-scene``) if the file is missing or MuJoCo cannot
         read the file.
         """
-        if isinstance(files, Mapping):
+        self.model = None
+        if not visuals and prepare is None:
+            self.model = _load_fleet(files, scene)
+        if self.model is None and isinstance(files, Mapping):
             self.model = _load_from_memory(files, scene, visuals, prepare)
-        else:
+        elif self.model is None:
             self.model = _load(Path(files), scene, visuals, prepare)
         import mujoco
 
@@ -169,6 +173,15 @@ class MujocoScene:
                 hint="model.json and the MJCF files come from different builds: build again",
             )
         return index
+
+
+def _load_fleet(files: SceneFiles, scene: str) -> Any:
+    """Returns the model of a large fleet, or ``None`` if ``_load`` has to read the scene."""
+    try:
+        text = files[scene] if isinstance(files, Mapping) else Path(files, scene).read_bytes()
+        return call_without_warnings(fleet_reader.read_fleet, text)
+    except (KeyError, OSError, SyntaxError, ValueError):
+        return None  # `_load` says what is wrong, with the name of the file
 
 
 def _load(folder: Path, scene: str, visuals: bool, prepare: Prepare) -> Any:
