@@ -48,14 +48,15 @@ def read_fleet(text: bytes) -> Any:
         # A prefix is not needed: the names of the robots differ.
         warnings.filterwarnings("ignore", "Attaching a spec with an empty prefix")
         for first in range(0, len(robots), ROBOTS):
-            name = f"robots from {first}"
             root = Element("mujoco")
             root.extend(settings)
-            frame = SubElement(SubElement(root, "worldbody"), "frame", name=name)
-            frame.extend(robots[first : first + ROBOTS])
+            SubElement(root, "worldbody").extend(robots[first : first + ROBOTS])
             group = mujoco.MjSpec.from_string(tostring(root, "unicode"))
+            frame = group.worldbody.add_frame()
+            for body in group.worldbody.bodies:
+                body.set_frame(frame)
             group.compiler.discardvisual = group.compiler.fusestatic = True
             group.compile()
-            whole.worldbody.attach_frame(group.frame(name), "", "")
+            whole.worldbody.attach_frame(frame, "", "")
         whole.compiler.discardvisual = True
         return whole.compile()

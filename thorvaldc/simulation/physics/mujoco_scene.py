@@ -72,17 +72,17 @@ class MujocoScene:
         Raises ``DiagnosticError`` (``simulation-scene``) if the file is missing or MuJoCo cannot
         read the file.
         """
-        self.model = None
-        if not visuals and prepare is None:
-            self.model = _load_fleet(files, scene)
-        if self.model is None and isinstance(files, Mapping):
-            self.model = _load_from_memory(files, scene, visuals, prepare)
-        elif self.model is None:
-            self.model = _load(Path(files), scene, visuals, prepare)
+        model = None if visuals or prepare is not None else _load_fleet(files, scene)
+        if model is None:
+            if isinstance(files, Mapping):
+                model = _load_from_memory(files, scene, visuals, prepare)
+            else:
+                model = _load(Path(files), scene, visuals, prepare)
         import mujoco
 
         self._mujoco = mujoco
-        self.data = mujoco.MjData(self.model)
+        self.model = model
+        self.data = mujoco.MjData(model)
         self.timestep = float(self.model.opt.timestep)
         self.sensors: Any = None
         # By default, MuJoCo resets a diverged simulation to the start without an error.
