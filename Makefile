@@ -19,7 +19,7 @@ PIP_INSTALL = PIP_CONSTRAINT=locks/dev.txt PIP_BUILD_CONSTRAINT=locks/dev.txt \
 unexport PYTHONDONTWRITEBYTECODE
 
 .DELETE_ON_ERROR:
-.PHONY: help setup lock demo test test-slow test-all test-core test-matrix compiled lint types chaos fuzz mutants bench bench-accuracy golden pictures dist docs docs-serve playground clean distclean
+.PHONY: help setup lock demo test test-slow test-all test-core test-matrix compiled lint types chaos fuzz mutants bench bench-long golden pictures dist docs docs-serve playground clean distclean
 
 help:
 	@echo "make demo      compile every example and drive it in simulation"
@@ -33,7 +33,7 @@ help:
 	@echo "make fuzz      broken and hostile files of every kind: make fuzz SEEDS=0:10000 JOBS=2"
 	@echo "make mutants   do the tests notice small changes of the code? LAYER=can NUMBER=20 SEED=1"
 	@echo "make bench     measure times and memory in ten minutes; writes bench.json"
-	@echo "make bench-accuracy  measure odometry, calibration and physics; takes about an hour"
+	@echo "make bench-long  measure the accuracy and the growth to 1,000; takes about an hour"
 	@echo "make golden    rewrite the tests' golden files and tables (review the diff)"
 	@echo "make pictures  render the pictures of examples and modules"
 	@echo "make dist      build and check the wheels and the source distribution"
@@ -160,8 +160,8 @@ bench: $(READY)
 	  $(call PIP_INSTALL,$(BIN)) --editable '.[bench]' || true
 	$(BIN)/python -m bench
 
-bench-accuracy: $(READY)
-	$(BIN)/python -m bench accuracy
+bench-long: $(READY)
+	$(BIN)/python -m bench long
 
 golden: $(READY)
 	$(BIN)/python -m tests.golden.rewrite
@@ -197,7 +197,7 @@ docs-serve: $(READY)
 	NO_MKDOCS_2_WARNING=1 PYTHONPATH=. $(BIN)/python -m mkdocs serve
 
 clean:
-	rm -rf build dist bench.json bench-accuracy.json .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf build dist bench.json bench-long.json .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . \( -path ./.venv -o -path ./.matrix -o -path ./.mutants \) -prune -o -name __pycache__ -type d -print0 | xargs -0 rm -rf
 
 distclean: clean

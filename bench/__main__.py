@@ -1,6 +1,6 @@
 """Measures the figures, prints a table and writes bench.json.
 
-``python -m bench`` measures the group ``speed``, ``python -m bench accuracy`` the other group, and
+``python -m bench`` measures the group ``speed``, ``python -m bench long`` the other group, and
 ``python -m bench MODULE ...`` the named modules, without writing a file.
 """
 
@@ -20,7 +20,7 @@ import bench
 from bench.figure import ROOT, Figure
 from bench.machine_load import LoadMeter, MachineLoad
 
-GROUPS = {"speed": "bench.json", "accuracy": "bench-accuracy.json"}
+GROUPS = {"speed": "bench.json", "long": "bench-long.json"}
 """Groups of modules (``GROUP``, without it ``speed``), and the file of their figures."""
 
 

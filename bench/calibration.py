@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from bench.figure import ROOT, Figure
 
-GROUP = "accuracy"
+GROUP = "long"
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot

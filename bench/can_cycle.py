@@ -27,7 +27,7 @@ from thorvaldc.runtime.driver import BaseDriver, DriveMode, DriverState
 from thorvaldc.runtime.pace import Timing
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
-SECONDS = float(os.environ.get("CAN_CYCLE_SECONDS", "60"))
+SECONDS = float(os.environ.get("CAN_CYCLE_SECONDS", "20"))
 TWIST = Twist(0.3, 0.0, 0.2)
 MOST_FAULTS = 10
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from bench.figure import Figure
 
-GROUP = "accuracy"
+GROUP = "long"
 
 SEEDS = range(80)
 

@@ -28,7 +28,7 @@ from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.odometry import Odometry
 from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
 
-GROUP = "accuracy"
+GROUP = "long"
 
 RUNS = 200
 STRIDE = 2

@@ -21,7 +21,7 @@ from bench.figure import Figure
 from bench.following import Conduct, follow, row
 from bench.random_robots import FAMILIES, random_robot
 
-GROUP = "accuracy"
+GROUP = "long"
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot

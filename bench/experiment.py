@@ -26,7 +26,7 @@ from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
 from thorvaldc.simulation.simulation_run import Simulation
 
-GROUP = "accuracy"
+GROUP = "long"
 
 SECONDS = 77.0
 RUNS, ABLATED = 20, 8

@@ -27,7 +27,7 @@ from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseGeometry, Noise, WheelGeometry
 from thorvaldc.runtime.calculators.twist_estimator import TwistEstimator
 
-GROUP = "accuracy"
+GROUP = "long"
 
 SAMPLES = 1000
 FAULTS = ("dead", "reversed", "stuck")

@@ -30,7 +30,7 @@ from thorvaldc.runtime.calculators.general import General
 from thorvaldc.runtime.odometry import filter_covariance
 from thorvaldc.runtime.se2 import ORIGIN, Twist
 
-GROUP = "accuracy"
+GROUP = "long"
 
 SECONDS, RUNS = 60.0, 200
 SPEED = 0.4

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 from bench.figure import Figure
 from bench.random_robots import FAMILIES, random_robot
 
-GROUP = "accuracy"
+GROUP = "long"
 
 if TYPE_CHECKING:
     from thorvaldc.model import Robot

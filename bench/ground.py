@@ -14,7 +14,7 @@ from thorvaldc.model import Robot
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.scenario_run import ScenarioResult, ScenarioSimulation
 
-GROUP = "accuracy"
+GROUP = "long"
 
 SLIM = ROOT / "examples" / "4wd4ws_slim" / "robot.yaml"
 CART = ROOT / "examples" / "2wd0ws_greenhouse" / "robot.yaml"

@@ -11,7 +11,7 @@ from tests.examples import ROBOTS
 from tests.ros.engines.test_gazebo import COUPLED, build, mission
 from tests.ros.environments import DISTROS, ENVIRONMENTS
 
-GROUP = "accuracy"
+GROUP = "long"
 
 SECONDS = 77.0
 BOUND = 0.3

@@ -24,7 +24,7 @@ from bench.figure import Figure
 from bench.following import random_twists
 from bench.random_robots import FAMILIES, random_robot
 
-GROUP = "accuracy"
+GROUP = "long"
 
 if TYPE_CHECKING:
     from thorvaldc.runtime.calculators import BaseGeometry

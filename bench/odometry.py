@@ -24,7 +24,7 @@ from thorvaldc.runtime.calculators import BaseGeometry, Noise
 from thorvaldc.runtime.calculators.general import General, GeneralOptions
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_COV, Cov3, Pose2, Twist
 
-GROUP = "accuracy"
+GROUP = "long"
 
 STATES = 4000
 PAIRED = 500

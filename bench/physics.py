@@ -20,7 +20,7 @@ from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 from thorvaldc.simulation.simulation_run import Simulation
 
-GROUP = "accuracy"
+GROUP = "long"
 
 RATES = (0.1, 0.5, 1.0, 2.0)  # rad/s
 # Four driven wheels at the corners without steering: the robot turns only by skidding.

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from bench.bus_traffic import random_bus, reached
 from bench.figure import Figure
 
-GROUP = "accuracy"
+GROUP = "long"
 
 BUSES, SEEDS = 30, 30
 

@@ -41,7 +41,7 @@ from thorvaldc.simulation.sensors.lidar import Lidar
 from thorvaldc.simulation.sensors.simulated_sensor import Message, SimulatedSensor
 from thorvaldc.simulation.simulation_run import Simulation
 
-GROUP = "accuracy"
+GROUP = "long"
 
 RUNS, SECONDS = 16, 40.0
 SETTLED = 10.0

@@ -25,7 +25,7 @@ from thorvaldc.model.facts.stability import load_ranges
 from thorvaldc.model.statics.standing import Standing, standing_of
 from thorvaldc.model.statics.tip_over import support_of
 
-GROUP = "accuracy"
+GROUP = "long"
 
 NUMBER = 80
 DURATION = 10.0  # s

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from bench.figure import Figure
 from bench.robots import wheel
 
-GROUP = "accuracy"
+GROUP = "long"
 
 if TYPE_CHECKING:
     from thorvaldc.runtime.calculators import WheelGeometry

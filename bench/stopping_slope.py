@@ -23,7 +23,7 @@ from thorvaldc.model.stopping import STOP_LOCK
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.scenario_run import ScenarioSimulation
 
-GROUP = "accuracy"
+GROUP = "long"
 
 ROVER = """
 thorvaldc: 1

@@ -32,7 +32,7 @@ from thorvaldc.simulation.bus.simulated_robot import SimulatedRobot
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
 
-GROUP = "accuracy"
+GROUP = "long"
 
 EXAMPLES = sorted(path.parent.name for path in (ROOT / "examples").glob("[0-9]*/robot.yaml"))
 CIA402 = "4wd4ws_slim"

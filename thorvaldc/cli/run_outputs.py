@@ -191,7 +191,8 @@ class RunPictures:
         The function ``scenes`` returns the MuJoCo scene at each picture of the video, for a rate in
         Hz.
         """
-        self._samples = {name: list(of_robot) for name, of_robot in samples.items()}
+        if self.plot:
+            self._samples = {name: list(of_robot) for name, of_robot in samples.items()}
         if self._video_recorder is not None and scenes is not None:
             for scene in scenes(self._video_recorder.rate):
                 self._video_recorder.store(scene)

@@ -75,8 +75,8 @@ def test_a_record_is_read_as_it_was_written(tmp_path: Path) -> None:
         assert not list(report)
         run = runs["other_name"]
         assert run.groups == GROUPS
-        assert run.samples == [sample(0.25 * tick) for tick in range(5)]
-        assert run.commands == [COMMANDS] * 5
+        assert [*run.samples] == [sample(0.25 * tick) for tick in range(5)]
+        assert [*run.commands] == [COMMANDS] * 5
 
 
 @pytest.mark.parametrize("group", GROUPS)

@@ -16,8 +16,9 @@ An empty cell of a CSV file means that the value is unknown.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TypeVar, overload
 
 from thorvaldc.compiler.recordings import csv_table
 from thorvaldc.diagnostics import Report, Span, did_you_mean
@@ -29,6 +30,8 @@ from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.records import joint_csv
 from thorvaldc.simulation.records.recorder import RecordedRun, SampleInterval, report_missing_robot
+
+Row = TypeVar("Row")
 
 _TWIST = ("vx", "vy", "wz")
 _POSE = ("x", "y", "yaw")
@@ -226,12 +229,36 @@ def _read_run(path: Path, robot: Robot, report: Report) -> RecordedRun | None:
         return None
     if not _columns_match(table, robot, groups, report):
         return None
-    run = RecordedRun(groups, [], [])
-    for row in zip(*table.columns.values(), strict=True):
-        cells = dict(zip(table.columns, row, strict=True))
-        run.samples.append(sample_of(cells, robot, "joints" in groups))
-        run.commands.append(commands_of(cells, robot) if "joints" in groups else None)
-    return run
+    has_joints = "joints" in groups
+    return RecordedRun(
+        groups,
+        _Rows(table, lambda cells: sample_of(cells, robot, has_joints)),
+        _Rows(table, lambda cells: commands_of(cells, robot) if has_joints else None),
+    )
+
+
+class _Rows(Sequence[Row]):
+    """The rows of a table, each made from its cells when it is read.
+
+    A sample takes 1 to 2 kB, and a long record has a million of them; the table has 8 bytes for
+    each number.
+    """
+
+    def __init__(self, table: csv_table.Table, make: Callable[[Mapping[str, float]], Row]) -> None:
+        self._table = table
+        self._make = make
+
+    def __len__(self) -> int:
+        return len(self._table)
+
+    @overload
+    def __getitem__(self, index: int) -> Row: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Row]: ...
+    def __getitem__(self, index: int | slice) -> Row | list[Row]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(len(self))[index]]
+        return self._make({name: column[index] for name, column in self._table.columns.items()})
 
 
 def _columns_match(

@@ -13,7 +13,9 @@ from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import Robot, wheel_joints
 from thorvaldc.model.scenario import GROUPS
 from thorvaldc.model.spatial import matrix_to_rpy, quat_to_matrix
+from thorvaldc.runtime.base_interface import JointCommands
 from thorvaldc.runtime.se2 import ORIGIN, Pose2, Twist
+from thorvaldc.simulation.control_loop import Sample
 from thorvaldc.simulation.records import joint_csv
 from thorvaldc.simulation.records.csv_record import COLUMNS, commands_of, read_csv_record, sample_of
 from thorvaldc.simulation.records.recorder import RecordedRun, report_missing_robot
@@ -153,7 +155,8 @@ class _BagRun:
         groups = tuple(group for group in GROUPS if topic_of[group] in self._by_time)
         if not self._joints_match(report):
             return None
-        run = RecordedRun(groups, [], [])
+        samples: list[Sample] = []
+        commands: list[JointCommands | None] = []
         topics = [topic_of[group] for group in groups]
         last_time = next(reversed(self._by_time[topics[0]]), None)
         last_yaws = [0.0, 0.0]
@@ -169,10 +172,10 @@ class _BagRun:
                 )
                 return None
             cells = self._cells(time, last_yaws)
-            run.samples.append(sample_of(cells, self._robot, "joints" in groups))
+            samples.append(sample_of(cells, self._robot, "joints" in groups))
             has_commands = self._message(ros_bag.COMMANDS, time) is not None
-            run.commands.append(commands_of(cells, self._robot) if has_commands else None)
-        return run
+            commands.append(commands_of(cells, self._robot) if has_commands else None)
+        return RecordedRun(groups, samples, commands)
 
     def _joints_match(self, report: Report) -> bool:
         """Checks that the recorded joint names are the joint names of the robot."""

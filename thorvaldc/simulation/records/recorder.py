@@ -111,8 +111,8 @@ class RecordedRun:
     """
 
     groups: tuple[str, ...]
-    samples: list[Sample]
-    commands: list[JointCommands | None]
+    samples: Sequence[Sample]
+    commands: Sequence[JointCommands | None]
 
 
 def report_missing_robot(name: str, recorded: Iterable[str], display: str, report: Report) -> None:

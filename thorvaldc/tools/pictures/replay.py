@@ -15,7 +15,7 @@ from thorvaldc.compiler.pipeline import emit
 from thorvaldc.compiler.result import Compilation
 from thorvaldc.diagnostics import DiagnosticError, Report, Span
 from thorvaldc.model import Fleet, Robot, robots_by_name
-from thorvaldc.model.spatial import float_sum, quat_from_rpy
+from thorvaldc.model.spatial import quat_from_rpy
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import ZERO_TWIST, Pose2
@@ -42,9 +42,16 @@ def _result(name: str, robot: Robot, samples: Sequence[Sample]) -> control_loop.
     first, last = samples[0], samples[-1]
     true = last.pose_true.relative_to(first.pose_true)
     estimated = last.pose_estimated.relative_to(first.pose_estimated)
-    # The cosine of the tilt angle is the vertical component of the z axis of `base_link`, which is
+    # In one pass, because a sample is made from the record whenever it is read.  The cosine of the
+    # tilt angle is the vertical component of the z axis of `base_link`, which is
     # cos(roll) cos(pitch).
-    uprightness = [math.cos(s.posture[1]) * math.cos(s.posture[2]) for s in samples]
+    uprightness = [math.cos(first.posture[1]) * math.cos(first.posture[2])]
+    commanded, by_truth, by_odometry = 0.0, 0.0, 0.0
+    for a, b in pairwise(samples):
+        uprightness.append(math.cos(b.posture[1]) * math.cos(b.posture[2]))
+        commanded += a.limited.speed * (b.time - a.time)
+        by_truth += _arc(a.pose_true, b.pose_true)
+        by_odometry += _arc(a.pose_estimated, b.pose_estimated)
     tilt = 0.0
     if all(map(math.isfinite, uprightness)):
         tilt = math.acos(min(max(min(uprightness), -1.0), 1.0))
@@ -54,9 +61,9 @@ def _result(name: str, robot: Robot, samples: Sequence[Sample]) -> control_loop.
         wheels=len(robot.wheels),
         driven=sum(1 for w in robot.wheels if w.driven),
         steered=sum(1 for w in robot.wheels if w.steered),
-        path_commanded=float_sum(a.limited.speed * (b.time - a.time) for a, b in pairwise(samples)),
-        path_true=_path([s.pose_true for s in samples]),
-        path_odometry=_path([s.pose_estimated for s in samples]),
+        path_commanded=commanded,
+        path_true=by_truth,
+        path_odometry=by_odometry,
         end_error=math.hypot(true.x - estimated.x, true.y - estimated.y),
         yaw_error=abs(true.yaw - estimated.yaw),
         pose_true=true,
@@ -68,15 +75,9 @@ def _result(name: str, robot: Robot, samples: Sequence[Sample]) -> control_loop.
     )
 
 
-def _path(poses: Sequence[Pose2]) -> float:
-    """Returns the length (m) of the path through the poses.
-
-    The path between two successive poses is assumed to be an arc.
-    """
-    return float_sum(
-        math.hypot(b.x - a.x, b.y - a.y) / se2.chord_over_arc(b.yaw - a.yaw)
-        for a, b in pairwise(poses)
-    )
+def _arc(a: Pose2, b: Pose2) -> float:
+    """Returns the length (m) of the arc between two poses."""
+    return math.hypot(b.x - a.x, b.y - a.y) / se2.chord_over_arc(b.yaw - a.yaw)
 
 
 class Replay:
@@ -295,8 +296,9 @@ def _by_time(
     runs: Mapping[str, RecordedRun],
 ) -> Iterator[tuple[str, Sample, JointCommands | None]]:
     """Yields the recorded samples of all robots, sorted by time."""
-    ticks = (
-        [(name, *tick) for tick in zip(run.samples, run.commands, strict=True)]
-        for name, run in runs.items()
-    )
-    return heapq.merge(*ticks, key=lambda tick: tick[1].time)
+
+    def ticks(name: str) -> Iterator[tuple[str, Sample, JointCommands | None]]:
+        run = runs[name]
+        return ((name, *tick) for tick in zip(run.samples, run.commands, strict=True))
+
+    return heapq.merge(*map(ticks, runs), key=lambda tick: tick[1].time)
