@@ -15,7 +15,7 @@ from thorvaldc.simulation.records.mcap_writer import McapRecorder
 from thorvaldc.simulation.records.recorder import Recorder, record_ticks
 from thorvaldc.simulation.simulation_run import Simulation
 
-ROUNDS = 5
+ROUNDS = 3
 RATE = 50.0  # Hz, of the driver
 
 
