@@ -15,7 +15,8 @@ from thorvaldc.compiler.pipeline import emit
 from thorvaldc.compiler.result import Compilation
 from thorvaldc.diagnostics import DiagnosticError, Report, Span
 from thorvaldc.model import Fleet, Robot, robots_by_name
-from thorvaldc.model.spatial import float_sum, quat_from_rpy
+from thorvaldc.model.spatial import quat_from_rpy
+from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import ZERO_TWIST, Pose2
