@@ -32,6 +32,7 @@ ROOMS = ("runtime", "can", "model", "diagnostics", "simulation", "schema", "comp
 GROUP = "thorvaldc_tick"
 """Prefix of the library that contains the machine code of all modules."""
 RUNTIME_MODULES = (
+    "model/sums",
     "runtime/se2",
     "runtime/base_interface",
     "runtime/calculators/base_geometry",
@@ -62,6 +63,9 @@ RUNTIME_MODULES = (
 SIMULATION_MODULES = (
     "simulation/physics/drive_servos",
     "simulation/physics/mujoco_scene",
+    "simulation/physics/sim_base",
+    "simulation/physics/mujoco_base",
+    "simulation/physics/scenario_base",
     "simulation/control_loop",
 )
 MODULES = RUNTIME_MODULES + SIMULATION_MODULES

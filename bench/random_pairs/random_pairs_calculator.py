@@ -11,7 +11,7 @@ import random
 from dataclasses import dataclass
 from typing import Self
 
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 from thorvaldc.runtime.calculators.general import General, GeneralOptions

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import math
 
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 
 
 def test_each_addition_is_rounded() -> None:

@@ -16,10 +16,11 @@ from thorvaldc.model.facts.robot_facts import RobotFacts, robot_facts
 from thorvaldc.model.facts.size import Size
 from thorvaldc.model.facts.stability import DIRECTIONS, Stability
 from thorvaldc.model.model_json import model_hash
-from thorvaldc.model.spatial import Quat, cross, dot, float_sum, rotate
+from thorvaldc.model.spatial import Quat, cross, dot, rotate
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.tip_over import Point, convex_hull
 from thorvaldc.model.stl import mesh_pieces
+from thorvaldc.model.sums import float_sum
 
 if TYPE_CHECKING:
     from markupsafe import Markup

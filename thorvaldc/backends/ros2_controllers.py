@@ -25,7 +25,7 @@ from thorvaldc.backends.ros2_parameters import Parameters
 from thorvaldc.model import Robot, Wheel, wheel_joints
 from thorvaldc.model.joint_topics import ANGLE_CONTROLLER, BROADCASTER, SPEED_CONTROLLER
 from thorvaldc.model.settings import DRIVER
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 
 CONTROLLER_FILE = "config/controllers.yaml"
 """Path of the parameters relative to the shared folder of the package."""

@@ -18,7 +18,7 @@ from thorvaldc.commissioning.scan_result import OK, ScanResult
 from thorvaldc.commissioning.scanner import Scanner
 from thorvaldc.diagnostics.text_layout import text_table
 from thorvaldc.model import Bus
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 
 LONGEST_LISTENING = 3.0
 """Longest listening time (s)."""

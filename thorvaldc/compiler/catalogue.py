@@ -26,8 +26,9 @@ from thorvaldc.compiler.source.node import Node
 from thorvaldc.compiler.source.unit_table import QUANTITIES
 from thorvaldc.diagnostics import Report, Span
 from thorvaldc.model import SourcedMass, Vec3
-from thorvaldc.model.spatial import clean, clean3, float_sum
+from thorvaldc.model.spatial import clean, clean3
 from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.sums import float_sum
 
 # Bit rate (bit/s) of the bus, and control cycle (s), for the check of a single device.
 BITRATE = 500_000

@@ -14,13 +14,14 @@ from thorvaldc.compiler.robot_settings.robot_sections import DesignRequirements
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Label, Report, millimetres, plain
 from thorvaldc.model import Joint, Robot, Vec3, Wheel
-from thorvaldc.model.spatial import GRAVITY, float_sum
+from thorvaldc.model.spatial import GRAVITY
 from thorvaldc.model.statics import mobility
 from thorvaldc.model.statics.joint_tree import tree_of
 from thorvaldc.model.statics.slope import SlopeStatics, holds_without_torque, standing_slopes
 from thorvaldc.model.statics.standing import Standing, standing_of
 from thorvaldc.model.statics.tip_over import Point, outer_points, overlap, pulls_out, support_of
 from thorvaldc.model.stopping import driven_wheels
+from thorvaldc.model.sums import float_sum
 
 # Largest gap (m) between a wheel and the ground that suspensions and tyres compensate.
 WHEEL_OFF_GROUND = 2e-3

@@ -51,8 +51,8 @@ from typing import NamedTuple
 
 from thorvaldc.model import Bus, FrameDefinition, Node, ObjectValue, Robot
 from thorvaldc.model.bus import MASTER
-from thorvaldc.model.spatial import float_sum
 from thorvaldc.model.stopping import motor_nodes
+from thorvaldc.model.sums import float_sum
 
 _SECOND = 10**12  # ps
 _LONGEST = 100 * _SECOND  # a longer response time counts as no bound

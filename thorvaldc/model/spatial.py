@@ -1,4 +1,4 @@
-"""Rigid-body algebra in plain Python: vectors, unit quaternions, poses, inertias, sums of floats.
+"""Rigid-body algebra in plain Python: vectors, unit quaternions, poses and inertias.
 
 The compiler does not import numpy, because a cold build is faster without numpy. For vectors with
 three elements, Python tuples are faster than numpy arrays. All quaternions of the project have the
@@ -9,26 +9,13 @@ X_BC``.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from thorvaldc.model import quantities as si
+from thorvaldc.model.sums import float_sum
 
 GRAVITY = 9.81
 """Acceleration of free fall in m/s^2, equal to the default value of MuJoCo."""
-
-
-def float_sum(values: Iterable[float]) -> float:
-    """Returns the sum of the values, added from left to right with one rounding per addition.
-
-    The builtin ``sum`` does the same on Python 3.11, but compensates the rounding errors since
-    Python 3.12: the last digits of its result depend on the version of Python.  ``math.fsum`` is
-    correctly rounded on every version, but raises an exception for sums that are not finite.
-    """
-    total = 0.0
-    for value in values:
-        total += value
-    return total
 
 
 Vec3 = tuple[float, float, float]

@@ -39,7 +39,7 @@ from typing import NamedTuple
 
 from thorvaldc.model import Actuator, Bus, DriverSettings, Node, Robot, Wheel
 from thorvaldc.model.bus import MASTER
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 
 COMMAND_TIMEOUT, STOP_LOCK = "command_timeout", "stop_lock"
 DETECTED_FAULT, DRIVER_DEAD, DRIVE_DEAD = "detected_fault", "driver_dead", "drive_dead"

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from thorvaldc.model import DriverSettings, Robot
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.base_interface import BaseHandle, JointStates, ParameterError
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, TwistEstimate, for_robot
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL, Odometry

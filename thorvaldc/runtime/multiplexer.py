@@ -10,7 +10,7 @@ from typing import TypeVar
 from thorvaldc.diagnostics import did_you_mean
 from thorvaldc.model import Robot, TwistInput
 from thorvaldc.model.settings import ZERO_FIRST
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.base_interface import ParameterError
 from thorvaldc.runtime.driver import MAX_TWIST, BaseDriver
 from thorvaldc.runtime.pace import Gap, gap_text

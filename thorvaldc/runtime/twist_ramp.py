@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from thorvaldc.model import DriverSettings, Robot
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators import BaseCalculator, BaseCommand, BaseGeometry, WheelGeometry
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist, twist_text

@@ -19,7 +19,7 @@ from thorvaldc.runtime.se2 import ZERO_COV, ZERO_TWIST, Cov3, Pose2, Twist
 from thorvaldc.runtime.twist_ramp import is_axle_swing
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
-from thorvaldc.simulation.physics.sim_base import GroundTruthBase
+from thorvaldc.simulation.physics.sim_base import GroundTruth
 
 # -- results ---------------------------------------------------------------------------------------
 
@@ -377,7 +377,7 @@ class ControlLoop:
         self.base = base
         self.manoeuvre = manoeuvre
         self.ticks = 0
-        self._truth = base if isinstance(base, GroundTruthBase) else None
+        self._truth = base if isinstance(base, GroundTruth) else None
         self.start = se2.ORIGIN if self._truth is None else self._truth.true_pose()
         self.pose_true = self.start
         self.yaw_true = 0.0

@@ -23,7 +23,7 @@ from thorvaldc.simulation import control_loop
 from thorvaldc.simulation.control_loop import ControlLoop, Manoeuvre, SimulationResult, TickCallback
 from thorvaldc.simulation.physics.mujoco_base import MujocoBase
 from thorvaldc.simulation.physics.mujoco_scene import CollisionCounter, MujocoScene
-from thorvaldc.simulation.physics.sim_base import GroundTruthBase, RollingBase, SimBase, WheelErrors
+from thorvaldc.simulation.physics.sim_base import GroundTruth, RollingBase, SimBase, WheelErrors
 
 if TYPE_CHECKING:
     from thorvaldc.model.scenario import SensorSettings
@@ -133,7 +133,7 @@ def _turned_wheel(robot: Robot, twist: Twist) -> Wheel | None:
 
 
 def _direction(loop: ControlLoop) -> str:
-    direction = loop.base.leaning() if isinstance(loop.base, GroundTruthBase) else ""
+    direction = loop.base.leaning() if isinstance(loop.base, GroundTruth) else ""
     return f" {direction}" if direction else ""
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from thorvaldc.model import Actuator, Battery, Bus, Channel, Node, Robot, Scalar
 from thorvaldc.model import quantities as si
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 
 
 @dataclass(frozen=True, slots=True)

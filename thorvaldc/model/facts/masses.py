@@ -9,7 +9,8 @@ from thorvaldc.model import Purchase, Robot, SourcedMass
 from thorvaldc.model import quantities as si
 from thorvaldc.model.element import once_per_model
 from thorvaldc.model.robot import NOT_STATED
-from thorvaldc.model.spatial import clean, float_sum
+from thorvaldc.model.spatial import clean
+from thorvaldc.model.sums import float_sum
 
 NO_SOURCE = "no source stated"
 

@@ -20,9 +20,10 @@ from thorvaldc.model import (
     Wheel,
 )
 from thorvaldc.model import quantities as si
-from thorvaldc.model.spatial import Quat, add, float_sum, quat_to_matrix, rotate
+from thorvaldc.model.spatial import Quat, add, quat_to_matrix, rotate
 from thorvaldc.model.statics.joint_tree import JointTree, tree_of
 from thorvaldc.model.stl import mesh_vertices
+from thorvaldc.model.sums import float_sum
 
 _SMALLEST_DISTANCE = 1e-3
 """A wheelbase or track below this distance (m) is no distance between two axles."""

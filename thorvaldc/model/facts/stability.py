@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from thorvaldc.model import Robot
 from thorvaldc.model import quantities as si
 from thorvaldc.model.element import once_per_model
-from thorvaldc.model.spatial import GRAVITY, clean, float_sum
+from thorvaldc.model.spatial import GRAVITY, clean
 from thorvaldc.model.statics.standing import standing_of
 from thorvaldc.model.statics.static_loads import maximize
 from thorvaldc.model.statics.tip_over import Support, support_of
+from thorvaldc.model.sums import float_sum
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from thorvaldc.model import Inertial, Joint, Link, Pose, Robot, Vec3, Wheel, spatial
 from thorvaldc.model.element import once_per_model
+from thorvaldc.model.sums import float_sum
 
 
 class JointTree:
@@ -160,7 +161,7 @@ class RigidGroups:
             (p[0] / m, p[1] / m, p[2] / m) if m > 0.0 else (0.0, 0.0, 0.0)
             for m, p in zip(mass, moment, strict=True)
         ]
-        self.total_mass = spatial.float_sum(mass)
+        self.total_mass = float_sum(mass)
 
     def group_of(self, link: str) -> int:
         """Return the number of the group to which a link belongs."""

@@ -25,8 +25,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from thorvaldc.model import Link, Pose, Vec3
-from thorvaldc.model.spatial import add, clean, cross, dot, float_sum, sub
+from thorvaldc.model.spatial import add, clean, cross, dot, sub
 from thorvaldc.model.statics.joint_tree import JointTree
+from thorvaldc.model.sums import float_sum
 
 
 class BranchSparse:

@@ -25,7 +25,7 @@ import math
 from collections.abc import Sequence
 
 from thorvaldc.model import Joint, Robot, Wheel
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 
 Row = tuple[float, float, float]
 Twist = tuple[float, float, float]

@@ -24,11 +24,12 @@ from typing import NamedTuple
 from thorvaldc.model import Actuator, Joint, Robot, Wheel, stopping
 from thorvaldc.model import quantities as si
 from thorvaldc.model.element import once_per_model
-from thorvaldc.model.spatial import GRAVITY, float_sum
+from thorvaldc.model.spatial import GRAVITY
 from thorvaldc.model.statics.joint_tree import held_joints, tree_of
 from thorvaldc.model.statics.standing import standing_of
 from thorvaldc.model.statics.static_loads import Pivot, free_pivots, static_loads
 from thorvaldc.model.statics.tip_over import support_of
+from thorvaldc.model.sums import float_sum
 
 _STEP, _STEEPEST = math.radians(10.0), math.radians(80.0)
 _TOLERANCE = 1e-12  # rad

@@ -40,6 +40,7 @@ from thorvaldc.model.statics.static_loads import (
     spring_reference,
     static_loads,
 )
+from thorvaldc.model.sums import float_sum
 
 _LARGEST_STEP, _SMALLEST_STEP = 0.05, 1e-7  # rad or m
 _MAX_STEPS = 400
@@ -191,7 +192,7 @@ class _Body:
             parts.append(mass * spatial.GRAVITY * transform.apply(com)[2])
         for joint, q in zip(self.groups.joints, self.positions(values), strict=True):
             parts.append(joint.stiffness * (q - joint.spring_reference) ** 2 / 2.0)
-        return spatial.float_sum(parts)
+        return float_sum(parts)
 
     def _heights(
         self, base: Pose, values: Sequence[float]
@@ -257,7 +258,7 @@ def _settle(body: _Body) -> tuple[_State, list[float] | None]:
     state, radius = body.start(), _LARGEST_STEP
     for _ in range(_MAX_STEPS):
         step, loads = _fall(body, state, radius)
-        decrease = -spatial.float_sum(a * b for a, b in zip(state.gradient, step, strict=True))
+        decrease = -float_sum(a * b for a, b in zip(state.gradient, step, strict=True))
         if decrease < _EQUILIBRIUM * body.weight or radius < _SMALLEST_STEP:
             return state, loads
         after = body.at(*body.moved(state, step))
@@ -315,9 +316,9 @@ def _softest_motion(
         rest = list(vector)
         for _ in range(2):  # the second pass removes the rounding errors of the first
             for unit in basis:
-                share = spatial.float_sum(a * b for a, b in zip(rest, unit, strict=True))
+                share = float_sum(a * b for a, b in zip(rest, unit, strict=True))
                 rest = [a - share * b for a, b in zip(rest, unit, strict=True)]
-        length = math.sqrt(spatial.float_sum(v * v for v in rest))
+        length = math.sqrt(float_sum(v * v for v in rest))
         if length > 1e-6:
             basis.append([v / length for v in rest])
             if is_motion:
@@ -326,8 +327,7 @@ def _softest_motion(
         return [], math.inf
     vector, least = _least_eigenvector(_curvatures(body, state, loads, motions))
     motion = [
-        spatial.float_sum(w * unit[k] for w, unit in zip(vector, motions, strict=True))
-        for k in range(n)
+        float_sum(w * unit[k] for w, unit in zip(vector, motions, strict=True)) for k in range(n)
     ]
     return motion, least
 
@@ -366,7 +366,7 @@ def _curvatures(
 
     def value(*terms: tuple[float, Sequence[float]]) -> float:
         step = [
-            spatial.float_sum(factor * unit[k] for factor, unit in terms)
+            float_sum(factor * unit[k] for factor, unit in terms)
             for k in range(len(state.gradient))
         ]
         return body.lagrangian(*body.moved(state, step), loads)
@@ -476,9 +476,7 @@ def _balance(body: _Body, state: _State, loads: list[float]) -> _Balance:
             k: sign
             * (
                 state.gradient[k]
-                - spatial.float_sum(
-                    n * row[k] for n, row in zip(balancing, state.jacobian, strict=True)
-                )
+                - float_sum(n * row[k] for n, row in zip(balancing, state.jacobian, strict=True))
             )
             for k, sign in signs.items()
         }
@@ -506,7 +504,7 @@ def _non_negative_loads(
             for i, load in zip(active, solution, strict=True):
                 loads[i] = max(load, 0.0)
             errors = [
-                abs(spatial.float_sum(a * b for a, b in zip(row, loads, strict=True)) - value)
+                abs(float_sum(a * b for a, b in zip(row, loads, strict=True)) - value)
                 for row, value in balances
             ]
             return loads if max(errors) < 1e-4 * weight else None

@@ -40,6 +40,7 @@ from thorvaldc.model.element import once_per_model
 from thorvaldc.model.statics import joint_tree, wheel_contact
 from thorvaldc.model.statics.mass_matrix import BranchSparse, inverse_weights
 from thorvaldc.model.statics.standing import standing_of
+from thorvaldc.model.sums import float_sum
 
 _MAX_ITERATIONS = 600
 """Most robots need 5 to 10 iterations. Stiff contacts allow only small rotations of swing arms in
@@ -432,7 +433,7 @@ def _equilibrium(
     if not wheels or stance.weight <= 0.0 or (standing is not None and not standing.stands):
         return stance, None
     n = len(wheels)
-    softness = spatial.float_sum(weight for _, _, weight in wheels) / n
+    softness = float_sum(weight for _, _, weight in wheels) / n
     x, y, z = start.xyz
     base = Pose(
         (x, y, z - wheel_contact.penetration_under(stance.weight / n, softness) / 2), start.quat

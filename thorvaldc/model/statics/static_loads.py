@@ -22,8 +22,9 @@ from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 from thorvaldc.model import Inertial, Joint, Vec3, Wheel
-from thorvaldc.model.spatial import GRAVITY, clean, float_sum
+from thorvaldc.model.spatial import GRAVITY, clean
 from thorvaldc.model.statics.joint_tree import JointTree, coordinates_of, coupled_joints
+from thorvaldc.model.sums import float_sum
 
 
 class Pivot(NamedTuple):

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from thorvaldc.model import Robot, Wheel
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 
 _SAME_HEADING = math.radians(10.0)

@@ -41,7 +41,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels, WheelGeometry
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist
 

@@ -31,7 +31,7 @@ import math
 from collections.abc import Sequence
 from math import atan2, remainder, sqrt
 
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.base_interface import JointStates
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, WheelGeometry
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist

@@ -27,7 +27,8 @@ from math import dist
 from statistics import NormalDist
 from typing import NamedTuple
 
-from thorvaldc.model.spatial import float_sum, symmetric_eigenvalues
+from thorvaldc.model.spatial import symmetric_eigenvalues
+from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.base_interface import CheckedJointStates, JointStates, NotFiniteError
 from thorvaldc.runtime.calculators import wheel_rejection
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels

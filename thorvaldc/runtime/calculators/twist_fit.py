@@ -43,7 +43,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 
 # Bit flags of a wheel measurement.  With USE_ROLL and USE_SIDE, the fit uses the rolling speed (row
 # L) and the side slip (row T).  With TEST_ROLL and TEST_SIDE, the rolling speed and the side slip

@@ -63,7 +63,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.calculators.twist_fit import (
     TEST_ROLL,
     USE_ROLL,

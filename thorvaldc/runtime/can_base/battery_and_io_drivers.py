@@ -15,7 +15,7 @@ from thorvaldc.model.bus import MASTER
 from thorvaldc.model.facts.electrics import battery_capacity
 from thorvaldc.model.plugins import PluginTable
 from thorvaldc.model.settings import BatterySettings
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.can_base.motor_controller import driver_class, node_codecs, required_driver
 from thorvaldc.runtime.can_base.signal_codec import FrameCodec
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Self
 from thorvaldc.can.canopen import RPDO, TPDO, NmtState
 from thorvaldc.can.frame import CanFrame
 from thorvaldc.model.facts.electrics import battery_capacity
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 from thorvaldc.simulation.bus.simulated_device import DeviceSpecification, SimulatedDevice
 from thorvaldc.simulation.bus.wire import Wire
 

@@ -32,7 +32,7 @@ from functools import partial
 from typing import Any, Self
 
 from thorvaldc.can.canopen import RPDO, TPDO, NmtState
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 from thorvaldc.simulation.bus import object_dictionary
 from thorvaldc.simulation.bus.canopen_device import CanopenDevice
 from thorvaldc.simulation.bus.simulated_device import DeviceDescription, DeviceSpecification

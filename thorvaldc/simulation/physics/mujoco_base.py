@@ -10,13 +10,13 @@ from thorvaldc.runtime.base_interface import JointCommands, JointStates
 from thorvaldc.runtime.se2 import Pose2, Twist
 from thorvaldc.simulation.physics.drive_servos import DriveServos, MotorsWithoutPower
 from thorvaldc.simulation.physics.mujoco_scene import MujocoScene
-from thorvaldc.simulation.physics.sim_base import GroundTruthBase, WheelErrors
+from thorvaldc.simulation.physics.sim_base import GroundTruth, SimulatedJoints, WheelErrors
 
 LONGEST_STEP = 0.2
 """Largest time (s) between two commands for which ``write`` adds the feed-forward term."""
 
 
-class MujocoBase(GroundTruthBase):
+class MujocoBase(SimulatedJoints, GroundTruth):
     """The joints and the true motion of one robot in a MuJoCo scene.
 
     Wheel errors: the MuJoCo scene contains the wheels without wheel errors.  The base applies the

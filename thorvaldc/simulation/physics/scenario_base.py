@@ -293,7 +293,8 @@ class ScenarioBase(MujocoBase):
         array[index] = value
 
     def _restore(self, number: int) -> None:
-        for array, index, value in reversed(self._saved.pop(number)):
+        saved: list[tuple[Any, Any, float]] = self._saved.pop(number)
+        for array, index, value in saved[::-1]:
             array[index] = value
 
     def _disable_motor(self, number: int, wheel: int, motor: str) -> None:

@@ -16,11 +16,13 @@ from thorvaldc.runtime import se2
 from thorvaldc.runtime.base_interface import BaseHandle, JointCommands, JointStates
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry, FixedWheels
 from thorvaldc.runtime.calculators.twist_fit import solve3
+from thorvaldc.runtime.interpreted_subclasses import mypyc_attr, trait
 from thorvaldc.runtime.se2 import ORIGIN, ZERO_TWIST, Pose2, Twist
 
 # -- interfaces of simulated bases -----------------------------------------------------------------
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class SimulatedJoints(BaseHandle):
     """The joints of a simulated base.
 
@@ -100,6 +102,7 @@ MAX_STEP = 0.5
 After a longer time, the base assumes that the driver was suspended."""
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class SimBase(SimulatedJoints):
     """A simulated base whose joints follow the commands within the limits of the joints.
 
@@ -218,12 +221,9 @@ class SimBase(SimulatedJoints):
         )
 
 
-class GroundTruthBase(SimulatedJoints):
-    """A simulated base that also returns the true motion of the robot.
-
-    The true motion of the robot is used only for measurements.  The base driver uses only the
-    methods of ``BaseHandle``.
-    """
+@trait
+class GroundTruth(abc.ABC):
+    """The true motion of a simulated robot, for measurements; the base driver does not use it."""
 
     @abc.abstractmethod
     def true_pose(self) -> Pose2:
@@ -345,7 +345,7 @@ _LEAST_SPEED = 1e-3
 """Ground speed (m/s) of a wheel below which the direction of motion of the wheel is undefined."""
 
 
-class RollingBase(SimBase, GroundTruthBase):
+class RollingBase(SimBase, GroundTruth):
     """A simulated base whose wheels roll without slip.
 
     The twist of the robot is the best fit to the commanded joints, and all joints follow the twist.

@@ -13,9 +13,9 @@ from thorvaldc.compiler.shapes.meshes import load_mesh, shared_mesh_workers
 from thorvaldc.diagnostics import Label, Report, Span, plain
 from thorvaldc.diagnostics.files import read_json
 from thorvaldc.model import Inertial, Mesh, Pose
-from thorvaldc.model.spatial import float_sum
 from thorvaldc.model.statics.tip_over import convex_hull
 from thorvaldc.model.stl import RECORD, stl_triangles
+from thorvaldc.model.sums import float_sum
 from thorvaldc.tools.audit import audit_facts as facts
 
 # Rounded inertias of thin bodies may break the triangle inequality a little.

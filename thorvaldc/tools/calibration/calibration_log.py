@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thorvaldc.model import Robot
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.calculators import for_robot
 from thorvaldc.runtime.calculators.base_calculator import BaseCalculator
 from thorvaldc.runtime.odometry import LONGEST_INTERVAL

@@ -42,7 +42,7 @@ import numpy as np
 
 from thorvaldc.diagnostics import Report, Span, plain
 from thorvaldc.model import Robot
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.calculators.base_geometry import BaseGeometry
 from thorvaldc.runtime.run_time_parameters import Parameters
 from thorvaldc.simulation.records.joint_csv import JointLog

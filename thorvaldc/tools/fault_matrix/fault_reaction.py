@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from thorvaldc.model import Robot
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 from thorvaldc.runtime.can_base.base_state_machine import BaseState
 from thorvaldc.runtime.pace import NORMAL_PERIODS
 from thorvaldc.runtime.se2 import ZERO_TWIST, Twist

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from thorvaldc.compiler.source.node import Node
 from thorvaldc.diagnostics import Report, plain
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 from thorvaldc.tools.importer import devices, frame_and_drives, original_file, robot_text
 
 _DRIVES = "motor_drives"

@@ -13,7 +13,7 @@ from thorvaldc.compiler.values.value_reader import INVALID
 from thorvaldc.diagnostics import Span, plain
 from thorvaldc.model import Fleet, Robot
 from thorvaldc.model.facts.robot_facts import robot_facts
-from thorvaldc.model.spatial import float_sum
+from thorvaldc.model.sums import float_sum
 from thorvaldc.schema import bounds_in_words
 from thorvaldc.tools.language_server.module_references import Reference, reference_at
 from thorvaldc.tools.language_server.module_view import ModuleView, Parameter, Port, Schemas
