@@ -1,5 +1,4 @@
-"""The numbers of a sensor: their quantities, their bounds, and the defaults of those that its module
-does not state."""
+"""The numbers of simulated sensors: their quantities, defaults and bounds."""
 
 from __future__ import annotations
 

@@ -428,7 +428,7 @@ class _RobotTopics:
         self._odometry = odometry_template(odom, base)
         self._truth = odometry_template("map", true_base)
         joints = [*drives, *steering]
-        self._links = LinkFrames(robot, joints if ros_bag.JOINTS in connections else ())
+        self._links = LinkFrames(robot, joints)
         frames = [(odom, base)] if ros_bag.ODOM in connections else []
         self._static_frames = [("map", odom)] if frames else []
         if ros_bag.TRUE_ODOM in connections:
