@@ -76,7 +76,10 @@ def sensor_numbers(sensor: Sensor) -> dict[str, float]:
     """
     stated = {name: v for name, v in sensor.properties if not isinstance(v, str)}
     numbers = SENSOR_NUMBERS[sensor.type].items()
-    return {name: float(stated.get(name, schema["default"])) for name, schema in numbers}
+    return {
+        name: float(stated[name] if name in stated else schema["default"])
+        for name, schema in numbers
+    }
 
 
 def ray_count(numbers: Mapping[str, float]) -> int:

@@ -16,6 +16,7 @@ from tests.examples import example_robot
 from tests.simulation.sensors.rover import ALL_SENSORS, ROBOT, SENSORS, simulation
 from thorvaldc.compiler.pipeline import compile_file, emit
 from thorvaldc.diagnostics import DiagnosticError, Report
+from thorvaldc.model.sensor_numbers import SENSOR_NUMBERS
 from thorvaldc.simulation.pictures import PictureError
 from thorvaldc.simulation.records.mcap_writer import McapRecorder
 
@@ -275,3 +276,9 @@ def test_two_plays_write_two_records(tmp_path: Path) -> None:
         recorder.close()
         sizes.append((tmp_path / name).read_bytes())
     assert sizes[0] == sizes[1]
+
+
+def test_the_page_lists_the_properties_of_each_type() -> None:
+    page = (Path(__file__).resolve().parents[3] / "docs" / "sensors.md").read_text()
+    for kind, numbers in SENSOR_NUMBERS.items():
+        assert f"| `{kind}` | {', '.join(f'`{name}`' for name in numbers)} |" in page
