@@ -179,11 +179,12 @@ def test_errors_of_a_fix_wander(tmp_path: Path) -> None:
 
 def test_two_receivers_have_different_errors(tmp_path: Path) -> None:
     gnss = "".join(
-        f"  {name}: {{type: sensor/gnss_antenna, mount: {{parent: frame}}}}\n" for name in "ab"
+        f"  {name}: {{type: sensor/gnss_antenna, mount: {{parent: frame, xyz: [{x}, 0, 0.1]}}}}\n"
+        for name, x in (("a", 0.2), ("b", -0.2))
     )
     run = simulation(tmp_path, "", gnss, sensors="sensors: {errors: 1}\n")
     a, b = (run.sensors[f"rover/{name}"].measure()[0] for name in "ab")
-    assert a.latitude != b.latitude
+    assert abs(a.altitude - b.altitude) > 1e-6
 
 
 def test_a_receiver_that_states_no_accuracy_has_no_known_covariance(tmp_path: Path) -> None:
